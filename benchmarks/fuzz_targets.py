@@ -47,7 +47,7 @@ def answer_to_recording(place: Path) -> str:
     (found, *_) = inspect_file(place)
     if found.refusal:
         return f"{REFUSED} {found.refusal}"
-    return " ".join((found.format or "", *(problem.kind for problem in found.problems)))
+    return " ".join((found.format or "", *(statement.quantity for statement in found.statements)))
 
 
 def sealed_readers() -> dict[str, tuple[Callable[[bytes, str], Any], Callable[[Any], bytes]]]:
@@ -103,7 +103,7 @@ def _answer_with_lab(place: Path, recording: Path) -> str:
     (found, *_) = inspect_file(recording, read_lab(given))
     if found.refusal:
         return f"{REFUSED} {found.refusal}"
-    return " ".join(problem.kind for problem in found.problems)
+    return " ".join(statement.quantity for statement in found.statements)
 
 
 def corpus(name: str) -> dict[str, bytes]:

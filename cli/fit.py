@@ -285,8 +285,8 @@ def calibrate_streamed(
     declared = None if lab is None else read_lab(lab)
     recordings = read_thinned(files, declared, progress=told)
     model = fit_stage(recordings, lab=declared, progress=told)
-    problems = dict.fromkeys(f"{r.name}: {p.text}" for r in recordings for p in r.problems)
-    model = replace(model, remarks=(*problems, *model.remarks))
+    notes = dict.fromkeys(f"{r.name}: {s.text}" for r in recordings for s in r.statements)
+    model = replace(model, remarks=(*notes, *model.remarks))
     done = finished(
         FittedStage(model=model, undiagnosed=(UNDIAGNOSED,)), declared, told, processes
     )

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
     from piezoid.records.inspection import ColumnSummary, Inspection
     from piezoid.records.response_summary import Coupling, PathSummary, Peak
+    from piezoid.statement import Statement
 
 
 _MOST_PEAKS = 8
@@ -65,8 +66,27 @@ def _json(inspections: "tuple[Inspection, ...]") -> str:
     import dataclasses
     from json import dumps
 
-    content = [dataclasses.asdict(inspection) for inspection in inspections]
+    content = []
+    for inspection in inspections:
+        record = dataclasses.asdict(inspection)
+        del record["statements"]
+        record["problems"] = [
+            {
+                "kind": s.quantity,
+                "place": _place(s),
+                "text": s.text,
+                "value": s.value,
+                "unit": s.unit,
+            }
+            for s in inspection.statements
+        ]
+        content.append(record)
     return dumps({"schema": "piezoid.inspection/1", "files": content}, indent=1, allow_nan=False)
+
+
+def _place(statement: "Statement") -> str:
+    """Return where a statement holds: a place in the file, or an axis."""
+    return statement.place or f"axis {statement.axis}"
 
 
 def show(inspections: "tuple[Inspection, ...]") -> None:
@@ -91,8 +111,8 @@ def _parts(inspection: "Inspection", width: int) -> "list[RenderableType]":
     if inspection.response is not None:
         parts += [plain(line) for line in response_lines(inspection)]
     parts += [
-        plain(f"  {p.kind} ({_cut(p.place)}): {_cut(p.text)}", "yellow")
-        for p in inspection.problems
+        plain(f"  {s.quantity} ({_cut(_place(s))}): {_cut(s.text)}", "yellow")
+        for s in inspection.statements
     ]
     if inspection.refusal is not None:
         parts.append(plain(f"  no recording: {inspection.refusal}", style="red"))

@@ -36,6 +36,7 @@ class Statement:
         quantity: what was measured or is missing, as an identifier (``"baseline_step"``).
         text: the sentence that a reader sees; complete without the other fields.
         axis: name of the axis; empty if the statement concerns the whole stage.
+        place: place in a file (a column, a line, a row); empty if it concerns no single place.
         recording: name of the recording; empty if it concerns all recordings of the axis.
         value: the measured number in SI units; None if the statement has no number.
         unit: SI unit of ``value``.
@@ -58,6 +59,7 @@ class Statement:
     quantity: str
     text: str
     axis: str = ""
+    place: str = ""
     recording: str = ""
     value: float | None = None
     unit: str = ""
@@ -66,6 +68,28 @@ class Statement:
     def formatted_value(self) -> str:
         """The value with its unit and a prefix; empty without a value."""
         return "" if self.value is None else with_unit(self.value, self.unit)
+
+
+def finding(
+    *,
+    quantity: str,
+    text: str,
+    axis: str = "",
+    place: str = "",
+    value: float | None = None,
+    unit: str = "",
+) -> Statement:
+    """Return a finding about recorded data, for the report and ``piezoid inspect``."""
+    return Statement(
+        kind=Kind.FINDING,
+        level=Level.NOTE,
+        quantity=quantity,
+        text=text,
+        axis=axis,
+        place=place,
+        value=value,
+        unit=unit,
+    )
 
 
 def select(

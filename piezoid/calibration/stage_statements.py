@@ -56,9 +56,9 @@ def stage_statements(
         *_tip(model),
         *(_limit(Level.WARNING, "not_used", text) for text in model.remarks),
         *(
-            _limit(Level.NOTE, problem.kind, f"{recording.name}: {problem.text}")
+            _limit(Level.NOTE, statement.quantity, f"{recording.name}: {statement.text}")
             for recording in recordings
-            for problem in recording.problems
+            for statement in recording.statements
         ),
     ]
     return tuple(dict.fromkeys(statements))

@@ -31,16 +31,16 @@ def _with_stamps(outcome: Outcome, recordings: Sequence[Recording]) -> Outcome:
     clock stepped back; the samples of a slip come on top. Ingest has repaired them already: single
     samples are bridged, memory ends at all else.
     """
-    told = [p.samples for r in recordings for p in r.problems if p.kind in KINDS]
-    if not any(told):
+    counts = [s.value for r in recordings for s in r.statements if s.quantity in KINDS and s.value]
+    if not counts:
         return outcome
     slip = outcome.faults.get(NAME)
-    where = [r.name for r in recordings if any(p.kind in KINDS for p in r.problems)]
+    where = [r.name for r in recordings if any(s.quantity in KINDS for s in r.statements)]
     fault = Fault(
         tracks=outcome.clean.tracks if slip is None else slip.tracks,
-        value=float(sum(told)) + (abs(slip.value) if slip else 0.0),
+        value=sum(counts) + (abs(slip.value) if slip else 0.0),
         # each number is rounded to whole samples
-        spread=hypot(sqrt(len(told) / 12.0), slip.spread if slip else 0.0),
+        spread=hypot(sqrt(len(counts) / 12.0), slip.spread if slip else 0.0),
         p_value=READ,
         where=tuple(dict.fromkeys([*where, *(slip.where if slip else ())])),
     )
@@ -49,18 +49,18 @@ def _with_stamps(outcome: Outcome, recordings: Sequence[Recording]) -> Outcome:
 
 def _with_lost(outcome: Outcome, recordings: Sequence[Recording], stroke_m: float) -> Outcome:
     """Add readings that are no measurement; the size is how far the farthest stands off, nm."""
-    lost = [(r.name, p) for r in recordings for p in r.problems if p.kind == LOST]
+    lost = [(r.name, s) for r in recordings for s in r.statements if s.quantity == LOST]
     if not lost:
         return outcome
     tracks = outcome.clean.tracks
-    farthest_nm = 1e9 * max(problem.farthest for _, problem in lost)
+    farthest_nm = 1e9 * max(statement.value or 0.0 for _, statement in lost)
     fault = Fault(
         tracks=tracks,
         value=farthest_nm,
         # what would have been read there is known to the noise
         spread=max(1e9 * outcome.final.noise * stroke_m, 0.01 * farthest_nm),
         p_value=READ,
-        where=tuple(f"{name}: {problem.text}" for name, problem in lost),
+        where=tuple(f"{name}: {statement.text}" for name, statement in lost),
     )
     spikes = outcome.faults.get(SPIKES)
     if spikes is not None:

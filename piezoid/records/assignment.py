@@ -9,10 +9,11 @@ from piezoid.records.conversion import Assigned, converted
 from piezoid.records.counters import unwrapped
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.meaning import Meaning, Role, meaning_of
-from piezoid.records.recording import Problem, Quantity
+from piezoid.records.recording import Quantity
 from piezoid.records.refusal import places_of, refuse
 from piezoid.records.table import Column, RawTable
 from piezoid.records.units import Dimension, unit_of
+from piezoid.statement import Statement, finding
 
 _KEYS = {quantity.name.lower(): quantity for quantity in Quantity}
 _PIEZO = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
@@ -24,12 +25,12 @@ class Assignment:
 
     time      None where the table has no time column
     channels  one per quantity and axis, in the order of the columns
-    problems  units taken from the convention of lab.toml
+    statements  units taken from the convention of lab.toml
     """
 
     time: Assigned | None
     channels: tuple[Assigned, ...]
-    problems: tuple[Problem, ...]
+    statements: tuple[Statement, ...]
 
 
 def assign(table: RawTable, lab: Lab, entry: RecordingEntry) -> Assignment:
@@ -53,16 +54,16 @@ def assign(table: RawTable, lab: Lab, entry: RecordingEntry) -> Assignment:
         raise refuse(table, "no column is a drive voltage or a displacement")
     time = [converted(table, lab, entry, column, None, "") for column, _ in clocks]
     given = [converted(table, lab, entry, c, quantity, axis) for c, quantity, axis in channels]
-    assumed = [p for _, problems in (*time, *given) for p in problems]
+    assumed = [p for _, statements in (*time, *given) for p in statements]
     clock, wraps = _going_on(table, time[0][0]) if time else (None, ())
     return Assignment(
         time=clock,
         channels=tuple(assigned for assigned, _ in given),
-        problems=(*assumed, *wraps),
+        statements=(*assumed, *wraps),
     )
 
 
-def _going_on(table: RawTable, time: Assigned) -> tuple[Assigned, tuple[Problem, ...]]:
+def _going_on(table: RawTable, time: Assigned) -> tuple[Assigned, tuple[Statement, ...]]:
     """Return a clock without the steps back of a counter that began anew."""
     values, rows, bits = unwrapped(time.values, time.unit.factor)
     if not len(rows):
@@ -72,7 +73,9 @@ def _going_on(table: RawTable, time: Assigned) -> tuple[Assigned, tuple[Problem,
         f"the clock is a counter of {bits} bits that begins anew {len(rows)} times, first at "
         f"{first}; the time goes on there"
     )
-    return replace(time, values=values), (Problem(kind="wrapped_clock", place=first, text=text),)
+    return replace(time, values=values), (
+        finding(quantity="wrapped_clock", place=first, text=text),
+    )
 
 
 def _has_values(column: Column) -> bool:

@@ -17,8 +17,9 @@ import numpy as np
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
-from piezoid.records.recording import Problem, Recording
+from piezoid.records.recording import Recording
 from piezoid.records.sweep import noise_of, reversals_of
+from piezoid.statement import Statement, finding
 
 # On 273 recordings, of 30 stages of two outsiders and 39 healthy ones of the zoo, a share above
 # EARLY is at most 0.8 times the bends elsewhere, and the noise there grows 1.25 times; readings
@@ -95,7 +96,7 @@ def _share(values: Array, turns: Array, length: int) -> tuple[float, float]:
     return float(bend[5 * length] / turned), float(np.abs(bend[: 3 * length] / turned).max())
 
 
-def told_early(recording: Recording, axis: str) -> list[Problem]:
+def told_early(recording: Recording, axis: str) -> list[Statement]:
     """Tell a displacement of an axis that turns before its drive.
 
     kinds  ``smoothed``, ``leads``
@@ -119,4 +120,4 @@ def told_early(recording: Recording, axis: str) -> list[Problem]:
             "turns are then no mode, the noise is not the sensor's, and delay and dynamics cannot "
             "be had. Read the file as it was recorded"
         )
-    return [Problem(kind=kind, place=f"axis {axis}", text=f"{begins}; {why}")]
+    return [finding(quantity=kind, axis=axis, text=f"{begins}; {why}")]

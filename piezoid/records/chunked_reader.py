@@ -22,9 +22,10 @@ from piezoid.records.ingest import ingest_table, parts_of
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import READERS
 from piezoid.records.readers.source import Source, open_source, unreadable
-from piezoid.records.recording import Channel, Problem, Quantity, Recording
+from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid.records.table import RawTable
 from piezoid.records.thinning import MAX_ROWS, ThinnedRows, Thinning
+from piezoid.statement import Statement, finding
 
 CHUNK_ROWS = 1 << 17  # some megabytes a column
 _MIN_CHUNK_ROWS = 1024  # fewer stamps with a gap among them do not show their clock
@@ -97,11 +98,11 @@ def _read_one(
             remedy="Name the columns in lab.toml, or fit without --stream.",
         )
     for axis, thinning in sorted(thinnings.items()):
-        yield _recording(first, axis, thinning.result(), join.problems())
+        yield _recording(first, axis, thinning.result(), join.statements())
 
 
 def _recording(
-    first: Recording, axis: str, thinned: ThinnedRows, problems: tuple[Problem, ...]
+    first: Recording, axis: str, thinned: ThinnedRows, statements: tuple[Statement, ...]
 ) -> Recording:
     """Return the thinned rows as a recording with the names of the file's first chunk."""
     channels = [first.find(q, axis) for q in (Quantity.VOLTAGE, Quantity.DISPLACEMENT)]
@@ -116,7 +117,7 @@ def _recording(
                 f"; they cover {100 * thinned.share:.0f} % of it, in {len(thinned.starts)} "
                 "stretches, because its drive turns too often for fewer samples"
             )
-        problems = (*problems, Problem(kind="thinned", place=first.name, text=text))
+        statements = (*statements, finding(quantity="thinned", place=first.name, text=text))
     return Recording(
         name=first.name,
         digest=first.digest,
@@ -134,7 +135,7 @@ def _recording(
             if channel is not None
         ),
         breaks=thinned.starts[1:],
-        problems=problems,
+        statements=statements,
     )
 
 
@@ -191,7 +192,7 @@ class _Stretch:
 
 
 class _Join:
-    """Joins the chunks of one entry of a file, and counts their problems."""
+    """Joins the chunks of one entry of a file, and counts their statements."""
 
     def __init__(self, *, source: Source, lab: Lab, entry: RecordingEntry | None) -> None:
         self._source, self._lab, self._entry = source, lab, entry
@@ -200,7 +201,7 @@ class _Join:
         self._first: Recording | None = None
         self._is_broken = False
         self._read = self._kept = self._chunks = 0
-        self._problems: dict[tuple[str, str], tuple[Problem, int]] = {}
+        self._statements: dict[tuple[str, str], tuple[Statement, int]] = {}
 
     def stretches(self, tables: Iterator[RawTable]) -> Iterator[_Stretch]:
         """Yield what ``ingest`` would make of the file, stretch by stretch."""
@@ -215,7 +216,7 @@ class _Join:
                 continue
             self._check_one_rate(table)
             recording = ingest_table(table, self._lab, self._whole)
-            self._count_problems(recording)
+            self._count_statements(recording)
             yield from self._joined(recording, repeats=bool(has_numbers[0]))
             self._is_broken = self._is_broken or not has_numbers[-1]
 
@@ -231,24 +232,27 @@ class _Join:
             )
         return self._first
 
-    def problems(self) -> tuple[Problem, ...]:
-        """Return one problem of each kind: the first, and in how many chunks there was one."""
+    def statements(self) -> tuple[Statement, ...]:
+        """Return one statement of each kind: the first, and in how many chunks there was one."""
         return tuple(
-            problem
+            statement
             if times == self._chunks or kind in _THROUGHOUT or times == 1
             else replace(
-                problem, text=f"{problem.text}; the like in {times} of {self._chunks} chunks"
+                statement, text=f"{statement.text}; the like in {times} of {self._chunks} chunks"
             )
-            for (kind, _), (problem, times) in self._problems.items()
+            for (kind, _), (statement, times) in self._statements.items()
             if kind not in _THROUGHOUT or times == self._chunks
         )
 
-    def _count_problems(self, recording: Recording) -> None:
+    def _count_statements(self, recording: Recording) -> None:
         self._chunks += 1
-        for problem in recording.problems:
-            key = (problem.kind, problem.place if problem.kind in _THROUGHOUT else "")
-            first, times = self._problems.get(key, (problem, 0))
-            self._problems[key] = first, times + 1
+        for statement in recording.statements:
+            key = (
+                statement.quantity,
+                statement.place if statement.quantity in _THROUGHOUT else "",
+            )
+            first, times = self._statements.get(key, (statement, 0))
+            self._statements[key] = first, times + 1
 
     def _joined(self, recording: Recording, *, repeats: bool) -> Iterator[_Stretch]:
         """Yield the stretches of a chunk without the sample that it repeats."""

@@ -9,8 +9,8 @@ import numpy as np
 
 from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array
-from piezoid.records.recording import Problem
 from piezoid.records.time_faults import TimeFaults
+from piezoid.statement import Statement, finding
 
 # A stamp this far (in sampling intervals) off its place is jitter worth telling.
 JITTER_LIMIT = 0.01
@@ -45,14 +45,14 @@ class Clock:
     jitter_rms_s      of the stamps about uniform ones, faults left out; 0 within their print
     breaks            first sample after each longer gap or step backwards
     bridged           first sample after each gap of one sample
-    problems          ``jitter``, ``gap``, ``duplicate_time``, ``time_reversed``
+    statements          ``jitter``, ``gap``, ``duplicate_time``, ``time_reversed``
     """
 
     sampling_rate_Hz: float
     jitter_rms_s: float
     breaks: tuple[int, ...] = ()
     bridged: tuple[int, ...] = ()
-    problems: tuple[Problem, ...] = ()
+    statements: tuple[Statement, ...] = ()
 
 
 def read_clock(time_s: Array, name: str, place: Callable[[int], str]) -> Clock:
@@ -173,8 +173,8 @@ def _faulty_clock(
         jitter_rms_s=jitter_s,
         breaks=faults.breaks,
         bridged=faults.bridged,
-        problems=(
-            *faults.problems(time_s, place),
+        statements=(
+            *faults.statements(time_s, place),
             *_jitter_problem(jitter_s, interval_s, resolution_s),
         ),
     )
@@ -251,14 +251,14 @@ def _jitter_s(steps: Array, interval_s: float, excess_s: float) -> float:
 
 def _jitter_problem(
     jitter_s: float, interval_s: float, resolution_s: float
-) -> tuple[Problem, ...]:
+) -> tuple[Statement, ...]:
     if jitter_s <= JITTER_LIMIT * interval_s or jitter_s <= 0.51 * resolution_s:
         return ()
     text = (
         f"the time stamps scatter by {jitter_s:.3g} s rms about a uniform clock, "
         f"{100 * jitter_s / interval_s:.2g} % of the sampling interval"
     )
-    return (Problem(kind="jitter", place="the time column", text=text),)
+    return (finding(quantity="jitter", place="the time column", text=text),)
 
 
 def _no_clock(name: str, found: str, needed: str) -> RecordingError:

@@ -252,7 +252,7 @@ def _answer(recording: Recording, axis: str) -> _Answer | None:
     moves = _moves(recording.voltage_V(axis))
     voltage_V = recording.voltage_V(axis)[moves]
     displacement_m = recording.displacement_m(axis)[moves]
-    held = any(p.kind == "closed_loop" and p.place == f"axis {axis}" for p in recording.problems)
+    held = any(p.quantity == "closed_loop" and p.axis == axis for p in recording.statements)
     if held or len(voltage_V) < 8 or not np.ptp(voltage_V) > 0:
         return None
     if not np.ptp(displacement_m) > NOISE_ONLY * noise_rms(displacement_m):

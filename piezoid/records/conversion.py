@@ -8,10 +8,11 @@ from piezoid.errors import UnitError
 from piezoid.numerics.arrays import Array
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.meaning import DIMENSION_OF
-from piezoid.records.recording import Problem, Quantity
+from piezoid.records.recording import Quantity
 from piezoid.records.refusal import refuse
 from piezoid.records.table import Column, RawTable
 from piezoid.records.units import Dimension, Unit, unit_of
+from piezoid.statement import Statement, finding
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,7 +39,7 @@ def converted(
     column: Column,
     quantity: Quantity | None,
     axis: str,
-) -> tuple[Assigned, tuple[Problem, ...]]:
+) -> tuple[Assigned, tuple[Statement, ...]]:
     """Convert a column to SI units, volts of a sensor by the sensor's gain.
 
     quantity, axis  None and empty for a time
@@ -51,17 +52,17 @@ def converted(
     if quantity is Quantity.REFERENCE:
         return _scaled(entry, _as_recorded(column, quantity, axis, unit)), ()
     wanted = Dimension.TIME if quantity is None else DIMENSION_OF[quantity]
-    problems: tuple[Problem, ...] = ()
+    statements: tuple[Statement, ...] = ()
     if unit is None and quantity is Quantity.VOLTAGE and entry.columns:
         unit = Unit(symbol="V", dimension=Dimension.VOLTAGE)
         text = f"{column.place} has no unit; a voltage that lab.toml names is taken to be in volts"
-        problems = (Problem(kind="unit_assumed", place=column.place, text=text),)
+        statements = (finding(quantity="unit_assumed", place=column.place, text=text),)
     if unit is None:
         raise refuse(table, f"{column.place} is a {_name_of(quantity)} without a unit")
     values = column.values * unit.factor + unit.offset
     if unit.is_counted:
         if _said(entry.scale, quantity, axis) is None:
-            problems = (*problems, _in_counts(table, lab, column, quantity, axis))
+            statements = (*statements, _in_counts(table, lab, column, quantity, axis))
     elif quantity is Quantity.DISPLACEMENT and unit.dimension is Dimension.VOLTAGE:
         gain_V_per_m = lab.sensor_of(axis).gain_V_per_m
         if gain_V_per_m is None:
@@ -78,7 +79,7 @@ def converted(
             table, f"{column.place} is a {_name_of(quantity)} by name but in {unit.symbol}"
         )
     assigned = Assigned(column=column, quantity=quantity, axis=axis, unit=unit, values=values)
-    return _scaled(entry, assigned), problems
+    return _scaled(entry, assigned), statements
 
 
 def _check_nominal(
@@ -96,7 +97,7 @@ def _check_nominal(
 
 def _in_counts(
     table: RawTable, lab: Lab, column: Column, quantity: Quantity | None, axis: str
-) -> Problem:
+) -> Statement:
     """Return what counts without a scale come to, and the scale where lab.toml tells it.
 
     Raises ``UnitError`` for what may not be in counts.
@@ -117,7 +118,7 @@ def _in_counts(
         f"{quantity.value} one count is, write scale = {{ {name} = {example} }} into its "
         f"[[recording]] of lab.toml{because}"
     )
-    return Problem(kind="counts", place=column.place, text=text)
+    return finding(quantity="counts", place=column.place, text=text)
 
 
 def _step_of(lab: Lab, quantity: Quantity, axis: str) -> tuple[str, str]:

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
-from piezoid.records.recording import Problem, Quantity
+from piezoid.records.recording import Quantity
 from piezoid.records.table import Column, RawTable
+from piezoid.statement import Statement, finding
 
 # A clipped converter rests on its last code; noise and slope let nothing else rest this long.
 _CLIPPED_RUN = 5
@@ -119,12 +120,12 @@ def wraps(values: Array, drives: Sequence[Array]) -> Array:
     return np.array(found, dtype=int)
 
 
-def faults_of(table: RawTable, read: Mapping[int, Quantity]) -> tuple[Problem, ...]:
-    """Return the problems of all columns: empty, dead, saturated, wrapped, equal to another.
+def faults_of(table: RawTable, read: Mapping[int, Quantity]) -> tuple[Statement, ...]:
+    """Return the statements of all columns: empty, dead, saturated, wrapped, equal to another.
 
     read  columns, by number, that become channels; only there does clipping mean anything
     """
-    found: list[Problem] = []
+    found: list[Statement] = []
     seen: dict[bytes, Column] = {}
     drives = [c.values for c in table.columns if read.get(c.number) is Quantity.VOLTAGE]
     for column in table.columns:
@@ -159,5 +160,5 @@ def faults_of(table: RawTable, read: Mapping[int, Quantity]) -> tuple[Problem, .
     return tuple(found)
 
 
-def _problem(kind: str, column: Column, text: str) -> Problem:
-    return Problem(kind=kind, place=column.place, text=f"{column.place} {text}")
+def _problem(kind: str, column: Column, text: str) -> Statement:
+    return finding(quantity=kind, place=column.place, text=f"{column.place} {text}")

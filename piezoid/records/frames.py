@@ -43,7 +43,7 @@ def from_arrays(
     axis: str = "x",
     name: str = "recording",
 ) -> Recording:
-    """Return a recording of arrays in SI units, with what is odd about them in ``problems``.
+    """Return a recording of arrays in SI units, with what is odd about them in ``statements``.
 
     voltage_V, displacement_m, current_A  (samples,), or by axis: ``{"x": ..., "y": ...}``
     time_s, sampling_rate_Hz  one of the two: (samples,) s, or Hz

@@ -12,7 +12,7 @@ from piezoid.numerics.arrays import (
     frozen_complex,
     strictly_increasing,
 )
-from piezoid.records.recording import Problem
+from piezoid.statement import Statement
 
 CHAIN = ("amplifier", "sensor")
 FEWEST_LINES = 3
@@ -70,7 +70,7 @@ class FrequencyResponseRecord:
     paths           no two of the same output and drive
     axis_is_named   whether the file or lab.toml says which axis; it is called x here otherwise
     includes        poles of the rig that the measurement went through, of ``CHAIN``
-    problems        what was met on reading
+    statements        what was met on reading
     """
 
     name: str
@@ -79,7 +79,7 @@ class FrequencyResponseRecord:
     paths: tuple[ResponsePath, ...]
     axis_is_named: bool = True
     includes: tuple[str, ...] = CHAIN
-    problems: tuple[Problem, ...] = ()
+    statements: tuple[Statement, ...] = ()
 
     def __post_init__(self) -> None:
         frequency_Hz = frozen(self.frequency_Hz, "frequency_Hz")

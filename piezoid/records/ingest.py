@@ -29,7 +29,7 @@ from piezoid.records.own_axis import incomplete, own_axis, several_axes
 from piezoid.records.plausibility import remarks_on
 from piezoid.records.rates import stretches_of_one_rate
 from piezoid.records.readers import read_table
-from piezoid.records.recording import Channel, Problem, Recording
+from piezoid.records.recording import Channel, Recording
 from piezoid.records.refusal import lab_block
 from piezoid.records.response_columns import is_response
 from piezoid.records.response_ingest import refused_as_recording
@@ -38,6 +38,7 @@ from piezoid.records.table import RawTable
 from piezoid.records.units import Dimension
 from piezoid.records.which_voltage import beyond_the_controller
 from piezoid.records.zero_jumps import told_jumps
+from piezoid.statement import Statement, finding
 
 Rows = NDArray[np.intp]
 
@@ -49,7 +50,7 @@ def ingest(path: Path, lab: Lab | None = None) -> Recording:
     """Read one file as one recording.
 
     Raises ``UnreadableFileError``, ``UnitError``, ``RecordingError`` or ``LabFileError``; what is
-    merely odd (gaps, jitter, dead or clipped channels, rows without numbers) is in ``problems``.
+    merely odd (gaps, jitter, dead or clipped channels, rows without numbers) is in ``statements``.
     """
     lab = Lab() if lab is None else lab
     entries = lab.entries_of(path)
@@ -129,8 +130,8 @@ def parts_of(
         f"{table.place_of_row(row)} (t = {stamps_s[part.start]:.6g} s)"
         for row, part in zip(starts, found, strict=True)
     )
-    problem = Problem(
-        kind="several_rates",
+    statement = finding(
+        quantity="several_rates",
         place=table.place_of_row(starts[1]),
         text=f"{told}; each is a recording of its own, with its own memory",
     )
@@ -140,7 +141,7 @@ def parts_of(
         if entry is None or own is not None:
             name = f"{table.name} (part {k + 1} of {len(found)})"
             part = table.part(slice(start, stop), name)
-            parts.append((replace(part, problems=(*part.problems, problem)), lab, own))
+            parts.append((replace(part, statements=(*part.statements, statement)), lab, own))
     return tuple(parts) or whole
 
 
@@ -164,9 +165,9 @@ def with_remarks(recording: Recording, lab: Lab) -> Recording:
     """
     edges, jumps = told_jumps(recording)
     said = (*remarks_on(recording), *jumps, *beyond_the_controller(recording, lab))
-    problems = (*recording.problems, *record_in_counts(said, recording.counted))
+    statements = (*recording.statements, *record_in_counts(said, recording.counted))
     breaks = tuple(sorted({*recording.breaks, *edges}))
-    return replace(recording, breaks=breaks, problems=problems)
+    return replace(recording, breaks=breaks, statements=statements)
 
 
 def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Recording:
@@ -203,13 +204,13 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
         channels=channels,
         breaks=rows.breaks,
         bridged=tuple(sorted({*rows.bridged, *lost.samples})),
-        problems=(
-            *table.problems,
-            *assignment.problems,
+        statements=(
+            *table.statements,
+            *assignment.statements,
             *repeat_problems,
             *row_problems,
-            *clock.problems,
-            *lost.problems,
+            *clock.statements,
+            *lost.statements,
             *_not_yet_told(
                 faults_of(
                     table, {a.column.number: a.quantity for a in assignment.channels if a.quantity}
@@ -222,7 +223,7 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
     )
 
 
-def _rows_once(table: RawTable, assignment: Assignment) -> tuple[Rows, tuple[Problem, ...]]:
+def _rows_once(table: RawTable, assignment: Assignment) -> tuple[Rows, tuple[Statement, ...]]:
     """Return the rows without those that were written again: same stamp, same numbers.
 
     They are taken for that only where every stamp is one row's once they are gone: stamps of few
@@ -248,12 +249,12 @@ def _rows_once(table: RawTable, assignment: Assignment) -> tuple[Rows, tuple[Pro
         f"read once. The first is {table.place_of_row(int(at[0]))}, t = {time_s[at[0]]:.6g} s"
     )
     place = table.place_of_row(int(at[0]))
-    return once, (Problem(kind="repeated_rows", place=place, text=text),)
+    return once, (finding(quantity="repeated_rows", place=place, text=text),)
 
 
 def _kept_rows(
     table: RawTable, assignment: Assignment, once: Rows
-) -> tuple[Rows, tuple[Problem, ...]]:
+) -> tuple[Rows, tuple[Statement, ...]]:
     """Return the rows in which every column that is read holds a number.
 
     once  the rows to choose from
@@ -282,7 +283,7 @@ def _kept_rows(
         f"{lost} rows lack a number, {ends} of them at the ends, {lost - ends} inside (behind a "
         f"break); the first is {table.place_of_row(first)}, {' and '.join(empty)}"
     )
-    return kept, (Problem(kind="missing_values", place=table.place_of_row(first), text=text),)
+    return kept, (finding(quantity="missing_values", place=table.place_of_row(first), text=text),)
 
 
 def _skips(kept: Rows, once: Rows) -> list[int]:
@@ -403,10 +404,10 @@ def _sensed(assigned: Assigned, rows: SampleRows) -> Sensed:
     )
 
 
-def _not_yet_told(faults: tuple[Problem, ...], lost: LeftOut) -> tuple[Problem, ...]:
+def _not_yet_told(faults: tuple[Statement, ...], lost: LeftOut) -> tuple[Statement, ...]:
     """Return the faults but those of columns whose lost readings tell the same."""
-    told = {(problem.kind, problem.place) for problem in lost.problems}
-    return tuple(fault for fault in faults if (fault.kind, fault.place) not in told)
+    told = {(statement.quantity, statement.place) for statement in lost.statements}
+    return tuple(fault for fault in faults if (fault.quantity, fault.place) not in told)
 
 
 def _channel(assigned: Assigned, rows: SampleRows, number: int, lost: LeftOut) -> Channel:

@@ -16,13 +16,14 @@ from piezoid.records.ingest import ingest_table, parts_of, with_remarks
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.meaning import Meaning, Role, meaning_of
 from piezoid.records.readers import read_table
-from piezoid.records.recording import Problem, Quantity, Recording
+from piezoid.records.recording import Quantity, Recording
 from piezoid.records.response_columns import is_response, part_of, response_columns
 from piezoid.records.response_ingest import ingest_response
 from piezoid.records.response_summary import ResponseSummary, summary_of
 from piezoid.records.response_units import unit_in_heading
 from piezoid.records.sweep import noise_of, reversals_of
 from piezoid.records.table import Column, RawTable
+from piezoid.statement import Statement, finding
 
 # A turn of the drive smaller than this share of its span is no sweep.
 _TURN_SHARE = 0.01
@@ -76,7 +77,7 @@ class Inspection:
                       of the recording; levels are the voltages the drive turns at
     counted           what is in counts of a converter, of ``displacement`` and ``voltage``
     response          of a frequency response, which has no rate and no duration
-    problems          everything odd, each with its place
+    statements          everything odd, each with its place
     refusal           why it is no recording, None where it is one
     """
 
@@ -94,7 +95,7 @@ class Inspection:
     levels_V: tuple[float, ...] = ()
     counted: tuple[str, ...] = ()
     response: ResponseSummary | None = None
-    problems: tuple[Problem, ...] = ()
+    statements: tuple[Statement, ...] = ()
     refusal: str | None = None
 
 
@@ -125,10 +126,10 @@ def inspect_files(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Inspec
     return tuple(
         replace(
             inspection,
-            problems=(
-                *inspection.problems,
+            statements=(
+                *inspection.statements,
                 *(
-                    Problem(kind=kind, place="beside the other files", text=text)
+                    finding(quantity=kind, place="beside the other files", text=text)
                     for name, kind, text in said
                     if recording is not None and recording.name == name
                 ),
@@ -176,7 +177,7 @@ def _inspect_response(table: RawTable, lab: Lab, entry: RecordingEntry | None) -
         ),
         axis_is_named=response.axis_is_named,
         response=summary_of(response),
-        problems=response.problems,
+        statements=response.statements,
     )
 
 
@@ -223,7 +224,7 @@ def _inspect_table(
         reversals=None if reversals is None else len(reversals),
         levels_V=() if drive is None or not reversals else _levels(drive.values, reversals),
         counted=recording.counted,
-        problems=recording.problems,
+        statements=recording.statements,
     )
     return found, recording
 
@@ -236,7 +237,7 @@ def _refused(table: RawTable, error: PiezoidError) -> Inspection:
         rows=table.rows,
         columns=tuple(_summary(column, meaning_of(column.heading)) for column in table.columns),
         sampling_rate_Hz=table.sampling_rate_Hz,
-        problems=(*table.problems, *faults_of(table, {})),
+        statements=(*table.statements, *faults_of(table, {})),
         refusal=str(error),
     )
 

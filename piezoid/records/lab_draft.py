@@ -186,7 +186,7 @@ def _summary(recording: Recording) -> str:
         lines.append(
             f"  {channel.quantity.name.lower()} of {channel.axis}: {low:.4g} to {high:.4g}{unit}"
         )
-    lines += [f"  {problem.kind}: {problem.text}" for problem in recording.problems]
+    lines += [f"  {statement.quantity}: {statement.text}" for statement in recording.statements]
     return "\n".join(lines)
 
 

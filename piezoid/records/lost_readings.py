@@ -26,7 +26,8 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.faults import clipped as clipped_readings
 from piezoid.records.faults import step_size
-from piezoid.records.recording import Problem, Quantity
+from piezoid.records.recording import Quantity
+from piezoid.statement import Statement, finding
 
 Mask = NDArray[np.bool_]
 Places = NDArray[np.intp]
@@ -309,11 +310,11 @@ class LeftOut:
     """Which samples of a recording are no measurement.
 
     by_column  (samples,) by the number of the column among those given
-    problems   one for each column and kind
+    statements   one for each column and kind
     """
 
     by_column: Mapping[int, Mask]
-    problems: tuple[Problem, ...]
+    statements: tuple[Statement, ...]
 
     def of(self, number: int, values: Array) -> Array:
         """Return a column's values with straight lines where it measured nothing."""
@@ -334,7 +335,7 @@ def left_out(columns: Sequence[Sensed], place_of: Callable[[int], str]) -> LeftO
     place_of  how messages call a sample: its line or row
     """
     gone: dict[int, Mask] = {}
-    problems: list[Problem] = []
+    statements: list[Statement] = []
     for number, column in enumerate(columns):
         if column.quantity is not Quantity.DISPLACEMENT:
             continue
@@ -351,8 +352,8 @@ def left_out(columns: Sequence[Sensed], place_of: Callable[[int], str]) -> LeftO
         for one in lost_readings(column.values, drive):
             here = gone.setdefault(number, np.zeros(len(column.values), dtype=bool))
             here[one.samples] = True
-            problems.append(_told(column, one, here, place_of))
-    return LeftOut(by_column=gone, problems=tuple(problems))
+            statements.append(_told(column, one, here, place_of))
+    return LeftOut(by_column=gone, statements=tuple(statements))
 
 
 def _whole_rows(values: Array, drive: Array) -> Mask | None:
@@ -384,7 +385,7 @@ def _levels(column: Sensed, one: Lost) -> str:
     return " and ".join(f"{level:.6g}" for level in np.unique(column.values[one.samples]).tolist())
 
 
-def _told(column: Sensed, one: Lost, gone: Mask, place_of: Callable[[int], str]) -> Problem:
+def _told(column: Sensed, one: Lost, gone: Mask, place_of: Callable[[int], str]) -> Statement:
     count, total = len(one.samples), len(column.values)
     what = {
         "written": f"reads exactly {one.value:.6g} {column.unit} where its neighbours do not"
@@ -403,11 +404,11 @@ def _told(column: Sensed, one: Lost, gone: Mask, place_of: Callable[[int], str])
     places = ", ".join(found[:PLACES])
     more = f" and {len(found) - PLACES} more" if len(found) > PLACES else ""
     away = np.abs(column.values - bridged(column.values, gone))[one.samples]
-    return Problem(
-        kind="saturated" if one.kind == "clipped" else "lost_readings",
+    return finding(
+        quantity="saturated" if one.kind == "clipped" else "lost_readings",
         place=column.place,
         text=f"{column.place} {what}, {count} times ({100 * count / total:.2g} % of the samples), "
         f"at {places}{more}: left out as no measurement",
-        samples=count,
-        farthest=float(away.max()) * abs(column.factor),
+        value=float(away.max()) * abs(column.factor),
+        unit="m",
     )

@@ -4,7 +4,8 @@ import numpy as np
 
 from piezoid.errors import LabFileError
 from piezoid.records.lab import RecordingEntry
-from piezoid.records.recording import Channel, Problem, Quantity
+from piezoid.records.recording import Channel, Quantity
+from piezoid.statement import Statement, finding
 
 
 def _complete_axes(channels: tuple[Channel, ...]) -> list[str]:
@@ -34,8 +35,8 @@ def own_axis(entry: RecordingEntry, channels: tuple[Channel, ...], place: str) -
     return min(displaced or axes)
 
 
-def several_axes(entry: RecordingEntry, channels: tuple[Channel, ...]) -> tuple[Problem, ...]:
-    """Return a problem where the axis had to be chosen among several."""
+def several_axes(entry: RecordingEntry, channels: tuple[Channel, ...]) -> tuple[Statement, ...]:
+    """Return a statement where the axis had to be chosen among several."""
     complete = _complete_axes(channels)
     if entry.axis is not None or len(complete) < 2:
         return ()
@@ -44,11 +45,11 @@ def several_axes(entry: RecordingEntry, channels: tuple[Channel, ...]) -> tuple[
         f"drive and response of the axes {', '.join(complete)} are here; taken to be about {own}, "
         "whose drive moves the most, as lab.toml names none"
     )
-    return (Problem(kind="several_axes", place="columns", text=text),)
+    return (finding(quantity="several_axes", place="columns", text=text),)
 
 
-def incomplete(channels: tuple[Channel, ...]) -> tuple[Problem, ...]:
-    """Return a problem for each of drive and response that is missing.
+def incomplete(channels: tuple[Channel, ...]) -> tuple[Statement, ...]:
+    """Return a statement for each of drive and response that is missing.
 
     With a reference beside drive and current it is a closed loop, which needs no displacement.
     """
@@ -57,8 +58,8 @@ def incomplete(channels: tuple[Channel, ...]) -> tuple[Problem, ...]:
         return ()
     wanted = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
     return tuple(
-        Problem(
-            kind="incomplete",
+        finding(
+            quantity="incomplete",
             place="columns",
             text=f"no {quantity.name.lower()} here: alone this recording cannot be fitted",
         )

@@ -8,9 +8,10 @@ from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.records.causality import told_early
 from piezoid.records.faults import noise_rms
-from piezoid.records.recording import Channel, Problem, Quantity, Recording
+from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid.records.rest import answers
 from piezoid.records.standing import standing_tips
+from piezoid.statement import Statement, finding
 
 # Tubes move some nm per volt of their electrodes, stacks 0.1 to 1 um, levers and benders 10 um;
 # by the command in front of an amplifier up to 40 um (an objective's). Beyond, and below a tenth
@@ -33,12 +34,12 @@ _NARROW = 0.9  # correlation: that of the laws is 0.986 at least
 _THROUGHOUT = 0.9  # of the samples: in the rest the loop settles (0.98 in that real hold)
 
 
-def remarks_on(recording: Recording) -> tuple[Problem, ...]:
+def remarks_on(recording: Recording) -> tuple[Statement, ...]:
     """Return remarks on every axis that has a drive and a displacement.
 
     kinds  ``implausible_gain``, ``leads``, ``smoothed``, ``closed_loop``, ``stands``
     """
-    found: list[Problem] = []
+    found: list[Statement] = []
     for axis in recording.axes:
         drive = recording.find(Quantity.VOLTAGE, axis)
         response = recording.find(Quantity.DISPLACEMENT, axis)
@@ -53,7 +54,7 @@ def remarks_on(recording: Recording) -> tuple[Problem, ...]:
     return tuple(found)
 
 
-def _implausible(voltage_V: Array, displacement_m: Array, axis: str) -> list[Problem]:
+def _implausible(voltage_V: Array, displacement_m: Array, axis: str) -> list[Statement]:
     drive_V, stroke_m = float(np.ptp(voltage_V)), float(np.ptp(displacement_m))
     if not drive_V > 0 or not stroke_m > 0:
         return []
@@ -68,10 +69,10 @@ def _implausible(voltage_V: Array, displacement_m: Array, axis: str) -> list[Pro
         f"make from {with_unit(_LEAST_m_per_V, 'm')} to {with_unit(_MOST_m_per_V, 'm')}: is a "
         "unit wrong, or the drive a monitor's output?"
     )
-    return [Problem(kind="implausible_gain", place=f"axis {axis}", text=text)]
+    return [finding(quantity="implausible_gain", axis=axis, text=text)]
 
 
-def _leading(drive: Channel, response: Channel) -> list[Problem]:
+def _leading(drive: Channel, response: Channel) -> list[Statement]:
     """Tell a loop that turns the other way round: what hysteresis and lag never do.
 
         A = sgn(r) oint v dy / (range v, range y, number of cycles),    r correlation of v and y
@@ -94,7 +95,7 @@ def _leading(drive: Channel, response: Channel) -> list[Problem]:
         f"exchanged (columns = {{ voltage = {json.dumps(response.label)}, displacement = "
         f"{json.dumps(drive.label)}, ... }}), or is the drive read late?"
     )
-    return [Problem(kind="leads", place=f"axis {drive.axis}", text=text)]
+    return [finding(quantity="leads", axis=drive.axis, text=text)]
 
 
 def _whole_cycles(drive: Array, response: Array) -> tuple[Array, Array]:
@@ -137,7 +138,7 @@ def is_held_throughout(recording: Recording, axis: str) -> bool:
     return stretch is not None and stretch.stop - stretch.start > _THROUGHOUT * recording.samples
 
 
-def _held(recording: Recording, axis: str) -> list[Problem]:
+def _held(recording: Recording, axis: str) -> list[Statement]:
     """Tell a sensor that stands while the drive moves: under feedback, or out of order."""
     stretch = held_stretch(recording, axis)
     if stretch is None:
@@ -151,7 +152,7 @@ def _held(recording: Recording, axis: str) -> list[Problem]:
         "under feedback, it seems, where the drive's answer is the data; or the sensor does not "
         "see the motion"
     )
-    return [Problem(kind="closed_loop", place=f"axis {axis}", text=text)]
+    return [finding(quantity="closed_loop", axis=axis, text=text)]
 
 
 def _longest_within(values: Array, span: float) -> tuple[int, int]:

@@ -11,6 +11,7 @@ from piezoid.digests import digest_of_bytes
 from piezoid.errors import RecordingError
 from piezoid.html_repr import html_table
 from piezoid.numerics.arrays import Array, frozen, same_length
+from piezoid.statement import Statement
 
 if TYPE_CHECKING:
     pass
@@ -51,25 +52,6 @@ class Channel:
         object.__setattr__(self, "values", frozen(self.values, self.label))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Problem:
-    """Something wrong with a file that does not stop it from being read.
-
-    kind     a short name: ``gap``, ``duplicate_time``, ``jitter``, ``dead``, ``saturated``, ...
-    place    where: a column, a line, a time
-    text     one sentence with the number and its unit
-    samples  of a clock's fault: how many are missing, have a stamp again, or were stepped back; of
-             lost readings: how many
-    farthest how far the farthest of these stands off, SI units
-    """
-
-    kind: str
-    place: str
-    text: str
-    samples: int = 0
-    farthest: float = 0.0
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
     """One uninterrupted acquisition on a uniform clock.
@@ -83,7 +65,7 @@ class Recording:
                       happened inside a gap is lost there
     bridged           (count,)  samples that are no measurement, lost one at a time or written
                       without one: on straight lines between their neighbours
-    problems          what was odd about the file, in the order of its columns
+    statements          what was odd about the file, in the order of its columns
 
     A recording holds no NaN: rows that had one were cut at the ends or are behind a break.
     """
@@ -95,7 +77,7 @@ class Recording:
     channels: tuple[Channel, ...]
     breaks: tuple[int, ...] = ()
     bridged: tuple[int, ...] = ()
-    problems: tuple[Problem, ...] = ()
+    statements: tuple[Statement, ...] = ()
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.sampling_rate_Hz) and self.sampling_rate_Hz > 0):
@@ -182,7 +164,10 @@ class Recording:
                 ("rate", f"{self.sampling_rate_Hz:.9g} Hz"),
                 ("duration", f"{self.duration_s:.6g} s"),
                 ("breaks", str(len(self.breaks))),
-                ("problems", "; ".join(problem.text for problem in self.problems) or "none"),
+                (
+                    "statements",
+                    "; ".join(statement.text for statement in self.statements) or "none",
+                ),
                 ("digest", self.digest),
             ),
         )

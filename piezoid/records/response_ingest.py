@@ -16,7 +16,6 @@ from piezoid.records.frequency_response import (
     ResponsePath,
 )
 from piezoid.records.lab import Lab, RecordingEntry
-from piezoid.records.recording import Problem
 from piezoid.records.response_columns import (
     COMPLEX,
     Pair,
@@ -26,6 +25,7 @@ from piezoid.records.response_columns import (
 )
 from piezoid.records.response_units import Kind, ResponseUnit, response_unit, unit_in_heading
 from piezoid.records.table import Column, RawTable
+from piezoid.statement import Statement, finding
 
 _T = TypeVar("_T")
 # A mode turns the phase by half a turn, a delay along a straight line: the phase of ten modes
@@ -44,7 +44,7 @@ class _File:
     table: RawTable
     lab: Lab
     entry: RecordingEntry
-    problems: list[Problem]
+    statements: list[Statement]
 
 
 def ingest_response(
@@ -62,7 +62,7 @@ def ingest_response(
         table=table,
         lab=lab,
         entry=entry,
-        problems=[p for p in table.problems if p.kind != "complex"],
+        statements=[p for p in table.statements if p.quantity != "complex"],
     )
     _refuse_missing(table, columns)
     frequency_Hz, rows = _frequency(held, columns.frequency)
@@ -71,7 +71,7 @@ def ingest_response(
     )
     if columns.by_number:
         text = "axes are numbered: 1, 2, 3 are read as x, y, z, the one that moves first"
-        held.problems.append(Problem(kind="numbered_axes", place="its headings", text=text))
+        held.statements.append(finding(quantity="numbered_axes", place="its headings", text=text))
     return FrequencyResponseRecord(
         name=table.name,
         digest=table.digest,
@@ -79,7 +79,7 @@ def ingest_response(
         paths=paths,
         axis_is_named=columns.is_named,
         includes=CHAIN if entry.includes is None else tuple(entry.includes),
-        problems=tuple(held.problems),
+        statements=tuple(held.statements),
     )
 
 
@@ -91,7 +91,7 @@ def _refuse_missing(table: RawTable, columns: ResponseColumns) -> None:
                 f"{table.name}: {len(missing)} of {table.rows} rows of {column.place} hold no "
                 f"number, the first is {table.place_of_row(int(missing[0]))}",
                 needed="a number in every row of a frequency response",
-                remedy="Take these rows out of the file; gaps between frequencies are no problem.",
+                remedy="Take these rows out of the file; gaps between frequencies are allowed.",
             )
 
 
@@ -115,7 +115,7 @@ def _frequency(held: _File, column: Column) -> tuple[Array, np.ndarray]:
     if (np.diff(f) < 0).all() and len(f) > 1:
         rows = rows[::-1]
         text = "frequencies fall from row to row; they are read from the last row on"
-        held.problems.append(Problem(kind="downward", place=column.place, text=text))
+        held.statements.append(finding(quantity="downward", place=column.place, text=text))
     steps = np.diff(f[rows])
     if (steps <= 0).any():
         row = int(np.argmax(steps <= 0)) + 1
@@ -131,7 +131,7 @@ def _frequency(held: _File, column: Column) -> tuple[Array, np.ndarray]:
     if not f[rows[0]] > 0:
         rows = rows[1:]
         text = "the line at 0 Hz is left out: it holds the offset, not a response"
-        held.problems.append(Problem(kind="zero_frequency", place=column.place, text=text))
+        held.statements.append(finding(quantity="zero_frequency", place=column.place, text=text))
     if len(rows) < FEWEST_LINES:
         raise RecordingError(
             f"{table.name}: {len(rows)} frequencies",
@@ -152,7 +152,7 @@ def _path(
         )
         if "magnitude" in parts:
             text = "real and imaginary part are read; magnitude and phase say the same again"
-            held.problems.append(Problem(kind="said_twice", place=column.place, text=text))
+            held.statements.append(finding(quantity="said_twice", place=column.place, text=text))
     else:
         column = parts["magnitude"]
         size = _gain(held, pair, "magnitude", column)[rows]
@@ -286,7 +286,7 @@ def _refuse_zero(
             f"{table.name}: the response in {column.place} is zero in {len(zero)} rows, the first "
             f"is {table.place_of_row(int(rows[zero[0]]))}",
             needed="a response that is not zero: nothing was measured there",
-            remedy="Take these rows out of the file; gaps between frequencies are no problem.",
+            remedy="Take these rows out of the file; gaps between frequencies are allowed.",
         )
 
 

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
 from piezoid.records.faults import noise_rms, step_size
-from piezoid.records.recording import Problem, Quantity, Recording
+from piezoid.records.recording import Quantity, Recording
 from piezoid.records.sweep import noise_of, reversals_of
+from piezoid.statement import Statement, finding
 
 WITHIN = 4.0  # times the noise
 UNMOVED = 20.0  # times the noise, at the gain of the branch
@@ -24,7 +25,7 @@ JUMP = 0.25  # of the way: behind a step of the drive the displacement has yet t
 RISES = 0.8  # correlation of drive and displacement: a butterfly has no ends
 
 
-def standing_tips(recording: Recording, axis: str) -> list[Problem]:
+def standing_tips(recording: Recording, axis: str) -> list[Statement]:
     """Tell a displacement that stands at the end of its range while the drive goes on."""
     drive = recording.find(Quantity.VOLTAGE, axis)
     response = recording.find(Quantity.DISPLACEMENT, axis)
@@ -52,7 +53,7 @@ def standing_tips(recording: Recording, axis: str) -> list[Problem]:
                 "or the stage ends there, which is no hysteresis. Record with the drive inside, "
                 "or leave those cycles out"
             )
-            found.append(Problem(kind="stands", place=f"axis {axis}", text=text))
+            found.append(finding(quantity="stands", axis=axis, text=text))
     return found
 
 

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array
-from piezoid.records.recording import Problem
 from piezoid.records.units import Heading, heading_of, unit_of
+from piezoid.statement import Statement
 
 # Instruments write 9.9e37 (SCPI) or 1e308 for a reading out of range; neither is a number.
 LARGEST = 9e36
@@ -85,7 +85,7 @@ class RawTable:
     first_row         rows of the file in front of these, where the table is a part of it
     is_reversed       whether the rows stand the other way round than in the file
     metadata          what the file says beside its table
-    problems          what the reader met
+    statements          what the reader met
     """
 
     name: str
@@ -100,7 +100,7 @@ class RawTable:
     first_row: int = 0
     is_reversed: bool = False
     metadata: Mapping[str, str] = field(default_factory=dict)
-    problems: tuple[Problem, ...] = ()
+    statements: tuple[Statement, ...] = ()
 
     def __post_init__(self) -> None:
         lengths = {len(column.values) for column in self.columns}

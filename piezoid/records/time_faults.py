@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
-from piezoid.records.recording import Problem
+from piezoid.statement import Statement, finding
 
 Stamps = NDArray[np.int_]
 
@@ -63,8 +63,8 @@ class TimeFaults:
         """Return the samples in front of which time is missing for longer, or goes backwards."""
         return tuple(sorted({*self.gaps[self.lost > 1].tolist(), *self.back.tolist()}))
 
-    def problems(self, time_s: Array, place: Callable[[int], str]) -> tuple[Problem, ...]:
-        """Return one problem for each kind: the count, and the first three places."""
+    def statements(self, time_s: Array, place: Callable[[int], str]) -> tuple[Statement, ...]:
+        """Return one statement for each kind: the count, and the first three places."""
         missing = [f"{time_s[k] - time_s[k - 1]:.6g} s" for k in self.gaps.tolist()]
         behind = [f"{time_s[k] - time_s[k - 1]:.6g} s" for k in self.back.tolist()]
         again = ["the stamp before repeated"] * len(self.stands)
@@ -76,11 +76,12 @@ class TimeFaults:
             ("time_reversed", self.back, behind, int(self.stepped.sum()), ""),
         )
         return tuple(
-            Problem(
-                kind=kind,
+            finding(
+                quantity=kind,
                 place=place(int(rows[0])),
                 text=_SENTENCES[kind] + _told(rows, sizes, time_s, place) + more,
-                samples=samples,
+                value=float(samples),
+                unit="samples",
             )
             for kind, rows, sizes, samples, more in kinds
             if len(rows)

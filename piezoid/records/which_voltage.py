@@ -6,7 +6,8 @@ clipped to are the volts in front of it. A recording of the other side is off by
 
 from piezoid.formatting import with_unit
 from piezoid.records.lab import Lab
-from piezoid.records.recording import Problem, Quantity, Recording
+from piezoid.records.recording import Quantity, Recording
+from piezoid.statement import Statement, finding
 
 WHICH_VOLTAGE = (
     "Every drive voltage is the controller's output, the command in front of the amplifier, "
@@ -43,7 +44,7 @@ def scale_of_output(lab: Lab, axis: str) -> str:
     return f"scale = {{ voltage = {1.0 / gain:.9g} }}"
 
 
-def beyond_the_controller(recording: Recording, lab: Lab) -> tuple[Problem, ...]:
+def beyond_the_controller(recording: Recording, lab: Lab) -> tuple[Statement, ...]:
     """Tell a drive that the controller cannot have put out: it was taken behind the amplifier."""
     found = []
     for axis in recording.axes:
@@ -61,7 +62,7 @@ def beyond_the_controller(recording: Recording, lab: Lab) -> tuple[Problem, ...]
                 f"{scale_of_output(lab, axis)} into its [[recording]]; else correct input_range_V "
                 "or [amplifier]"
             )
-            found.append(Problem(kind="beyond_the_controller", place=f"axis {axis}", text=text))
+            found.append(finding(quantity="beyond_the_controller", axis=axis, text=text))
     return tuple(found)
 
 

@@ -18,8 +18,9 @@ from scipy.ndimage import median_filter
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.records.faults import step_size
-from piezoid.records.recording import Problem, Quantity, Recording
+from piezoid.records.recording import Quantity, Recording
 from piezoid.records.rest import is_at_rest
+from piezoid.statement import Statement, finding
 
 # In 294 healthy recordings, and in those of 60 stages of two outsiders, nothing passes both tests.
 WIDTHS = (1, 4, 16)  # samples a jump may take, by the filter of its sensor
@@ -178,7 +179,7 @@ def _rest_pairs(reading: Array) -> Pairs:
     return Pairs(before=middle[:-2], after=middle[2:], differs=means[2:] - means[:-2])
 
 
-def told_jumps(recording: Recording) -> tuple[tuple[int, ...], tuple[Problem, ...]]:
+def told_jumps(recording: Recording) -> tuple[tuple[int, ...], tuple[Statement, ...]]:
     """Return the samples at which lasting jumps begin and end, and what is to be said of them.
 
     There a piece ends: each has a zero of its own, and what the jump did to the memory is open.
@@ -202,7 +203,7 @@ def told_jumps(recording: Recording) -> tuple[tuple[int, ...], tuple[Problem, ..
     return tuple(sorted(edges)), tuple(said)
 
 
-def _told(jumps: Sequence[Jump], rate_Hz: float, axis: str) -> Problem:
+def _told(jumps: Sequence[Jump], rate_Hz: float, axis: str) -> Statement:
     places = [
         f"by {'+' if jump.size > 0 else ''}{with_unit(jump.size, 'm')} at "
         f"{jump.first / rate_Hz:.4g} s"
@@ -210,14 +211,14 @@ def _told(jumps: Sequence[Jump], rate_Hz: float, axis: str) -> Problem:
     ]
     more = f" and {len(jumps) - TOLD} more" if len(jumps) > TOLD else ""
     times = "once" if len(jumps) == 1 else f"{len(jumps)} times"
-    return Problem(
-        kind="zero_jump",
-        place=f"axis {axis}",
+    return finding(
+        quantity="zero_jump",
+        axis=axis,
         text=f"the displacement of {axis} jumps {times} while its drive does not, and stays "
         f"there, {', '.join(places)}{more}: before and behind lie the same loops, shifted, as "
         f"where {_cause(jumps)}. The parts between are pieces, each with a zero of its own",
-        samples=len(jumps),
-        farthest=max(abs(jump.size) for jump in jumps),
+        value=max(abs(jump.size) for jump in jumps),
+        unit="m",
     )
 
 

@@ -12,7 +12,7 @@ from piezoid_reports.quantities import told
 def render(page: Page) -> Section:
     """Return the chain of digests, and what was odd about the files."""
     read: list[Recording | RawTable] = [*page.recordings, *page.sweeps]
-    odd = [f"{held.name}: {problem.text}" for held in read for problem in held.problems]
+    odd = [f"{held.name}: {statement.text}" for held in read for statement in held.statements]
     parts: list[Part] = [_recordings(page)] if page.recordings else []
     parts += [_sweeps(page)] if page.sweeps else []
     parts.append(_chain(page))

@@ -16,7 +16,8 @@ from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.slips import Slip, beside, places_of, strongest
 from piezoid.diagnosis.view import with_tracks
 from piezoid.records.lab import Lab
-from piezoid.records.recording import Channel, Problem, Quantity
+from piezoid.records.recording import Channel, Quantity
+from piezoid.statement import finding
 from tests.diagnosis.bench import causes
 
 from .play_stage import (
@@ -90,10 +91,10 @@ def test_a_slip_well_above_one_that_could_hide_is_found():
 
 def test_what_the_stamps_tell_is_a_timestamp_fault_of_so_many_samples():
     whole = recording("sweep")
-    problems = (
-        Problem(kind="gap", place="line 5", text="", samples=40),
-        Problem(kind="duplicate_time", place="line 9", text="", samples=3),
-        Problem(kind="jitter", place="the time column", text=""),
+    statements = (
+        finding(quantity="gap", text="", value=40.0, unit="samples"),
+        finding(quantity="duplicate_time", text="", value=3.0, unit="samples"),
+        finding(quantity="jitter", text=""),
     )
     slip = Fault(tracks=healthy().tracks, value=-5.0, spread=0.4, p_value=0.001)
     found = Outcome(
@@ -106,7 +107,7 @@ def test_what_the_stamps_tell_is_a_timestamp_fault_of_so_many_samples():
         screened={},
     )
     assert with_ingested(found, [whole], STROKE_m) is found
-    told = [whole, replace(whole, name="b", problems=problems)]
+    told = [whole, replace(whole, name="b", statements=statements)]
     fault = with_ingested(found, told, STROKE_m).faults["timestamp_fault"]
     assert fault.value == 48.0
     assert fault.p_value < 1e-6

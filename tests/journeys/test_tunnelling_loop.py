@@ -169,7 +169,7 @@ def test_inspection_calls_the_dither_a_reference(made: Path) -> None:
     (seen,) = inspect_file(folder / "loop_1.csv", read_lab(folder / "lab.toml"))
     assert seen.refusal is None
     assert [column.meaning for column in seen.columns][3] == "reference of z"
-    assert not [problem for problem in seen.problems if problem.kind == "incomplete"]
+    assert not [problem for problem in seen.statements if problem.quantity == "incomplete"]
 
 
 @pytest.mark.parametrize(

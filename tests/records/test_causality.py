@@ -13,7 +13,7 @@ FIELD = triangles(8, 600)
 
 
 def kinds(folder: Path, reading_um: Array, field: Array = FIELD) -> list[str]:
-    return [p.kind for p in recorded(folder, field, reading_um).problems]
+    return [p.quantity for p in recorded(folder, field, reading_um).statements]
 
 
 def reading(law: str, noise_um: float = 0.02, field: Array = FIELD) -> Array:
@@ -32,7 +32,7 @@ def test_a_centred_average_is_told_and_the_readings_as_recorded_are_not(
 ) -> None:
     assert "smoothed" not in kinds(tmp_path, reading(law))
     recording = recorded(tmp_path, FIELD, averaged(reading(law), 51))
-    (told,) = (p for p in recording.problems if p.kind == "smoothed")
+    (told,) = (p for p in recording.statements if p.quantity == "smoothed")
     before = int(told.text.partition("(")[2].partition(" ")[0])
     assert 17 <= before <= 32  # half the window: 25
 
@@ -51,7 +51,7 @@ def test_what_is_late_ringing_or_at_an_end_was_not_smoothed(tmp_path: Path, law:
 def test_a_drive_that_is_read_late_is_told_apart(tmp_path: Path) -> None:
     late = np.concatenate([np.full(20, FIELD[0]), FIELD[:-20]])
     recording = recorded(tmp_path, late, reading("preisach"))
-    told = " ".join(p.text for p in recording.problems if p.kind == "leads")
+    told = " ".join(p.text for p in recording.statements if p.quantity == "leads")
     assert "before its drive does" in told
     assert "is the drive read late" in told
 

@@ -81,7 +81,7 @@ def test_a_reading_that_overflows_is_told_with_its_first_row(
     drive_V = 50.0 * SINE
     reading_um = 20.0 * SINE + rng.normal(0, 2e-3, len(SINE))
     wrapped_um = np.where(reading_um > 15.0, reading_um - 35.0, reading_um)
-    told = [p for p in _file(tmp_path, wrapped_um, drive_V).problems if p.kind == "wrapped"]
+    told = [p for p in _file(tmp_path, wrapped_um, drive_V).statements if p.quantity == "wrapped"]
     assert len(told) == 1
     first = int(np.flatnonzero(np.abs(np.diff(wrapped_um)) > 30.0)[0]) + 1
     assert f"row {first + 1}" in told[0].text
@@ -100,4 +100,4 @@ def test_a_lost_reading_or_a_step_of_the_drive_is_no_overflow(
     pairs = ((reading_um, drive_V), (answer_um, steps_V), (late_um, steps_V))
     for read_um, sent_V in pairs:
         found = _file(tmp_path, read_um, sent_V)
-        assert "wrapped" not in {problem.kind for problem in found.problems}
+        assert "wrapped" not in {problem.quantity for problem in found.statements}

@@ -160,7 +160,7 @@ def test_a_damaged_line_is_named_by_its_number_in_the_file(tmp_path: Path) -> No
     lines = path.read_text().split("\n")
     lines[1500] = "broken,by,hand"
     path.write_text("\n".join(lines))
-    places = {problem.place for problem in read_one(path, rows=50).problems}
+    places = {problem.place for problem in read_one(path, rows=50).statements}
     assert any(place.startswith("line 1501") for place in places)
 
 
@@ -204,7 +204,7 @@ def test_a_counter_that_begins_anew_goes_on_in_chunks_too(before: int, tmp_path:
     counts = (2**16 - before + np.arange(SAMPLES)) % 2**16
     path = table(tmp_path, "t [ms],voltage [V],position [um]", counts, VOLTAGE_V, RESPONSE)
     assert_as_a_whole(path, ROWS)
-    assert [problem.kind for problem in read_one(path).problems] == ["wrapped_clock"]
+    assert [problem.quantity for problem in read_one(path).statements] == ["wrapped_clock"]
 
 
 def test_counts_stay_counts_in_chunks(tmp_path: Path) -> None:
@@ -301,6 +301,6 @@ def test_gaps_of_the_file_stay_gaps_of_the_thinned_recording() -> None:
 def test_a_thinned_recording_says_how_many_samples_stand_for_how_many(tmp_path: Path) -> None:
     path = table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, RESPONSE)
     (recording,) = read_thinned([path], max_rows=1 << 11)
-    (problem,) = recording.problems
-    assert problem.kind == "thinned"
+    (problem,) = recording.statements
+    assert problem.quantity == "thinned"
     assert f"{recording.samples} samples at 500 Hz of axis x" in problem.text

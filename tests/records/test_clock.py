@@ -17,7 +17,7 @@ def clock_of(time_s: Array) -> Clock:
 
 
 def kinds(clock: Clock) -> set[str]:
-    return {problem.kind for problem in clock.problems}
+    return {problem.quantity for problem in clock.statements}
 
 
 @pytest.mark.parametrize(
@@ -35,7 +35,7 @@ def kinds(clock: Clock) -> set[str]:
 def test_rounded_stamps_are_uniform_and_give_the_plain_rate(time_s: Array) -> None:
     clock = clock_of(time_s)
     assert clock.sampling_rate_Hz == RATE_Hz
-    assert not clock.problems
+    assert not clock.statements
     assert not clock.breaks
 
 
@@ -53,15 +53,15 @@ def test_samples_lost_one_at_a_time_are_bridged_and_longer_gaps_are_breaks() -> 
     assert clock.sampling_rate_Hz == RATE_Hz
     assert clock.breaks == (100, 1997)
     assert clock.bridged == (698,)
-    (problem,) = clock.problems
-    assert (problem.kind, problem.place, problem.samples) == ("gap", "row 101", 603)
+    (problem,) = clock.statements
+    assert (problem.quantity, problem.place, problem.value) == ("gap", "row 101", 603)
     assert "1 of single samples, bridged" in problem.text
 
 
 def test_two_losses_around_one_sample_are_two() -> None:
     clock = clock_of(np.delete(TIME_s, [700, 702]))
     assert clock.bridged == (700, 701)
-    assert clock.problems[0].samples == 2
+    assert clock.statements[0].value == 2
 
 
 @pytest.mark.parametrize("share", [0.004, 0.015, 0.06])
@@ -73,7 +73,7 @@ def test_many_lost_samples_change_no_rate_and_are_all_told(
     lost = 1 + np.flatnonzero(rng.random(19998) < share)
     clock = clock_of(np.delete(time_s, lost))
     assert clock.sampling_rate_Hz == 1000.0
-    assert clock.problems[0].samples == len(lost)
+    assert clock.statements[0].value == len(lost)
     assert len(clock.bridged) > 0.8 * len(lost)
 
 
@@ -84,7 +84,7 @@ def test_a_lost_sample_is_found_in_stamps_of_few_digits() -> None:
 
 def test_a_clock_slightly_slower_than_its_print_lost_nothing() -> None:
     clock = clock_of(np.round(np.arange(5000) / 999.0, 3))
-    assert not clock.problems
+    assert not clock.statements
     assert clock.sampling_rate_Hz == pytest.approx(999.0, rel=1e-3)
 
 
@@ -111,14 +111,14 @@ def test_a_clock_that_stands_and_catches_up_lost_no_time() -> None:
 def test_a_clock_that_stands_is_found_in_stamps_of_few_digits() -> None:
     time_s = np.round(np.arange(2000) / 1000, 3)
     time_s[900:905] = time_s[900]
-    (problem,) = clock_of(time_s).problems
-    assert (problem.kind, problem.place, problem.samples) == ("duplicate_time", "row 902", 4)
+    (problem,) = clock_of(time_s).statements
+    assert (problem.quantity, problem.place, problem.value) == ("duplicate_time", "row 902", 4)
 
 
 def test_samples_that_repeat_stamps_of_few_digits_are_counted() -> None:
     again = np.isin(np.arange(2000), np.arange(440, 500))
-    (problem,) = clock_of(np.round(np.repeat(np.arange(2000) / 1000, 1 + again), 3)).problems
-    assert (problem.kind, problem.samples) == ("duplicate_time", 60)
+    (problem,) = clock_of(np.round(np.repeat(np.arange(2000) / 1000, 1 + again), 3)).statements
+    assert (problem.quantity, problem.value) == ("duplicate_time", 60)
 
 
 def test_a_clock_whose_steps_do_not_sum_up_to_its_span_is_refused() -> None:

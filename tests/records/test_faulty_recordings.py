@@ -17,8 +17,8 @@ def test_rows_without_a_number_are_cut_or_left_behind_a_break(tmp_path: Path) ->
     recording = ingest(path)
     assert recording.samples == SAMPLES - 5
     assert recording.breaks == (98,)
-    (problem,) = recording.problems
-    assert problem.kind == "missing_values"
+    (problem,) = recording.statements
+    assert problem.quantity == "missing_values"
     assert problem.place == "line 2"
     assert "5 rows lack a number, 3 of them at the ends, 2 inside" in problem.text
 
@@ -28,7 +28,7 @@ def test_a_gap_in_time_is_a_break_with_its_line(tmp_path: Path) -> None:
     columns = (TIME_s[kept], VOLTAGE_V[kept], RESPONSE[kept])
     recording = ingest(table(tmp_path, "time [s],voltage [V],pos [um]", *columns))
     assert recording.breaks == (200,)
-    assert [(p.kind, p.place) for p in recording.problems] == [("gap", "line 202")]
+    assert [(p.quantity, p.place) for p in recording.statements] == [("gap", "line 202")]
 
 
 def test_samples_lost_one_at_a_time_are_put_between_their_neighbours(tmp_path: Path) -> None:
@@ -66,7 +66,7 @@ def test_empty_dead_clipped_and_equal_columns_are_told(tmp_path: Path) -> None:
         tmp_path, "time [s],voltage [V],pos [um],spare,aux,copy",
         time_s, drive, clipped, np.full(4000, np.nan), np.full(4000, 7), clipped,
     )  # fmt: skip
-    kinds = {problem.kind: problem.place for problem in ingest(path).problems}
+    kinds = {problem.quantity: problem.place for problem in ingest(path).statements}
     assert kinds == {
         "saturated": "column 3 'pos [um]'",
         "empty": "column 4 'spare'",

@@ -158,7 +158,7 @@ def test_a_damaged_row_is_named_by_its_line(tmp_path: Path) -> None:
     rows[41] = "0.041,oops,3"
     path = tmp_path / "run.csv"
     path.write_text("time [s],voltage [V],position [um]\n" + "\n".join(rows) + "\n")
-    (problem,) = read_table(path).problems
+    (problem,) = read_table(path).statements
     assert problem.place == "line 43, column 2"
 
 
@@ -204,7 +204,7 @@ def test_a_stamp_lying_anywhere_is_no_crash(stray_s: float, tmp_path: Path) -> N
     path = tmp_path / "run.csv"
     path.write_text(_stamped(stamps))
     (inspection,) = inspect_file(path)
-    assert inspection.refusal or inspection.problems
+    assert inspection.refusal or inspection.statements
 
 
 def test_groups_without_end_are_not_walked_through(tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ def test_two_axes_keep_their_channels_apart(tmp_path: Path) -> None:
     )  # fmt: skip
     assert recording.axes == ("x", "y")
     assert recording.axis == "x"
-    assert [p.kind for p in recording.problems] == ["several_axes"]
+    assert [p.quantity for p in recording.statements] == ["several_axes"]
     np.testing.assert_allclose(recording.voltage_V("y"), 0.1 * VOLTAGE_V, rtol=1e-8)
 
 
@@ -102,7 +102,7 @@ def test_columns_and_units_of_the_laboratory_replace_the_headings(tmp_path: Path
     recording = ingest(path, lab)
     assert recording.axis == "y"
     np.testing.assert_allclose(recording.displacement_m(), RESPONSE * 1e-6, rtol=1e-8)
-    assert [p.kind for p in recording.problems] == ["unit_assumed"]
+    assert [p.quantity for p in recording.statements] == ["unit_assumed"]
 
 
 def test_volts_of_a_sensor_become_a_displacement_by_its_gain(tmp_path: Path) -> None:

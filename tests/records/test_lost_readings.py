@@ -113,8 +113,8 @@ def test_inspect_tells_what_was_written_how_often_and_where(tmp_path: Path) -> N
     broken_um = np.array(reading_um)
     broken_um[where] = 9999.0
     (inspection,) = inspect_file(write(tmp_path / "sweep.csv", field, broken_um))
-    (problem,) = (p for p in inspection.problems if p.kind == "lost_readings")
-    assert problem.samples == len(where)
+    (problem,) = (p for p in inspection.statements if p.quantity == "lost_readings")
+    assert f" {len(where)} times (" in problem.text
     for told in ("9999 um", "6 times (0.25 %", "line 32, line 33, line 402", "displacement"):
         assert told in problem.text
 
@@ -158,7 +158,7 @@ def test_a_sensor_at_the_end_of_its_range_is_left_out_and_a_stage_at_its_end_is_
     assert lost_readings(6.0 + 10.0 * LAWS[law](limited) + noise_um, field) == ()
     assert lost_readings(10.0 * LAWS[law](limited), field) == ()
     (found,) = inspect_file(write(tmp_path / "a.csv", field, np.minimum(clean_um, top)))
-    (told,) = [p.text for p in found.problems if p.kind == "saturated"]
+    (told,) = [p.text for p in found.statements if p.quantity == "saturated"]
     assert f"is clipped at {top:.6g} um while the drive moves on" in told
     assert "left out as no measurement" in told
 

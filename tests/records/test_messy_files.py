@@ -56,7 +56,7 @@ def assert_true_values(path: Path, lab: Lab, kept: np.ndarray, breaks: int) -> N
 def test_what_is_odd_about_a_file_is_told_and_nothing_else(messy: Messy, tmp_path: Path) -> None:
     found = inspected(messy, tmp_path)
     assert [one.refusal for one in found] == [None] * len(found)
-    assert {problem.kind for one in found for problem in one.problems} == messy.problems
+    assert {problem.quantity for one in found for problem in one.statements} == messy.problems
 
 
 @pytest.mark.parametrize("messy", [m for m in READ if not m.lines], ids=named)
@@ -84,7 +84,7 @@ def test_the_lines_of_lab_toml_give_the_true_values(messy: Messy, tmp_path: Path
     lab = lab_for(messy, tmp_path, messy.lines)
     assert_true_values(tmp_path / messy.name, lab, np.arange(SAMPLES), 0)
     found = inspected(messy, tmp_path, messy.lines)
-    kinds = {problem.kind for one in found for problem in one.problems}
+    kinds = {problem.quantity for one in found for problem in one.statements}
     assert kinds == messy.mended
 
 
@@ -150,7 +150,7 @@ def test_a_displacement_in_another_unit_is_told_from_a_drive(tmp_path: Path) -> 
     text(lines())(tmp_path / "clean.csv")
     text(lines(table=columns() * [1, 1, 1e3]))(tmp_path / "nm_as_um.csv")
     found = inspect_files([tmp_path / "clean.csv", tmp_path / "nm_as_um.csv"])
-    (said,) = (p.text for p in found[1].problems if p.kind == "does_not_fit")
+    (said,) = (p.text for p in found[1].statements if p.quantity == "does_not_fit")
     assert said.endswith("the displacement is in another unit")
 
 
@@ -200,7 +200,7 @@ def test_a_part_in_which_a_feedback_holds_the_sensor_contradicts_no_gain(tmp_pat
     text(rows[:600])(tmp_path / "approach.csv")
     text([rows[0], *rows[600:]])(tmp_path / "hold.csv")
     recordings = ingest_all([tmp_path / "approach.csv", tmp_path / "hold.csv"])
-    assert [p.kind for r in recordings for p in r.problems] == ["closed_loop"]
+    assert [p.quantity for r in recordings for p in r.statements] == ["closed_loop"]
     refuse_misfits(recordings)
 
 
@@ -249,7 +249,7 @@ def test_counts_of_a_known_converter_are_offered_as_volts(tmp_path: Path) -> Non
     )
     text(lines(names=("time [s]", "drive [counts]", "position [um]")))(tmp_path / "run.csv")
     read = ingest(tmp_path / "run.csv", read_lab(_lab(tmp_path, above)))
-    (problem,) = read.problems
+    (problem,) = read.statements
     assert "scale = { voltage = 0.000305175781 }" in problem.text
     np.testing.assert_allclose(read.voltage_V(), VOLTAGE_V)  # the counts themselves
     assert read.counted == ("voltage",)
@@ -266,7 +266,7 @@ def test_counts_beside_metres_are_refused_with_the_line(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"displacement of raw.csv is in counts") as caught:
         refuse_misfits(ingest_all(paths))
     assert 'file = "raw.csv"\nscale = {' in caught.value.remedy
-    (said,) = (p.text for p in inspect_files(paths)[1].problems if p.kind == "does_not_fit")
+    (said,) = (p.text for p in inspect_files(paths)[1].statements if p.quantity == "does_not_fit")
     assert "how many m one count is" in said
 
 

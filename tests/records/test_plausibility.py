@@ -13,7 +13,7 @@ from tests.laws import LAWS, triangles, write
 
 
 def kinds(recording: Recording) -> set[str]:
-    return {problem.kind for problem in recording.problems}
+    return {problem.quantity for problem in recording.statements}
 
 
 @pytest.mark.parametrize("truth", ZOO, ids=[truth.name for truth in ZOO])
@@ -25,7 +25,7 @@ def test_exchanged_headings_turn_the_loop_round(truth: Truth, tmp_path: Path) ->
     right = write(tmp_path / "right.csv", field, np.asarray(moved_um))
     assert "leads" not in kinds(ingest(right))
     exchanged = write(tmp_path / "exchanged.csv", moved_um / 5 - 2, 5 * field)
-    (said,) = [one.text for one in ingest(exchanged).problems if one.kind == "leads"]
+    (said,) = [one.text for one in ingest(exchanged).statements if one.quantity == "leads"]
     assert 'columns = { voltage = "displacement [um]"' in said
 
 
@@ -42,7 +42,9 @@ def test_an_end_of_the_amplifier_is_told_with_its_volts(law: str, tmp_path: Path
 
     def told(drive: np.ndarray) -> list[str]:
         path = write(tmp_path / "a.csv", field, 10.0 * LAWS[law](drive) + noise_um)
-        return [problem.text for problem in ingest(path).problems if problem.kind == "stands"]
+        return [
+            problem.text for problem in ingest(path).statements if problem.quantity == "stands"
+        ]
 
     assert told(field) == []
     (upper,) = told(np.minimum(field, 0.7))

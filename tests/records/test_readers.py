@@ -40,7 +40,7 @@ def test_the_same_recording_comes_out_of_every_format(
     assert recording.sampling_rate_Hz == RATE_Hz
     assert recording.axis == "x"
     # A column of words beside the numbers is said to be left out, and is the only oddity.
-    assert {problem.kind for problem in recording.problems} <= {"text_column"}
+    assert {problem.quantity for problem in recording.statements} <= {"text_column"}
     np.testing.assert_allclose(recording.voltage_V(), VOLTAGE_V, rtol=0, atol=ATOL_V)
     np.testing.assert_allclose(recording.displacement_m(), DISPLACEMENT_um * 1e-6, atol=ATOL_m)
 
@@ -75,7 +75,7 @@ def test_an_array_on_its_side_is_turned_where_nobody_has_so_many_channels(tmp_pa
     np.save(path, np.arange(1500.0).reshape(3, 500))
     table = read_table(path)
     assert (len(table.columns), table.rows) == (3, 500)
-    assert [problem.kind for problem in table.problems] == ["transposed"]
+    assert [problem.quantity for problem in table.statements] == ["transposed"]
     np.save(path, np.zeros((30, 500)))
     with pytest.raises(UnreadableFileError, match="Transpose"):
         read_table(path)
@@ -148,7 +148,7 @@ def test_labview_segments_are_separate_acquisitions(write: Callable[[str], Path]
 def test_a_labview_file_cut_short_says_so(write: Callable[[str], Path]) -> None:
     path = write("run.lvm")
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:-50]))
-    (problem,) = [p for p in ingest(path).problems if p.kind == "truncated"]
+    (problem,) = [p for p in ingest(path).statements if p.quantity == "truncated"]
     assert "200 samples, the file holds 150" in problem.text
 
 

@@ -67,7 +67,7 @@ def test_segments_without_headers_of_their_own_are_found(realdata: Path) -> None
 def test_a_labview_file_cut_short_is_told(realdata: Path) -> None:
     recording = ingest(realdata / "formats" / "multi_time_column.lvm")
     assert recording.sampling_rate_Hz == 51200
-    assert {problem.kind for problem in recording.problems} == {"truncated", "incomplete"}
+    assert {problem.quantity for problem in recording.statements} == {"truncated", "incomplete"}
 
 
 def test_bytes_that_are_no_utf8_are_read(realdata: Path) -> None:
@@ -100,7 +100,7 @@ def test_the_flexure_needs_columns_and_rate_from_the_laboratory(realdata: Path) 
     assert (recording.samples, recording.sampling_rate_Hz) == (8027, 200)
     assert np.ptp(recording.voltage_V()) == pytest.approx(3.6)
     assert np.median(recording.displacement_m()) == pytest.approx(-96e-6, rel=0.05)
-    dead = [p.place for p in recording.problems if p.kind == "dead"]
+    dead = [p.place for p in recording.statements if p.quantity == "dead"]
     assert dead == [f"column {k}" for k in (2, 3, 4, 6, 7)]
 
 
@@ -117,7 +117,7 @@ def test_the_actuator_has_an_empty_column_and_its_own_clock(realdata: Path) -> N
     assert recording.sampling_rate_Hz == 5000
     assert not recording.breaks
     assert np.ptp(recording.voltage_V()) == 300
-    assert {problem.kind for problem in recording.problems} == {"empty"}
+    assert {problem.quantity for problem in recording.statements} == {"empty"}
 
 
 def test_a_spectroscopy_is_a_table_of_heights_and_currents(realdata: Path) -> None:

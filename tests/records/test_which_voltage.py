@@ -25,7 +25,7 @@ def recorded(folder: Path, lab: str, *, most_V: float) -> Recording:
 
 
 def told(recording: Recording) -> list[str]:
-    return [one.text for one in recording.problems if one.kind == "beyond_the_controller"]
+    return [one.text for one in recording.statements if one.quantity == "beyond_the_controller"]
 
 
 @pytest.mark.parametrize(

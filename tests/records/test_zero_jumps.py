@@ -8,7 +8,8 @@ import pytest
 
 from piezoid.identification.fit import fit
 from piezoid.numerics.arrays import Array
-from piezoid.records.recording import Problem, Recording
+from piezoid.records.recording import Recording
+from piezoid.statement import Statement
 from tests.laws import LAWS, recorded, triangles
 
 FIELD = triangles(8, 300, 0.04)
@@ -20,8 +21,8 @@ def read(folder: Path, law: str, added_um: Array, field: Array = FIELD) -> Recor
     return recorded(folder, field, 10.0 * LAWS[law](field) + added_um + noise_um)
 
 
-def jumps_of(recording: Recording) -> tuple[Problem, ...]:
-    return tuple(p for p in recording.problems if p.kind == "zero_jump")
+def jumps_of(recording: Recording) -> tuple[Statement, ...]:
+    return tuple(p for p in recording.statements if p.quantity == "zero_jump")
 
 
 def stairs(*at: tuple[int, float], ramp: int = 1) -> Array:
@@ -46,7 +47,7 @@ def test_one_slip_is_told_and_costs_the_fit_nothing(tmp_path: Path, law: str) ->
     apart = [slipped.displacement_m()[piece] for piece in slipped.pieces]
     shift_m = np.concatenate(apart) - clean.displacement_m()
     assert np.ptp(shift_m[:1000]) < 1e-12
-    assert told.farthest == pytest.approx(0.9e-6, rel=0.06)
+    assert told.value == pytest.approx(0.9e-6, rel=0.06)
 
 
 def test_fringes_are_told_from_slips_by_their_one_size(tmp_path: Path) -> None:
@@ -86,7 +87,7 @@ def test_steps_of_the_drive_are_no_jumps_of_the_zero(tmp_path: Path) -> None:
 def test_a_drive_at_rest_shows_a_jump_as_well(tmp_path: Path) -> None:
     recording = read(tmp_path, "plays", stairs((700, 0.25)), np.zeros(len(FIELD)))
     (told,) = jumps_of(recording)
-    assert told.farthest == pytest.approx(0.25e-6, rel=0.15)
+    assert told.value == pytest.approx(0.25e-6, rel=0.15)
 
 
 @pytest.mark.parametrize("law", ["preisach", "dahl"])

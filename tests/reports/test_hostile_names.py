@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from piezoid.records.recording import Problem
+from piezoid.statement import finding
 from piezoid_reports.plain_text import printable
 from piezoid_reports.render import render
 from tests.reports.anatomy import Anatomy
@@ -33,7 +33,8 @@ def _hostile_page(name: str) -> str:
     axis = replace(axis_model(name, (name,)))
     axis = replace(axis, verdict=replace(axis.verdict, remarks=(name,), reason=name))
     given = replace(
-        recording(name, name, label=name), problems=(Problem(kind=name, place=name, text=name),)
+        recording(name, name, label=name),
+        statements=(finding(quantity=name, place=name, text=name),),
     )
     return render(stage_model(axis, stage=name), [given])
 

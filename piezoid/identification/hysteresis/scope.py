@@ -121,13 +121,13 @@ def limits_as_recorded(recordings: Sequence[Recording], axis: str) -> tuple[Limi
     """Return what is odd about drive and displacement of an axis, as reading the files told it."""
     return tuple(
         Limit(
-            lack=problem.kind,
-            reason=f"{recording.name}: {problem.text.partition('. ')[0]}",
-            most=AS_RECORDED[problem.kind],
+            lack=statement.quantity,
+            reason=f"{recording.name}: {statement.text.partition('. ')[0]}",
+            most=AS_RECORDED[statement.quantity],
         )
         for recording in recordings
-        for problem in recording.problems
-        if problem.kind in AS_RECORDED and problem.place == f"axis {axis}"
+        for statement in recording.statements
+        if statement.quantity in AS_RECORDED and statement.axis == axis
     )
 
 

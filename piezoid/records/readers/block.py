@@ -12,7 +12,7 @@ import numpy as np
 
 from piezoid.numerics.arrays import Array
 from piezoid.records.readers.source import check_columns, unreadable
-from piezoid.records.recording import Problem
+from piezoid.statement import Statement, finding
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -62,13 +62,13 @@ class Block:
     columns   (fields,) arrays of equal length; NaN where a field holds no number
     textual   fields that hold text in most of their rows
     stamped   fields that hold times of day, with or without dates, now seconds from the first
-    problems  damaged fields and rows, with their lines
+    statements  damaged fields and rows, with their lines
     """
 
     columns: tuple[Array, ...]
     textual: frozenset[int]
     stamped: frozenset[int] = frozenset()
-    problems: tuple[Problem, ...]
+    statements: tuple[Statement, ...]
 
 
 def split(line: str, separator: str) -> list[str]:
@@ -139,8 +139,8 @@ def lines_are_rows(text: str) -> bool:
     )
 
 
-def without_comments(text: str, first_line: int) -> tuple[str, tuple[Problem, ...]]:
-    """Return a table without the comments between its rows, and the problem that says so."""
+def without_comments(text: str, first_line: int) -> tuple[str, tuple[Statement, ...]]:
+    """Return a table without the comments between its rows, and the statement that says so."""
     if not any(mark in text for mark in ("#", "%", "//")):
         return text, ()
     lines = text.split("\n")
@@ -148,8 +148,8 @@ def without_comments(text: str, first_line: int) -> tuple[str, tuple[Problem, ..
     if not at:
         return text, ()
     said = f"{len(at)} comments between the rows are not read; the first is {lines[at[0]][:60]!r}"
-    problem = Problem(kind="comment_lines", place=f"line {first_line + at[0]}", text=said)
-    return "\n".join(line for line in lines if not _COMMENT.match(line)), (problem,)
+    statement = finding(quantity="comment_lines", place=f"line {first_line + at[0]}", text=said)
+    return "\n".join(line for line in lines if not _COMMENT.match(line)), (statement,)
 
 
 def _parse_fast(text: str, layout: Layout) -> Block | None:
@@ -158,7 +158,7 @@ def _parse_fast(text: str, layout: Layout) -> Block | None:
     if frame is None:
         return None
     columns = tuple(frame[k].to_numpy(dtype=np.float64) for k in frame.columns)
-    return Block(columns=columns, textual=frozenset(), problems=())
+    return Block(columns=columns, textual=frozenset(), statements=())
 
 
 def _parse_mixed(text: str, layout: Layout, first_line: int) -> Block | None:
@@ -187,9 +187,9 @@ def _parse_mixed(text: str, layout: Layout, first_line: int) -> Block | None:
     if len(textual) == layout.fields or 4 * _most(wrong, textual) > len(frame):
         return None
     first = [first_line + int(np.argmax(row)) for row in wrong]
-    problems = _text_problems(wrong.sum(axis=1), first, textual)
+    statements = _text_problems(wrong.sum(axis=1), first, textual)
     return Block(
-        columns=tuple(columns), textual=textual, stamped=frozenset(stamped), problems=problems
+        columns=tuple(columns), textual=textual, stamped=frozenset(stamped), statements=statements
     )
 
 
@@ -237,10 +237,10 @@ def _most(wrong: np.ndarray, textual: frozenset[int]) -> int:
 
 def _text_problems(
     texts: np.ndarray, first: list[int], textual: frozenset[int]
-) -> tuple[Problem, ...]:
+) -> tuple[Statement, ...]:
     return tuple(
-        Problem(
-            kind="not_a_number",
+        finding(
+            quantity="not_a_number",
             place=f"line {first[k]}, column {k + 1}",
             text=f"{texts[k]} fields of column {k + 1} hold text instead of a number",
         )
@@ -318,14 +318,14 @@ def _judge(
             first[k] = first[k] or line
             texts[k] += 1
     textual = frozenset(np.flatnonzero(2 * texts > count).tolist())
-    problems = list(_text_problems(texts, first, textual))
+    statements = list(_text_problems(texts, first, textual))
     if strange:
         line, found = strange[0]
         wide = {at for at, _ in strange}
         rows[[k for k, (at, _) in enumerate(lines) if at in wide]] = np.nan
-        problems.append(
-            Problem(
-                kind="field_count",
+        statements.append(
+            finding(
+                quantity="field_count",
                 place=f"line {line}",
                 text=f"{len(strange)} rows have more fields than the table ({found} > {fields})",
             )
@@ -343,5 +343,5 @@ def _judge(
     return Block(
         columns=tuple(rows[:, k].copy() for k in range(fields)),
         textual=textual,
-        problems=tuple(problems),
+        statements=tuple(statements),
     )

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.records.readers.heading_lines import HEAD_LINES
-from piezoid.records.recording import Problem
 from piezoid.records.table import Column, RawTable
+from piezoid.statement import finding
 
 _SEEN = 10  # rows at the end of the head: comments and headings stand before them
 
@@ -61,5 +61,5 @@ def joined(real: RawTable, imaginary: RawTable) -> RawTable:
         f"{said} holds complex numbers: real and imaginary part are the columns of a frequency "
         "response, and of no recording over time"
     )
-    problem = Problem(kind="complex", place=held[0].place, text=text)
-    return replace(real, columns=tuple(columns), problems=(*real.problems, problem))
+    statement = finding(quantity="complex", place=held[0].place, text=text)
+    return replace(real, columns=tuple(columns), statements=(*real.statements, statement))

@@ -12,8 +12,8 @@ from piezoid.records.readers.optional_readers import reading
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, check_growth, unreadable
 from piezoid.records.readers.text_table import read_text
-from piezoid.records.recording import Problem
 from piezoid.records.table import RawTable
+from piezoid.statement import Statement, finding
 
 _LOOKED_AT = 100  # rows in which a formula is looked for
 
@@ -54,7 +54,7 @@ def read(source: Source) -> RawTable:
     with reading(source, "Excel"):
         _refuse_formulas(source, sheet, sheets[sheet])
     table = read_text(source, texts[sheet], "Excel")
-    return replace(table, problems=(*_unread(held), *table.problems))
+    return replace(table, statements=(*_unread(held), *table.statements))
 
 
 def _refuse_damaged(source: Source) -> None:
@@ -91,12 +91,12 @@ def _refuse_formulas(source: Source, sheet: str, frame: "DataFrame") -> None:
         )
 
 
-def _unread(held: list[str]) -> tuple[Problem, ...]:
+def _unread(held: list[str]) -> tuple[Statement, ...]:
     if len(held) < 2:
         return ()
     names = ", ".join(map(repr, held[1:]))
     text = f"sheet {held[0]!r} is read; {names} hold rows of numbers as well and are not read"
-    return (Problem(kind="other_sheets", place=f"sheet {held[0]!r}", text=text),)
+    return (finding(quantity="other_sheets", place=f"sheet {held[0]!r}", text=text),)
 
 
 def _has_rows(source: Source, text: str) -> bool:

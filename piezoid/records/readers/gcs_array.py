@@ -51,7 +51,7 @@ def read(source: Source) -> RawTable:
         sampling_rate_Hz=rate_of(interval_s),
         first_line=end + 2,
         metadata=pairs,
-        problems=block.problems,
+        statements=block.statements,
     )
 
 

@@ -15,8 +15,8 @@ from piezoid.records.readers.block import Layout, count_of, number_of, parse_blo
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
 from piezoid.records.readers.text_table import metadata_of
-from piezoid.records.recording import Problem
 from piezoid.records.table import Column, RawTable, rate_of
+from piezoid.statement import Statement, finding
 
 _END = "***End_of_Header***"
 
@@ -27,7 +27,7 @@ class _Segment:
     header: dict[str, list[str]]
     fields: tuple[Array, ...]
     line: int
-    problems: tuple[Problem, ...]
+    statements: tuple[Statement, ...]
 
 
 def read(source: Source) -> RawTable:
@@ -102,7 +102,7 @@ def _segment(
         header={pair[0].strip(): [cell.strip() for cell in pair[1:]] for pair in pairs},
         fields=block.columns,
         line=end + 3,
-        problems=block.problems,
+        statements=block.statements,
     )
 
 
@@ -122,7 +122,7 @@ def _joined(source: Source, header: dict[str, str], segments: list[_Segment]) ->
     times = [k for k, label in enumerate(first.labels) if label == "X_Value"]
     written = [k for k in times if np.isfinite(first.fields[k]).any()]
     interval_s = _interval_s(source.name, first, header)
-    problems = [problem for segment in segments for problem in segment.problems]
+    statements = [statement for segment in segments for statement in segment.statements]
     return RawTable(
         name=source.name,
         digest=source.digest,
@@ -133,7 +133,7 @@ def _joined(source: Source, header: dict[str, str], segments: list[_Segment]) ->
         segment_starts=_segment_starts(segments, lengths, clocked=bool(written)),
         first_line=first.line if len(segments) == 1 else 0,
         metadata=header,
-        problems=(*problems, *_missing_samples(segments)),
+        statements=(*statements, *_missing_samples(segments)),
     )
 
 
@@ -203,15 +203,15 @@ def _number(cells: list[str], header: dict[str, str]) -> float:
     return 0.0
 
 
-def _missing_samples(segments: list[_Segment]) -> list[Problem]:
+def _missing_samples(segments: list[_Segment]) -> list[Statement]:
     found = []
     for segment in segments:
         declared = _declared_samples(segment)
         held = len(segment.fields[0])
         if declared and max(declared) > held and max(declared) > 1:
             found.append(
-                Problem(
-                    kind="truncated",
+                finding(
+                    quantity="truncated",
                     place=f"line {segment.line}",
                     text=f"the header declares {max(declared)} samples, the file holds {held}",
                 )

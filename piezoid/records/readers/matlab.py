@@ -13,8 +13,8 @@ from piezoid.records.readers.hdf5 import SIGNATURE, check_datasets
 from piezoid.records.readers.optional_readers import reading, table_of
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, check_growth, unreadable
-from piezoid.records.recording import Problem
 from piezoid.records.table import RawTable
+from piezoid.statement import finding
 
 # What SciPy makes of an object: its name, MCOS, its class, and numbers of its bookkeeping.
 _OBJECT = frozenset({"s0", "s1", "s2", "arr"})
@@ -62,8 +62,8 @@ def read(source: Source) -> RawTable:
     if not opaque:
         return table
     text = f"{said} are objects that only MATLAB can open, and are not read. {_SAVE}"
-    problem = Problem(kind="opaque", place=next(iter(opaque)), text=text)
-    return replace(table, problems=(problem, *table.problems))
+    statement = finding(quantity="opaque", place=next(iter(opaque)), text=text)
+    return replace(table, statements=(statement, *table.statements))
 
 
 def _check_sizes(source: Source) -> None:

@@ -60,7 +60,7 @@ def read(source: Source) -> RawTable:
         independent="" if meaning_of(swept.heading).role is Role.TIME else swept.label,
         first_line=row + 2,
         metadata=metadata_of(tuple(lines[: marks[0]])),
-        problems=block.problems,
+        statements=block.statements,
     )
 
 

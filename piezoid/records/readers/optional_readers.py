@@ -10,8 +10,8 @@ import numpy as np
 from piezoid.errors import PiezoidError
 from piezoid.records.readers.reader import Arrays
 from piezoid.records.readers.source import Source, check_columns, check_growth, unreadable
-from piezoid.records.recording import Problem
 from piezoid.records.table import Column, RawTable
+from piezoid.statement import Statement, finding
 
 # Recorders have some dozen channels and recordings thousands of samples: with so many times as
 # many columns as rows, the rows are the channels.
@@ -59,11 +59,11 @@ def table_of(
 ) -> RawTable:
     """Make a table of named arrays: vectors are columns, matrices of few columns are several.
 
-    Arrays of another length than most are left out and named among the problems; scalars and text
+    Arrays of another length than most are left out and named in a statement; scalars and text
     become metadata.
     """
     arrays, units = _in_seconds(arrays, units or {})
-    vectors, metadata, problems = _sorted_out(source, arrays)
+    vectors, metadata, statements = _sorted_out(source, arrays)
     if not vectors:
         raise unreadable(
             source.name,
@@ -78,7 +78,7 @@ def table_of(
     for label, _, values in vectors:
         if len(values) != rows:
             text = f"{label!r} has {len(values)} values, most columns {rows}; it is not read"
-            problems.append(Problem(kind="other_length", place=label, text=text))
+            statements.append(finding(quantity="other_length", place=label, text=text))
     columns = tuple(
         Column(number=k + 1, label=label, declared_unit=units.get(key, ""), values=values)
         for k, (label, key, values) in enumerate(v for v in vectors if len(v[2]) == rows)
@@ -90,7 +90,7 @@ def table_of(
         columns=columns,
         sampling_rate_Hz=sampling_rate_Hz,
         metadata=metadata,
-        problems=tuple(problems),
+        statements=tuple(statements),
     )
 
 
@@ -129,10 +129,10 @@ def _in_seconds(
 
 def _sorted_out(
     source: Source, arrays: Mapping[str, object]
-) -> tuple[list[tuple[str, str, np.ndarray]], dict[str, str], list[Problem]]:
+) -> tuple[list[tuple[str, str, np.ndarray]], dict[str, str], list[Statement]]:
     vectors: list[tuple[str, str, np.ndarray]] = []
     metadata: dict[str, str] = {}
-    problems: list[Problem] = []
+    statements: list[Statement] = []
     shapes = {key: np.asarray(value).shape for key, value in arrays.items()}
     for key, value in arrays.items():
         array = np.asarray(value)
@@ -141,7 +141,7 @@ def _sorted_out(
                 f"{key!r} holds complex numbers: real and imaginary part are the columns of a "
                 "frequency response, and of no recording over time"
             )
-            problems.append(Problem(kind="complex", place=key, text=text))
+            statements.append(finding(quantity="complex", place=key, text=text))
             for label, path in _paths(key, array):
                 vectors += [(f"real({label})", key, path.real), (f"imag({label})", key, path.imag)]
         elif array.dtype.kind not in "biuf" or array.size <= 1:
@@ -150,15 +150,15 @@ def _sorted_out(
             vectors += [(label, key, path) for label, path in _paths(key, array)]
         elif array.ndim > 2 and max(array.shape) != array.size:
             text = f"{key!r} has {array.ndim} axes {array.shape}: which is time, which channel?"
-            problems.append(Problem(kind="axes", place=key, text=text))
+            statements.append(finding(quantity="axes", place=key, text=text))
         elif max(array.shape) == array.size:
             vectors.append((key, key, array.reshape(-1)))
         else:
             array, said = _upright(source, key, array, shapes)
-            problems += said
+            statements += said
             label = f"{key}(:,{{}})" if key else ""
             vectors += [(label.format(k + 1), key, array[:, k]) for k in range(array.shape[1])]
-    return vectors, metadata, problems
+    return vectors, metadata, statements
 
 
 def _paths(key: str, array: np.ndarray) -> list[tuple[str, np.ndarray]]:
@@ -187,7 +187,7 @@ def _square_sides(array: np.ndarray) -> tuple[int, int] | None:
 
 def _upright(
     source: Source, key: str, array: np.ndarray, shapes: Mapping[str, tuple[int, ...]]
-) -> tuple[np.ndarray, list[Problem]]:
+) -> tuple[np.ndarray, list[Statement]]:
     """Return a matrix with a row for each sample, turned where it can only be read that way."""
     rows, columns = array.shape
     lengths = {max(s) for k, s in shapes.items() if k != key and s and max(s) == np.prod(s) > 1}
@@ -198,7 +198,7 @@ def _upright(
             f"{key or 'the array'} has {rows} rows and {columns} columns: read as {rows} channels "
             f"of {columns} samples"
         )
-        return array.T, [Problem(kind="transposed", place=key or "the array", text=text)]
+        return array.T, [finding(quantity="transposed", place=key or "the array", text=text)]
     if rows in lengths - {columns}:
         return array, []
     raise unreadable(

@@ -49,7 +49,7 @@ def read(source: Source) -> RawTable:
         sampling_rate_Hz=rate_of(increment_s),
         sampling_start_s=start_s,
         first_line=skipped + 1,
-        problems=block.problems,
+        statements=block.statements,
     )
 
 

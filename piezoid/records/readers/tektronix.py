@@ -13,8 +13,8 @@ from piezoid.records.readers import text_table
 from piezoid.records.readers.block import Layout, number_of, parse_block, split
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
-from piezoid.records.recording import Problem
 from piezoid.records.table import Column, RawTable
+from piezoid.statement import Statement, finding
 
 _SETTING_LINES = 60
 
@@ -51,7 +51,7 @@ def read(source: Source) -> RawTable:
         columns=columns,
         first_line=1,
         metadata=settings[0],
-        problems=_missing(settings[0], len(columns[0].values)),
+        statements=_missing(settings[0], len(columns[0].values)),
     )
 
 
@@ -103,12 +103,12 @@ def _columns(
     return tuple(columns)
 
 
-def _missing(settings: dict[str, str], held: int) -> tuple[Problem, ...]:
+def _missing(settings: dict[str, str], held: int) -> tuple[Statement, ...]:
     declared = number_of(settings.get("Record Length", ""), ".") or 0.0
     if not declared > held:
         return ()
     text = f"the settings declare {declared:.0f} samples, the file holds {held}"
-    return (Problem(kind="truncated", place="line 1", text=text),)
+    return (finding(quantity="truncated", place="line 1", text=text),)
 
 
 def recognises_above(source: Source) -> bool:

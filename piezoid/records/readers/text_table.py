@@ -35,8 +35,8 @@ from piezoid.records.readers.source import (
     unreadable,
     with_hyphens,
 )
-from piezoid.records.recording import Problem
 from piezoid.records.table import Column, RawTable
+from piezoid.statement import Statement, finding
 
 # No binary format begins with so many lines without a zero byte, unless it has a header of text:
 # those that are known here are asked before.
@@ -75,10 +75,10 @@ def _read_numbers(source: Source, text: str, format_name: str) -> RawTable:
         first_line=start.row + 1 if lines_are_rows(body) and not begins else 0,
         segment_starts=begins,
         metadata=metadata_of(start.above),
-        problems=(
+        statements=(
             *stray_problems(start),
             *told,
-            *block.problems,
+            *block.statements,
             *textual_problems(start, block),
         ),
     )
@@ -86,7 +86,7 @@ def _read_numbers(source: Source, text: str, format_name: str) -> RawTable:
 
 def parsed(
     body: str, start: Start, name: str, line: int
-) -> tuple[Block, tuple[int, ...], tuple[Problem, ...]]:
+) -> tuple[Block, tuple[int, ...], tuple[Statement, ...]]:
     """Return the numbers of a table, without comments and headings among its rows.
 
     line      of the first row
@@ -97,7 +97,9 @@ def parsed(
     """
     rows, remarks = without_comments(body, line)
     block = parse_block(rows, start.layout, name, line)
-    if not remarks and not any(problem.kind == "not_a_number" for problem in block.problems):
+    if not remarks and not any(
+        statement.quantity == "not_a_number" for statement in block.statements
+    ):
         return block, (), ()
     kept, begins, at = without_headings(body, start, name, line)
     if not at:
@@ -107,8 +109,8 @@ def parsed(
         f"the headings stand again at {len(at)} places, as where runs were put into one file: "
         "each begins with a memory of its own"
     )
-    problem = Problem(kind="repeated_heading", place=f"line {at[0]}", text=text)
-    return parse_block(rows, start.layout, name, line), begins, (*remarks, problem)
+    statement = finding(quantity="repeated_heading", place=f"line {at[0]}", text=text)
+    return parse_block(rows, start.layout, name, line), begins, (*remarks, statement)
 
 
 def columns_of(start: Start, block: Block) -> tuple[Column, ...]:
@@ -132,7 +134,7 @@ def are_row_numbers(values: Array) -> bool:
     return bool(values[0] in (0, 1) and (np.diff(values) == 1).all())
 
 
-def stray_problems(start: Start) -> tuple[Problem, ...]:
+def stray_problems(start: Start) -> tuple[Statement, ...]:
     """Return what is odd about the lines above the table."""
     if not start.strays:
         return ()
@@ -140,14 +142,14 @@ def stray_problems(start: Start) -> tuple[Problem, ...]:
         f"{len(start.strays)} lines above the table hold numbers, but not "
         f"{start.layout.fields} of them; they are not read"
     )
-    return (Problem(kind="rows_above", place=f"line {start.strays[0]}", text=text),)
+    return (finding(quantity="rows_above", place=f"line {start.strays[0]}", text=text),)
 
 
-def textual_problems(start: Start, block: Block) -> tuple[Problem, ...]:
+def textual_problems(start: Start, block: Block) -> tuple[Statement, ...]:
     """Name the columns of text."""
     return tuple(
-        Problem(
-            kind="text_column",
+        finding(
+            quantity="text_column",
             place=f"column {k + 1}",
             text=f"column {k + 1} {start.labels[k]!r} holds text and is not read",
         )
@@ -179,14 +181,14 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
         first: Block | None = None
         line, first_row = start.row + 1, 0
         for text in _line_chunks(stream, rows, source.name):
-            block, begins, problems = parsed(text, start, source.name, line)
+            block, begins, statements = parsed(text, start, source.name, line)
             _refuse_dates(block, source.name, line)
             if first is None:
                 named = names_but_first(start)
                 if named is not None and are_row_numbers(block.columns[0]):
                     start = replace(start, labels=named, above=start.above[:-1])
                 first = block
-                problems = (*stray_problems(start), *textual_problems(start, block), *problems)
+                statements = (*stray_problems(start), *textual_problems(start, block), *statements)
             yield RawTable(
                 name=source.name,
                 digest=source.digest,
@@ -196,7 +198,7 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
                 segment_starts=begins,
                 first_row=first_row,
                 metadata=metadata_of(start.above),
-                problems=(*problems, *block.problems),
+                statements=(*statements, *block.statements),
             )
             line += text.rstrip("\n").count("\n")
             first_row += len(block.columns[0]) - 1

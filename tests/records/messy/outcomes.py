@@ -39,7 +39,7 @@ def outcome(messy: Messy, folder: Path) -> str:
         mended = ", read with: `" + "`, `".join(messy.lines.split("\n")[:-1]) + "`"
         return f"refused: {' '.join(reason.split())}" + (mended if messy.lines else "")
     rates = " and ".join(f"{one.sampling_rate_Hz:.9g} Hz" for one in found)
-    odd = dict.fromkeys(problem.kind for one in found for problem in one.problems)
+    odd = dict.fromkeys(problem.quantity for one in found for problem in one.statements)
     mended = ", goes with: `" + "`, `".join(messy.lines.split("\n")[:-1]) + "`"
     told = f"; told: {', '.join(f'`{kind}`' for kind in odd)}" if odd else ""
     return f"read, {rates}{told}" + (mended if messy.lines else "")
