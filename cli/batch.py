@@ -1,7 +1,7 @@
 """`piezoid batch`: a folder of stages in, every stage's folder and one summary page out."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
@@ -69,12 +69,13 @@ def batch(
 
     piezoid batch night/ --out s3://night/results --scheduler tcp://10.0.0.5:8786
     """
-    from piezoid_cli.batch_cluster import check_ours, stages_of
+    from piezoid_cli.batch_cluster import stages_of
     from piezoid_cli.batch_cluster import workers as cluster
+    from piezoid_cli.results_place import results_place
     from piezoid_reports.fleet.records import Fleet, StagesOnDisk
 
     tasks = stages_of(folder, out)
-    check_ours(out, force=force)
+    results_place(out, force=force).check()
     with StagesOnDisk() as stages:
         with (
             cluster(scheduler, workers) as client,
@@ -82,7 +83,7 @@ def batch(
         ):
             done = done_by(client, tasks, stages, retries, force=force, before=before, ended=ended)
         fleet = Fleet(name=folder.resolve().name, stages=stages)
-        write_summary(out, fleet, printed=json)
+        write_summary(out, fleet, printed=json, force=force)
         if not (quiet or json):
             _show(fleet, done, out)
         if not fleet.passed:
@@ -109,14 +110,16 @@ def done_by(
 
     Returns how many were finished before.
     """
+    from dataclasses import replace
     from functools import partial
 
+    from piezoid.errors import OutputFolderError
     from piezoid_cli.batch_cluster import answers, waiting_of
     from piezoid_cli.results_place import RECORD, results_place
     from piezoid_cli.stage_task import Known, Outcome, StageTask, broken, known_of, work_off
     from piezoid_reports.fleet.records import CRASHED
 
-    place = results_place(tasks[0].results)
+    place, tasks = results_place(tasks[0].results), [replace(t, force=force) for t in tasks]
     unknown = lambda task, _: Known(task.name, None, False)  # noqa: E731
     waiting = waiting_of(
         tasks,
@@ -130,7 +133,8 @@ def done_by(
 
     def broken_off(task: StageTask, reason: str) -> Outcome:
         record = broken(task, CRASHED, reason)
-        place.write(task.name, {RECORD: record.to_json()})
+        with suppress(OutputFolderError):  # somebody put a file there meanwhile
+            place.write(task.name, {RECORD: record.to_json()})
         return Outcome(task.name, record.packed())
 
     for name, packed in answers(client, work or work_off, waiting, retries, broken_off):
@@ -140,12 +144,13 @@ def done_by(
     return finished
 
 
-def write_summary(out: str, fleet: "Fleet", *, printed: bool = False) -> None:
+def write_summary(out: str, fleet: "Fleet", *, printed: bool = False, force: bool = False) -> None:
     """Write what is said of all stages, the batch's own record last.
 
     printed  whether that record is printed as well
+    force    replace a summary although it was edited
     """
-    from piezoid_cli.results_place import RECORD, results_place
+    from piezoid_cli.results_place import SUMMARY, results_place
     from piezoid_reports.fleet.chapters import render_fleet
 
     def write_record(stream: BinaryIO) -> None:
@@ -155,10 +160,11 @@ def write_summary(out: str, fleet: "Fleet", *, printed: bool = False) -> None:
             for line in stream:
                 hand_over(line)
 
-    place = results_place(out)
-    place.put("summary.html", lambda stream: stream.write(render_fleet(fleet).encode()))
-    place.put("parameters.parquet", lambda stream: write_table(fleet, stream))
-    place.put(RECORD, write_record)
+    place = results_place(out, force=force)
+    page, table, record = SUMMARY
+    place.put(page, lambda to: to.write(render_fleet(fleet).encode()))
+    place.put(table, lambda to: write_table(fleet, to))
+    place.put(record, write_record)
 
 
 @contextmanager

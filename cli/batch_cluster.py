@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, TypeVar
 import typer
 
 from piezoid.errors import RecordingError
+from piezoid.output_folder import lists_results
 from piezoid_cli.results_place import results_place
 from piezoid_cli.stage_task import LAB, Known, StageTask
 
@@ -186,11 +187,16 @@ def stages_of(folder: Path, results: str) -> tuple[StageTask, ...]:
 def _tasks(folder: Path, results: str) -> Iterator[StageTask]:
     root, now = os.path.realpath(folder), version("piezoid")
     for place, below, files in os.walk(root):
-        below.sort()
+        below[:] = sorted(name for name in below if not _is_result(Path(place, name), results))
         if LAB in files and os.path.isfile(os.path.join(place, LAB)):
             name = Path(os.path.relpath(place, root)).as_posix()
             _check_name(name)
             yield StageTask(name=name, folder=place, results=results, version=now)
+
+
+def _is_result(folder: Path, results: str) -> bool:
+    """Return whether a folder holds what a fit or a batch wrote: that is no stage to be done."""
+    return lists_results(folder) or os.path.realpath(folder) == os.path.realpath(results)
 
 
 def _check_name(name: str) -> None:
@@ -202,17 +208,6 @@ def _check_name(name: str) -> None:
             needed="names that can be written into the summary",
             remedy="Rename the folder.",
         ) from error
-
-
-def check_ours(results: str, *, force: bool) -> None:
-    """Refuse a place that holds something else, before any work is done."""
-    place = results_place(results)
-    if force or place.begun or not place.holds_anything:
-        return
-    raise typer.BadParameter(
-        f"{results} holds something that is no batch; name another folder, or add --force to "
-        "write into it"
-    )
 
 
 def waiting_of(
@@ -227,11 +222,14 @@ def waiting_of(
     check     compares what is kept of stages with their files; done by workers
     finished  given name and packed record of every stage whose inputs and version are the same
 
-    Raises ``typer.BadParameter`` where results would be replaced without ``force``.
+    Raises ``typer.BadParameter`` where results would be replaced without ``force``, and
+    ``OutputFolderError`` where a stage's folder holds what piezoid did not write.
     """
     done: set[str] = set()
     changed: list[str] = []
     for known in check(tasks) if results_place(tasks[0].results).begun else ():
+        if known.refusal:
+            raise known.refusal
         if known.packed is not None:
             done.add(known.name)
             finished(known.name, known.packed)

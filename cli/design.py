@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import Quiet, StageLab, hand_over, plain, say, table
+from piezoid_cli.terminal import Force, Quiet, StageLab, hand_over, plain, say, table
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -24,6 +24,7 @@ def design(
         typer.Option(help="Controller's samples per second, if lab.toml did not say.", min=0.0),
     ] = None,
     lab: StageLab = None,
+    force: Force = False,
     quiet: Quiet = False,
     json: Annotated[
         bool, typer.Option("--json", help="For scripts: print design.json itself.")
@@ -45,9 +46,9 @@ def design(
     from json import loads
 
     from piezoid.design.stage import Asked, design_stage
+    from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.sealed_files import read_model
     from piezoid_cli.export import show_unshipped
-    from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
     from piezoid_cli.stage_files import content_of, lab_of, text_of
     from piezoid_reports.render import render_design
@@ -55,6 +56,7 @@ def design(
     content = content_of(stage / "model.json")
     model = read_model(content, str(stage / "model.json"))
     asked = None if spec is None else Asked(text=text_of(spec), place=spec.name)
+    check_folder(stage, force=force, names=("design.json", "design.html"))
     with shown(quiet=quiet or json) as told:
         found = design_stage(
             model,
@@ -66,7 +68,8 @@ def design(
         )
     page = render_design(model, found)
     written = found.to_json()
-    add_to_folder(stage, {"design.json": written, "design.html": page.encode()})
+    pages = {"design.json": written, "design.html": page.encode()}
+    add_to_folder(stage, pages, force=force)
     if json:
         hand_over(written)
     elif not quiet:

@@ -51,11 +51,13 @@ def diagnose(
 
     piezoid diagnose stage42/model.json today.csv --lab lab.toml --out today42/
     """
-    from piezoid_cli.output_folder import check_free, write_folder
+    from piezoid.output_folder import check_folder, write_folder
     from piezoid_cli.progress import shown
     from piezoid_cli.side_by_side import usable_cores
 
-    check_free(out, force=force, inputs=files)
+    check_folder(
+        out, force=force, new=True, names=("diagnosis.json", "diagnosis.html"), inputs=files
+    )
     with shown(quiet=quiet or json) as told:
         told("reading recordings")
         from piezoid.diagnosis.diagnose import diagnose as find

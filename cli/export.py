@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import Json, Quiet, StageLab, hand_over_record, plain, say
+from piezoid_cli.terminal import Force, Json, Quiet, StageLab, hand_over_record, plain, say
 
 if TYPE_CHECKING:
     from piezoid.design.design import Design
@@ -25,6 +25,7 @@ def export(
         typer.Option(help="Beside the bundle: fmu, library, pi-pid, biquad, nanonis, waveform."),
     ] = None,
     box: Annotated[Path | None, typer.Option(help="box.toml: what the boxes can hold.")] = None,
+    force: Force = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -57,10 +58,10 @@ def export(
     from piezoid.design.design import design_from_json
     from piezoid.export.bundle import bundle
     from piezoid.export.parameter_file import to_json
+    from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.sealed_files import read_model
     from piezoid.targets.box import Box, read_box
     from piezoid.targets.targets import TARGETS, known_targets
-    from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
     from piezoid_cli.side_by_side import usable_cores
     from piezoid_cli.stage_files import content_of, lab_of, same_model
@@ -74,6 +75,7 @@ def export(
     same_model(model_content, design.model_digest, "design.json", "piezoid design")
     digest = loads(content)["digest"]
     declared = lab_of(stage, lab)
+    check_folder(stage, force=force, names=("params.json", "verification.json"))
     with shown(quiet=quiet or json) as told:
         found = shipped(
             model,
@@ -92,7 +94,7 @@ def export(
         contents |= {f"bundle/{name}": text for name, text in bundle(file).files.items()}
         contents["params.json"] = to_json(file)
     contents["verification.json"] = found.verification.to_json()
-    add_to_folder(stage, contents, gone=("params.json", *TARGETS, REFUSED))
+    add_to_folder(stage, contents, gone=("params.json", *TARGETS, REFUSED), force=force)
     unshipped = found.reasons if file is None else file.unshipped
     if json:
         hand_over_record(

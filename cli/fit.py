@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from piezoid.identification.model import AxisModel
     from piezoid.identification.tunnelling.model import TunnellingModel
 
+WRITTEN = (
+    *("model.json", "diagnosis.json", "design.json", "params.json", "verification.json"),
+    *("report.html", "bundle/README.md"),
+)
 UNDIAGNOSED = (
     "not diagnosed: recordings that are read in chunks are not searched for causes; fit a part "
     "that fits into memory (start_s and stop_s in lab.toml) to have it diagnosed"
@@ -70,12 +74,12 @@ def fit(
 
     piezoid fit night.parquet --lab lab.toml --out stage42/ --stream
     """
+    from piezoid.output_folder import check_folder, write_folder
     from piezoid_cli.calibration import calibrate
-    from piezoid_cli.output_folder import check_free, write_folder
     from piezoid_cli.progress import shown
     from piezoid_cli.side_by_side import usable_cores
 
-    check_free(out, force=force, inputs=files)
+    check_folder(out, force=force, new=True, names=WRITTEN, inputs=files)
     count = processes or usable_cores()
     with shown(quiet=quiet or json) as told:
         if stream:

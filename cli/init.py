@@ -33,21 +33,23 @@ def init(
 
     piezoid init data/*.csv --out data/lab.toml --json | jq .incomplete[]
     """
+    from piezoid.output_folder import write_file
     from piezoid.records.inspection import inspect_files
-    from piezoid.records.lab_draft import draft_lab
+    from piezoid.records.lab_draft import HEAD, draft_lab
     from piezoid_cli.inspect import show
-    from piezoid_cli.output_folder import check_free_file, check_there, write_file
     from piezoid_cli.progress import shown
 
-    check_free_file(out, force=force)
-    check_there(files)
+    opening = HEAD.partition("\n")[0].encode()
+    write_file(out, b"", opening=opening, force=force, only_check=True)
+    for place in files:
+        place.stat()
     with shown(quiet=quiet or json) as told:
         told("reading recordings")
         inspections = inspect_files(files)
         draft = draft_lab(files, out.parent)
     if not (quiet or json):
         show(inspections)
-    write_file(out, draft.text.encode())
+    write_file(out, draft.text.encode(), opening=opening, force=force)
     if json:
         hand_over_record("drafted", file=str(out), incomplete=list(draft.incomplete))
     elif not quiet:

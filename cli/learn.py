@@ -53,7 +53,7 @@ def learn(
 
     piezoid learn stage42/ --reference scan.csv --open-loop --axis x --out wave/
     """
-    from piezoid_cli.output_folder import check_free, write_folder
+    from piezoid.output_folder import check_folder, write_folder
     from piezoid_cli.progress import shown
     from piezoid_cli.stage_files import content_of, lab_of, same_model
 
@@ -61,7 +61,8 @@ def learn(
         raise typer.BadParameter("--period and --table belong together: neither, or both")
     if not gain > 0.0:
         raise typer.BadParameter(f"--gain {gain:g}: a gain above 0 learns")
-    check_free(out, force=force)
+    read = [place for place in (reference, period, table) if place is not None]
+    check_folder(out, force=force, new=True, inputs=read)
     with shown(quiet=quiet or json) as told:
         told("reading the stage")
         from piezoid.design.stage import controller_rate_Hz

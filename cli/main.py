@@ -3,8 +3,6 @@
 import os
 import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from typing import Annotated, Any, cast
 
 import typer
@@ -34,6 +32,7 @@ from piezoid_cli.verify import verify
 
 _OURS = "This is a mistake of ours; run the same command with --debug and send us what it prints."
 ASKS_FOR_ALL = ("-v", "--verbose")
+USAGE = 2
 INTERRUPTED = 130  # what shells say of a program that Ctrl-C ended
 
 # What is wrong with the words behind a verb; the package names only one kind of it.
@@ -49,12 +48,16 @@ class Verbs(TyperGroup):
     """The verbs; words behind them may be names of files, and are told as text."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run a verb."""
+        """Run a verb; a folder that may not be written is a mistake in its arguments."""
         try:
             return super().invoke(ctx)
         except _UsageError as error:
             error.message = one_line(error.message)
             raise
+        except Exception as error:
+            if getattr(error, "exit_status", 0) != USAGE:
+                raise
+            raise _UsageError(one_line(str(error)), ctx) from error
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the verb; name all of them where there is none of that name."""
@@ -133,8 +136,7 @@ def main() -> None:
         EVERYTHING.set(True)
     signal.signal(signal.SIGINT, _interrupt)
     try:
-        with standing(quiet="--quiet" in arguments):
-            app(arguments)
+        app(arguments)
     except Interrupted:
         sys.stderr.write("interrupted: nothing is left half written\n")
         sys.exit(INTERRUPTED)
@@ -172,41 +174,6 @@ def _about_disk(error: OSError) -> str:
         f"{place}: {error.strerror or error}. Needed: a place where this command may read and "
         "write. Check the name, the permissions and the space that is left."
     )
-
-
-@contextmanager
-def standing(*, quiet: bool) -> Iterator[None]:
-    """Begin in the folder the shell names, and say at the end where it must be entered again.
-
-    A folder of results is exchanged whole, so that nobody ever sees half of one. A shell that
-    stands in it then stands in the folder of before, which is gone.
-    """
-    name = os.environ.get("PWD", "")
-    with suppress(OSError):
-        if name and not _is_there():
-            os.chdir(name)  # an earlier verb of the same line has replaced it
-    with suppress(OSError):
-        name = name if name and os.path.samefile(name, ".") else os.getcwd()
-    try:
-        yield
-    finally:
-        if not quiet and name and _is_another(name):
-            sys.stderr.write("this folder was replaced by the finished one: `cd .` enters it\n")
-
-
-def _is_there() -> bool:
-    try:
-        os.getcwd()
-    except FileNotFoundError:
-        return False
-    return True
-
-
-def _is_another(name: str) -> bool:
-    try:
-        return not os.path.samefile(name, ".")
-    except OSError:
-        return False
 
 
 if __name__ == "__main__":

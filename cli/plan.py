@@ -54,12 +54,14 @@ def plan(
     of them answers, the best is written all the same, with how little it would give and which
     limit forbids more ("answers": false in plan.json); exit status 3 means that none shows it.
     """
-    from piezoid_cli.output_folder import add_to_folder, check_free, write_folder
+    from piezoid.output_folder import add_to_folder, check_folder, write_folder
     from piezoid_cli.progress import shown
     from piezoid_cli.stage_files import lab_of
 
-    if out is not None:
-        check_free(out, force=force)
+    if out is None:
+        check_folder(stage, force=force, names=("drive.csv", "plan.json"))
+    else:
+        check_folder(out, force=force, new=True, inputs=files or ())
     with shown(quiet=quiet or json) as told:
         told("reading the stage")
         from piezoid.diagnosis.experiment import plan as choose
@@ -80,7 +82,7 @@ def plan(
         )
         written = known.files_of(found)
         if out is None:
-            add_to_folder(stage, written)
+            add_to_folder(stage, written, force=force)
         else:
             write_folder(out, written, force=force)
     if json:

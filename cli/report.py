@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import Json, Quiet, hand_over_record, say
+from piezoid_cli.terminal import Force, Json, Quiet, hand_over_record, say
 
 if TYPE_CHECKING:
     from piezoid.identification.actuator_model import ActuatorModel
@@ -25,6 +25,7 @@ def report(
     lab: Annotated[
         Path | None, typer.Option(help="lab.toml; default: the one in the folder.")
     ] = None,
+    force: Force = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -39,20 +40,21 @@ def report(
 
     piezoid report stage42/ sweep.csv check.csv
     """
+    from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.sealed_files import read_model
-    from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
     from piezoid_cli.stage_files import content_of
 
     with shown(quiet=quiet or json) as told:
         told("reading the folder")
+        check_folder(stage, force=force, names=("report.html",))
         held = {name: content_of(stage / name) for name in SEALED if (stage / name).exists()}
         content = content_of(stage / "model.json")
         model = read_model(content, str(stage / "model.json"))
         recorded = _recorded(model, files or (), stage, lab)
         told("drawing")
         page = _page(model, recorded, held, stage, lab)
-        add_to_folder(stage, {"report.html": page.encode()})
+        add_to_folder(stage, {"report.html": page.encode()}, force=force)
     if json:
         hand_over_record("reported", report=str(stage / "report.html"))
     elif not quiet:

@@ -57,12 +57,12 @@ def simulate(
 
     piezoid simulate --out tip/ --seed 7 --junction 4 --json
     """
-    from piezoid_cli.output_folder import check_free, write_folder
+    from piezoid.output_folder import check_folder, write_folder
     from piezoid_cli.progress import shown
     from piezoid_datasets.virtual_lab.campaign import draw_campaign
     from piezoid_datasets.virtual_lab.write import campaign_files
 
-    check_free(out, force=force)
+    check_folder(out, force=force, new=True)
     if junction is not None:
         if effect or truth or recording or careless:
             raise typer.BadParameter("--junction records a tip: nothing is hidden in a stage then")
@@ -91,7 +91,7 @@ def simulate(
 def _write_junction(
     seed: int, seconds: float, out: Path, *, force: bool, quiet: bool
 ) -> dict[str, bytes]:
-    from piezoid_cli.output_folder import write_folder
+    from piezoid.output_folder import write_folder
     from piezoid_cli.progress import shown
     from piezoid_datasets.virtual_lab.junction_campaign import (
         draw_junction_campaign,

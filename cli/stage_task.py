@@ -6,6 +6,7 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, NamedTuple
 
+from piezoid.errors import OutputFolderError
 from piezoid_cli.results_place import RECORD, results_place
 from piezoid_reports.fleet.records import (
     CRASHED,
@@ -35,12 +36,14 @@ class StageTask:
     folder   where its files lie, as every worker sees it
     results  folder or URL of the results, as every worker sees it
     version  of piezoid
+    force    replace results of this stage although they were edited
     """
 
     name: str
     folder: str
     results: str
     version: str
+    force: bool = False
 
 
 class Outcome(NamedTuple):
@@ -55,11 +58,13 @@ class Known(NamedTuple):
 
     packed   the record, where it is of the same inputs and version; None: the stage is to be done
     changed  whether results of other inputs or of another version would be replaced
+    refusal  why its results may not be written
     """
 
     name: str
     packed: bytes | None
     changed: bool
+    refusal: OutputFolderError | None = None
 
 
 def known_of(tasks: Sequence[StageTask]) -> list[Known]:
@@ -68,9 +73,19 @@ def known_of(tasks: Sequence[StageTask]) -> list[Known]:
     for task in tasks:
         kept = _kept(task)
         same = kept is not None and _is_of(kept, task, inputs_of(task))
-        record = kept.packed() if kept is not None and same else None
-        found.append(Known(task.name, record, kept is not None and not same))
+        if kept is not None and same:
+            found.append(Known(task.name, kept.packed(), False))
+        else:
+            found.append(Known(task.name, None, kept is not None, _refusal_of(task)))
     return found
+
+
+def _refusal_of(task: StageTask) -> OutputFolderError | None:
+    try:
+        results_place(task.results, force=task.force).check_stage(task.name)
+    except OutputFolderError as refusal:
+        return refusal
+    return None
 
 
 def work_off(
@@ -93,7 +108,7 @@ def work_off(
 
 
 def _worked(task: StageTask, run: "Run") -> Outcome:
-    place, inputs = results_place(task.results), inputs_of(task)
+    place, inputs = results_place(task.results, force=task.force), inputs_of(task)
     place.check_seen()
     kept = _kept(task)
     if kept is not None and _is_of(kept, task, inputs):

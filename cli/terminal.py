@@ -20,7 +20,10 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace what the folder holds.")]
+Force = Annotated[
+    bool,
+    typer.Option("--force", help="Replace files that piezoid wrote there, edited ones as well."),
+]
 StageLab = Annotated[Path | None, typer.Option(help="lab.toml; by default the one in the folder.")]
 Json = Annotated[bool, typer.Option("--json", help="For scripts: one JSON text.")]
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import Quiet, StageLab, hand_over, plain, say, table
+from piezoid_cli.terminal import Force, Quiet, StageLab, hand_over, plain, say, table
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -40,6 +40,7 @@ def verify(
     ] = None,
     lab: StageLab = None,
     seed: Annotated[int, typer.Option(help="Of sensor noise and drawn stages.", min=0)] = 0,
+    force: Force = False,
     quiet: Quiet = False,
     json: Annotated[
         bool, typer.Option("--json", help="For scripts: print verification.json itself.")
@@ -63,10 +64,10 @@ def verify(
         raise typer.BadParameter(f"--target {target!r} is not known; cortex-m4 is")
     from piezoid.export.parameter_file import from_json
     from piezoid.numerics.executor import Executor
+    from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.sealed_files import read_model
     from piezoid.verification.criteria import limits_from_toml
     from piezoid.verification.stage import verify_stage
-    from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
     from piezoid_cli.side_by_side import usable_cores
     from piezoid_cli.stage_files import content_of, lab_of, same_model, text_of
@@ -78,6 +79,7 @@ def verify(
     declared = lab_of(stage, lab)
     design = _design(stage, file) if bounds else None
     chosen = None if limits is None else limits_from_toml(text_of(limits), limits.name)
+    check_folder(stage, force=force, names=("verification.json",))
     with shown(quiet=quiet or json) as told:
         told("compiling and comparing" if rebuild or target else "running the controller")
         held = _held(stage / "bundle")
@@ -99,7 +101,7 @@ def verify(
             bounds=bounds,
         )
         written = found.to_json()
-        add_to_folder(stage, {"verification.json": written})
+        add_to_folder(stage, {"verification.json": written}, force=force)
     if json:
         hand_over(written)
     elif not quiet:

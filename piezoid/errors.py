@@ -13,6 +13,7 @@
     |   +-- UnstableLoopError
     |   +-- TemplateError             which template, at which frequency, by how much
     +-- ParameterFileError        wrong schema, failed digest, unknown name
+    +-- OutputFolderError         a folder that may not be written
     +-- PictureError              nothing of that kind can be drawn
     +-- RuntimeLibraryError       compiled library missing or of another layout
 
@@ -112,6 +113,12 @@ class TemplateError(DesignError):
 
 class ParameterFileError(PiezoidError):
     """A file of ours is of another schema, changed, or incomplete."""
+
+
+class OutputFolderError(PiezoidError):
+    """A folder or file may not be written: it holds what piezoid did not write."""
+
+    exit_status = 2
 
 
 class PictureError(PiezoidError):

@@ -10,6 +10,7 @@ from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.store import write_model
+from piezoid.output_folder import add_to_folder
 from piezoid.records.collection import Collection
 from piezoid.records.lab import Lab
 
@@ -46,17 +47,16 @@ class Calibration:
         return self.model.applies and self.controllers.passed and not self.stumbled
 
     def save(self, folder: str | Path) -> None:
-        """Write every file into a folder, which is made; files of other names stay there.
+        """Write every file into a folder that is new, empty or of an earlier calibration.
+
+        Raises ``OutputFolderError`` where a file was edited or is not one that piezoid wrote.
 
         >>> done = piezoid.calibrate("sweep.csv")
         >>> done.save("stage")
         >>> piezoid.load("stage").applies
         True
         """
-        for name, content in self.files.items():
-            place = Path(folder) / name
-            place.parent.mkdir(parents=True, exist_ok=True)
-            place.write_bytes(content)
+        add_to_folder(folder, self.files)
 
 
 @dataclass(frozen=True, kw_only=True)

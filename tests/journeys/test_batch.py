@@ -123,4 +123,4 @@ def test_a_batch_of_nothing_and_a_folder_of_something_else_are_refused(tmp_path:
     (tmp_path / "mine" / "thesis.tex").write_text("precious")
     mine = piezoid("batch", tmp_path / "night", "--out", tmp_path / "mine")
     assert mine.returncode == 2
-    assert "no batch" in mine.stderr
+    assert "bears no manifest" in mine.stderr

@@ -97,13 +97,20 @@ def test_an_ambiguous_file_becomes_an_entry_to_complete_and_the_status_says_so(
 
 def test_a_lab_file_that_is_there_is_kept_unless_forced(tmp_path: Path) -> None:
     path = sweep(tmp_path / "a.csv")
-    (tmp_path / "lab.toml").write_text("precious")
-    status, shown = run(path, "--out", tmp_path / "lab.toml")
-    assert status == 2
-    assert "--force" in shown
-    assert (tmp_path / "lab.toml").read_text() == "precious"
-    assert run(path, "--out", tmp_path / "lab.toml", "--force", "--quiet") == (0, "")
-    assert read_lab(tmp_path / "lab.toml").recordings[0].file == "a.csv"
+    lab = tmp_path / "lab.toml"
+    lab.write_text("precious")
+    for words in ((), ("--force",)):
+        status, shown = run(path, "--out", lab, *words)
+        assert status == 2
+        assert "--force" in shown
+        assert lab.read_text() == "precious"
+    lab.unlink()
+    run(path, "--out", lab)
+    lab.write_text(lab.read_text() + "# edited\n")
+    assert run(path, "--out", lab)[0] == 2
+    assert run(path, "--out", lab, "--force", "--quiet") == (0, "")
+    assert "# edited" not in lab.read_text()
+    assert read_lab(lab).recordings[0].file == "a.csv"
 
 
 def test_files_are_named_from_the_folder_of_the_lab_file(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import piezoid_datasets
+from piezoid.output_folder import write_folder
 
 # Begins the verb's work, and says so, before it waits to be interrupted.
 FIT = """
@@ -25,8 +26,7 @@ main()
 """
 WRITE = """
 import sys
-import piezoid_cli.init
-import piezoid_cli.output_folder as folder
+import piezoid.output_folder as folder
 from piezoid_cli.main import _interrupt, Interrupted
 from pathlib import Path
 import signal
@@ -36,7 +36,8 @@ try:
     n = 0
     while True:
         n += 1
-        folder.write_folder(Path("stage"), {f"{i}.bin": b"%d" % n * 20000 for i in range(8)})
+        files = {f"{i}.bin": b"%d" % n * 20000 for i in range(8)}
+        folder.write_folder(Path("stage"), files, force=True)
 except Interrupted:
     sys.exit(130)
 """
@@ -60,13 +61,13 @@ def interrupted(code: str, place: Path, after_s: float, *arguments: str | Path) 
 
 @pytest.mark.parametrize("after_s", [0.1, 1.5])
 def test_an_interrupted_fit_leaves_what_was_there(tmp_path: Path, after_s: float) -> None:
-    (tmp_path / "stage").mkdir()
-    (tmp_path / "stage" / "model.json").write_text("precious")
+    write_folder(tmp_path / "stage", {"model.json": b"precious"})
+    before = sorted(p.name for p in (tmp_path / "stage").iterdir())
     sweep = piezoid_datasets.recordings()[0]
     status = interrupted(FIT, tmp_path, after_s, "fit", sweep, "--out", "stage", "--force")
     assert status == 130
     assert [p.name for p in tmp_path.iterdir()] == ["stage"]
-    assert [p.name for p in (tmp_path / "stage").iterdir()] == ["model.json"]
+    assert sorted(p.name for p in (tmp_path / "stage").iterdir()) == before
     assert (tmp_path / "stage" / "model.json").read_text() == "precious"
 
 
@@ -76,6 +77,6 @@ def test_interrupted_while_writing_the_folder_is_whole_and_alone(
 ) -> None:
     assert interrupted(WRITE, tmp_path, after_s) == 130
     assert {p.name for p in tmp_path.iterdir()} <= {"stage"}
-    held = [p.read_bytes() for p in (tmp_path / "stage").glob("*")]
+    held = [p.read_bytes() for p in (tmp_path / "stage").glob("*.bin")]
     assert len(held) in (0, 8)
     assert len(set(held)) <= 1

@@ -20,6 +20,7 @@ from piezoid.verification.verification import verification_from_json
 from piezoid_cli.export import export
 from piezoid_cli.report import report
 from piezoid_cli.verify import verify
+from tests.foreign_objects import KINDS, look, plant
 from tests.verification.known_fit import fitted, junction_model
 from tests.verification.rig import RATE_Hz
 
@@ -65,6 +66,19 @@ def folder(designed, tmp_path):
 
 def called(*arguments):
     return CliRunner().invoke(APP, [str(argument) for argument in arguments])
+
+
+def test_verbs_leave_objects_of_all_kinds_in_the_folder_as_they_are(folder, tmp_path):
+    names = [f"{sub}/{kind}" for sub in ("", "bundle", "refused", "mine") for kind in KINDS]
+    for name in names:
+        plant(kind=name.split("/")[1], place=folder / f"./{name}", beyond=tmp_path / "beyond")
+    before = [look(folder / f"./{name}") for name in (*names, "beyond")]
+    for verb in ("export", "export", "verify"):
+        assert called(verb, folder).exit_code == 0
+        assert [look(folder / f"./{name}") for name in (*names, "beyond")] == before
+    (folder / "bundle/golden.csv").write_text("my notes")
+    assert called("export", folder).exception.exit_status == 2
+    assert (folder / "bundle/golden.csv").read_text() == "my notes"
 
 
 def test_targets_come_beside_the_bundle_and_go_with_an_export_that_does_not_ask_for_them(folder):

@@ -1,0 +1,517 @@
+"""Write folders of results; nothing that piezoid did not write is replaced, removed or followed.
+
+A folder is written if it is new, empty, or bears a manifest: ``manifest.json``, sealed, lists each
+file that piezoid wrote there with its digest. In a folder without one, sealed files are ours.
+
+* Only listed files are replaced or removed; one that was edited only with ``force``.
+* Links are not followed. Files, folders, links, pipes and devices of others stay, and so do modes.
+* The root of a disk, a home folder, the working directory and a repository are never written.
+
+Killed at any moment, a folder that holds nothing else is as before or finished: it is exchanged in
+one step. Beside objects of others, and where the system has no such step, each file is whole, old
+or new; the manifest lists both until the last one is in its place, and the next run goes on.
+"""
+
+import ctypes
+import errno
+import os
+import signal
+import stat
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, suppress
+from json import loads
+from pathlib import Path, PurePosixPath
+from secrets import token_hex
+from typing import BinaryIO
+
+from piezoid.digests import digest_of_bytes, digest_of_file, seal, unseal
+from piezoid.errors import OutputFolderError, PiezoidError
+
+MANIFEST = "manifest.json"
+SCHEMA = "piezoid.manifest/1"
+# What versions without a manifest wrote beside sealed files; replaced with ``force`` only.
+UNSEALED = (
+    *("report.html", "diagnosis.html", "design.html", "summary.html", "parameters.parquet"),
+    *("drive.csv", "bundle/piezo_params.h", "bundle/piezoid_runtime.h"),
+    *("bundle/piezoid_runtime.c", "bundle/example_main.c", "bundle/golden.csv"),
+    "bundle/README.md",
+)
+_MAX_SEALED_bytes = 1 << 27
+_REPOSITORIES = (".git", ".hg", ".svn")
+_UNFINISHED = ".unfinished"
+_UNION = f"union{_UNFINISHED}"  # the manifest during an exchange file by file
+_AT_FDCWD, _NOREPLACE, _EXCHANGE = -100, 1, 2  # of renameat2
+
+Content = bytes | Callable[[BinaryIO], object]
+Listed = Mapping[str, Collection[str]]  # file names and the digests that each may have
+
+
+def check_folder(
+    folder: str | Path,
+    *,
+    force: bool = False,
+    new: bool = False,
+    names: Iterable[str] | None = None,
+    inputs: Iterable[Path] = (),
+) -> None:
+    """Decide whether a folder may be written, before any work is done.
+
+    folder  new, empty, or with files that piezoid wrote
+    force   replace these files, edited ones too
+    new     refuse a folder that holds results, unless ``force``
+    names   files to write or to remove, as far as they are known; None: all that are listed
+    inputs  files that are read: none of them may lie in a folder that is replaced
+
+    Raises ``OutputFolderError`` (exit status 2), and ``PermissionError`` where nothing can be
+    written.
+    """
+    target = _target_of(folder)
+    for given in inputs:
+        if Path(os.path.realpath(given)).is_relative_to(target):
+            raise refusal(f"{folder} holds {given}, which is read")
+    listed = _listed_in(target)
+    if listed and new and not force:
+        raise OutputFolderError(
+            f"{folder} is not empty: it holds results",
+            needed="a new or an empty folder",
+            remedy="Name another folder, or add --force to replace its results.",
+        )
+    _check_names(target, listed, listed if names is None else names, force=force)
+    beside = next(above for above in target.parents if above.exists())
+    for place in (beside, target) if target.exists() else (beside,):
+        if not os.access(place, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(place))
+
+
+def write_folder(
+    folder: str | Path,
+    contents: Mapping[str, Content],
+    *,
+    force: bool = False,
+    shared: bool = False,
+) -> None:
+    """Write a folder of results in the place of those that it holds.
+
+    contents  file names, with / for sub-folders, and their bytes, or what writes them to a stream
+    force     as for ``check_folder``, which decides once more
+    shared    one of very many folders beside each other, each written by one process only: nobody
+              is waited for, and ``remove_unfinished`` removes what killed runs left. Without
+              ``force``, results that nobody edited are replaced
+    """
+    with nullcontext() if shared else _alone_beside(folder):
+        listed = _listed_in(_target_of(folder))
+        check_folder(folder, force=force, new=not shared, names={*contents, *listed})
+        _write(folder, contents, gone=listed, force=force)
+
+
+def add_to_folder(
+    folder: str | Path,
+    contents: Mapping[str, Content],
+    *,
+    gone: Sequence[str] = (),
+    force: bool = False,
+) -> None:
+    """Add files to a folder of results, or replace them there.
+
+    contents  as for ``write_folder``; every other file stays as it is
+    gone      files and sub-folders of ours that do not stay, unless ``contents`` has them
+    force     replace files of ours although they were edited
+    """
+    with _alone_beside(folder):
+        listed = _listed_in(_target_of(folder))
+        stale = [n for n in listed if n in gone or PurePosixPath(n).parts[0] in gone]
+        check_folder(folder, force=force, names=(*contents, *stale))
+        _write(folder, contents, gone=stale, force=force)
+
+
+def remove_unfinished(folder: Path, name: str = "") -> None:
+    """Remove what killed runs left beside the folder of a name, or of any, while nobody writes."""
+    for entry in os.listdir(folder) if folder.is_dir() else ():
+        written, _, _ = entry.removesuffix(_UNFINISHED).rpartition(".")
+        is_unfinished = entry.endswith(_UNFINISHED) and written.startswith(".")
+        if is_unfinished and name in ("", written[1:]) and _is_folder(folder / entry):
+            _remove_listed(folder / entry, _read_manifest(folder / entry) or ())
+
+
+def write_file(
+    place: Path, content: bytes, *, opening: bytes, force: bool = False, only_check: bool = False
+) -> None:
+    """Write one file whole or not at all, where nothing is or, with ``force``, a file of ours.
+
+    opening     what every file of ours of this type begins with
+    only_check  decide whether it may be written, before any work is done
+    """
+    with _named(place):
+        mode = _mode_of(place)
+        if mode is not None and not stat.S_ISREG(mode):
+            raise refusal(f"{place} is no regular file")
+        if mode is not None and not (force and _begins_with(place, opening)):
+            raise OutputFolderError(
+                f"{place} is already there",
+                needed="the name of a new file",
+                remedy="Name another file; --force replaces only one that this command wrote.",
+            )
+        if only_check:
+            return
+        place.parent.mkdir(parents=True, exist_ok=True)
+        fresh = _beside(place)
+        try:
+            _fill(fresh, content)
+            _move(fresh, place, is_ours=mode is not None)
+        finally:
+            fresh.unlink(missing_ok=True)
+
+
+def lists_results(folder: str | Path) -> bool:
+    """Return whether a folder bears a manifest of a calibrated stage or of a batch."""
+    listed = _read_manifest(Path(folder)) or ()
+    return "model.json" in listed or "batch.json" in listed
+
+
+def _target_of(folder: str | Path) -> Path:
+    """Return the folder behind a name; refuse what is none or what is never written."""
+    path = Path(folder)
+    is_named = path.name not in ("", "..")
+    target = Path(os.path.realpath(path.parent if is_named else path))
+    target = target / path.name if is_named else target
+    if os.path.islink(target):
+        raise refusal(f"{folder} is a link to {os.readlink(target)}, which is not followed")
+    if os.path.lexists(target) and not target.is_dir():
+        raise refusal(f"{folder} is a file")
+    if reason := _is_protected(target):
+        raise refusal(f"{folder} {reason}")
+    return target
+
+
+def _is_protected(target: Path) -> str:
+    """Return why a folder is never written, whatever it holds; empty where it may be."""
+    if os.path.ismount(target):
+        return "is a disk of its own"
+    homes = [os.path.expanduser("~")]
+    with suppress(ImportError, KeyError):  # not every system has users, nor every user an entry
+        import pwd
+
+        homes.append(pwd.getpwuid(os.getuid()).pw_dir)
+    if any(Path(os.path.realpath(home)).is_relative_to(target) for home in homes):
+        return "is or holds a home folder"
+    with suppress(FileNotFoundError):
+        if Path.cwd().is_relative_to(target):
+            return "is where this command runs"
+    for name in _REPOSITORIES:
+        if os.path.lexists(target / name):
+            return f"is a repository: it holds {name}"
+    return ""
+
+
+def refusal(found: str) -> OutputFolderError:
+    """Return the error about a folder that may not be written, with what was found there."""
+    return OutputFolderError(
+        found,
+        needed="a folder that is new, empty, or written by piezoid",
+        remedy="Name another folder, or one below it; --force replaces only what piezoid wrote.",
+    )
+
+
+def _listed_in(target: Path) -> Listed:
+    """Return the files of ours in a folder; refuse a folder of other people."""
+    if not target.is_dir():
+        return {}
+    listed = _read_manifest(target)
+    if listed is None:
+        listed = _unlisted_in(target)
+        if not listed and os.listdir(target):
+            raise refusal(f"{target} is not empty and bears no manifest of piezoid")
+    return listed
+
+
+def _read_manifest(folder: Path) -> dict[str, set[str]] | None:
+    return read_manifest(_read_small(folder / MANIFEST))
+
+
+def read_manifest(content: bytes) -> dict[str, set[str]] | None:
+    """Return the listed names with their digests; None where this is no manifest."""
+    try:
+        record = unseal(content, SCHEMA, MANIFEST)
+        listed = {name: set(known) for name, known in record.get("previous", {}).items()}
+        for name, digest in record["files"].items():
+            listed.setdefault(name, set()).add(digest)
+    except (PiezoidError, KeyError, AttributeError, TypeError):
+        return None
+    parts = [PurePosixPath(name).parts for name in listed]
+    return listed if all(p and p[0] != "/" and ".." not in p for p in parts) else None
+
+
+def _unlisted_in(target: Path) -> dict[str, set[str]]:
+    """Return what is ours in a folder without a manifest: sealed files and their companions."""
+    names = [n for n in os.listdir(target) if n.endswith(".json") and n != MANIFEST]
+    sealed = {n: _read_small(target / n) for n in names}
+    listed = {n: {digest_of_bytes(c)} for n, c in sealed.items() if _is_sealed(c)}
+    unknown: dict[str, set[str]] = {n: set() for n in UNSEALED if _is_regular(target / n)}
+    return listed | unknown if listed else {}
+
+
+def _is_sealed(content: bytes) -> bool:
+    try:
+        schema = str(loads(content)["schema"])
+        unseal(content, schema, "")
+    except (PiezoidError, ValueError, KeyError, TypeError, RecursionError):
+        return False
+    return schema.startswith("piezoid.")
+
+
+def _read_small(place: Path) -> bytes:
+    """Return what a regular file holds; nothing of a link, a pipe or a file of many megabytes."""
+    try:
+        if _is_regular(place) and place.lstat().st_size <= _MAX_SEALED_bytes:
+            return place.read_bytes()
+    except OSError:
+        pass
+    return b""
+
+
+def _begins_with(place: Path, opening: bytes) -> bool:
+    with place.open("rb") as stream:
+        return stream.read(len(opening)) == opening
+
+
+def _is_regular(place: Path) -> bool:
+    return os.path.lexists(place) and stat.S_ISREG(place.lstat().st_mode)
+
+
+def _check_names(target: Path, listed: Listed, names: Iterable[str], *, force: bool) -> None:
+    """Refuse names behind which something lies that may not be replaced."""
+    for name in (*names, MANIFEST):
+        place = target / name
+        for above in _folders_of([name]):
+            if os.path.lexists(target / above) and not _is_folder(target / above):
+                raise refusal(f"{target / above} is no folder of piezoid")
+        if not os.path.lexists(place) or (name == MANIFEST and _read_manifest(target) is not None):
+            continue
+        if name not in listed or not _is_regular(place):
+            raise refusal(f"{place} was not written by piezoid")
+        if not force and digest_of_file(place) not in listed[name]:
+            raise OutputFolderError(
+                f"{place} was edited since piezoid wrote it",
+                needed="the file as it was written",
+                remedy="Move it to keep it, or add --force to replace it.",
+            )
+
+
+def _is_folder(place: Path) -> bool:
+    return place.is_dir() and not place.is_symlink()
+
+
+def _folders_of(names: Iterable[str]) -> list[str]:
+    """Return the sub-folders that names lie in, the outer ones first."""
+    above = {str(p) for name in names for p in PurePosixPath(name).parents if str(p) != "."}
+    return sorted(above, key=lambda folder: (folder.count("/"), folder))
+
+
+def _write(
+    folder: str | Path, contents: Mapping[str, Content], *, gone: Iterable[str], force: bool
+) -> None:
+    """Write files beside the folder, then put them into their place."""
+    target = _target_of(folder)
+    listed = _listed_in(target)
+    gone = [name for name in gone if name not in contents]
+    kept = [n for n in listed if n not in {*contents, *gone} and _is_regular(target / n)]
+    fresh = _beside(target)
+    with _named(folder):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            fresh.mkdir()
+            _fill(fresh / MANIFEST, manifest_of(dict.fromkeys((*contents, *kept), "")))
+            digests = {n: _fill(fresh / n, content) for n, content in contents.items()}
+            digests |= {name: _digest_of(target / name, listed[name]) for name in kept}
+            _fill(fresh / MANIFEST, manifest_of(digests))
+            with _undisturbed():
+                _check_names(target, listed, (*contents, *gone), force=force)
+                _put(fresh, target, digests, listed, gone)
+        finally:
+            _remove_listed(fresh, (*contents, *kept, *listed))
+
+
+def _digest_of(place: Path, known: Collection[str]) -> str:
+    """Return which of the digests a file has; the only one even where the file was edited."""
+    actual = digest_of_file(place) if len(known) > 1 else ""
+    return actual if actual in known else min(known, default="")
+
+
+def _put(
+    fresh: Path, target: Path, digests: Mapping[str, str], listed: Listed, gone: Collection[str]
+) -> None:
+    """Put a finished folder into its place, in one step where that moves nobody else's files."""
+    if not os.path.lexists(target):
+        fresh.rename(target)
+        return
+    new = [name for name in digests if _is_regular(fresh / name)]
+    kept = [name for name in digests if name not in new]
+    is_ready = _holds_only(target, listed) and _take_over(target, fresh, kept)
+    if is_ready and _rename(fresh, target, _EXCHANGE):
+        _remove_listed(fresh, listed)
+        _return_others(fresh, target)
+        return
+    _fill(fresh / _UNION, manifest_of(digests, previous=listed))
+    _move(fresh / _UNION, target / MANIFEST)
+    for name in new:
+        (target / name).parent.mkdir(parents=True, exist_ok=True)
+        _move(fresh / name, target / name, is_ours=name in listed)
+    _remove(target, gone)
+    _move(fresh / MANIFEST, target / MANIFEST)
+
+
+def _holds_only(target: Path, listed: Listed) -> bool:
+    """Return whether a folder of this user holds no object that is not listed."""
+    names, folders = {*listed, MANIFEST}, set(_folders_of(listed))
+
+    def is_ours(place: Path) -> bool:
+        name = place.relative_to(target).as_posix()
+        if _is_folder(place):
+            return name in folders and all(map(is_ours, place.iterdir()))
+        return name in names and _is_regular(place)
+
+    return all(map(is_ours, target.iterdir()))
+
+
+def _take_over(target: Path, fresh: Path, kept: Iterable[str]) -> bool:
+    """Give the finished folder the files that stay, and all modes; False where it cannot be."""
+    here, there = fresh.stat(), target.stat()
+    if (here.st_uid, here.st_gid) != (there.st_uid, there.st_gid):
+        return False
+    try:
+        for name in kept:
+            if _is_regular(target / name):
+                (fresh / name).parent.mkdir(parents=True, exist_ok=True)
+                os.link(target / name, fresh / name)
+    except OSError:
+        return False
+    for place in (fresh, *fresh.rglob("*")):
+        if (mode := _mode_of(target / place.relative_to(fresh))) is not None:
+            place.chmod(stat.S_IMODE(mode))
+    return True
+
+
+def _mode_of(place: Path) -> int | None:
+    return place.lstat().st_mode if os.path.lexists(place) else None
+
+
+def _move(source: Path, place: Path, *, is_ours: bool = True) -> None:
+    """Move a file over one of ours, whose mode it takes, or to where nothing is."""
+    mode = _mode_of(place)
+    if mode is not None and is_ours and stat.S_ISREG(mode):
+        source.chmod(stat.S_IMODE(mode))
+        source.replace(place)
+    elif not _rename(source, place, _NOREPLACE):
+        if os.path.lexists(place):
+            raise refusal(f"{place} was not written by piezoid")
+        source.rename(place)
+
+
+def _rename(source: Path, place: Path, flag: int) -> bool:
+    """Rename without replacing, or exchange, in one step; tell whether it was done."""
+    try:
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+    except (AttributeError, OSError):
+        return False
+    names = os.fsencode(source), os.fsencode(place)
+    status: int = rename(_AT_FDCWD, names[0], _AT_FDCWD, names[1], flag)
+    return status == 0
+
+
+def _return_others(source: Path, target: Path) -> None:
+    """Move what appeared in the folder at the moment of its exchange into the one of now."""
+    for name in os.listdir(source) if source.is_dir() else ():
+        if _is_folder(source / name) and _is_folder(target / name):
+            _return_others(source / name, target / name)
+        else:
+            _rename(source / name, target / name, _NOREPLACE)
+    with suppress(OSError):
+        source.rmdir()
+
+
+def _remove_listed(folder: Path, names: Iterable[str]) -> None:
+    """Remove a folder of ours, as far as it holds what is listed and nothing else."""
+    _remove(folder, (*names, _UNION, MANIFEST))
+    with suppress(OSError):
+        folder.rmdir()
+
+
+def _remove(folder: Path, names: Collection[str]) -> None:
+    for name in names:
+        if all(_is_folder(folder / above) for above in _folders_of([name])) and _is_regular(
+            folder / name
+        ):
+            (folder / name).unlink()
+    for above in reversed(_folders_of(names)):
+        with suppress(OSError):
+            if _is_folder(folder / above):
+                (folder / above).rmdir()
+
+
+def manifest_of(files: Mapping[str, str], *, previous: Listed | None = None) -> bytes:
+    """Return the manifest of files with their digests, and with those that are replaced."""
+    record: dict[str, object] = {"files": dict(sorted(files.items()))}
+    if previous is not None:
+        record["previous"] = {name: sorted(known) for name, known in sorted(previous.items())}
+    return seal(SCHEMA, record)
+
+
+def _fill(place: Path, content: Content) -> str:
+    """Write a new file to the disk and return its digest."""
+    place.parent.mkdir(parents=True, exist_ok=True)
+    with place.open("w+b") as stream:
+        if isinstance(content, bytes):
+            stream.write(content)
+        else:
+            content(stream)
+        stream.flush()
+        os.fsync(stream.fileno())
+    return digest_of_bytes(content) if isinstance(content, bytes) else digest_of_file(place)
+
+
+def _beside(target: Path) -> Path:
+    return target.with_name(f".{target.name}.{token_hex(4)}{_UNFINISHED}")
+
+
+@contextmanager
+def _named(place: str | Path) -> Iterator[None]:
+    """Let a failing disk name what was to be written, not a file nobody has heard of."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(place)) from error
+
+
+@contextmanager
+def _alone_beside(folder: str | Path) -> Iterator[None]:
+    """Let nobody else write results beside this folder meanwhile; a killed run lets go by itself.
+
+    Some network disks know no locks, and one system has none: there, of two runs at the same
+    moment the later one counts.
+    """
+    target = _target_of(folder)
+    with _named(folder):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        number = os.open(target.parent, os.O_RDONLY)
+    try:
+        with suppress(ImportError, OSError):
+            import fcntl
+
+            fcntl.flock(number, fcntl.LOCK_EX)
+        remove_unfinished(target.parent, target.name)
+        yield
+    finally:
+        os.close(number)
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Let Ctrl-C wait until every file is in its place."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
