@@ -13,49 +13,40 @@ from piezoid.design.design import design_from_json
 from piezoid.errors import PiezoidError
 from piezoid.export.parameter_file import from_json
 from piezoid.identification.store import read_model
-from piezoid.targets.box import Box
-from piezoid.targets.exported import Exported
-from piezoid.targets.section_boxes import BOXES
-from piezoid.targets.targets import written_for
+from piezoid.targets.target_inputs import TargetInputs
+from piezoid.targets.targets import target_files
 from piezoid.verification.stage import stage_plants
 from piezoid_cli.stage_files import content_of, lab_of
 
-CASES = [
-    ("pi-pid", Box()),
-    *(("biquad", Box(format=name)) for name in BOXES),
-    ("nanonis", Box()),
-    ("waveform", Box()),
-]
+TARGETS = ("pid", "nanonis", "waveform")
 
 
-def exported_of(folder: Path, box: Box) -> Exported:
-    """Return what targets are made of, as `piezoid export` reads it."""
+def inputs_of(folder: Path) -> TargetInputs:
+    """Return the inputs of targets as `piezoid export` reads them."""
     design = design_from_json(content_of(folder / "design.json"), "design.json")
     model = read_model(content_of(folder / "model.json"), "model.json")
     file = from_json(content_of(folder / "params.json"), "params.json")
     lab = lab_of(folder, None)
     plants, drawn = stage_plants(file, model, lab)
-    return Exported(
+    return TargetInputs(
         file=file,
         plants=plants,
         drawn={plant.axis: others for plant, others in zip(plants, drawn, strict=True)},
         models={axis.axis: model[axis.axis] for axis in file.axes if axis.method != "rst"},
         designs={one.axis: one for one in design.axes},
         converter_V=lab.acquisition.input_range_V,
-        box=box,
     )
 
 
 def losses(folder: Path) -> list[tuple[str, str]]:
-    """Return target and sentence, one for every axis and box of a stage."""
+    """Return target and sentence, one for every axis of a stage."""
     rows = []
-    for target, box in CASES:
-        name = target if box.format is None else f"{target}, {box.format}"
+    for target in TARGETS:
         try:
-            notes = written_for(exported_of(folder, box), [target]).notes
+            notes = target_files(inputs_of(folder), [target]).notes
         except PiezoidError as error:
             notes = (f"refused: {error}",)
-        rows += [(name, note) for note in notes if note.startswith(("axis", "refused"))]
+        rows += [(target, note) for note in notes if note.startswith(("axis", "refused"))]
     return [
         (name, note) for name, note in rows if " is not in " not in note and " has no " not in note
     ]

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from piezoid.export.parameter_file import ParameterFile
     from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.records.lab import Lab
-    from piezoid.targets.box import Box
-    from piezoid.targets.targets import Written
+    from piezoid.targets.controller_hardware import ControllerHardware
+    from piezoid.targets.targets import TargetFiles
 
 
 def export(
@@ -22,9 +22,9 @@ def export(
     lab: StageLab = None,
     target: Annotated[
         list[str] | None,
-        typer.Option(help="Beside the bundle: fmu, library, pi-pid, biquad, nanonis, waveform."),
+        typer.Option(help="Beside the bundle: fmu, library, pid, nanonis, waveform."),
     ] = None,
-    box: Annotated[Path | None, typer.Option(help="box.toml: what the boxes can hold.")] = None,
+    box: Annotated[Path | None, typer.Option(help="box.toml: limits of the hardware.")] = None,
     force: Force = False,
     quiet: Quiet = False,
     json: Json = False,
@@ -34,11 +34,10 @@ def export(
     --target fmu adds fmu/: each axis' controller and its identified plant as co-simulation units
     of FMI 2.0, for Simulink, OpenModelica and FMPy. --target library adds library/: a
     shared library for LabVIEW, MATLAB, EPICS, Rust and Python. Controllers hold the same source
-    as the bundle. --target pi-pid adds settings for a box with PID and notches, --target biquad
-    sections for Stabilizer, PyRPL and Linien, --target nanonis sensitivity and hysteresis tables,
-    --target waveform a predistorted drive for a wave generator, each with what it loses beside
-    the controller; --box says what the boxes can hold. Targets not asked for are removed: they
-    would be of another design.
+    as the bundle. --target pid adds settings and second-order sections of a PID with notches,
+    --target nanonis sensitivity and hysteresis tables, --target waveform a predistorted drive for
+    a wave generator, each with its loss compared with the exported controller; --box declares the
+    limits of the hardware. Folders of other targets are deleted: they belong to another design.
 
     The controller is run against the identified stage first. An axis that fails there does not
     ship: its figures go to refused/, for study, and exit status 1 says that it is missing. It
@@ -60,14 +59,14 @@ def export(
     from piezoid.export.parameter_file import to_json
     from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.sealed_files import read_model
-    from piezoid.targets.box import Box, read_box
-    from piezoid.targets.targets import TARGETS, known_targets
+    from piezoid.targets.controller_hardware import ControllerHardware, read_hardware
+    from piezoid.targets.targets import FOLDERS, check_targets
     from piezoid_cli.progress import shown
     from piezoid_cli.side_by_side import usable_cores
     from piezoid_cli.stage_files import content_of, lab_of, same_model
 
-    targets = known_targets(target or ())
-    held = Box() if box is None else read_box(box)
+    targets = check_targets(target or ())
+    hardware = ControllerHardware() if box is None else read_hardware(box)
     content = content_of(stage / "design.json")
     design = design_from_json(content, str(stage / "design.json"))
     model_content = content_of(stage / "model.json")
@@ -89,12 +88,12 @@ def export(
     file = found.parameters
     beside = None
     if file is not None:
-        beside = _beside(file, model, design, declared, held, targets)
+        beside = _target_files(file, model, design, declared, hardware, targets)
         contents |= beside.files
         contents |= {f"bundle/{name}": text for name, text in bundle(file).files.items()}
         contents["params.json"] = to_json(file)
     contents["verification.json"] = found.verification.to_json()
-    add_to_folder(stage, contents, gone=("params.json", *TARGETS, REFUSED), force=force)
+    add_to_folder(stage, contents, gone=("params.json", *FOLDERS, REFUSED), force=force)
     unshipped = found.reasons if file is None else file.unshipped
     if json:
         hand_over_record(
@@ -120,23 +119,23 @@ def export(
         raise typer.Exit(1)
 
 
-def _beside(
+def _target_files(
     file: "ParameterFile",
     model: "ActuatorModel",
     design: "Design",
     lab: "Lab | None",
-    box: "Box",
+    hardware: "ControllerHardware",
     targets: Sequence[str],
-) -> "Written":
-    """Return what the targets come to; their plants are those that verification ran."""
+) -> "TargetFiles":
+    """Return the files of the targets, made for the plants that verification ran."""
     from piezoid.records.lab import Lab
-    from piezoid.targets.exported import Exported
-    from piezoid.targets.targets import written_for
+    from piezoid.targets.target_inputs import TargetInputs
+    from piezoid.targets.targets import target_files
     from piezoid.verification.stage import stage_plants
 
     declared = lab or Lab()
     plants, drawn = stage_plants(file, model, declared)
-    made_of = Exported(
+    inputs = TargetInputs(
         file=file,
         plants=plants,
         drawn={plant.axis: others for plant, others in zip(plants, drawn, strict=True)},
@@ -148,9 +147,9 @@ def _beside(
             for axis in file.axes
             if (gain := declared.amplifier_of(axis.axis).gain_V_per_V) is not None
         },
-        box=box,
+        hardware=hardware,
     )
-    return written_for(made_of, targets)
+    return target_files(inputs, targets)
 
 
 def show_unshipped(reasons: Mapping[str, str]) -> None:

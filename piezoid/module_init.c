@@ -4,7 +4,6 @@ void *PyInit__kernels(void);
 void *PyInit__runtime(void);
 void *PyInit__runtime32(void);
 void *PyInit__plant_loop(void);
-void *PyInit__sections(void);
 
 void *PyInit__kernels(void) {
     return 0;
@@ -19,9 +18,5 @@ void *PyInit__runtime32(void) {
 }
 
 void *PyInit__plant_loop(void) {
-    return 0;
-}
-
-void *PyInit__sections(void) {
     return 0;
 }

@@ -1,10 +1,9 @@
-"""The picture of the page about targets: two units in FMPy, and what a PID loses.
+"""The picture of the page about targets: two units in FMPy.
 
 A stage is fitted to one bundled recording and exported when the documentation is built; the loop
 is that of a master that knows nothing of piezoid.
 """
 
-import csv
 import subprocess
 import sys
 import tempfile
@@ -31,7 +30,7 @@ def _write(app: Sphinx) -> None:
         stage = Path(made) / "stage"
         recording, lab = (str(ROOT / "datasets" / name) for name in ("x_sweep.csv", "lab.toml"))
         _piezoid("fit", recording, "--lab", lab, "--out", str(stage))
-        _piezoid("export", str(stage), "--target", "fmu", "--target", "pi-pid")
+        _piezoid("export", str(stage), "--target", "fmu")
         made_pages.write(app, "targets", {"targets.svg": _picture(stage)})
 
 
@@ -41,23 +40,15 @@ def _piezoid(*words: str) -> None:
 
 
 def _picture(stage: Path) -> bytes:
-    figure = Figure(figsize=(7.4, 3.0), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure = Figure(figsize=(5.0, 3.0), layout="constrained")
+    axes = figure.subplots()
     for order, colour in (("controller, then plant", BLUE), ("both at once", ORANGE)):
         time_s, error_m = _looped(stage, order == "both at once")
-        left.plot(1e3 * time_s, 1e9 * error_m, color=colour, lw=0.9, label=order)
-    left.set(xlabel="time [ms]", ylabel="error [nm]", title="two units in FMPy, sine of 50 Hz")
-    left.set_ylim(-60.0, 60.0)  # the first milliseconds, from rest to full speed, leave the page
-    with (stage / "pi-pid" / "rejection.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    f = [float(row["frequency_Hz"]) for row in rows]
-    for name, label, colour in (("exported", "exported controller", BLUE), ("pid", "PID", ORANGE)):
-        curve = [float(row[f"{name}_dB"]) for row in rows]
-        right.semilogx(f, curve, color=colour, lw=1.2, label=label)
-    right.set(xlabel="frequency [Hz]", ylabel="disturbance left [dB]", title="worst plants")
-    for axes in (left, right):
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(frameon=False, fontsize="small")
+        axes.plot(1e3 * time_s, 1e9 * error_m, color=colour, lw=0.9, label=order)
+    axes.set(xlabel="time [ms]", ylabel="error [nm]", title="two units in FMPy, sine of 50 Hz")
+    axes.set_ylim(-60.0, 60.0)  # the first milliseconds, from rest to full speed, leave the page
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, fontsize="small")
     with tempfile.TemporaryFile() as file, mpl.rc_context({"svg.hashsalt": "piezoid"}):
         figure.savefig(file, format="svg", metadata={"Date": None, "Creator": "piezoid"})
         file.seek(0)

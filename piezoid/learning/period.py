@@ -12,8 +12,8 @@ from piezoid.numerics.frequency import Response
 from piezoid.records.recording import Recording
 from piezoid.runtime.controller import Controller, Status
 from piezoid.runtime.library import Values
-from piezoid.targets.box import run_box
 from piezoid.verification.approach import led_to
+from piezoid.verification.closed_loop import run_law
 from piezoid.verification.loop_plant import rest_position
 from piezoid.verification.plant import AxisPlant
 
@@ -66,7 +66,7 @@ def play(
     if values is None:
         drive = iter(np.tile(table_V, settling + periods).tolist())
         reference_m = np.zeros((settling + periods) * points)
-        record = run_box(plant, lambda _reference, _measured: next(drive), reference_m, rng=rng)
+        record = run_law(plant, lambda _reference, _measured: next(drive), reference_m, rng=rng)
         seen = Status(0)
     else:
         led_m = led_to(plant, float(wanted_m[0]))
@@ -79,11 +79,11 @@ def play(
         controller = Controller(values)
         controller.start(plant.rest_voltage_V, rest_position_of(plant))
         step = _stepping(controller, np.concatenate([np.zeros(len(led_m)), fed_V]))
-        record = run_box(plant, step, reference_m[ahead], rng=rng)
+        record = run_law(plant, step, reference_m[ahead], rng=rng)
         seen = controller.status_ever
     kept = (
         one[-periods * points :].reshape(periods, points)
-        for one in (record.position_m, record.measured_m, record.voltage_V)
+        for one in (record.position, record.measured, record.voltage_V)
     )
     position_m, measured_m, voltage_V = kept
     return Played(position_m=position_m, measured_m=measured_m, voltage_V=voltage_V, status=seen)

@@ -1,6 +1,7 @@
-"""Write settings for existing controllers and simulators from what the export ships.
+"""Files for tools and hardware that users own: co-simulation, PID, Nanonis, wave generators.
 
-Start at targets.py, which lists the targets and the files of each.
-May import export, design, identification, records.
-To add a target, add a file and its line in ``TARGETS``.
+Start at targets.py, which has the name and the writer of each target; target_inputs.py and
+controller_hardware.py (box.toml) hold what writers are given. To add a target, write a module like
+waveform.py and name its function in targets.py. May import verification, export and everything
+below them.
 """

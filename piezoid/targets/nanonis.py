@@ -21,12 +21,11 @@ from piezoid.export.c_header import inert
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
-from piezoid.targets.exported import Exported, shipped_position_m
+from piezoid.targets.target_inputs import TargetInputs, exported_position_m
 from piezoid.targets.waveform import inverted_V, last_period, refuse_beyond
 from piezoid.verification.approach import room_of
 from piezoid.verification.scenarios import raster
 
-SEED = 0
 _LINE_Hz = 1.0  # to and fro
 _DENSE = 4096  # points of a branch
 _CREPT_s = (10.0, 100.0)  # after a move: a frame
@@ -124,23 +123,19 @@ class Table:
         return np.asarray(self.middle_V + bent_m / self.sensitivity_m_per_V)
 
 
-def nanonis_files(exported: Exported) -> tuple[Mapping[str, bytes], tuple[str, ...]]:
+def nanonis_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str, ...]]:
     """Return the folder's files by name, and sentences about what the tables are worth.
 
     Raises ``ParameterFileError`` for a frame that the stage cannot reach.
     """
-    notes = [
-        f"axis {axis.axis} has no table in nanonis/: it follows a surface"
-        for axis in exported.file.axes
-        if axis.method == "rst"
-    ]
-    if not exported.lateral:
+    notes = [f"axis {axis} has no table in nanonis/: it follows a surface" for axis in inputs.tips]
+    if not inputs.lateral:
         return {}, tuple(notes)
-    tables = [table_of(exported, axis) for axis in exported.lateral]
-    files: dict[str, str] = {"nanonis.json": settings_json(exported, tables), "send.py": _SEND}
+    tables = [table_of(inputs, axis) for axis in inputs.lateral]
+    files: dict[str, str] = {"nanonis.json": settings_json(inputs, tables), "send.py": _SEND}
     sections = []
-    for axis, table in zip(exported.lateral, tables, strict=True):
-        rows = compared(exported, axis, table)
+    for axis, table in zip(inputs.lateral, tables, strict=True):
+        rows = compared(inputs, axis, table)
         worst = {name: max(row[name] for row in rows.values()) for name in COLUMNS}
         price = (
             f"a table of {len(table.x_m)} points errs by {with_unit(worst['table'], 'm')} rms on "
@@ -149,7 +144,7 @@ def nanonis_files(exported: Exported) -> tuple[Mapping[str, bytes], tuple[str, .
             "plants"
         )
         notes.append(f"axis {axis.axis}: {price}")
-        sections.append(_section(exported, axis, table, rows, price))
+        sections.append(_section(inputs, axis, table, rows, price))
         files[f"{axis.axis}.csv"] = "\n".join(
             [
                 "x_m,y_m",
@@ -157,9 +152,9 @@ def nanonis_files(exported: Exported) -> tuple[Mapping[str, bytes], tuple[str, .
                 "",
             ]
         )
-    gains = [exported.amplifier_V_per_V.get(table.axis) for table in tables]
+    gains = [inputs.amplifier_V_per_V.get(table.axis) for table in tables]
     files["README.md"] = _README.format(
-        name=inert(exported.file.name),
+        name=inert(inputs.file.name),
         voltages="Volts and m/V are those behind the amplifier that lab.toml declares."
         if all(gains)
         else "Volts and m/V are those of the command: lab.toml declares no gain_V_per_V of the "
@@ -173,10 +168,10 @@ def nanonis_files(exported: Exported) -> tuple[Mapping[str, bytes], tuple[str, .
     return {name: text.encode() for name, text in files.items()}, tuple(notes)
 
 
-def table_of(exported: Exported, axis: AxisParameters) -> Table:
+def table_of(inputs: TargetInputs, axis: AxisParameters) -> Table:
     """Return sensitivity and table of one axis for a frame in the middle of its references."""
-    box, plant, room = exported.box, exported.family(axis.axis)[0], room_of(axis)
-    half_m = box.frame_half_range_m or room.radius_m
+    hardware, plant, room = inputs.hardware, inputs.family(axis.axis)[0], room_of(axis)
+    half_m = hardware.frame_half_range_m or room.radius_m
     if half_m > room.farthest_m:
         raise ParameterFileError(
             f"axis {axis.axis}: frame_half_range_m of [nanonis] is {half_m:g} m",
@@ -193,17 +188,17 @@ def table_of(exported: Exported, axis: AxisParameters) -> Table:
     sensitivity = _single(slope)
     middle_V = 0.5 * (ends_V[0] + ends_V[1])
     y_m = sensitivity * (branch_V - middle_V)
-    knot_m, fitted_m, left_m = _polyline(forward_m, y_m, box.table_points)
+    knot_m, fitted_m, left_m = _polyline(forward_m, y_m, hardware.table_points)
     bent_m = float(np.std(y_m - forward_m))
     if left_m > _LEFT * bent_m:
         enough = next(
             n
-            for n in range(box.table_points, _DENSE)
+            for n in range(hardware.table_points, _DENSE)
             if _polyline(forward_m, y_m, n)[2] <= _LEFT * bent_m
         )
         raise ParameterFileError(
-            f"axis {axis.axis}: {box.table_points} points leave {with_unit(left_m, 'm')} rms of a "
-            f"loop that bends by {with_unit(bent_m, 'm')}",
+            f"axis {axis.axis}: {hardware.table_points} points leave {with_unit(left_m, 'm')} rms "
+            f"of a loop that bends by {with_unit(bent_m, 'm')}",
             needed=f"at most {_LEFT:g} of it",
             remedy=f"What would fit: table_points = {enough} or more, in [nanonis] of box.toml.",
         )
@@ -228,11 +223,11 @@ def _polyline(place_m: Array, value_m: Array, points: int) -> tuple[Array, Array
 
 
 def compared(
-    exported: Exported, axis: AxisParameters, table: Table
+    inputs: TargetInputs, axis: AxisParameters, table: Table
 ) -> dict[str, dict[str, float]]:
     """Return by plant what is left on lines: rms in m, ``COLUMNS``."""
     found = {}
-    for plant in exported.family(axis.axis):
+    for plant in inputs.family(axis.axis):
         rate_Hz = plant.sampling_rate_Hz
         unit = raster(rate_Hz, _LINE_Hz, 1.0).x
         wanted_m = table.centre_m + table.half_m * unit
@@ -245,7 +240,7 @@ def compared(
             "straight": last_period(plant, straight_V),
             "table": last_period(plant, table.voltage_V(wanted_m)),
             "mirrored": last_period(plant, table.voltage_V(wanted_m, sign)),
-            "exported": shipped_position_m(axis, plant, path_m, SEED)[-len(wanted_m) :],
+            "exported": exported_position_m(axis, plant, path_m)[-len(wanted_m) :],
         }
         # A table that is not mirrored bends both branches alike; the loop it leaves is wider
         moved["back"] = moved["table"]
@@ -258,10 +253,10 @@ def compared(
     return found
 
 
-def settings_json(exported: Exported, tables: list[Table]) -> str:
+def settings_json(inputs: TargetInputs, tables: list[Table]) -> str:
     """Return what the controller is told, by the names of its published interface."""
     by_place: list[Table | None] = [*tables[:2], *([None] * (2 - len(tables[:2])))]
-    gains = [exported.amplifier_V_per_V.get(table.axis) for table in tables]
+    gains = [inputs.amplifier_V_per_V.get(table.axis) for table in tables]
     known = {
         table.axis: gain if all(gains) and gain else 1.0
         for table, gain in zip(tables, gains, strict=True)
@@ -269,7 +264,7 @@ def settings_json(exported: Exported, tables: list[Table]) -> str:
     sensitivities: dict[str, float | None] = {}
     limits: dict[str, float | int | None] = {"Enable_limits": 1}
     for place, table in zip(_PLACES, [*by_place, None], strict=True):
-        axis = None if table is None else _parameters(exported, table.axis)
+        axis = None if table is None else _parameters(inputs, table.axis)
         gain = 1.0 if table is None else known[table.axis]
         sensitivities[f"Calibration_{place}_mPerV"] = (
             None if table is None else _single(table.sensitivity_m_per_V / gain)
@@ -291,7 +286,7 @@ def settings_json(exported: Exported, tables: list[Table]) -> str:
         points[f"{speed}_axis_points_X"] = x
         points[f"{speed}_axis_number_points_Y"] = len(y)
         points[f"{speed}_axis_points_Y"] = y
-    drift = [0.0 if t is None else _single(-crept(exported, t)[0]) for t in [*by_place, None]]
+    drift = [0.0 if t is None else _single(-crept(inputs, t)[0]) for t in [*by_place, None]]
     calls = {
         "Piezo_SensSet": sensitivities,
         "Piezo_XYZLimitsSet": limits,
@@ -300,18 +295,18 @@ def settings_json(exported: Exported, tables: list[Table]) -> str:
         "Piezo_DriftCompSet": {
             "Compensation_on_off": 2,
             **{f"V{place.lower()}_m_s": v for place, v in zip(_PLACES, drift, strict=True)},
-            "Sat_Lim": exported.box.drift_limit_percent,
+            "Sat_Lim": inputs.hardware.drift_limit_percent,
         },
     }
     return json.dumps({"schema": "piezoid.nanonis/1", "calls": calls}, indent=1) + "\n"
 
 
-def crept(exported: Exported, table: Table) -> tuple[float, float, float]:
+def crept(inputs: TargetInputs, table: Table) -> tuple[float, float, float]:
     """Return m/s and m that a stage creeps after a move by half the frame, and m left of them.
 
     From the creep elements that ship: y sum of share_i (1 - exp(-t / tau_i)).
     """
-    values = _parameters(exported, table.axis).values
+    values = _parameters(inputs, table.axis).values
     rate = np.asarray(values["relaxation_rate"], dtype=np.float64)
     share = np.asarray(values["relaxation_share"], dtype=np.float64)
     rate, share = rate[rate > 0.0], share[rate > 0.0]
@@ -325,13 +320,13 @@ def crept(exported: Exported, table: Table) -> tuple[float, float, float]:
 
 
 def _section(
-    exported: Exported,
+    inputs: TargetInputs,
     axis: AxisParameters,
     table: Table,
     rows: Mapping[str, Mapping[str, float]],
     price: str,
 ) -> str:
-    speed, gone_m, left_m = crept(exported, table)
+    speed, gone_m, left_m = crept(inputs, table)
     drift = (
         f"After a move by {with_unit(table.half_m, 'm')} it creeps by {with_unit(gone_m, 'm')} "
         f"between {_CREPT_s[0]:g} s and {_CREPT_s[1]:g} s; {with_unit(speed, 'm')} a second leave "
@@ -356,8 +351,8 @@ def _section(
     )
 
 
-def _parameters(exported: Exported, axis: str) -> AxisParameters:
-    return next(one for one in exported.file.axes if one.axis == axis)
+def _parameters(inputs: TargetInputs, axis: str) -> AxisParameters:
+    return inputs.file.axis(axis)
 
 
 def _single(value: float) -> float:

@@ -1,4 +1,4 @@
-"""A box with PID, notches and a slew limit: as a fraction, and sample by sample as it computes."""
+"""A PID controller with notches and limits: its settings, its polynomials, and its computation."""
 
 from dataclasses import dataclass, replace
 
@@ -7,22 +7,23 @@ import numpy as np
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import product, total
 
-_FILTERED = 2.0  # samples: time constant of the filter of D
+_FILTER_SAMPLES = 2.0  # time constant of the filter of D
+_DECAY = float(np.exp(-1.0 / _FILTER_SAMPLES))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Notch:
     """A band stop, H(s) = (s^2 + 2 z_n w s + w^2) / (s^2 + 2 z_d w s + w^2), w = 2 pi f.
 
-    frequency_Hz  of its middle, which Tustin's transform keeps
-    depth, width  z_n and z_d: depth over width is left in the middle
+    frequency_Hz  centre, which Tustin's transform keeps
+    depth, width  z_n and z_d; the gain at the centre is depth / width
     """
 
     frequency_Hz: float
     depth: float
     width: float
 
-    def fraction(self, rate_Hz: float) -> tuple[Array, Array]:
+    def section(self, rate_Hz: float) -> tuple[Array, Array]:
         """Return numerator and monic denominator in q^-1."""
         t = np.tan(np.pi * self.frequency_Hz / rate_Hz)
         top, bottom = (
@@ -34,28 +35,28 @@ class Notch:
 
 @dataclass(frozen=True, kw_only=True)
 class Pid:
-    """The settings of the box; every sample, with T = 1 / sampling_rate_Hz and e = r - y,
+    """Settings; every sample, with T = 1 / sampling_rate_Hz and e = reference - reading,
 
-        i += integral T e;   d += (1 - a) ((e - e_before) / T - d),   a = exp(-1/2)
+        i += integral T e;   d += (1 - a) ((e - e_previous) / T - d),   a = exp(-1/2)
         v = notches(proportional e + i + derivative d);   u = rest + v
 
     then u moves by the slew limit at most, stays within the voltages, and is rounded to the
-    converter. While a limit holds it, i takes up no error that would drive it farther.
+    converter. While a limit is active, i does not integrate an error that would drive u further.
     """
 
     sampling_rate_Hz: float
-    proportional_V_per_m: float
-    integral_V_per_m_s: float
-    derivative_V_s_per_m: float
-    notches: tuple[Notch, ...]
+    proportional_V_per_m: float = 0.0
+    integral_V_per_m_s: float = 0.0
+    derivative_V_s_per_m: float = 0.0
+    notches: tuple[Notch, ...] = ()
     rest_V: float
     minimum_V: float
     maximum_V: float
     lsb_V: float = 0.0
     slew_V_per_s: float = np.inf
 
-    def times(self, factor: float) -> "Pid":
-        """Return the same with all gains by a factor larger."""
+    def scaled(self, factor: float) -> "Pid":
+        """Return the settings with all gains multiplied by a factor."""
         return replace(
             self,
             proportional_V_per_m=self.proportional_V_per_m * factor,
@@ -64,22 +65,22 @@ class Pid:
         )
 
     def sections(self, rate_Hz: float) -> tuple[tuple[Array, Array], ...]:
-        """Return B and monic A in q^-1 of the PID and of each notch, V/m, at another rate.
+        """Return B and monic A in q^-1 of the PID (V/m) and of each notch at a sampling rate.
 
         The filter of D keeps its time constant, each notch its frequency.
         """
         period_s = 1.0 / rate_Hz
         difference = np.array([1.0, -1.0])
         P, integral = self.proportional_V_per_m, self.integral_V_per_m_s * period_s
-        notches = tuple(notch.fraction(rate_Hz) for notch in self.notches)
+        notches = tuple(notch.section(rate_Hz) for notch in self.notches)
         if self.derivative_V_s_per_m == 0.0:
             return ((np.array([P + integral, -P]), difference), *notches)
-        kept = _kept() ** (self.sampling_rate_Hz / rate_Hz)
-        pole = np.array([1.0, -kept])
+        decay = _DECAY ** (self.sampling_rate_Hz / rate_Hz)
+        pole = np.array([1.0, -decay])
         top = total(
             P * product(difference, pole),
             integral * pole,
-            self.derivative_V_s_per_m / period_s * (1.0 - kept) * product(difference, difference),
+            self.derivative_V_s_per_m / period_s * (1.0 - decay) * product(difference, difference),
         )
         return ((top, product(difference, pole)), *notches)
 
@@ -89,47 +90,45 @@ class Pid:
         return product(*tops), product(*bottoms)
 
 
-class PidBox:
-    """The box itself: one call a sample."""
+class PidController:
+    """The computation of ``Pid``: one call for each sample."""
 
     def __init__(self, pid: Pid) -> None:
         self._pid = pid
-        self._integral_V = self._derivative_m_per_s = self._before_m = 0.0
+        self._integral_V = self._derivative_m_per_s = 0.0
+        self._previous_m: float | None = None
         self._voltage_V = pid.rest_V
-        self._is_first = True
-        self._sections = [notch.fraction(pid.sampling_rate_Hz) for notch in pid.notches]
-        self._memory = [[0.0, 0.0] for _ in pid.notches]
+        self._sections = [notch.section(pid.sampling_rate_Hz) for notch in pid.notches]
+        self._states = [[0.0, 0.0] for _ in pid.notches]
 
     def __call__(self, reference_m: float, measured_m: float) -> float:
-        """Return what is put out for a reference and a reading."""
+        """Return the output, V, for one reference and one reading."""
         pid = self._pid
         error_m = reference_m - measured_m
-        rate_m_per_s = 0.0 if self._is_first else (error_m - self._before_m) * pid.sampling_rate_Hz
-        self._is_first, self._before_m = False, error_m
-        self._derivative_m_per_s += (1.0 - _kept()) * (rate_m_per_s - self._derivative_m_per_s)
-        taken_V = pid.integral_V_per_m_s * error_m / pid.sampling_rate_Hz
-        self._integral_V += taken_V
-        wanted_V = pid.rest_V + self._notched(
+        previous_m = error_m if self._previous_m is None else self._previous_m
+        rate_m_per_s = (error_m - previous_m) * pid.sampling_rate_Hz
+        self._previous_m = error_m
+        self._derivative_m_per_s += (1.0 - _DECAY) * (rate_m_per_s - self._derivative_m_per_s)
+        increment_V = pid.integral_V_per_m_s * error_m / pid.sampling_rate_Hz
+        self._integral_V += increment_V
+        free_V = pid.rest_V + self._notched(
             pid.proportional_V_per_m * error_m
             + self._integral_V
             + pid.derivative_V_s_per_m * self._derivative_m_per_s
         )
         step_V = pid.slew_V_per_s / pid.sampling_rate_Hz
-        allowed_V = min(max(wanted_V, self._voltage_V - step_V), self._voltage_V + step_V)
-        allowed_V = min(max(allowed_V, pid.minimum_V), pid.maximum_V)
-        if (wanted_V - allowed_V) * taken_V > 0.0:
-            self._integral_V -= taken_V
-        self._voltage_V = allowed_V
-        return pid.lsb_V * round(allowed_V / pid.lsb_V) if pid.lsb_V > 0.0 else allowed_V
+        limited_V = min(max(free_V, self._voltage_V - step_V), self._voltage_V + step_V)
+        limited_V = min(max(limited_V, pid.minimum_V), pid.maximum_V)
+        if (free_V - limited_V) * increment_V > 0.0:
+            self._integral_V -= increment_V
+        self._voltage_V = limited_V
+        return pid.lsb_V * round(limited_V / pid.lsb_V) if pid.lsb_V > 0.0 else limited_V
 
     def _notched(self, value: float) -> float:
-        for (b, a), memory in zip(self._sections, self._memory, strict=True):
-            out = float(b[0]) * value + memory[0]
-            memory[0] = float(b[1]) * value - float(a[1]) * out + memory[1]
-            memory[1] = float(b[2]) * value - float(a[2]) * out
-            value = out
+        """Return the value behind the notches, in transposed direct form II."""
+        for (b, a), state in zip(self._sections, self._states, strict=True):
+            output = float(b[0]) * value + state[0]
+            state[0] = float(b[1]) * value - float(a[1]) * output + state[1]
+            state[1] = float(b[2]) * value - float(a[2]) * output
+            value = output
         return value
-
-
-def _kept() -> float:
-    return float(np.exp(-1.0 / _FILTERED))

@@ -1,4 +1,4 @@
-"""What `piezoid export` writes beside the bundle, by the name of its target."""
+"""Names of the targets of `piezoid export`, and the files of each."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -7,72 +7,77 @@ from types import MappingProxyType
 from piezoid.errors import ParameterFileError
 from piezoid.export.fmu import controller_units, fmu_files
 from piezoid.export.shared_library import shared_library_files
-from piezoid.targets.biquad import biquad_files
-from piezoid.targets.exported import Exported
+from piezoid.targets.fmu_plant import plant_units
 from piezoid.targets.nanonis import nanonis_files
-from piezoid.targets.pi_pid import pi_pid_files
-from piezoid.targets.plant_unit import plant_units
+from piezoid.targets.pid_files import pid_files
+from piezoid.targets.target_inputs import TargetInputs
 from piezoid.targets.waveform import waveform_files
 
 BUNDLE = "bundle"
+RENAMED = {"pi-pid": "pid", "biquad": "pid"}
+
+FilesAndNotes = tuple[Mapping[str, bytes], tuple[str, ...]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Written:
-    """What the targets came to.
-
-    files  name below the stage folder to bytes
-    notes  sentences for whoever asked: what could not be made here, and why
-    """
+class TargetFiles:
+    """Files of the targets, by name below the stage folder, and notes for the user."""
 
     files: Mapping[str, bytes]
     notes: tuple[str, ...]
 
 
-Made = tuple[Mapping[str, bytes], tuple[str, ...]]
+def _fmu(inputs: TargetInputs) -> FilesAndNotes:
+    controllers = controller_units(inputs.file)
+    return fmu_files({**controllers, **plant_units(inputs.file.name, inputs.plants)})
 
 
-def _fmus(exported: Exported) -> Made:
-    controllers = controller_units(exported.file)
-    return fmu_files({**controllers, **plant_units(exported.file.name, exported.plants)})
+def _library(inputs: TargetInputs) -> FilesAndNotes:
+    return shared_library_files(inputs.file)
 
 
-def _library(exported: Exported) -> Made:
-    return shared_library_files(exported.file)
-
-
-# Each name is also that of the folder.
-_MAKERS: dict[str, Callable[[Exported], Made]] = {
-    "fmu": _fmus,
+# The name of a target is also that of its folder.
+_WRITERS: dict[str, Callable[[TargetInputs], FilesAndNotes]] = {
+    "fmu": _fmu,
     "library": _library,
-    "pi-pid": pi_pid_files,
-    "biquad": biquad_files,
+    "pid": pid_files,
     "nanonis": nanonis_files,
     "waveform": waveform_files,
 }
-TARGETS = (BUNDLE, *_MAKERS)
+TARGETS = (BUNDLE, *_WRITERS)
+FOLDERS = (*TARGETS, *RENAMED)  # of this version and of earlier ones
 
 
-def known_targets(asked: Iterable[str]) -> tuple[str, ...]:
-    """Return the targets asked for, each once; raise ``ParameterFileError`` for an unknown one."""
-    wanted = tuple(dict.fromkeys(asked))
-    for name in wanted:
+def check_targets(names: Iterable[str]) -> tuple[str, ...]:
+    """Return the requested targets, each once; refuse an unknown name with ``ParameterFileError``.
+
+    >>> check_targets(["pid", "fmu", "pid"])
+    ('pid', 'fmu')
+    """
+    requested = tuple(dict.fromkeys(names))
+    for name in requested:
+        if name in RENAMED:
+            raise ParameterFileError(
+                f"target {name!r} was replaced by {RENAMED[name]!r}",
+                needed=f"one of {', '.join(TARGETS)}",
+                remedy=f"Use --target {RENAMED[name]}, and table [{RENAMED[name]}] in box.toml.",
+            )
         if name not in TARGETS:
             raise ParameterFileError(
                 f"there is no target {name!r}",
                 needed=f"one of {', '.join(TARGETS)}",
-                remedy="Name one of these after --target, or none: the bundle is always written.",
+                remedy="Use one of these after --target, or none: the bundle is always written.",
             )
-    return wanted
+    return requested
 
 
-def written_for(exported: Exported, targets: Iterable[str]) -> Written:
-    """Return the files of all targets but the bundle; the same input, the same bytes."""
+def target_files(inputs: TargetInputs, targets: Iterable[str]) -> TargetFiles:
+    """Return the files of all targets but the bundle; the same input gives the same bytes."""
     files: dict[str, bytes] = {}
     notes: list[str] = []
-    for name in targets:
-        if name in _MAKERS:
-            made, said = _MAKERS[name](exported)
-            files |= {f"{name}/{place}": content for place, content in made.items()}
-            notes.extend(said)
-    return Written(files=MappingProxyType(files), notes=tuple(notes))
+    for target in targets:
+        if target in _WRITERS:
+            contents, target_notes = _WRITERS[target](inputs)
+            files |= {f"{target}/{name}": content for name, content in contents.items()}
+            notes.extend(target_notes)
+    return TargetFiles(files=MappingProxyType(files), notes=tuple(notes))

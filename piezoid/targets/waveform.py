@@ -20,13 +20,13 @@ from piezoid.export.parameter_file import AxisParameters
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import polynomial_response, unit_circle
-from piezoid.targets.box import Box, run_box
-from piezoid.targets.exported import Exported, shipped_position_m
+from piezoid.targets.controller_hardware import ControllerHardware
+from piezoid.targets.target_inputs import SEED, TargetInputs, exported_position_m
 from piezoid.verification.approach import room_of
+from piezoid.verification.closed_loop import run_law
 from piezoid.verification.plant import AxisPlant, Hysteresis
 from piezoid.verification.scenarios import raster
 
-SEED = 0
 _PERIODS = 3  # the last is looked at: plays have closed their loops after the first
 # Rounds of correction. After eight the identified plants of the bundled stage erred by 0.21 and
 # 0.18 nm, after twenty by 0.21 and 0.16 nm; one with a mode at 630 Hz within 5 % of that as well.
@@ -96,7 +96,7 @@ class Waveform:
     step_V: float = 0.0
 
 
-def waveform_files(exported: Exported) -> tuple[Mapping[str, bytes], tuple[str, ...]]:
+def waveform_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str, ...]]:
     """Return the folder's files by name, and sentences about what the table is worth.
 
     Raises ``ParameterFileError`` for a scan that the box cannot hold or put out.
@@ -105,18 +105,17 @@ def waveform_files(exported: Exported) -> tuple[Mapping[str, bytes], tuple[str, 
     sections: list[str] = []
     converters: list[str] = []
     notes = [
-        f"axis {axis.axis} is not in waveform/: it follows a surface, not a path"
-        for axis in exported.file.axes
-        if axis.method == "rst"
+        f"axis {axis} is not in waveform/: it follows a surface, not a path"
+        for axis in inputs.tips
     ]
-    made = [waveform_of(exported, axis) for axis in exported.lateral]
-    for axis, one in zip(exported.lateral, made, strict=True):
+    made = [waveform_of(inputs, axis) for axis in inputs.lateral]
+    for axis, one in zip(inputs.lateral, made, strict=True):
         files[f"{one.axis}.csv"] = waveform_csv(one).encode()
         if one.code is None:
             notes.append(f"waveform/{one.axis}_int16.bin is not written: {_NO_RANGE}")
         else:
             files[f"{one.axis}_int16.bin"] = one.code.astype("<i2").tobytes()
-        rows = compared(exported, axis, one)
+        rows = compared(inputs, axis, one)
         sections.append(_section(one, rows))
         converters.append(f"Axis {one.axis}: {_converter(one)}")
         worst = {name: max(row[name] for row in rows.values()) for name in _COLUMNS[:3]}
@@ -127,27 +126,27 @@ def waveform_files(exported: Exported) -> tuple[Mapping[str, bytes], tuple[str, 
         )
     if made:
         files["README.md"] = _README.format(
-            name=inert(exported.file.name),
-            shape=exported.box.shape,
+            name=inert(inputs.file.name),
+            shape=inputs.hardware.shape,
             frequency=with_unit(made[0].rate_Hz / len(made[0].wanted_m), "Hz"),
             points=len(made[0].wanted_m),
             rate=with_unit(made[0].rate_Hz, "Hz", 6),
             converters="\n".join(converters),
             axes="\n".join(sections),
             periods=_PERIODS,
-            bits=exported.box.bits,
+            bits=inputs.hardware.bits,
         ).encode()
     return files, tuple(notes)
 
 
-def waveform_of(exported: Exported, axis: AxisParameters) -> Waveform:
+def waveform_of(inputs: TargetInputs, axis: AxisParameters) -> Waveform:
     """Return the table of one axis."""
-    box, plant = exported.box, exported.family(axis.axis)[0]
-    rate_Hz = box.rate_Hz or plant.sampling_rate_Hz
+    hardware, plant = inputs.hardware, inputs.family(axis.axis)[0]
+    rate_Hz = hardware.rate_Hz or plant.sampling_rate_Hz
     hold = _hold(axis.axis, plant.sampling_rate_Hz, rate_Hz)
-    points = _points(box, rate_Hz)
+    points = _points(hardware, rate_Hz)
     room = room_of(axis)
-    radius_m = box.half_range_m or room.radius_m
+    radius_m = hardware.half_range_m or room.radius_m
     if radius_m > room.farthest_m:
         raise ParameterFileError(
             f"axis {axis.axis}: half_range_m of [waveform] is {radius_m:g} m",
@@ -155,10 +154,10 @@ def waveform_of(exported: Exported, axis: AxisParameters) -> Waveform:
             remedy="Set it to that or less.",
         )
     unit = raster(rate_Hz, rate_Hz / points, 1.0).x
-    if box.shape == "sine":
+    if hardware.shape == "sine":
         unit = np.asarray(np.sin(2.0 * np.pi * np.arange(points) / points))
     wanted_m = room.centre_m + radius_m * unit
-    nominal = plant_family(exported.models[axis.axis], plant.sampling_rate_Hz).nominal
+    nominal = plant_family(inputs.models[axis.axis], plant.sampling_rate_Hz).nominal
     harmonic_Hz = np.fft.rfftfreq(points, 1.0 / rate_Hz)
     q = unit_circle(harmonic_Hz, plant.sampling_rate_Hz)
     response = polynomial_response(nominal.B_position, q) / polynomial_response(nominal.A, q)
@@ -170,14 +169,14 @@ def waveform_of(exported: Exported, axis: AxisParameters) -> Waveform:
         missing = np.fft.rfft(wanted_m - position_m)
         voltage_V = voltage_V + _LEARNT * np.fft.irfft(missing / response, points)
     own_V = (float(axis.values["voltage_minimum_V"]), float(axis.values["voltage_maximum_V"]))
-    range_V = box.range_V or exported.converter_V
+    range_V = hardware.range_V or inputs.converter_V
     table = Waveform(
         axis=axis.axis, rate_Hz=rate_Hz, hold=hold, wanted_m=wanted_m, voltage_V=voltage_V
     )
     if range_V is None:
         refuse_beyond(axis.axis, voltage_V, own_V, radius_m)
         return table
-    rounded = coded(table, range_V, box.bits)
+    rounded = coded(table, range_V, hardware.bits)
     allowed_V = (max(range_V[0], own_V[0]), min(range_V[1] - rounded.step_V, own_V[1]))
     refuse_beyond(axis.axis, voltage_V, allowed_V, radius_m)
     return rounded
@@ -196,19 +195,19 @@ _COLUMNS = ("straight", "waveform", "exported", "offset")
 
 
 def compared(
-    exported: Exported, axis: AxisParameters, one: Waveform
+    inputs: TargetInputs, axis: AxisParameters, one: Waveform
 ) -> dict[str, dict[str, float]]:
     """Return by plant what is left: rms in m of a straight drive, the waveform, the controller."""
     found = {}
-    plants = exported.family(axis.axis)
-    gain = plant_family(exported.models[axis.axis], plants[0].sampling_rate_Hz).nominal.gain
+    plants = inputs.family(axis.axis)
+    gain = plant_family(inputs.models[axis.axis], plants[0].sampling_rate_Hz).nominal.gain
     middle_V = 0.5 * float(one.voltage_V.max() + one.voltage_V.min())
     straight_V = middle_V + (one.wanted_m - room_of(axis).centre_m) / gain
     path_m = np.tile(np.repeat(one.wanted_m, one.hold), _PERIODS)
     for plant in plants:
         waveform_m = last_period(plant, one.voltage_V, one.hold) - one.wanted_m
         straight_m = last_period(plant, straight_V, one.hold) - one.wanted_m
-        moved_m = shipped_position_m(axis, plant, path_m, SEED)
+        moved_m = exported_position_m(axis, plant, path_m)
         shipped_m = moved_m[:: one.hold][-len(one.wanted_m) :] - one.wanted_m
         spreads = (float(np.std(error)) for error in (straight_m, waveform_m, shipped_m))
         values = (*spreads, float(np.mean(waveform_m)))
@@ -229,19 +228,20 @@ def _hold(axis: str, own_Hz: float, rate_Hz: float) -> int:
     return hold
 
 
-def _points(box: Box, rate_Hz: float) -> int:
-    points = round(rate_Hz / box.frequency_Hz)
-    if points > box.points:
+def _points(hardware: ControllerHardware, rate_Hz: float) -> int:
+    points = round(rate_Hz / hardware.frequency_Hz)
+    if points > hardware.points:
         raise ParameterFileError(
-            f"a period of {box.frequency_Hz:g} Hz has {points} points at {rate_Hz:g} Hz, and the "
-            f"table holds {box.points}",
+            f"a period of {hardware.frequency_Hz:g} Hz has {points} points at {rate_Hz:g} Hz, and "
+            f"the table holds {hardware.points}",
             needed=f"{points} points",
-            remedy=f"What would fit: frequency_Hz of {rate_Hz / box.points:.4g} or more, or "
-            f"rate_Hz of {box.points * box.frequency_Hz:.4g} or less, in [waveform] of box.toml.",
+            remedy=f"What would fit: frequency_Hz of {rate_Hz / hardware.points:.4g} or more, or "
+            f"rate_Hz of {hardware.points * hardware.frequency_Hz:.4g} or less, in [waveform] of "
+            "box.toml.",
         )
     if points < _FEWEST:
         raise ParameterFileError(
-            f"a period of {box.frequency_Hz:g} Hz has {points} points at {rate_Hz:g} Hz",
+            f"a period of {hardware.frequency_Hz:g} Hz has {points} points at {rate_Hz:g} Hz",
             needed=f"at least {_FEWEST}",
             remedy=f"What would fit: frequency_Hz of {rate_Hz / _FEWEST:.4g} or less, in "
             "[waveform] of box.toml.",
@@ -297,13 +297,13 @@ def last_period(plant: AxisPlant, voltage_V: Array, hold: int = 1) -> Array:
     """Return where a plant is at each point of the last period, (points,)."""
     table_V = iter(np.tile(np.repeat(voltage_V, hold), _PERIODS).tolist())
     samples = _PERIODS * hold * len(voltage_V)
-    moved = run_box(
+    moved = run_law(
         plant,
         lambda _reference, _measured: next(table_V),
         np.zeros(samples),
         rng=np.random.default_rng(SEED),
     )
-    return np.asarray(moved.position_m[::hold][-len(voltage_V) :])
+    return np.asarray(moved.position[::hold][-len(voltage_V) :])
 
 
 def waveform_csv(one: Waveform) -> str:

@@ -1,6 +1,7 @@
 """Plant and compiled runtime together, sample by sample, from a parameter file's numbers."""
 
 import ctypes
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING
@@ -12,12 +13,17 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Controller
-from piezoid.verification.loop_library import Kept, LoopRun, loop_library
+from piezoid.verification.loop_library import Kept, LoopPlant, LoopRun, loop_library
 from piezoid.verification.loop_plant import begun_plant, rest_position
 from piezoid.verification.plant import AxisPlant, Junction
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+
+_STEP = ctypes.CFUNCTYPE(
+    ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_double
+)
 
 
 class Fault(IntEnum):
@@ -125,26 +131,66 @@ def run_axis(
     controller = Controller(parameters.values, precision=precision)
     controller.start(plant.rest_voltage_V, _reading(plant, rest_position(plant, begun)))
     added = np.zeros(samples) if beside is None else beside
+    step, state, values = controller.addresses
+    run = LoopRun(state=state, parameters=values, samples=samples)
+    run.reset, run.reset_at = controller.reset_address, samples if reset_at is None else reset_at
+    setattr(run, f"step_{precision}", step)
     inputs = {
         "reference": np.ascontiguousarray(reference[ahead]),
         "disturbance": _disturbance(plant, disturbance, samples),
         "noise": plant.noise(samples, rng) + added,
         "fault": np.zeros(samples) if fault is None else np.ascontiguousarray(fault),
     }
+    record = _run(plant, begun, run, kept, inputs)
+    return replace(
+        record, reference=np.asarray(reference, float), position=record.position + added
+    )
+
+
+def run_law(
+    plant: AxisPlant,
+    law: Callable[[float, float], float],
+    reference: Array,
+    *,
+    rng: np.random.Generator,
+    disturbance: Array | None = None,
+) -> LoopRecord:
+    """Run one lateral axis from rest under a control law in Python; its status is always 0.
+
+    law          called once a sample with reference and reading, m; returns V
+    reference    (samples,)  m
+    disturbance  (samples,)  m at the response's output; None: none
+    """
+    samples = len(reference)
+    kept = Kept()
+    begun = begun_plant(plant, kept, 0.0 if disturbance is None else float(disturbance[0]))
+    step = _STEP(lambda _state, _parameters, wanted, measured: law(wanted, measured))
+    state = np.zeros(2, dtype=np.uint32)  # the loop reads the status from the second word
+    run = LoopRun(state=state.ctypes.data, samples=samples, reset_at=samples)
+    run.step_double = ctypes.cast(step, ctypes.c_void_p).value
+    inputs = {
+        "reference": np.ascontiguousarray(reference, dtype=np.float64),
+        "disturbance": _disturbance(plant, disturbance, samples),
+        "noise": plant.noise(samples, rng),
+        "fault": np.zeros(samples),
+    }
+    return _run(plant, begun, run, kept, inputs)
+
+
+def _run(
+    plant: AxisPlant, begun: LoopPlant, run: LoopRun, kept: Kept, inputs: dict[str, Array]
+) -> LoopRecord:
+    samples = run.samples
     outputs = {name: np.empty(samples) for name in ("driven", "position", "measured", "voltage_V")}
     status = np.empty(samples, dtype=np.uint32)
-    step, state, values = controller.addresses
-    run = LoopRun(state=state, parameters=values, samples=samples, status=status.ctypes.data)
-    run.reset, run.reset_at = controller.reset_address, samples if reset_at is None else reset_at
-    setattr(run, f"step_{precision}", step)
+    run.status = status.ctypes.data
     for name, array in {**inputs, **outputs}.items():
         setattr(run, name, kept.address(array))
     loop_library().pl_loop(ctypes.addressof(begun), ctypes.addressof(run))
-    outputs["position"] += added
     return LoopRecord(
         axis=plant.axis,
         sampling_rate_Hz=plant.sampling_rate_Hz,
-        reference=np.asarray(reference, dtype=np.float64),
+        reference=inputs["reference"],
         status=status,
         unit="A" if isinstance(plant.response, Junction) else "m",
         **outputs,

@@ -12,7 +12,7 @@ from piezoid.export.parameter_file import to_json
 from piezoid.sealed_files import digest_of
 from piezoid_cli.main import app
 from tests.runtime.compiler import SOURCE, found
-from tests.targets.known_boxes import exported
+from tests.targets.known_inputs import exported
 from tests.verification.known_fit import fitted
 from tests.verification.rig import RATE_Hz
 

@@ -22,7 +22,7 @@ from piezoid.records.frames import from_arrays
 from piezoid.verification.approach import room_of
 from piezoid.verification.plant import Plugged, lateral_plant
 from piezoid.verification.scenarios import raster
-from tests.targets.known_boxes import chain, exported
+from tests.targets.known_inputs import chain, exported
 from tests.verification.known_fit import fitted
 from tests.verification.rig import GAIN_m_per_V, RATE_Hz, lateral, lateral_parameters
 

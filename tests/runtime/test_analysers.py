@@ -6,8 +6,8 @@ import zipfile
 import pytest
 
 from piezoid.export.bundle import bundle
-from piezoid.targets.exported import Exported
-from piezoid.targets.targets import written_for
+from piezoid.targets.target_inputs import TargetInputs
+from piezoid.targets.targets import target_files
 from tests.runtime.compiler import PRECISION, SOURCE, STRICT, found, run
 from tests.verification.rig import PLANTS, stage
 
@@ -37,8 +37,8 @@ ASKED = [(name, "double") for name in SHIPPED] + [(name, "float") for name in li
 def sources(tmp_path_factory):
     folder = tmp_path_factory.mktemp("shipped")
     made = dict(bundle(stage("x")).files)
-    exported = Exported(file=stage("x"), plants=(PLANTS[0],))
-    for place, content in written_for(exported, ["fmu", "library"]).files.items():
+    exported = TargetInputs(file=stage("x"), plants=(PLANTS[0],))
+    for place, content in target_files(exported, ["fmu", "library"]).files.items():
         if place.startswith("library/"):
             made[place.removeprefix("library/")] = content
         elif place.endswith(".fmu"):

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from piezoid.errors import ParameterFileError
-from piezoid.targets.box import Box
+from piezoid.targets.controller_hardware import ControllerHardware
 from piezoid.targets.nanonis import compared, crept, nanonis_files, table_of
 from tests.runtime.compiler import run
-from tests.targets.known_boxes import exported
+from tests.targets.known_inputs import exported
 
 
 def made(**others):
@@ -97,7 +97,7 @@ def test_a_finer_table_is_a_better_one():
         compared(
             replace(exported(), drawn={}),
             axis,
-            table_of(replace(exported(), box=Box(table_points=points)), axis),
+            table_of(replace(exported(), hardware=ControllerHardware(table_points=points)), axis),
         )["identified"]["table"]
         for points in (8, 64)
     )
@@ -135,7 +135,7 @@ def test_drift_is_what_the_shipped_creep_does_between_two_times():
 def test_a_frame_or_a_table_that_cannot_be_is_refused_with_what_would_fit():
     def refused(**asked):
         with pytest.raises(ParameterFileError) as error:
-            made(box=Box(**asked))
+            made(hardware=ControllerHardware(**asked))
         return str(error.value)
 
     assert "from the middle to its limits" in refused(frame_half_range_m=1.0)

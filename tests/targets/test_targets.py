@@ -13,8 +13,8 @@ import pytest
 
 from piezoid.errors import ParameterFileError
 from piezoid.export.bundle import SAMPLES, golden_csv
-from piezoid.targets.exported import Exported
-from piezoid.targets.targets import known_targets, written_for
+from piezoid.targets.target_inputs import TargetInputs
+from piezoid.targets.targets import check_targets, target_files
 from tests.export.stage import stage
 from tests.runtime.compiler import found, run
 
@@ -26,7 +26,7 @@ FMU_NAMES = [f"fmu/{axis}_controller_fmi2.fmu" for axis in "xyz"]
 def made(tmp_path_factory):
     found("cc", "gcc", "clang")
     folder = tmp_path_factory.mktemp("made")
-    for name, content in written_for(Exported(file=stage()), COMPILED).files.items():
+    for name, content in target_files(TargetInputs(file=stage()), COMPILED).files.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(content)
     return folder
@@ -38,26 +38,33 @@ def golden(axis):
 
 
 def test_the_same_parameters_give_the_same_bytes_for_every_target():
-    first, again = (written_for(Exported(file=stage()), COMPILED).files for _ in range(2))
+    first, again = (target_files(TargetInputs(file=stage()), COMPILED).files for _ in range(2))
     assert dict(first) == dict(again)
 
 
 def test_an_unknown_target_is_answered_with_those_there_are():
     with pytest.raises(
-        ParameterFileError, match=r"no target 'simulink'\. Needed: one of bundle, fmu, library, pi"
+        ParameterFileError,
+        match=r"no target 'simulink'\. Needed: one of bundle, fmu, library, pid",
     ):
-        known_targets(["fmu", "simulink"])
+        check_targets(["fmu", "simulink"])
+
+
+@pytest.mark.parametrize("name", ["pi-pid", "biquad"])
+def test_a_replaced_target_is_refused_with_its_successor(name):
+    with pytest.raises(ParameterFileError, match=rf"'{name}' was replaced by 'pid'.*--target pid"):
+        check_targets([name])
 
 
 def test_the_bundle_alone_adds_nothing():
-    assert not written_for(Exported(file=stage()), known_targets(["bundle"])).files
+    assert not target_files(TargetInputs(file=stage()), check_targets(["bundle"])).files
 
 
 def test_without_a_compiler_the_sources_are_written_and_a_note_says_what_is_missing(
     monkeypatch, tmp_path
 ):
     monkeypatch.setenv("PATH", str(tmp_path))
-    done = written_for(Exported(file=stage()), COMPILED)
+    done = target_files(TargetInputs(file=stage()), COMPILED)
     assert {name for name in done.files if name.endswith(".fmu")} == set(FMU_NAMES)
     inside = zipfile.ZipFile(io.BytesIO(done.files[FMU_NAMES[0]])).namelist()
     assert not [name for name in inside if name.startswith("binaries/")]

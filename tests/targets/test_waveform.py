@@ -9,15 +9,16 @@ import pytest
 
 from piezoid.errors import ParameterFileError
 from piezoid.identification.extensions.linear_mode import LinearMode
-from piezoid.targets.box import Box, read_box, run_box
+from piezoid.targets.controller_hardware import ControllerHardware, read_hardware
 from piezoid.targets.waveform import compared, waveform_files, waveform_of
+from piezoid.verification.closed_loop import run_law
 from piezoid.verification.plant import Hysteresis, lateral_plant
-from tests.targets.known_boxes import exported
+from tests.targets.known_inputs import exported
 from tests.verification.rig import RATE_Hz
 
 
 def boxed(**box):
-    return replace(exported(), box=Box(**box))
+    return replace(exported(), hardware=ControllerHardware(**box))
 
 
 def table(**box):
@@ -64,16 +65,18 @@ def test_a_stage_that_moves_the_other_way_is_driven_the_other_way():
     turned = replace(plant, response=replace(plant.response, polarity=-1))
     model = replace(own.models["x"], polarity=-1)
     other = replace(own, plants=(turned,), drawn={}, models={"x": model})
-    one = waveform_of(replace(other, box=Box(half_range_m=1e-6)), own.lateral[0])
+    one = waveform_of(
+        replace(other, hardware=ControllerHardware(half_range_m=1e-6)), own.lateral[0]
+    )
     commands = iter(np.tile(one.voltage_V, 3).tolist())
     samples = 3 * len(one.wanted_m)
-    moved = run_box(
+    moved = run_law(
         replace(turned, noise_rms=0.0),
         lambda _reference, _measured: next(commands),
         np.zeros(samples),
         rng=np.random.default_rng(0),
     )
-    np.testing.assert_allclose(moved.position_m[-len(one.wanted_m) :], one.wanted_m, atol=5e-9)
+    np.testing.assert_allclose(moved.position[-len(one.wanted_m) :], one.wanted_m, atol=5e-9)
 
 
 def test_a_fast_scan_over_a_mode_is_followed_without_tearing_at_the_drive():
@@ -81,8 +84,8 @@ def test_a_fast_scan_over_a_mode_is_followed_without_tearing_at_the_drive():
     mode = LinearMode(frequency_Hz=630.0, quality=20.0)
     model = replace(own.models["x"], extensions=(mode,))
     plant = lateral_plant(model, sampling_rate_Hz=RATE_Hz)
-    fast = Box(frequency_Hz=200.0, half_range_m=5e-6)
-    made = replace(own, plants=(plant,), drawn={}, models={"x": model}, box=fast)
+    fast = ControllerHardware(frequency_Hz=200.0, half_range_m=5e-6)
+    made = replace(own, plants=(plant,), drawn={}, models={"x": model}, hardware=fast)
     one = waveform_of(made, own.lateral[0])
     found = compared(made, own.lateral[0], one)["identified"]
     assert found["waveform"] < 5e-8
@@ -135,23 +138,24 @@ def test_without_a_known_range_there_are_voltages_and_no_integers():
         ("[waveform]\nshape = 'square'", "is 'square'. Needed: triangle or sine"),
         ("[waveform]\nrange_V = [5, 5]", "two voltages, the lower first"),
         ("[waveform]\nfrequency_Hz = nan", "a number above 0"),
-        ("[pi-pid]\nnotches = 3", "a whole number from 0 to 2"),
-        ("[pi-pid]\npoints = 3", "one of slew_V_per_s, notches"),
-        ("[moku]\na = 3", r"\[pi-pid\], \[biquad\], .*\[waveform\]"),
+        ("[pid]\nnotches = 3", "a whole number from 0 to 2"),
+        ("[pid]\nnotches = true", "notches of .pid. is True"),
+        ("[pid]\npoints = 3", "one of notches, slew_V_per_s"),
+        ("[biquad]\na = 3", r".biquad. is no table.*\[pid\], .*\[waveform\]"),
         ("[waveform", "cannot be read"),
     ],
 )
 def test_a_box_that_is_not_understood_is_refused_by_its_line(text, said, tmp_path):
     (tmp_path / "box.toml").write_text(text)
     with pytest.raises(ParameterFileError, match=said):
-        read_box(tmp_path / "box.toml")
+        read_hardware(tmp_path / "box.toml")
 
 
 def test_a_box_is_read_as_it_is_written(tmp_path):
     (tmp_path / "box.toml").write_text(
-        "[pi-pid]\nnotches = 1\nslew_V_per_s = 200\n"
+        "[pid]\nnotches = 1\nslew_V_per_s = 200\n"
         "[waveform]\nshape = 'sine'\nrange_V = [0, 10]\nbits = 12\npoints = 4096\n"
     )
-    assert read_box(tmp_path / "box.toml") == Box(
+    assert read_hardware(tmp_path / "box.toml") == ControllerHardware(
         notches=1, slew_V_per_s=200.0, shape="sine", range_V=(0.0, 10.0), bits=12, points=4096
     )

@@ -108,17 +108,16 @@ def test_what_was_exported_is_handed_to_a_script_with_the_targets_beside_the_bun
 
 
 def test_boxes_get_their_files_and_the_terminal_says_what_they_lose(folder):
-    (folder / "box.toml").write_text("[pi-pid]\nnotches = 0\n[waveform]\nrange_V = [0, 10]\n")
-    asked = ("--target", "pi-pid", "--target", "waveform", "--box", folder / "box.toml")
+    (folder / "box.toml").write_text("[pid]\nnotches = 0\n[waveform]\nrange_V = [0, 10]\n")
+    asked = ("--target", "pid", "--target", "waveform", "--box", folder / "box.toml")
     done = called("export", folder, *asked)
     assert done.exit_code == 0, done.output
     said = " ".join(done.output.split())
-    assert "axis x: with PID and no notch you" in said
-    assert "dB of rejection below" in said
+    assert "axis x: with a PID and no notch, a spiral of 10 Hz errs by" in said
     assert "axis x: the waveform errs by" in said
-    assert {path.name for path in (folder / "pi-pid").iterdir()} == {
+    assert {path.name for path in (folder / "pid").iterdir()} == {
         "README.md",
-        "rejection.csv",
+        "sections.csv",
         "settings.csv",
     }
     assert {path.name for path in (folder / "waveform").iterdir()} == {

@@ -11,9 +11,9 @@ from piezoid.export.fmu import fmu_files
 from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.identification.model import Discrepancy
 from piezoid.operators.preisach_plays import PreisachPlays
-from piezoid.targets.exported import Exported
-from piezoid.targets.plant_unit import plant_units
-from piezoid.targets.targets import written_for
+from piezoid.targets.fmu_plant import plant_units
+from piezoid.targets.target_inputs import TargetInputs
+from piezoid.targets.targets import target_files
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.plant import Hysteresis, Junction
 from piezoid.verification.scenarios import SCENARIOS
@@ -73,12 +73,12 @@ def behind_functions():
 def made(tmp_path_factory):
     found("cc", "gcc", "clang")
     folder = tmp_path_factory.mktemp("plants")
-    exported = Exported(file=stage("x"), plants=(PLANTS[0], PLANTS[2]))
+    exported = TargetInputs(file=stage("x"), plants=(PLANTS[0], PLANTS[2]))
     others, _ = fmu_files(
         plant_units("other", (everything(), behind_functions(), tip_elsewhere()))
     )
     written = {
-        f"rig/{place}": made for place, made in written_for(exported, ["fmu"]).files.items()
+        f"rig/{place}": made for place, made in target_files(exported, ["fmu"]).files.items()
     }
     written |= {f"other/fmu/{place}": made for place, made in others.items()}
     for place, content in written.items():

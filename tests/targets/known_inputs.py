@@ -8,22 +8,13 @@ from piezoid.design.chain import Chain, family_from_chains
 from piezoid.design.stage import design_stage
 from piezoid.export.stage import export_stage
 from piezoid.records.lab import Lab
-from piezoid.targets.exported import Exported
 from piezoid.targets.pid import Pid
+from piezoid.targets.target_inputs import TargetInputs
 from piezoid.verification.stage import stage_plants
 from tests.verification.known_fit import fitted
 from tests.verification.rig import AMPLIFIER, MODE, SENSOR, GAIN_m_per_V, RATE_Hz
 
-BLANK = Pid(
-    sampling_rate_Hz=RATE_Hz,
-    proportional_V_per_m=0.0,
-    integral_V_per_m_s=0.0,
-    derivative_V_s_per_m=0.0,
-    notches=(),
-    rest_V=0.0,
-    minimum_V=-10.0,
-    maximum_V=10.0,
-)
+BLANK = Pid(sampling_rate_Hz=RATE_Hz, rest_V=0.0, minimum_V=-10.0, maximum_V=10.0)
 
 
 @cache
@@ -34,7 +25,7 @@ def exported():
     )
     file = export_stage(model, design, design_digest="sha256:none")
     plants, drawn = stage_plants(file, model, Lab(), draws=2)
-    return Exported(
+    return TargetInputs(
         file=file,
         plants=plants,
         drawn={"x": drawn[0]},

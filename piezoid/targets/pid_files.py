@@ -1,0 +1,208 @@
+"""The target `pid`: settings and second-order sections for PID hardware, and the loss."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.design.from_model import plant_family
+from piezoid.design.hysteresis_bounds import affine_bounds
+from piezoid.design.lateral import with_sector
+from piezoid.export.c_header import inert
+from piezoid.export.parameter_file import AxisParameters
+from piezoid.formatting import with_unit
+from piezoid.numerics.arrays import Array
+from piezoid.targets.pid import Pid, PidController
+from piezoid.targets.pid_search import TunedPid, tuned_pid
+from piezoid.targets.target_inputs import SEED, TargetInputs, exported_position_m
+from piezoid.verification.approach import led_to, room_of
+from piezoid.verification.closed_loop import run_law
+from piezoid.verification.scenarios import constant_angular_velocity
+
+_SPIRAL_Hz, _TURNS = 10.0, 5.0
+_NOTCHES = ("no notch", "one notch", "two notches")
+
+_README = """\
+# {name}: settings for a PID controller with up to {notches} notches and a slew limit
+
+The controller computes every sample, with T = 1 / sampling rate and e = reference - reading,
+
+    i += integral T e;   d += (1 - exp(-1/2)) ((e - e_previous) / T - d)
+    v = notches(proportional e + i + derivative d);   output = rest + v
+    notch: (s^2 + 2 depth w s + w^2) / (s^2 + 2 width w s + w^2), w = 2 pi frequency,
+    by Tustin's transform that keeps the frequency
+
+then the slew limit, the voltage limits and the converter's step; while a limit is active, the
+integral stops. Gains are volts of the command per metre of displacement: scale them by the
+sensitivities of your amplifier and sensor. `settings.csv` holds them. `sections.csv` holds the
+same controller as second-order sections at {update}, the first in V/m,
+
+    y = b0 x + b1 x' + b2 x'' - a1 y' - a2 y''      with dashes for previous samples
+
+{axes}
+Tested: these settings, computed as above in double precision at the controller's rate, on the
+identified plant and others that the recordings allow, with hysteresis, creep, noise and
+converters; the margins of every plant are recomputed exactly. Not tested, because no such device
+was at hand: how yours names, scales and rounds its settings, how it filters its derivative, the
+order of its notches, its fixed-point arithmetic, and the delay that it adds. The plants have the
+delay of this stage's converters. Begin with a tenth of the integral and without the proportional.
+"""
+
+_AXIS = """\
+## Axis {axis}
+
+| setting | value |
+| --- | --- |
+{settings}
+
+{loss}.
+
+Worst of {plants} plants: modulus margin {modulus:.2f}, delay margin {delay}.
+
+| plant | spiral of {spiral} Hz, exported controller, rms | PID, rms |
+| --- | --- | --- |
+{rows}
+"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PidResult:
+    """The PID of one axis, and its loss compared with the exported controller.
+
+    errors_m  rms error on a spiral by plant: exported controller and PID
+    """
+
+    axis: str
+    tuned: TunedPid
+    errors_m: Mapping[str, tuple[float, float]]
+
+    @property
+    def loss(self) -> str:
+        """The loss in one sentence."""
+        exported_m, pid_m = np.max(list(self.errors_m.values()), axis=0).tolist()
+        return (
+            f"with a PID and {_NOTCHES[len(self.tuned.pid.notches)]}, a spiral of "
+            f"{_SPIRAL_Hz:g} Hz errs by {with_unit(pid_m, 'm')} rms instead of "
+            f"{with_unit(exported_m, 'm')} (worst of "
+            f"{len(self.errors_m)} plants)"
+        )
+
+
+def pid_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str, ...]]:
+    """Return the folder's files by name, and one sentence about the loss of each axis.
+
+    Raises ``DesignError`` where no PID stabilises the plants of an axis.
+    """
+    results = [pid_of(inputs, axis) for axis in inputs.lateral]
+    notes = [f"axis {result.axis}: {result.loss}" for result in results]
+    notes += [
+        f"axis {axis} is not in pid/: it regulates a current; --target library or the bundle has "
+        "its controller"
+        for axis in inputs.tips
+    ]
+    if not results:
+        return {}, tuple(notes)
+    update_Hz = inputs.hardware.update_Hz or results[0].tuned.pid.sampling_rate_Hz
+    settings, sections = ["axis,setting,value,unit"], ["axis,section,b0,b1,b2,a1,a2"]
+    for result in results:
+        pid = result.tuned.pid
+        settings += [f"{result.axis},{n},{v!r},{u}" for n, v, u in _settings(pid)]
+        for index, (b, a) in enumerate(pid.sections(update_Hz)):
+            values = [*np.pad(b, (0, 3 - len(b))), *np.pad(a, (0, 3 - len(a)))[1:]]
+            sections.append(",".join([result.axis, str(index), *(f"{v:.17g}" for v in values)]))
+    readme = _README.format(
+        name=inert(inputs.file.name),
+        notches=inputs.hardware.notches,
+        update=with_unit(update_Hz, "Hz", 6),
+        axes="\n".join(_section(result) for result in results),
+    )
+    texts = {
+        "README.md": readme,
+        "settings.csv": "\n".join([*settings, ""]),
+        "sections.csv": "\n".join([*sections, ""]),
+    }
+    return {name: text.encode() for name, text in texts.items()}, tuple(notes)
+
+
+def pid_of(inputs: TargetInputs, axis: AxisParameters) -> PidResult:
+    """Search for the settings of one axis and simulate them beside the exported controller."""
+    design, model, hardware = inputs.designs[axis.axis], inputs.models[axis.axis], inputs.hardware
+    specification, rate_Hz = design.specification, design.sampling_rate_Hz
+    bounds = affine_bounds(
+        model.operator, model.certificate.reach_V, remainder_m=model.certificate.bound_m
+    )
+    plants = inputs.family(axis.axis)
+    tuned = tuned_pid(
+        axis.axis,
+        with_sector(plant_family(model, rate_Hz), bounds),
+        Pid(
+            sampling_rate_Hz=rate_Hz,
+            rest_V=plants[0].rest_voltage_V,
+            minimum_V=float(axis.values["voltage_minimum_V"]),
+            maximum_V=float(axis.values["voltage_maximum_V"]),
+            lsb_V=float(axis.values["lsb_V"]),
+            slew_V_per_s=hardware.slew_V_per_s or specification.voltage_slew_V_per_s or np.inf,
+        ),
+        notches=hardware.notches,
+        specification=specification,
+    )
+    room = room_of(axis)
+    path_m = room.centre_m + room.radius_m * (
+        constant_angular_velocity(rate_Hz, _SPIRAL_Hz, _TURNS).x
+    )
+    errors_m = {}
+    for plant in plants:
+        approach_m = led_to(plant, float(path_m[0]))
+        reference_m = np.concatenate([approach_m, path_m])
+        rng = np.random.default_rng(SEED)
+        record = run_law(plant, PidController(tuned.pid), reference_m, rng=rng)
+        errors_m[plant.label] = (
+            _rms_m(exported_position_m(axis, plant, path_m) - path_m),
+            _rms_m(record.position[len(approach_m) :] - path_m),
+        )
+    return PidResult(axis=axis.axis, tuned=tuned, errors_m=errors_m)
+
+
+def _rms_m(error_m: Array) -> float:
+    return float(np.sqrt(np.mean(error_m**2)))
+
+
+def _settings(pid: Pid) -> list[tuple[str, float, str]]:
+    settings = [
+        ("sampling rate", pid.sampling_rate_Hz, "Hz"),
+        ("proportional", pid.proportional_V_per_m, "V/m"),
+        ("integral", pid.integral_V_per_m_s, "V/(m s)"),
+        ("derivative", pid.derivative_V_s_per_m, "V s/m"),
+    ]
+    for number, notch in enumerate(pid.notches, 1):
+        settings += [
+            (f"notch {number} frequency", notch.frequency_Hz, "Hz"),
+            (f"notch {number} depth", notch.depth, "1"),
+            (f"notch {number} width", notch.width, "1"),
+        ]
+    settings += [
+        ("slew limit", pid.slew_V_per_s, "V/s"),
+        ("rest", pid.rest_V, "V"),
+        ("lowest output", pid.minimum_V, "V"),
+        ("highest output", pid.maximum_V, "V"),
+    ]
+    return [setting for setting in settings if np.isfinite(setting[1])]
+
+
+def _section(result: PidResult) -> str:
+    margins = result.tuned.margins
+    delays_s = [m.delay_margin_s for m in margins if m.delay_margin_s is not None]
+    rows = [
+        f"| {label} | {with_unit(exported, 'm')} | {with_unit(pid, 'm')} |"
+        for label, (exported, pid) in result.errors_m.items()
+    ]
+    return _AXIS.format(
+        axis=result.axis,
+        settings="\n".join(f"| {n} | {v:.6g} {u} |" for n, v, u in _settings(result.tuned.pid)),
+        loss=result.loss[0].upper() + result.loss[1:],
+        plants=len(margins),
+        modulus=min(m.modulus_margin for m in margins),
+        delay=with_unit(min(delays_s), "s") if delays_s else "none needed",
+        spiral=f"{_SPIRAL_Hz:g}",
+        rows="\n".join(rows),
+    )

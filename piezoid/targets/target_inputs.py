@@ -1,0 +1,64 @@
+"""What the targets are made from, and the comparison with the exported controller."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from piezoid.design.design import AxisDesign
+from piezoid.export.parameter_file import AxisParameters, ParameterFile
+from piezoid.identification.model import AxisModel
+from piezoid.numerics.arrays import Array
+from piezoid.targets.controller_hardware import ControllerHardware
+from piezoid.verification.approach import led_to
+from piezoid.verification.closed_loop import run_axis
+from piezoid.verification.plant import AxisPlant
+
+SEED = 0  # of the sensor noise in every comparison
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TargetInputs:
+    """Exported controller, identified plants and hardware limits.
+
+    file         exported parameters
+    plants       identified plants of the axes, those that verification runs
+    drawn        by axis, other plants that the recordings allow
+    models       by axis, the identified model
+    designs      by axis, the designed loops
+    converter_V  ends of the stage's converter; None where lab.toml does not declare them
+    amplifier_V_per_V  by axis, where lab.toml declares it
+    hardware     limits of the hardware for which targets are made
+    """
+
+    file: ParameterFile
+    plants: Sequence[AxisPlant] = ()
+    drawn: Mapping[str, Sequence[AxisPlant]] = field(default_factory=dict)
+    models: Mapping[str, AxisModel] = field(default_factory=dict)
+    designs: Mapping[str, AxisDesign] = field(default_factory=dict)
+    converter_V: tuple[float, float] | None = None
+    amplifier_V_per_V: Mapping[str, float] = field(default_factory=dict)
+    hardware: ControllerHardware = field(default_factory=ControllerHardware)
+
+    @property
+    def lateral(self) -> tuple[AxisParameters, ...]:
+        """Axes that follow a displacement and have an identified model."""
+        return tuple(axis for axis in self.file.axes if axis.axis in self.models)
+
+    @property
+    def tips(self) -> tuple[str, ...]:
+        """Names of the axes that regulate a current."""
+        return tuple(axis.axis for axis in self.file.axes if axis.method == "rst")
+
+    def family(self, axis: str) -> tuple[AxisPlant, ...]:
+        """Return the identified plant of an axis, then the other plants the recordings allow."""
+        identified = next(plant for plant in self.plants if plant.axis == axis)
+        return (identified, *self.drawn.get(axis, ()))
+
+
+def exported_position_m(axis: AxisParameters, plant: AxisPlant, path_m: Array) -> Array:
+    """Return the position under the exported controller, from the start of the path."""
+    approach_m = led_to(plant, float(path_m[0]))
+    reference_m = np.concatenate([approach_m, path_m])
+    record = run_axis(plant, axis, reference_m, rng=np.random.default_rng(SEED))
+    return record.position[len(approach_m) :]
