@@ -33,7 +33,7 @@ from piezoid.records.frames import from_arrays
 from piezoid.runtime.controller import Controller
 from piezoid.verification.plant import AxisPlant, lateral_plant
 from piezoid.verification.scenarios import raster
-from piezoid.verification.stage import plant_of
+from piezoid.verification.verify_stage import plant_of
 from piezoid_cli.calibration import calibrate
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from piezoid_datasets.virtual_lab.names import named

@@ -28,7 +28,7 @@ from piezoid.design.design import AxisDesign, members_of
 from piezoid.design.family_grid import FamilyGrid, family_grid, judge
 from piezoid.design.feasibility import unmet
 from piezoid.design.feedforward import fit_reference_path
-from piezoid.design.from_model import lateral_task, unseen
+from piezoid.design.lateral_task import lateral_task, unseen
 from piezoid.design.observer import (
     DisturbanceObserver,
     ObserverFrame,
@@ -41,8 +41,8 @@ from piezoid.design.search import search as search_parameters
 from piezoid.design.sensitivity import closed_loop_polynomial
 from piezoid.design.specification import Specification, slowest_Hz
 from piezoid.errors import DesignError
-from piezoid.export.from_design import hysteresis_values, observer_values, reference_values
 from piezoid.export.parameter_file import AxisParameters
+from piezoid.export.runtime_parameters import hysteresis_values, observer_values, reference_values
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.estimate import longest_lag_s
 from piezoid.identification.hysteresis.physical import physical

@@ -25,8 +25,8 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.lab import read_lab
 from piezoid.runtime.controller import Status
 from piezoid.verification.bounds import error_bounds
-from piezoid.verification.stage import stage_plants
 from piezoid.verification.verification import ErrorBound
+from piezoid.verification.verify_stage import stage_plants
 
 RUNS = 20  # at each speed
 _OUTSIDE = Status.VOLTAGE_LIMITED | Status.REFERENCE_LIMITED | Status.VOLTAGE_STEP

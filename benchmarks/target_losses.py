@@ -15,7 +15,7 @@ from piezoid.export.parameter_file import from_json
 from piezoid.identification.store import read_model
 from piezoid.targets.target_inputs import TargetInputs
 from piezoid.targets.targets import target_files
-from piezoid.verification.stage import stage_plants
+from piezoid.verification.verify_stage import stage_plants
 from piezoid_cli.stage_files import content_of, lab_of
 
 TARGETS = ("pid", "nanonis", "waveform")

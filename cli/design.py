@@ -45,7 +45,7 @@ def design(
     """
     from json import loads
 
-    from piezoid.design.stage import Asked, design_stage
+    from piezoid.design.design_stage import Asked, design_stage
     from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.sealed_files import read_model
     from piezoid_cli.export import show_unshipped

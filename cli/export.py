@@ -131,7 +131,7 @@ def _target_files(
     from piezoid.records.lab import Lab
     from piezoid.targets.target_inputs import TargetInputs
     from piezoid.targets.targets import target_files
-    from piezoid.verification.stage import stage_plants
+    from piezoid.verification.verify_stage import stage_plants
 
     declared = lab or Lab()
     plants, drawn = stage_plants(file, model, declared)

@@ -65,7 +65,7 @@ def learn(
     check_folder(out, force=force, new=True, inputs=read)
     with shown(quiet=quiet or json) as told:
         told("reading the stage")
-        from piezoid.design.stage import controller_rate_Hz
+        from piezoid.design.design_stage import controller_rate_Hz
         from piezoid.export.parameter_file import from_json
         from piezoid.learning.files import learned_files, read_reference
         from piezoid.learning.learn import learned_from_json

@@ -67,7 +67,7 @@ def verify(
     from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.sealed_files import read_model
     from piezoid.verification.criteria import limits_from_toml
-    from piezoid.verification.stage import verify_stage
+    from piezoid.verification.verify_stage import verify_stage
     from piezoid_cli.progress import shown
     from piezoid_cli.side_by_side import usable_cores
     from piezoid_cli.stage_files import content_of, lab_of, same_model, text_of

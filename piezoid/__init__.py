@@ -51,7 +51,7 @@ _PUBLIC = {
     "Plan": "piezoid.diagnosis.experiment",
     "Quantity": "piezoid.records.recording",
     "Recording": "piezoid.records.recording",
-    "Shipping": "piezoid.verification.shipping",
+    "Shipping": "piezoid.verification.release",
     "Verification": "piezoid.verification.verification",
     "VirtualStage": "piezoid.virtual_stage",
     "fit_coupled": "piezoid.identification.coupled.fit_coupled",
@@ -99,7 +99,7 @@ if TYPE_CHECKING:
         verify,
     )
     from piezoid.verification.closed_loop import LoopRecord
-    from piezoid.verification.shipping import Shipping
+    from piezoid.verification.release import Shipping
     from piezoid.verification.verification import Verification
     from piezoid.virtual_stage import VirtualStage, simulate
 
@@ -168,7 +168,7 @@ def __dir__() -> list[str]:
 class _Package(ModuleType):
     """The package: of ``design`` and ``export`` it shows the verbs, not the folders.
 
-    Importing ``piezoid.design.stage`` would otherwise put the folder where the verb is.
+    Importing ``piezoid.design.design_stage`` would otherwise put the folder where the verb is.
     """
 
     def __setattr__(self, name: str, value: object) -> None:

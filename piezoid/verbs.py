@@ -16,7 +16,7 @@ from piezoid.calibration import calibrate as whole_way
 from piezoid.calibration.calibrate import Calibration
 from piezoid.calibration.controllers import shipped
 from piezoid.design.design import Design
-from piezoid.design.stage import Asked, controller_rate_Hz, design_stage
+from piezoid.design.design_stage import Asked, controller_rate_Hz, design_stage
 from piezoid.diagnosis import diagnose as engine
 from piezoid.diagnosis import experiment
 from piezoid.diagnosis.diagnosis import Diagnosis
@@ -40,13 +40,13 @@ from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
 from piezoid.sealed_files import Place, digest_of, path_of
+from piezoid.verification.axis_simulation import Controller, follow, own_parameters, parameters_of
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.criteria import limits_from_toml
-from piezoid.verification.follow import Controller, follow, own_parameters, parameters_of
 from piezoid.verification.plant import lateral_plant
-from piezoid.verification.shipping import Shipping
-from piezoid.verification.stage import plant_of, verify_stage
+from piezoid.verification.release import Shipping
 from piezoid.verification.verification import Verification
+from piezoid.verification.verify_stage import plant_of, verify_stage
 
 Recordings = Recording | Collection | Iterable[Recording]
 Progress = Callable[[str], None] | None

@@ -1,7 +1,7 @@
 """Why a loop is slow: nobody has seen the mode that a faster one might excite."""
 
 from piezoid.design.design import AxisDesign
-from piezoid.design.from_model import BEYOND, unseen
+from piezoid.design.lateral_task import BEYOND, unseen
 from piezoid_reports.page import Page
 from piezoid_reports.quantities import told
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from piezoid.numerics.arrays import Array
 from piezoid.verification.criteria import SHAPE, Limits
-from piezoid.verification.trace import Motion, SpiralTrace, rms_from
+from piezoid.verification.plotted_paths import Motion, SpiralTrace, rms_from
 from piezoid.verification.verification import Verification
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.page import NANO, Figure

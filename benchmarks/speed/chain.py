@@ -9,17 +9,17 @@ import numpy as np
 from benchmarks.speed.campaign import AXIS, Campaign
 from benchmarks.speed.stopwatch import Stopwatch, used_s
 from piezoid.design.design import Design
-from piezoid.design.stage import design_stage
+from piezoid.design.design_stage import design_stage
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.export.export_stage import export_stage
 from piezoid.export.parameter_file import AxisParameters
-from piezoid.export.stage import export_stage
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.fit import fit
 from piezoid.identification.simulation import simulate_recording
 from piezoid.numerics.arrays import Array
 from piezoid.verification.plant import AxisPlant
-from piezoid.verification.stage import plant_of
+from piezoid.verification.verify_stage import plant_of
 from piezoid_reports.render import render
 
 STEPS = ("fit, all of it", "diagnosis", "design", "report")

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from piezoid.calibration.stage_jobs import Designed
     from piezoid.design.design import Design
-    from piezoid.design.stage import Outcome
+    from piezoid.design.design_stage import Outcome
     from piezoid.export.parameter_file import ParameterFile
     from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.records.lab import Lab
-    from piezoid.verification.shipping import Shipping
+    from piezoid.verification.release import Shipping
     from piezoid.verification.verification import Verification
 
 Told = Callable[[str], None]
@@ -77,7 +77,7 @@ def controllers_of(
     Whatever stands in their way, model and report are there without them; a controller that could
     not be verified does not ship.
     """
-    from piezoid.design.stage import (
+    from piezoid.design.design_stage import (
         design_axes,
         design_of,
         nothing_to_design,
@@ -164,8 +164,8 @@ def shipped(
 
     Raises ``ParameterFileError`` or ``LabFileError`` where nothing can be exported.
     """
-    from piezoid.export.stage import export_stage
-    from piezoid.verification.shipping import shipping_of
+    from piezoid.export.export_stage import export_stage
+    from piezoid.verification.release import shipping_of
 
     told("exporting")
     parameters = export_stage(model, design, design_digest=design_digest, lab=lab)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from piezoid.design.stage import Outcome
+    from piezoid.design.design_stage import Outcome
     from piezoid.diagnosis.diagnosis import Diagnosis
     from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.identification.hysteresis.order import Elsewhere
@@ -135,7 +135,7 @@ def jobs_of(
 
 def ready() -> None:
     """Load what doing a job needs, while somebody else still reads the recordings."""
-    import piezoid.design.stage
+    import piezoid.design.design_stage
     import piezoid.diagnosis.diagnose
     import piezoid.identification.fit  # noqa: F401
 
@@ -210,7 +210,7 @@ def _diagnosed(
 
 
 def _run_tip(job: TipJob, told: Told) -> TipFound:
-    from piezoid.design.from_junction import axis_of
+    from piezoid.design.junction_task import axis_of
     from piezoid.identification.tunnelling.junction import fit_junction
     from piezoid.records.lab import Lab
 
@@ -223,7 +223,7 @@ def _run_tip(job: TipJob, told: Told) -> TipFound:
 
 
 def _designed(stage: "ActuatorModel", lab: "Lab | None", told: Told) -> Designed:
-    from piezoid.design.stage import design_axes
+    from piezoid.design.design_stage import design_axes
 
     try:
         return Designed(outcomes=design_axes(stage, lab=lab, progress=told))

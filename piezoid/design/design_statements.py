@@ -4,7 +4,7 @@ from math import isfinite
 
 from piezoid.design.certificate import Certificate
 from piezoid.design.design import AxisDesign, Design
-from piezoid.design.from_model import BEYOND, FIRST_MODE, unseen
+from piezoid.design.lateral_task import BEYOND, FIRST_MODE, unseen
 from piezoid.formatting import significant, with_unit
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel

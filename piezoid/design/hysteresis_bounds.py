@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.design.joint_error import JointError, joint_error
+from piezoid.design.model_difference import JointError, joint_error
 from piezoid.formatting import with_unit
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.design.from_model import lateral_task, unseen
+from piezoid.design.lateral_task import lateral_task, unseen
 from piezoid.design.plant import Plant
 from piezoid.errors import DesignError
 from piezoid.formatting import with_unit

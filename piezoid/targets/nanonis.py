@@ -23,8 +23,8 @@ from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.targets.target_inputs import TargetInputs, exported_position_m
 from piezoid.targets.waveform import inverted_V, last_period, refuse_beyond
-from piezoid.verification.approach import room_of
 from piezoid.verification.scenarios import raster
+from piezoid.verification.start_position import room_of
 
 _LINE_Hz = 1.0  # to and fro
 _DENSE = 4096  # points of a branch

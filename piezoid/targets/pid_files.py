@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.design.from_model import plant_family
 from piezoid.design.hysteresis_bounds import affine_bounds
 from piezoid.design.lateral import with_sector
+from piezoid.design.lateral_task import plant_family
 from piezoid.export.c_header import inert
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.formatting import with_unit
@@ -15,9 +15,9 @@ from piezoid.numerics.arrays import Array
 from piezoid.targets.pid import Pid, PidController
 from piezoid.targets.pid_search import TunedPid, tuned_pid
 from piezoid.targets.target_inputs import SEED, TargetInputs, exported_position_m
-from piezoid.verification.approach import led_to, room_of
 from piezoid.verification.closed_loop import run_law
 from piezoid.verification.scenarios import constant_angular_velocity
+from piezoid.verification.start_position import led_to, room_of
 
 _SPIRAL_Hz, _TURNS = 10.0, 5.0
 _NOTCHES = ("no notch", "one notch", "two notches")

@@ -10,9 +10,9 @@ from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.targets.controller_hardware import ControllerHardware
-from piezoid.verification.approach import led_to
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.plant import AxisPlant
+from piezoid.verification.start_position import led_to
 
 SEED = 0  # of the sensor noise in every comparison
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.design.from_model import plant_family
+from piezoid.design.lateral_task import plant_family
 from piezoid.errors import ParameterFileError
 from piezoid.export.c_header import inert
 from piezoid.export.parameter_file import AxisParameters
@@ -22,10 +22,10 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import polynomial_response, unit_circle
 from piezoid.targets.controller_hardware import ControllerHardware
 from piezoid.targets.target_inputs import SEED, TargetInputs, exported_position_m
-from piezoid.verification.approach import room_of
 from piezoid.verification.closed_loop import run_law
 from piezoid.verification.plant import AxisPlant, Hysteresis
 from piezoid.verification.scenarios import raster
+from piezoid.verification.start_position import room_of
 
 _PERIODS = 3  # the last is looked at: plays have closed their loops after the first
 # Rounds of correction. After eight the identified plants of the bundled stage erred by 0.21 and

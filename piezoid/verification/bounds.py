@@ -40,9 +40,9 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
 from piezoid.numerics.polynomial import product
 from piezoid.runtime.controller import Status
-from piezoid.verification.approach import led_to, room_of
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.plant import AxisPlant, Hysteresis, Junction, lateral_plant
+from piezoid.verification.start_position import led_to, room_of
 from piezoid.verification.verification import ErrorBound
 
 PROBABILITY, DRAWN = 0.95, 59  # runs at each speed: the third largest of them bounds the next

@@ -11,10 +11,10 @@ import numpy as np
 
 from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid.numerics.arrays import Array, ComplexArray
-from piezoid.verification.approach import led_to
-from piezoid.verification.bench import Bench
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.criteria import Verdict
+from piezoid.verification.scenario_runner import Bench
+from piezoid.verification.start_position import led_to
 from piezoid.verification.verification import CouplingRow
 
 PERIODS = 4  # of the motion, the first of which does not count

@@ -18,10 +18,10 @@ from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
-from piezoid.verification.bench import Bench, Run
 from piezoid.verification.closed_loop import Fault, LoopRecord
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.plant import AxisPlant, Junction
+from piezoid.verification.scenario_runner import Bench, Run
 from piezoid.verification.scenarios import Path, Scenario
 from piezoid.verification.verification import CurrentRow
 

@@ -16,8 +16,8 @@ from piezoid.record_json import (
 from piezoid.runtime.schema import METHODS
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.limit_proof import LimitProof
+from piezoid.verification.plotted_paths import Motion, SpiralTrace
 from piezoid.verification.proof import Proof
-from piezoid.verification.trace import Motion, SpiralTrace
 
 if TYPE_CHECKING:
     pass

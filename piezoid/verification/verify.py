@@ -11,13 +11,21 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
 from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
-from piezoid.verification.bench import Bench, Run, bench_of
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.coupled_loop import coupling_rows, judged
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.plant import AxisPlant, with_pasts
+from piezoid.verification.plotted_paths import (
+    SHOWN,
+    TRACED_BESIDE,
+    Motion,
+    is_traced,
+    motions_of,
+    trace_of,
+)
 from piezoid.verification.proof import Proof
+from piezoid.verification.scenario_runner import Bench, Run, bench_of
 from piezoid.verification.scenarios import SCENARIOS, Path, Scenario
 from piezoid.verification.tip_trials import (
     TIP_TRIALS,
@@ -25,14 +33,6 @@ from piezoid.verification.tip_trials import (
     judge_tips,
     judge_trials,
     run_tips,
-)
-from piezoid.verification.trace import (
-    SHOWN,
-    TRACED_BESIDE,
-    Motion,
-    is_traced,
-    motions_of,
-    trace_of,
 )
 from piezoid.verification.tracking import Tracking, track
 from piezoid.verification.verification import ComparisonRow, SpiralRow, Verification

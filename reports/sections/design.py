@@ -4,7 +4,7 @@ import numpy as np
 
 from piezoid.design.damping import told_of_mode
 from piezoid.design.design import AxisDesign, LoopDesign, Member
-from piezoid.design.from_model import assumptions_of
+from piezoid.design.lateral_task import assumptions_of
 from piezoid.design.sensitivity import closed_loop_polynomial, sensitivities
 from piezoid.design.templates import delay_limit
 from piezoid.numerics.arrays import Array

@@ -38,9 +38,9 @@ def test_every_name_is_there_and_says_what_it_is(name: str) -> None:
 
 def test_verbs_are_not_hidden_by_folders_of_their_name() -> None:
     code = (
-        "import piezoid.design.stage, piezoid.export.bundle, piezoid\n"
+        "import piezoid.design.design_stage, piezoid.export.bundle, piezoid\n"
         "from piezoid import design, export\n"
-        "from piezoid.design.stage import design_stage\n"
+        "from piezoid.design.design_stage import design_stage\n"
         "assert callable(design) and callable(export)\n"
         "assert design is piezoid.design and piezoid.export is export\n"
     )

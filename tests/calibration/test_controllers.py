@@ -9,7 +9,7 @@ import pytest
 from piezoid.calibration.controllers import Controllers, controllers_of
 from piezoid.calibration.stage_jobs import Designed
 from piezoid.design.design import AxisDesign
-from piezoid.design.stage import Outcome, design_axes
+from piezoid.design.design_stage import Outcome, design_axes
 from piezoid.errors import DesignError, PiezoidError, RuntimeLibraryError, TemplateError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.from_model import lateral_task
+from piezoid.design.lateral_task import lateral_task
 from piezoid.design.plant import Plant
 from piezoid.design.specification import rest_delay_s
 from piezoid.identification.extensions import CreepLadder, LinearMode, RateDependence
 from piezoid.identification.loop_model import at_corner, lag_half_s, loop_model
 from piezoid.identification.model import AxisModel, Lag
-from tests.design.test_from_model import RIG, RATE_Hz, one_mode, rigged
+from tests.design.test_lateral_task import RIG, RATE_Hz, one_mode, rigged
 from tests.identification.dynamics.stage import truth
 from tests.reports.known_stage import axis_model
 from tests.verification.known_fit import fitted

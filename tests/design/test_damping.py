@@ -16,7 +16,7 @@ from piezoid.design.lateral import design_lateral
 from piezoid.design.plant import PlantFamily
 from piezoid.design.specification import Specification, default_specification
 from piezoid.errors import TemplateError
-from piezoid.export.from_design import observer_values
+from piezoid.export.runtime_parameters import observer_values
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Controller
 from tests.design.test_runtime_agreement import LIMITS

@@ -9,8 +9,8 @@ import pytest
 from piezoid.design.certificate import Operation, certify
 from piezoid.design.design import AxisDesign, Design, design_from_json, members_of
 from piezoid.design.feasibility import unmet
-from piezoid.design.from_junction import design_vertical
 from piezoid.design.hysteresis_bounds import HysteresisBounds
+from piezoid.design.junction_task import design_vertical
 from piezoid.design.lateral import design_lateral, with_sector
 from piezoid.design.observer import linear_controller
 from piezoid.design.plant import PlantFamily

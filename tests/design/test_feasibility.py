@@ -8,7 +8,7 @@ import pytest
 
 from piezoid.design.design import LoopDesign
 from piezoid.design.feasibility import at_feasible_bandwidth, nearest_feasible, unmet
-from piezoid.design.from_junction import design_vertical
+from piezoid.design.junction_task import design_vertical
 from piezoid.design.lateral import design_lateral
 from piezoid.design.observer import linear_controller
 from piezoid.design.plant import PlantFamily

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from piezoid.design.from_junction import vertical_task
+from piezoid.design.junction_task import vertical_task
 from piezoid.errors import LabFileError
-from piezoid.export.stage import extension_of, tip_guards
+from piezoid.export.export_stage import extension_of, tip_guards
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.records.lab import Acquisition, Tunnelling
 from tests.design.junction_lab import LAB, loop_plant

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezoid.verification.plotted_paths import POINTS, SpiralTrace
 from piezoid.verification.proof import Proof
 from piezoid.verification.scenarios import SCENARIOS
-from piezoid.verification.trace import POINTS, SpiralTrace
 from piezoid.verification.verification import (
     ErrorBound,
     Verification,

@@ -5,12 +5,12 @@ from functools import cache
 
 from benchmarks.varied_chains import varied
 from piezoid.design.chain import Chain, family_from_chains
-from piezoid.design.stage import design_stage
-from piezoid.export.stage import export_stage
+from piezoid.design.design_stage import design_stage
+from piezoid.export.export_stage import export_stage
 from piezoid.records.lab import Lab
 from piezoid.targets.pid import Pid
 from piezoid.targets.target_inputs import TargetInputs
-from piezoid.verification.stage import stage_plants
+from piezoid.verification.verify_stage import stage_plants
 from tests.verification.known_fit import fitted
 from tests.verification.rig import AMPLIFIER, MODE, SENSOR, GAIN_m_per_V, RATE_Hz
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.from_model import lateral_task
-from piezoid.export.from_design import creep_values
+from piezoid.design.lateral_task import lateral_task
+from piezoid.export.runtime_parameters import creep_values
 from piezoid.identification.extensions import (
     AmplifierLimits,
     ConverterHold,

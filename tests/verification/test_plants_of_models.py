@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.stage import design_stage
+from piezoid.design.design_stage import design_stage
 from piezoid.errors import ParameterFileError
+from piezoid.export.export_stage import export_stage
 from piezoid.export.parameter_file import ParameterFile
-from piezoid.export.stage import export_stage
 from piezoid.identification.model import Lag
 from piezoid.identification.tunnelling.junction_plant import DriveMode
 from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.records.lab import Lab, Tunnelling
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.plant import Hysteresis, Plugged, junction_axis_plant, lateral_plant
-from piezoid.verification.stage import varied_plants, verify_stage
+from piezoid.verification.verify_stage import varied_plants, verify_stage
 from tests.design.junction_lab import LAB
 from tests.identification.dynamics.stage import truth
 from tests.verification.known_fit import fitted, junction_model, shipped

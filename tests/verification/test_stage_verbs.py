@@ -8,15 +8,15 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from piezoid.design.stage import design_stage
+from piezoid.design.design_stage import design_stage
 from piezoid.errors import LabFileError, ParameterFileError
+from piezoid.export.export_stage import export_stage
 from piezoid.export.parameter_file import from_json, to_json
-from piezoid.export.stage import export_stage
 from piezoid.identification.store import read_model, write_model
 from piezoid.records.lab import read_lab
 from piezoid.verification.closed_loop import run_axis
-from piezoid.verification.stage import plant_of
 from piezoid.verification.verification import verification_from_json
+from piezoid.verification.verify_stage import plant_of
 from piezoid_cli.export import export
 from piezoid_cli.report import report
 from piezoid_cli.verify import verify

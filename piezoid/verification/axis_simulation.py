@@ -8,13 +8,13 @@ from numpy.typing import ArrayLike
 
 from piezoid.design.design import Design
 from piezoid.errors import ParameterFileError
+from piezoid.export.export_stage import export_stage
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
-from piezoid.export.stage import export_stage
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.lab import Lab
 from piezoid.verification.closed_loop import LoopRecord, run_axis
-from piezoid.verification.shipping import Shipping
-from piezoid.verification.stage import plant_of
+from piezoid.verification.release import Shipping
+from piezoid.verification.verify_stage import plant_of
 
 Controller = Design | Shipping | ParameterFile
 

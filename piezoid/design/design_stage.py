@@ -9,9 +9,9 @@ from piezoid.design.damping import raised
 from piezoid.design.decoupling import decoupling_of
 from piezoid.design.design import AxisDesign, Design
 from piezoid.design.feasibility import at_feasible_bandwidth
-from piezoid.design.from_junction import axis_of, design_vertical, vertical_task
-from piezoid.design.from_model import FORMS, LateralTask, lateral_task
+from piezoid.design.junction_task import axis_of, design_vertical, vertical_task
 from piezoid.design.lateral import design_lateral
+from piezoid.design.lateral_task import FORMS, LateralTask, lateral_task
 from piezoid.design.specification import Specification, specifications_from_toml
 from piezoid.errors import DesignError, LabFileError, PiezoidError, TemplateError
 from piezoid.identification.actuator_model import ActuatorModel

@@ -5,7 +5,7 @@ from json import loads
 
 from piezoid.calibration.controllers import Controllers, failed_of, files_of
 from piezoid.export.parameter_file import from_json
-from piezoid.verification.shipping import shipping_of
+from piezoid.verification.release import shipping_of
 from tests.verification.known_fit import junction_model, shipped
 from tests.verification.rig import stage
 

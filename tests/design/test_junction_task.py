@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from piezoid.design.converters import converters_of
-from piezoid.design.from_junction import reading_noise_A, vertical_task
-from piezoid.design.stage import design_stage
+from piezoid.design.design_stage import design_stage
+from piezoid.design.junction_task import reading_noise_A, vertical_task
 from piezoid.errors import DesignError, LabFileError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.tunnelling.confidence import Confidence

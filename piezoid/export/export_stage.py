@@ -20,7 +20,7 @@ import math
 
 from piezoid.design.converters import converters_of
 from piezoid.design.design import AxisDesign, Design
-from piezoid.design.from_junction import (
+from piezoid.design.junction_task import (
     junction_family,
     loop_plant_of,
     missing_line,
@@ -29,8 +29,8 @@ from piezoid.design.from_junction import (
 )
 from piezoid.design.specification import Specification
 from piezoid.errors import LabFileError, ParameterFileError, PiezoidError
-from piezoid.export.from_design import TunnellingGuards, lateral_axis, tunnelling_axis
 from piezoid.export.parameter_file import AxisParameters, Decoupled, ParameterFile
+from piezoid.export.runtime_parameters import TunnellingGuards, lateral_axis, tunnelling_axis
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.loop_model import LoopPlant

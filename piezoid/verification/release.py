@@ -7,8 +7,8 @@ from piezoid.export.parameter_file import ParameterFile
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.lab import Lab
 from piezoid.verification.criteria import failure_of
-from piezoid.verification.stage import verify_stage
 from piezoid.verification.verification import Verification
+from piezoid.verification.verify_stage import verify_stage
 
 _TOLD = 3  # failed verdicts of an axis that its reason names
 

@@ -9,11 +9,11 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import SERIAL, Executor
-from piezoid.verification.approach import led_to, room_of
 from piezoid.verification.closed_loop import LoopRecord, run_axis
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.plant import AxisPlant, Junction
-from piezoid.verification.trace import SpiralTrace
+from piezoid.verification.plotted_paths import SpiralTrace
+from piezoid.verification.start_position import led_to, room_of
 from piezoid.verification.verification import ComparisonRow, CurrentRow, SpiralRow
 
 

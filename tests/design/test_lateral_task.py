@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from piezoid.design.design import SCHEMA, design_from_json
-from piezoid.design.from_model import LateralTask, lateral_task, relative_gain_half
+from piezoid.design.design_stage import Asked, design_stage
 from piezoid.design.hysteresis_bounds import draw_replicates
+from piezoid.design.lateral_task import LateralTask, lateral_task, relative_gain_half
 from piezoid.design.specification import slowest_Hz
-from piezoid.design.stage import Asked, design_stage
 from piezoid.digests import seal, unseal
 from piezoid.errors import DesignError, LabFileError, ParameterFileError, TemplateError
-from piezoid.export.stage import export_stage
+from piezoid.export.export_stage import export_stage
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.dynamics.bandwidth import unseen
 from piezoid.identification.dynamics.modal import LinearDynamics
