@@ -5,15 +5,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, Quiet, StageLab, hand_over, plain, say, table
+from piezoid_cli.statements import show_statements
+from piezoid_cli.terminal import Force, Quiet, StageLab, hand_over, say, table
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
-
     from rich.table import Table
 
     from piezoid.design.certificate import Certificate
     from piezoid.design.design import Design
+    from piezoid.identification.actuator_model import ActuatorModel
 
 
 def design(
@@ -45,9 +45,13 @@ def design(
     """
     from json import loads
 
+    from rich.console import Console
+
     from piezoid.design.design_stage import Asked, design_stage
+    from piezoid.design.design_statements import design_statements
     from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.sealed_files import read_model
+    from piezoid.statement import Level
     from piezoid_cli.export import show_unshipped
     from piezoid_cli.progress import shown
     from piezoid_cli.stage_files import content_of, lab_of, text_of
@@ -73,40 +77,23 @@ def design(
     if json:
         hand_over(written)
     elif not quiet:
-        show(found)
+        Console().print(_table(found, model))
+        show_statements(design_statements(found, model), Level.WARNING)
         show_unshipped(found.refused)
         say(f"design: {stage / 'design.json'}, {stage / 'design.html'}")
     if found.refused:
         raise typer.Exit(1)
 
 
-def show(
-    found: "Design",
-    shipped: "Collection[str]" = (),
-    ranges_m: "Mapping[str, float] | None" = None,
-) -> None:
-    """Print what each axis reached.
-
-    shipped   axes whose own verification passed: of no other a bound is told
-    ranges_m  displacement range by axis: a bound beyond it is none
-    """
-    from rich.console import Console
-
-    console = Console()
-    console.print(_table(found, shipped, ranges_m or {}))
-    for remark in found.remarks:
-        console.print(plain(remark, style="dim"))
-
-
-def _table(
-    found: "Design", shipped: "Collection[str]", ranges_m: "Mapping[str, float]"
-) -> "Table":
-    from math import inf
-
+def _table(found: "Design", model: "ActuatorModel") -> "Table":
+    from piezoid.design.design_statements import useful_bound_m
     from piezoid.formatting import with_unit
 
-    def margin(delay_s: float | None) -> str:
-        return "any" if delay_s is None else with_unit(delay_s, "s")
+    def bound(axis: str, certificate: "Certificate | None") -> str:
+        if axis not in model.axes or certificate is None or not certificate.is_guaranteed:
+            return "none"
+        bound_m = useful_bound_m(certificate, model.axes[axis])
+        return "no useful bound" if bound_m is None else with_unit(bound_m, "m")
 
     rows = [
         (
@@ -114,25 +101,13 @@ def _table(
             loop.method,
             with_unit(loop.bandwidth_Hz, "Hz"),
             f"{loop.worst_modulus_margin:.3f}",
-            margin(loop.worst_delay_margin_s),
-            _bound(
-                loop.certificate, ranges_m.get(axis.axis, inf), is_verified=axis.axis in shipped
-            ),
+            "any"
+            if loop.worst_delay_margin_s is None
+            else with_unit(loop.worst_delay_margin_s, "s"),
+            bound(axis.axis, loop.certificate),
         )
         for axis in found.axes
         for loop in axis.loops
     ]
-    headings = ("axis", "method", "bandwidth", "modulus margin", "delay margin", "guaranteed")
+    headings = ("axis", "method", "bandwidth", "modulus margin", "delay margin", "bound")
     return table("controllers, worst member of each plant family", headings, rows)
-
-
-def _bound(proven: "Certificate | None", range_m: float, *, is_verified: bool) -> str:
-    from math import isfinite
-
-    from piezoid.formatting import with_unit
-
-    if proven is None or not proven.is_guaranteed or not isfinite(proven.guaranteed_error_m):
-        return "no bound"
-    if proven.guaranteed_error_m > range_m:
-        return "no useful bound: wider than the stroke"
-    return with_unit(proven.guaranteed_error_m, "m") if is_verified else "not verified"

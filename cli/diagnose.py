@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from piezoid_cli.statements import show_statements
 from piezoid_cli.terminal import Force, Quiet, hand_over, plain, say, table
 
 if TYPE_CHECKING:
@@ -134,7 +135,7 @@ def _compared(
 
 
 def _tell_unused(recordings: "Sequence[Recording]", axis: str) -> None:
-    """Say which recordings tell nothing of an axis: somebody may have meant them to."""
+    """Print which recordings do not contribute to the diagnosis of an axis."""
     from piezoid.identification.fit import moving, recorded_of
     from piezoid.records.plausibility import is_held_throughout
 
@@ -142,50 +143,38 @@ def _tell_unused(recordings: "Sequence[Recording]", axis: str) -> None:
     held = [r.name for r in recorded_of(recordings, axis) if is_held_throughout(r, axis)]
     unused = [r.name for r in recordings if r.name not in (*used, *held)]
     if held and not set(held) & used:
-        say(
-            f"{', '.join(held)}: the sensor stands there, as under feedback; the drive's answer "
-            "was looked at for creep, and no loop"
-        )
+        say(f"{', '.join(held)}: recorded in closed loop; only creep was tested")
     if unused:
         say(
-            f"not used, for axis {axis} rests there or has no displacement: {', '.join(unused)}; "
-            "piezoid inspect says what they hold, --axis takes another"
+            f"not used: {', '.join(unused)} (axis {axis} does not move or was not recorded; see "
+            "piezoid inspect, or choose another --axis)"
         )
 
 
 def _show(found: "Diagnosis", out: Path) -> None:
     from rich.console import Console
 
-    from piezoid.counts import in_counts
-    from piezoid.diagnosis.something_else import NAME
+    from piezoid.counts import in_counts, record_in_counts
+    from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
     from piezoid.formatting import with_unit
-    from piezoid_reports.what_is_left import largest_first, left_of, nothing_named
+    from piezoid.statement import Level
 
     console = Console()
-    leading = largest_first(found)[:1]
-    if leading and leading[0].effect == NAME:
-        console.print(plain(leading[0].explanation))
     if found.findings:
         console.print(_table(found))
-        was, now = with_unit(found.baseline.rms_m, "m"), with_unit(found.final.rms_m, "m")
-        falls = found.final.rms_m < found.baseline.rms_m
-        goes = f"{'falls' if falls else 'goes'} from {was} to {now}" if was != now else f"is {was}"
-        said = (
-            f"on rows left out the error {goes}; the sensor's noise is "
-            f"{with_unit(found.noise_floor_rms_m, 'm')}"
-        )
-        console.print(plain(in_counts(said, found.counted)))
-    else:
-        said = f"axis {found.axis}: {nothing_named(found)}"
-        console.print(plain(in_counts(said, found.counted)))
-    if found.findings:
-        console.print(plain(in_counts(f"next: {left_of(found).remedy}", found.counted)))
+    before, after = with_unit(found.baseline.rms_m, "m"), with_unit(found.final.rms_m, "m")
+    noise = with_unit(found.noise_floor_rms_m, "m")
+    line = f"axis {found.axis}: held-out error {before} without, {after} with what was found; "
+    console.print(plain(in_counts(f"{line}sensor noise {noise}", found.counted)))
+    least = Level.ACTION if found.findings else Level.NOTE
+    facts = diagnosis_statements(found)
+    show_statements(record_in_counts(facts, found.counted), least)
     console.print(plain(f"all that was tested: {out / 'diagnosis.html'}"))
 
 
 def _table(found: "Diagnosis") -> "Table":
+    from piezoid.diagnosis.diagnosis_statements import largest_first
     from piezoid.formatting import significant
-    from piezoid_reports.what_is_left import largest_first
 
     rows = [
         (

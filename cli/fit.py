@@ -6,18 +6,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from piezoid_cli.statements import show_statements
 from piezoid_cli.terminal import Force, Json, Quiet, hand_over, plain, say, table
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from rich.console import Console
     from rich.table import Table
 
     from piezoid.calibration.calibrate import Calibration, Told
-    from piezoid.calibration.controllers import Controllers
-    from piezoid.diagnosis.diagnosis import Finding
-    from piezoid.identification.actuator_model import ActuatorModel
+    from piezoid.design.design import LoopDesign
     from piezoid.identification.coupled.coupled_stage import CoupledStage
     from piezoid.identification.model import AxisModel
     from piezoid.identification.tunnelling.model import TunnellingModel
@@ -92,12 +88,11 @@ def fit(
 
         hand_over(dumps(summary_of(found), indent=1, allow_nan=False))
     elif not quiet:
-        _show_model(found.model)
-        for sentence in _diagnosis_sentences(found):
-            say(sentence)
-        ranges_m = {name: axis.quality.range_m for name, axis in found.model.axes.items()}
-        _show_controllers(found.controllers, ranges_m)
+        show(found)
+        names = dict.fromkeys(name.partition("/")[0] for name in found.files)
+        others = ", ".join(name for name in names if name != "report.html")
         say(f"report: {out / 'report.html'}")
+        say(f"also in {out}: {others}")
     if not found.passed:
         raise typer.Exit(1)
 
@@ -146,127 +141,129 @@ def summary_of(found: "Calibration") -> dict[str, Any]:
     }
 
 
-def _show_controllers(made: "Controllers", ranges_m: "Mapping[str, float]") -> None:
+def show(found: "Calibration") -> None:
+    """Print a table of axes, their error budgets, the tip, and what needs action."""
     from rich.console import Console
 
-    from piezoid_cli.design import show as show_design
-    from piezoid_cli.export import show_unshipped
+    from piezoid.calibration.stage_statements import stage_statements
 
-    console = Console()
-    if made.design is not None:
-        show_design(made.design, made.shipped, ranges_m)
-    if made.reason:
-        what = "no controller" if made.design is None else "not exported"
-        tone = "dim" if made.passed else "bold red"
-        console.print(plain(f"{what}: {made.reason}", style=tone))
-    show_unshipped(made.unshipped)
+    console, made = Console(), found.controllers
+    console.print(_table(found))
+    for line in (*_budgets(found), *_tip(found.model.tunnelling), *_coupled(found.model.coupled)):
+        console.print(plain(line))
     if made.verification is not None:
         verdicts = made.verification.verdicts
         passed = sum(verdict.passed for verdict in verdicts)
-        line = f"verification: {passed} of {len(verdicts)} verdicts passed"
-        console.print(plain(line, style="" if made.verification.passed else "bold red"))
+        style = "" if made.verification.passed else "bold red"
+        console.print(plain(f"verification: {passed} of {len(verdicts)} verdicts passed", style))
+    statements = stage_statements(
+        found.model,
+        diagnoses=found.diagnoses,
+        undiagnosed=found.undiagnosed,
+        design=made.design,
+        undesigned=made.reason,
+        unshipped=made.unshipped,
+        verification=made.verification,
+    )
+    show_statements(statements)
 
 
-def _diagnosis_sentences(found: "Calibration") -> tuple[str, ...]:
-    if not found.model.axes:
-        return ("diagnosis: no axis with a drive and a displacement",)
+def _table(found: "Calibration") -> "Table":
+    """Return a row for each axis: error, noise, their ratio, loop and verdict."""
+    model, made = found.model, found.controllers
+    loops = {} if made.design is None else {a.axis: a.recommended for a in made.design.axes}
+    names = list(dict.fromkeys([*model.axes, *loops]))
+    headings = ("axis", "error", "noise", "closure", "bandwidth", "guaranteed error", "verdict")
+    rows = [
+        (name, *_fit_cells(model.axes.get(name)), *_loop_cells(found, name, loops.get(name)))
+        for name in names
+    ]
+    return table(f"stage {model.stage}", headings, rows)
+
+
+def _fit_cells(axis: "AxisModel | None") -> tuple[str, str, str]:
+    """Return held-out error, sensor noise and their ratio."""
     from piezoid.counts import in_counts
-    from piezoid_reports.what_is_left import shape_lacked
+    from piezoid.formatting import significant, with_unit
 
-    named = []
+    if axis is None:
+        return "", "", ""
+    quality = axis.quality
+    error = in_counts(with_unit(quality.held_out_rms_m, "m"), axis.counted)
+    noise = in_counts(with_unit(quality.noise_rms_m, "m"), axis.counted)
+    ratio = quality.held_out_rms_m / quality.noise_rms_m if quality.noise_rms_m else 0.0
+    return (
+        error if quality.is_tested else f"{error} in sample",
+        f"{quality.noise_bound}{noise}",
+        significant(ratio, 2) if ratio else "",
+    )
+
+
+def _loop_cells(
+    found: "Calibration", name: str, loop: "LoopDesign | None"
+) -> tuple[str, str, str]:
+    """Return bandwidth, guaranteed error and verdict."""
+    from piezoid.counts import in_counts
+    from piezoid.design.design_statements import useful_bound_m
+    from piezoid.formatting import with_unit
+    from piezoid.identification.fit_statements import grade_of
+
+    axis, ships = found.model.axes.get(name), name in found.controllers.shipped
+    grade = "" if axis is None else f"{grade_of(axis).value}; "
+    if loop is None:
+        return "", "", f"{grade}no controller"
+    bound_m = None if axis is None else useful_bound_m(loop.certificate, axis)
+    bound = "" if axis is None else "no useful bound"
+    if axis is not None and bound_m is not None:
+        bound = in_counts(with_unit(bound_m, "m"), axis.counted) if ships else "not verified"
+    return (
+        with_unit(loop.bandwidth_Hz, "Hz"),
+        bound,
+        f"{grade}{'ships' if ships else 'does not ship'}",
+    )
+
+
+def _budgets(found: "Calibration") -> list[str]:
+    """Return the error budget of each diagnosed axis as a line."""
+    from piezoid.counts import in_counts
+    from piezoid.formatting import with_unit
+    from piezoid_reports.sections.error_budget import label_of, visible_parts
+
+    lines = []
     for one in found.diagnoses:
-        shape = shape_lacked(one, found.model.axes.get(one.axis))
-        causes = ", ".join(map(_told_apart, one.findings)) or "nothing"
-        said = f"{causes} named{f'; {shape}' if shape else ''}"
-        named.append(f"diagnosis of axis {one.axis}: {in_counts(said, one.counted)}")
-    return (*named, *found.undiagnosed)
+        terms = ", ".join(
+            f"{label_of(part)} {with_unit(part.rms_m, 'm')}{'*' if part.is_explained else ''}"
+            for part in visible_parts(one)
+        )
+        total = with_unit(one.baseline.rms_m, "m")
+        lines.append(in_counts(f"error budget {one.axis}: {total} = {terms}", one.counted))
+    if any("*" in line for line in lines):
+        lines.append("(rms, squares add up; * removed by the model)")
+    return lines
 
 
-def _told_apart(finding: "Finding") -> str:
-    rivals = " or ".join(finding.not_separable_from)
-    return f"{finding.effect} (not separable from {rivals})" if rivals else finding.effect
+def _tip(tip: "TunnellingModel | None") -> list[str]:
+    from piezoid_reports.sections.tunnelling import barrier_sentence
+    from piezoid_reports.tunnelling_loop import joint_sentence, loop_sentence
+
+    if tip is None:
+        return []
+    lines = [] if tip.gap_law is None else [barrier_sentence(tip.gap_law)]
+    lines += [] if tip.loop_plant is None else [loop_sentence(tip.loop_plant)]
+    lines += [] if tip.joint is None else [joint_sentence(tip.joint)]
+    return [f"tunnelling: {line}" for line in lines]
 
 
-def _show_model(model: "ActuatorModel") -> None:
-    from rich.console import Console
-
-    console = Console()
-    if model.axes:
-        console.print(_table(model))
-    if model.tunnelling is not None:
-        _show_tip(model.tunnelling)
-    if model.coupled is not None:
-        _show_coupled(model.coupled)
-    for remark in model.remarks:
-        console.print(plain(remark, style="dim"))
-    for axis in model.axes.values():
-        _show_axis(axis, console)
-
-
-def _show_coupled(coupled: "CoupledStage") -> None:
+def _coupled(coupled: "CoupledStage | None") -> list[str]:
+    if coupled is None:
+        return []
     share = 100.0 * coupled.error_rms_m / coupled.moved_rms_m
-    kind = "on realisations left out" if coupled.error_is_left_out else "in sample"
+    kind = "held-out" if coupled.error_is_left_out else "in-sample"
     levels = "; ".join(
         f"{level:.3g} V rms: {', '.join(f'{error:.2f} %' for error in row)}"
         for level, row in zip(coupled.levels_V, share, strict=True)
     )
-    names = ", ".join(coupled.outputs)
-    say(f"coupled axes {names}: error {kind}, by level and axis, {levels}")
-
-
-def _show_axis(axis: "AxisModel", console: "Console") -> None:
-    quality = axis.quality
-    if not axis.verdict.applies:
-        reason = f"axis {axis.axis}: the model class does not apply: {axis.verdict.reason}."
-        console.print(plain(reason, style="bold red"))
-    for limit in quality.limits:
-        console.print(plain(f"axis {axis.axis}: {limit.reason}.", style="yellow"))
-    error = "held-out error" if quality.is_tested else "error"
-    said = f"the {error} is on {quality.held_out_words}."
-    for remark in (said, *axis.verdict.remarks):
-        console.print(plain(f"axis {axis.axis}: {remark}", style="dim"))
-
-
-def _show_tip(tip: "TunnellingModel") -> None:
-    from rich.console import Console
-
-    from piezoid_reports.junction_words import barrier_sentence, joint_sentence, loop_sentence
-
-    console = Console()
-    law, loop, joint = tip.gap_law, tip.loop_plant, tip.joint
-    if law is not None:
-        console.print(plain(f"tunnelling: {barrier_sentence(law)}"))
-        for reason in law.reasons:
-            console.print(plain(f"tunnelling: {reason}", style="dim"))
-    if loop is not None:
-        console.print(plain(f"tunnelling: {loop_sentence(loop)}"))
-        for reason in loop.reasons:
-            console.print(plain(f"tunnelling: {reason}", style="dim"))
-    if law is not None and loop is not None and joint is not None:
-        tone = "" if joint.agree else "bold red"
-        console.print(plain(f"tunnelling: {joint_sentence(law, loop, joint)}", style=tone))
-
-
-def _table(model: "ActuatorModel") -> "Table":
-    from piezoid.counts import in_counts
-    from piezoid.formatting import with_unit
-
-    rows = [
-        (
-            axis.axis,
-            str(len(axis.hysteresis.plays.weight)),
-            str(len(axis.hysteresis.dead_zones.weight) - 1),
-            "loop or lag" if axis.quality.lag_is_open else with_unit(axis.lag.time_s, "s"),
-            in_counts(with_unit(axis.quality.held_out_rms_m, "m"), axis.counted)
-            + ("" if axis.quality.is_tested else " in sample"),
-            f"{axis.quality.held_out_rms_percent:.3f} %",
-            axis.quality.noise_bound
-            + in_counts(with_unit(axis.quality.noise_rms_m, "m"), axis.counted),
-        )
-        for axis in model.axes.values()
-    ]
-    headings = ("axis", "plays", "dead zones", "lag", "held-out rms", "of range", "noise")
-    return table(f"stage {model.stage}", headings, rows)
+    return [f"coupled axes {', '.join(coupled.outputs)}: {kind} error {levels}"]
 
 
 def calibrate_streamed(

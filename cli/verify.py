@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from piezoid_cli.statements import MAX_SHOWN
 from piezoid_cli.terminal import Force, Quiet, StageLab, hand_over, plain, say, table
 
 if TYPE_CHECKING:
@@ -154,7 +155,7 @@ def _proved(
 
 
 def show(found: "Verification", file: "ParameterFile") -> None:
-    """Print the comparison, the proofs, and every verdict that failed."""
+    """Print the comparison, the proofs, and the verdicts that failed."""
     from rich.console import Console
 
     from piezoid.verification.criteria import failure_of
@@ -168,29 +169,33 @@ def show(found: "Verification", file: "ParameterFile") -> None:
         console.print(plain(_proof_line(proof, file), style="" if proof.passed else "bold red"))
     for claimed in found.limit_proofs:
         console.print(plain(_claim_line(claimed), style="" if claimed.passed else "bold red"))
-    for verdict in found.verdicts:
-        if not verdict.passed:
-            console.print(plain(f"failed: {failure_of(verdict)}", style="bold red"))
-    passed = sum(verdict.passed for verdict in found.verdicts)
-    console.print(plain(f"{passed} of {len(found.verdicts)} verdicts passed"))
+    failed = [verdict for verdict in found.verdicts if not verdict.passed]
+    for verdict in failed[:MAX_SHOWN]:
+        console.print(plain(f"failed: {failure_of(verdict)}", style="bold red"))
+    if len(failed) > MAX_SHOWN:
+        console.print(plain(f"{len(failed) - MAX_SHOWN} more failed: see verification.json"))
+    n_passed = len(found.verdicts) - len(failed)
+    console.print(plain(f"{n_passed} of {len(found.verdicts)} verdicts passed"))
 
 
 def _comparison(found: "Verification") -> "Table":
+    """Return the rms error of each method, spirals of one rate in a column."""
     from piezoid.formatting import with_unit
 
+    rates_Hz = sorted({row.frequency_Hz for row in found.comparison})
+    errors_m = {(row.method, row.frequency_Hz): row.rms_m for row in found.comparison}
     rows = [
         (
-            f"{row.frequency_Hz:g}",
-            row.method,
-            *(f"{1e9 * error_m:.1f}" for error_m in (row.rms_m, row.max_m, row.aligned_rms_m)),
-            with_unit(row.delay_s, "s"),
+            method,
+            *(
+                with_unit(errors_m[method, rate_Hz], "m") if (method, rate_Hz) in errors_m else ""
+                for rate_Hz in rates_Hz
+            ),
         )
-        for row in found.comparison
+        for method in dict.fromkeys(row.method for row in found.comparison)
     ]
-    headings = ("turns a second", "method", "rms", "largest", "shape rms", "delay")
-    return table(
-        f"spirals of radius {with_unit(found.radius_m, 'm')}, errors in nm", headings, rows
-    )
+    title = f"spirals of radius {with_unit(found.radius_m, 'm')}: rms error by turns a second"
+    return table(title, ("method", *(with_unit(rate, "Hz") for rate in rates_Hz)), rows, left=1)
 
 
 def _bound_line(row: "ErrorBound") -> str:

@@ -23,7 +23,7 @@ Chord = tuple[int, int]
 Worst = tuple[float, int]
 """Minus the largest distance from a chord, and where."""
 
-MOST = 7  # intervals between labels
+MAX_INTERVALS = 7  # between labels
 FEWEST = 3  # labels of an axis over decades
 MANTISSAS = ((1,), (1, 2, 5), tuple(range(1, 10)))
 
@@ -102,6 +102,13 @@ def axis_over(label: str, values: Sequence[Array], unit: str, *, even: bool = Fa
         low=(low - room) / scale.factor,
         high=(high + room) / scale.factor,
     )
+
+
+def axis_from_zero(label: str, largest: float, unit: str) -> Axis:
+    """Return an axis from zero to a little above a size in SI units."""
+    scale = scale_for(largest, unit)
+    high = (1.0 + ROOM) * (largest or 1.0) / scale.factor
+    return Axis(label=label, scale=scale, low=0.0, high=high)
 
 
 def decades_over(label: str, values: Sequence[Array], unit: str) -> Axis:
@@ -194,7 +201,7 @@ class Canvas:
 
 def even_ticks(low: float, high: float) -> Ticks:
     """Return round numbers from low to high."""
-    step = round_step((high - low) / MOST)
+    step = round_step((high - low) / MAX_INTERVALS)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return tuple((k * step, _written(k * step, step)) for k in range(first, last + 1))
 
@@ -209,7 +216,7 @@ def decade_ticks(low: float, high: float) -> Ticks:
             if low - 1e-9 <= k + math.log10(m) <= high + 1e-9
         ]
         if len(found) >= FEWEST:
-            apart = math.ceil(len(found) / MOST) if mantissas == (1,) else 1
+            apart = math.ceil(len(found) / MAX_INTERVALS) if mantissas == (1,) else 1
             return tuple((place, _power(m, k)) for place, m, k in found if k % apart == 0)
     near = [(value, label) for value, label in even_ticks(10.0**low, 10.0**high) if value > 0.0]
     return tuple((math.log10(value), label) for value, label in near)

@@ -10,8 +10,8 @@ from piezoid.diagnosis.effects import effect_named
 from piezoid.formatting import words
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Axis, Canvas, Layer, axis_over, decades_over
-from piezoid_reports.compared import Compared
-from piezoid_reports.page import Figure
+from piezoid_reports.effect_comparison import EffectSimulation
+from piezoid_reports.parts import Figure
 from piezoid_reports.quantities import percent, told
 from piezoid_reports.traces import rms
 
@@ -24,13 +24,9 @@ BANDS = 160  # of a spectrum, evenly over the decades
 SHOWS = 1e-3  # of the residual: what a picture needs to show anything
 HEIGHT = 280
 ROLES, NAMES = ("rising", "falling"), ("without it", "with it")
-ALIKE = (
-    "The dashed curve is the effect put into a healthy simulation of this stage, at the size that "
-    "was found, with the sensor's noise: where it runs with the blue one, this is the cause."
-)
 
 
-def figure_of(finding: Finding, pictures: tuple[Compared, ...]) -> Figure | None:
+def figure_of(finding: Finding, pictures: tuple[EffectSimulation, ...]) -> Figure | None:
     """Return what is seen of a finding, or None where no recording shows it."""
     where = effect_named(finding.effect).shows
     if not pictures:
@@ -44,18 +40,18 @@ def figure_of(finding: Finding, pictures: tuple[Compared, ...]) -> Figure | None
     return drawn or _over_time(finding, over_time(where), _clearest(pictures))
 
 
-def _clearest(pictures: tuple[Compared, ...]) -> Compared:
+def _clearest(pictures: tuple[EffectSimulation, ...]) -> EffectSimulation:
     """Return the recording in which the effect is largest."""
     return max(pictures, key=lambda one: rms(one.before_m) - rms(one.after_m))
 
 
-def _shows(one: Compared) -> bool:
+def _shows(one: EffectSimulation) -> bool:
     """Tell whether two curves differ: what rang may lie where the fit leaves samples out."""
     before, after = rms(one.before_m), rms(one.after_m)
     return abs(before - after) > SHOWS * before
 
 
-def _over_time(finding: Finding, where: Appearance, one: Compared) -> Figure:
+def _over_time(finding: Finding, where: Appearance, one: EffectSimulation) -> Figure:
     place, sign = (values[one.rows] for values in where.along(one.trace.recording))
     x = _axis(where, place)
     curves = [sign * values for values in (one.before_m, one.after_m, one.injected_m)]
@@ -90,7 +86,7 @@ def _running(values: Array) -> Array:
 
 
 def _in_classes(
-    finding: Finding, where: Appearance, pictures: tuple[Compared, ...]
+    finding: Finding, where: Appearance, pictures: tuple[EffectSimulation, ...]
 ) -> Figure | None:
     places, signs = zip(*(where.along(one.trace.recording) for one in pictures), strict=True)
     place = np.concatenate([p[one.rows] for p, one in zip(places, pictures, strict=True)])
@@ -143,7 +139,7 @@ def _classes(place: Array, values: Array) -> Array:
     return np.array(rows).reshape(-1, 4)
 
 
-def _spectrum(finding: Finding, where: Appearance, one: Compared) -> Figure | None:
+def _spectrum(finding: Finding, where: Appearance, one: EffectSimulation) -> Figure | None:
     rate_Hz = one.trace.recording.sampling_rate_Hz
     curves = [_density(values, rate_Hz) for values in (one.before_m, one.after_m, one.injected_m)]
     if len(curves[0]) < 2:
@@ -190,12 +186,11 @@ def _titled(
         title=(
             f"{words(finding.effect).capitalize()}, {recording}: residual against {where.label}"
         ),
-        numbers=(
-            f"In this picture {told(before_m, 'm')} rms without the effect, the rest of the model "
-            f"as it is, and {told(after_m, 'm')} with it; the effect is {percent(finding.share)} "
-            "of the stroke."
+        caption=(
+            f"Residual {told(before_m, 'm')} rms without the effect, {told(after_m, 'm')} with "
+            "it, the rest of the model unchanged."
         ),
-        look=f"{where.reading} {ALIKE}",
+        guide=where.reading,
         canvas=canvas,
         layers=layers,
         flicker=(layers[0].role, layers[1].role) if where.kind != "classes" else (),
@@ -217,17 +212,17 @@ def unnamed_figure(finding: Finding) -> Figure | None:
         x = decades_over(label, [place], seen.unit)
     else:
         x = axis_over(label, [place], seen.unit)
-    canvas = Canvas(x=x, y=axis_over("what is left", [low, high, fitted], "m"), height=HEIGHT)
+    canvas = Canvas(x=x, y=axis_over("residual", [low, high, fitted], "m"), height=HEIGHT)
     return Figure(
-        title=f"{words(finding.effect).capitalize()}: what is left against {_against(finding)}",
-        numbers=f"The curve explains {_explained(finding)}; p {finding.p_value:.2g}.",
-        look="What hysteresis and every named cause leave, in classes of the coordinate: middle "
-        "half and median, and the curve that was fitted to other stretches of the recordings. "
-        "Where the curve runs with the median, this is where it lives.",
+        title=f"{words(finding.effect).capitalize()}: residual against {_against(finding)}",
+        caption=f"The curve explains {_explained(finding)}; p {finding.p_value:.2g}.",
+        guide="Residual in classes of the coordinate, median and middle half. Where the curve, "
+        "fitted to other parts of the recordings, follows the median, the residual depends on "
+        "the coordinate.",
         canvas=canvas,
         layers=(
-            canvas.band("rising-band", "left over: middle half", place, low, high),
-            canvas.line("rising", "left over: median", place, median),
+            canvas.band("rising-band", "residual: middle half", place, low, high),
+            canvas.line("rising", "residual: median", place, median),
             canvas.line("limit", "fitted curve", place, fitted),
         ),
         flicker=(),

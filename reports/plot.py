@@ -4,12 +4,13 @@ from dataclasses import dataclass
 
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.recording import Recording
-from piezoid_reports.page import Page, figures_in
+from piezoid_reports.page import Page
+from piezoid_reports.parts import figures_in
 from piezoid_reports.render import figure_html
-from piezoid_reports.sections import loops, residual_over_time
+from piezoid_reports.sections import loops, residuals
 from piezoid_reports.traces import all_traces
 
-KINDS = {"loops": loops.render, "residual": residual_over_time.render}
+KINDS = {"loops": loops.render, "residual": residuals.render}
 
 
 @dataclass(frozen=True, kw_only=True)

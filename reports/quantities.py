@@ -53,12 +53,21 @@ def _joined(number: str, unit: str) -> str:
     return f"{number}{NARROW}{unit}" if unit else number
 
 
-def size_of(finding: Finding) -> str:
-    """Return the one size of a finding, with the interval that its acceptance allows.
+def told_interval(value: float, interval: tuple[float, float], unit: str) -> str:
+    """Return a value and its 95 % interval, which need not be symmetric or bounded."""
+    low, high = interval
+    if low <= 0.0 and not math.isfinite(high):
+        return "unknown (the interval is unbounded)"
+    if unit in ("", "eV"):
+        ends = [significant(end, 4) if math.isfinite(end) else "any" for end in (low, high)]
+        return f"{_joined(significant(value, 4), unit)} ({ends[0]} to {ends[1]})"
+    if not math.isfinite(high):
+        return f"{told(value, unit)} ({told(low, unit)} or more)"
+    return f"{told(value, unit)} ({told(low, unit)} to {told(high, unit)})"
 
-    A cause that was accepted is there: an interval of its size that reaches down to zero bounds it
-    from above alone, and is told so.
-    """
+
+def size_of(finding: Finding) -> str:
+    """Return the size of a finding with its 95 % interval, one-sided if that includes zero."""
     size = finding.size
     low, high = size.ci95
     if low <= 0.0 < high:

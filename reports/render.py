@@ -6,7 +6,6 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from importlib.resources import files as files_of
 from types import MappingProxyType
 
@@ -14,10 +13,13 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from piezoid.calibration.calibrate import Calibration
+from piezoid.calibration.stage_statements import stage_statements
 from piezoid.counts import in_counts
 from piezoid.design.design import Design
+from piezoid.design.design_statements import design_statements
 from piezoid.diagnosis.compare import ModelComparison
 from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.from_recordings import as_single_axes
 from piezoid.identification.store import write_model
@@ -26,21 +28,22 @@ from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
+from piezoid.statement import select
 from piezoid.verification.verification import Verification
-from piezoid_reports.page import Figure, Page, Section
+from piezoid_reports.page import Page
+from piezoid_reports.parts import Figure, Section
 from piezoid_reports.plain_text import printable
-from piezoid_reports.quantities import told
-from piezoid_reports.sections import OF_DESIGN, OF_DIAGNOSIS, OF_STAGE, SECTIONS, Render
+from piezoid_reports.sections import OF_DESIGN, OF_DIAGNOSIS, SECTIONS, Render
 from piezoid_reports.traces import all_traces
 
 ALARM = (
-    "The model does not apply to this stage as a whole.",
-    "Numbers of an axis it does not apply to are shown so that one can see why, not to be used.",
+    "The model does not apply to every axis.",
+    "The figures of an axis to which it does not apply only show why.",
 )
 
 UNDRAWN = (
     "This page was drawn without the recordings.",
-    "Loops, residuals and the score need them; name the files of the fit to have them drawn.",
+    "Name the files of the fit to have loops and residuals drawn.",
 )
 
 ALONE = "nav, header, h2, .skip, .screen, .zoom, .flicker, footer { display: none }"
@@ -92,13 +95,33 @@ def render(
         unshipped=unshipped,
         files=files,
         lab=lab,
+        statements=select(
+            stage_statements(
+                model,
+                recordings=recordings,
+                diagnoses=diagnoses,
+                undiagnosed=undiagnosed,
+                design=design,
+                undesigned=undesigned,
+                unshipped=unshipped,
+                verification=verification,
+            )
+        ),
     )
-    return _written(page, SECTIONS if model.axes else OF_STAGE)
+    return _written(page, SECTIONS)
 
 
 def render_design(model: ActuatorModel, design: Design) -> str:
     """Return design.html: the controllers alone, designed after the fit."""
-    page = Page(model=model, recordings=(), traces={}, model_digest=_digest(model), design=design)
+    page = Page(
+        model=model,
+        recordings=(),
+        traces={},
+        model_digest=_digest(model),
+        design=design,
+        statements=select(design_statements(design, model)),
+        has_summary=False,
+    )
     return html(_title(model), _sections(page, OF_DESIGN), counted=page.counted)
 
 
@@ -127,6 +150,8 @@ def render_diagnosis(
         note=note,
         comparison=comparison,
         files={"diagnosis.json": written} if written else {},
+        statements=select(diagnosis_statements(diagnosis)),
+        has_summary=False,
     )
     return _written(page, OF_DIAGNOSIS)
 
@@ -235,7 +260,6 @@ def _environment(counted: Sequence[str]) -> Environment:
         lstrip_blocks=True,
         finalize=shown,
     )
-    found.filters["length_m"] = partial(told, unit="m")
     return found
 
 

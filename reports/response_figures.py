@@ -12,26 +12,21 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
 from piezoid.records.frequency_response import LEAST_COHERENCE
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
-from piezoid_reports.page import Figure, Page, Part, Prose
+from piezoid_reports.page import Page
+from piezoid_reports.parts import Figure, Part
 from piezoid_reports.quantities import percent, significant, told
 
-LOOK = (
-    "Good: the odd and even lines far below the driven ones, or down at the noise. Bad: odd lines "
-    "near the driven ones, which is hysteresis or saturation that a linear model of this level "
-    "cannot hold; even lines above the odd ones, which is asymmetry."
-)
+GUIDE = "Good: odd and even lines at the noise. Bad: odd lines near the driven ones (hysteresis)."
 KINDS = {  # the axis' label, the figure's height, and what good and bad look like
     "gain": (
         "gain [dB of 1 m/V]",
         Canvas.height,
-        "Good: the model runs through the measured band. Bad: peaks in the measurement that "
-        "the model passes by, or a band as wide as the plot.",
+        "Good: the model runs through the measured band. Bad: peaks that the model misses.",
     ),
     "phase": (
         "phase [degrees]",
         260,
-        "Good: both fall together. Bad: they part towards high frequency, which is a delay that "
-        "was not found.",
+        "Good: both fall together. Bad: they part at high frequency (a delay is missing).",
     ),
 }
 FLOOR = 0.1  # of the noise: below, an amplitude is drawn as that
@@ -41,7 +36,7 @@ def response_parts(
     page: Page, axis: AxisModel, dynamics: LinearDynamics, fitted: ResponseFit
 ) -> list[Part]:
     """Return what was said of the response, and its figures where the file was given."""
-    parts: list[Part] = [Prose(text=remark) for remark in axis.dynamics_remarks[:1]]
+    parts: list[Part] = []
     record = next((r for r in page.responses if r.name == fitted.name), None)
     if record is None:
         return parts
@@ -63,15 +58,11 @@ def response_parts(
         response_figure(
             "gain",
             f"Axis {axis.axis}: gain as measured, {record.name}",
-            f"{fitted.used} of {fitted.lines} lines are fitted; those without coherence and "
-            "single lines of interference are grey. At its worst the model leaves "
-            f"{significant(100.0 * fitted.left_relative, 2)} % of the response, at "
-            f"{told(fitted.left_Hz, 'Hz')}; one line is known to "
-            f"{significant(100.0 * fitted.noise_relative, 2)} % at low frequency.",
+            f"{fitted.used} of {fitted.lines} lines are fitted; largest residual "
+            f"{significant(100.0 * fitted.left_relative, 2)} % at {told(fitted.left_Hz, 'Hz')}.",
             decades,
             (decibel(np.abs(measured)), decibel(np.abs(model))),
             used=used,
-            look="Good: the model runs through the measured lines. Bad: peaks it passes by.",
         ),
         response_figure(
             "phase",
@@ -101,7 +92,7 @@ def response_figure(
     *,
     used: NDArray[np.bool_] | None = None,
     band: tuple[Array, Array] | None = None,
-    look: str = "",
+    guide: str = "",
 ) -> Figure:
     """Draw a measured response and the model over decades of frequency.
 
@@ -109,7 +100,7 @@ def response_figure(
     curves  measured and modelled, (lines,) each
     used    lines that are fitted, all where None; the others are grey dots
     band    lower and upper end of what the measurement may be
-    look    what good and bad look like, where it is not the kind's own
+    guide   how to read it, if it is not the usual text
     """
     label, height, usual = KINDS[kind]
     measured, model = curves
@@ -125,8 +116,8 @@ def response_figure(
     layers.append(canvas.line("model", "model", decades, model))
     return Figure(
         title=title,
-        numbers=numbers,
-        look=look or usual,
+        caption=numbers,
+        guide=guide or usual,
         canvas=canvas,
         layers=tuple(layers),
     )
@@ -140,9 +131,8 @@ def coherence_figure(
     canvas = Canvas(x=x, y=axis_over("coherence", [np.array([0.0, 1.0])], ""), height=200)
     return Figure(
         title=title,
-        numbers=numbers,
-        look="Good: near 1 over the band that is fitted. Bad: holes, which are noise, "
-        "interference or what is not linear.",
+        caption=numbers,
+        guide="Good: near 1 over the fitted band. Bad: holes (noise, interference, nonlinearity).",
         canvas=canvas,
         layers=(
             canvas.line("measured", "coherence", decades, coherence),
@@ -169,8 +159,8 @@ def _figure(axis: AxisModel, found: DistortionFound) -> Figure:
     canvas = Canvas(x=x, y=y)
     return Figure(
         title=f"Axis {axis.axis}: driven and silent lines of {', '.join(found.recordings)}",
-        numbers=_numbers(found),
-        look=LOOK,
+        caption=_numbers(found),
+        guide=GUIDE,
         canvas=canvas,
         layers=(
             canvas.line("model", "driven lines", decades, driven_dB),

@@ -7,29 +7,23 @@ from piezoid.verification.criteria import SHAPE, Limits
 from piezoid.verification.plotted_paths import Motion, SpiralTrace, rms_from
 from piezoid.verification.verification import Verification
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
-from piezoid_reports.page import NANO, Figure
+from piezoid_reports.parts import Figure
 from piezoid_reports.quantities import told
 from piezoid_reports.traces import rms
 
 TOGETHER = 5  # places: a single one crosses zero, which a logarithm shows as a fall to nothing
-LOOK_TRACK = (
-    "Good: what ships lies on the reference. Bad: it stays short (a gain), runs behind (a lag) or "
-    "rings after a step. The grey line is the stage under a static gain, without inverse and "
-    "feedback."
-)
-LOOK_ERROR = (
-    "Good: after each turn or step the error falls to the noise at once, far below the grey. "
-    "Bad: a tail that falls slowly (creep, or a loop too slow), or a floor as high as the grey."
-)
+GUIDE_ERROR = "Good: the error falls to the noise after each turn or step. Bad: a slow tail."
 
 SQUARE = 440
+NANO = 1e-9
+STEPS = "steps"  # scenario whose error is drawn against time
 LEAST_m = 1e-12  # below, an error is drawn as this: no stage is a picometre from its path
 METHODS = {
-    "none": "static gain, no feedback",
-    "mpi": "inverse of the hysteresis, no feedback",
-    "dob": "disturbance observer with an affine map",
-    "mpi_dob": "disturbance observer on the inverse",
-    "rst": "R, S, T on the logarithm of the current",
+    "none": "static gain",
+    "mpi": "inverse alone",
+    "dob": "plain observer",
+    "mpi_dob": "observer on the inverse",
+    "rst": "R, S, T on ln i",
 }
 SHADES = {"measured": 0.1, "good": 1.0 / 3.0, "middling": 1.0, "bad": np.inf}  # of the limit
 
@@ -45,11 +39,9 @@ def spiral(trace: SpiralTrace, found: Verification) -> Figure:
     limit_m = _shape_limit_m(found)
     return Figure(
         title=f"Spiral of {told(trace.frequency_Hz, 'Hz')}: {METHODS[trace.method]}",
-        numbers=f"Colour is the shape error: largest {told(float(error_m.max()), 'm')}, median "
-        f"{told(float(np.median(error_m)), 'm')}; allowed is {told(limit_m, 'm')} rms.",
-        look="Good: the first colour everywhere. Bad: the last colours at the turning points of "
-        "one axis, which is hysteresis left over, or more and more of them outwards, which is a "
-        "gain.",
+        caption=f"Colour is the shape error: median {told(float(np.median(error_m)), 'm')}, "
+        f"largest {told(float(error_m.max()), 'm')}, limit {told(limit_m, 'm')} rms.",
+        guide="Good: the first colour everywhere. Bad: the last colours at the turning points.",
         canvas=canvas,
         layers=tuple(_shaded(canvas, x_m, y_m, error_m, limit_m)),
     )
@@ -69,7 +61,7 @@ def _error_in_time(frequency_Hz: float, found: Verification) -> Figure:
     logs = [np.log10(np.maximum(trace.shape_error_m, LEAST_m) / NANO) for trace in traces]
     limit_m = _shape_limit_m(found)
     limit = np.full(2, np.log10(limit_m / NANO))
-    x = axis_over("share of the way", along, "%")
+    x = axis_over("share of the path", along, "%")
     y = decades_over("shape error", [*logs, limit], "nm")
     canvas = Canvas(x=x, y=y)
     layers = [
@@ -81,12 +73,11 @@ def _error_in_time(frequency_Hz: float, found: Verification) -> Figure:
         for t in reversed(traces)
     )
     return Figure(
-        title=f"Tracking along the spiral of {told(frequency_Hz, 'Hz')}",
-        numbers=f"{sizes}; allowed is {told(limit_m, 'm')} rms.",
-        look="Good: what ships runs below the dashed line from end to end, far below the grey. "
-        "Bad: it rises outwards (a gain, or a lag), or spikes once a turn (hysteresis left over).",
+        title=f"Shape error along the spiral of {told(frequency_Hz, 'Hz')}",
+        caption=f"{sizes}; limit {told(limit_m, 'm')} rms.",
+        guide="Good: far below the dashed line. Bad: rising outwards, or a spike every turn.",
         canvas=canvas,
-        layers=(*layers, canvas.line("limit", "allowed, rms", np.array([0.0, 100.0]), limit)),
+        layers=(*layers, canvas.line("limit", "limit, rms", np.array([0.0, 100.0]), limit)),
     )
 
 
@@ -113,34 +104,8 @@ def _shaded(canvas: Canvas, x_m: Array, y_m: Array, error_m: Array, limit_m: flo
 
 
 def motions(found: Verification) -> tuple[Figure, ...]:
-    """Draw every path that was kept in time: where the axis went, then how far it was off."""
-    return tuple(
-        figure
-        for motion in found.motions
-        for figure in (_track(motion, found), _error(motion, found))
-    )
-
-
-def _track(motion: Motion, found: Verification) -> Figure:
-    time_s, wanted_m = _time_s(motion), np.array(motion.reference_m)
-    runs = _runs(motion, found)
-    x = axis_over("time", [time_s], "s")
-    y = axis_over("displacement from the middle", [wanted_m, *(m for _, _, m in runs)], "m")
-    canvas = Canvas(x=x, y=y)
-    layers: list[Layer] = [
-        canvas.line(role, METHODS[name], time_s, moved_m) for role, name, moved_m in runs
-    ]
-    off = "; ".join(
-        f"{METHODS[name]}: {told(rms(moved_m - wanted_m), 'm')}"
-        for _, name, moved_m in reversed(runs)
-    )
-    return Figure(
-        title=f"Axis {motion.axis}, {motion.scenario}: where it went",
-        numbers=f"Away from the reference, rms: {off}.",
-        look=LOOK_TRACK,
-        canvas=canvas,
-        layers=(*layers, canvas.line("zero", "reference", time_s, wanted_m)),
-    )
+    """Draw the error against time after steps, which shows settling; spirals show the rest."""
+    return tuple(_error(motion, found) for motion in found.motions if motion.scenario == STEPS)
 
 
 def _error(motion: Motion, found: Verification) -> Figure:
@@ -160,9 +125,9 @@ def _error(motion: Motion, found: Verification) -> Figure:
         for _, name, error_m in reversed(errors)
     )
     return Figure(
-        title=f"Axis {motion.axis}, {motion.scenario}: how far it was off",
-        numbers=f"Half of the time closer than this, rms over {TOGETHER} places: {middle}.",
-        look=LOOK_ERROR,
+        title=f"Axis {motion.axis}, {motion.scenario}: tracking error",
+        caption=f"Median: {middle}.",
+        guide=GUIDE_ERROR,
         canvas=canvas,
         layers=tuple(
             canvas.line(role, METHODS[name], time_s, log)

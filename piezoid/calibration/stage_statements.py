@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from piezoid.counts import in_counts
+from piezoid.counts import record_in_counts
 from piezoid.design.design import Design
 from piezoid.design.design_statements import design_statements
 from piezoid.diagnosis.diagnosis import Diagnosis
@@ -38,36 +38,26 @@ def stage_statements(
         unshipped: by axis, why its controller does not ship.
         verification: of what ships.
     """
-    statements = [
-        *verification_statements(verification),
-        *(
-            _limit(Level.ACTION, "not_shipped", text, axis)
-            for axis, text in (unshipped or {}).items()
-        ),
-        *(fact for axis in model.axes.values() for fact in fit_statements(axis)),
-        *(
-            fact
-            for one in diagnoses
-            for fact in diagnosis_statements(one, model.axes.get(one.axis))
-        ),
-        *(_limit(Level.WARNING, "not_diagnosed", text) for text in undiagnosed),
-        *(() if design is None else design_statements(design, model)),
-        *((_limit(Level.ACTION, "not_designed", undesigned),) if undesigned else ()),
-        *_tip(model),
-        *(_limit(Level.WARNING, "not_used", text) for text in model.remarks),
-        *(
-            _limit(Level.NOTE, statement.quantity, f"{recording.name}: {statement.text}")
-            for recording in recordings
-            for statement in recording.statements
-        ),
+    statements: list[Statement] = [*verification_statements(verification)]
+    for name, reason in (unshipped or {}).items():
+        statements.append(_limit(Level.ACTION, "not_shipped", reason, name))
+    for axis in model.axes.values():
+        statements += record_in_counts(fit_statements(axis), axis.counted)
+    for diagnosis in diagnoses:
+        statements += record_in_counts(diagnosis_statements(diagnosis), diagnosis.counted)
+    statements += [_limit(Level.ACTION, "not_diagnosed", text) for text in undiagnosed]
+    if design is not None:
+        statements += record_in_counts(design_statements(design, model), model.counted)
+    if undesigned:
+        statements.append(_limit(Level.ACTION, "not_designed", undesigned))
+    statements += _tip(model)
+    statements += [_limit(Level.ACTION, "not_used", text) for text in model.remarks]
+    statements += [
+        _limit(Level.NOTE, fact.quantity, f"{recording.name}: {fact.text}")
+        for recording in recordings
+        for fact in recording.statements
     ]
     return tuple(dict.fromkeys(statements))
-
-
-def in_axis_units(statement: Statement, model: ActuatorModel) -> str:
-    """Return the text of a statement in the units of its axis, which may be counts."""
-    axis = model.axes.get(statement.axis)
-    return in_counts(statement.text, model.counted if axis is None else axis.counted)
 
 
 def verification_statements(verification: Verification | None) -> tuple[Statement, ...]:

@@ -4,17 +4,13 @@ The sizes of the findings stand in their table; a statement is made only where a
 more than a size.
 """
 
-import numpy as np
-
 from piezoid.diagnosis.at_rest import RESTS
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid.diagnosis.something_else import NAME
 from piezoid.diagnosis.unnamed import words as coordinate_words
 from piezoid.formatting import significant, with_unit, words
-from piezoid.identification.model import AxisModel
 from piezoid.statement import Kind, Level, Statement
 
-MAJORITY = 0.5  # of the power of an error: from there on it is called that
 USUAL_P = 0.05  # p-value: healthy stages leave as much structure
 MIN_GAIN = 0.01  # of the power: less has no coordinate
 NEAR_NOISE = 1.2  # what exceeds the noise is then two thirds of it, and hides there
@@ -24,16 +20,9 @@ SHAPE_EXPERIMENT = (
 )
 
 
-def diagnosis_statements(
-    diagnosis: Diagnosis, axis: AxisModel | None = None
-) -> tuple[Statement, ...]:
-    """Return the statements about one diagnosis, most important first.
-
-    Args:
-        diagnosis: of one axis.
-        axis: its fitted model, whose recordings decide whether loop shape can be told.
-    """
-    shape = _loop_shape(diagnosis, axis)
+def diagnosis_statements(diagnosis: Diagnosis) -> tuple[Statement, ...]:
+    """Return the statements about one diagnosis, most important first."""
+    remaining = _remaining(diagnosis)
     return (
         *(
             _unnamed(diagnosis, finding)
@@ -41,8 +30,8 @@ def diagnosis_statements(
             if finding.effect == NAME
         ),
         *(_confounded(diagnosis, f) for f in diagnosis.findings if f.not_separable_from),
-        *shape,
-        *([] if shape or diagnosis.findings else _nothing_found(diagnosis)),
+        *remaining,
+        *([] if remaining or diagnosis.findings else _nothing_found(diagnosis)),
     )
 
 
@@ -55,47 +44,16 @@ def largest_first(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     return diagnosis.findings
 
 
-def loop_shape_rms_m(diagnosis: Diagnosis, axis: AxisModel | None) -> float:
-    """Return the part of the held-out error that a wider class of hysteresis removes, m rms.
+def _remaining(diagnosis: Diagnosis) -> list[Statement]:
+    """Return the part that dominates the error of the final model, if that is far above the noise.
 
-    0 where that is less than half of the power, and where the recordings cannot tell: where a zero
-    moves by as much, where speed, size or repetition were never varied, or where the model does
-    not apply. A wide class then imitates a lag or whatever else looks like a loop.
+    What one coordinate explains is a finding with a statement of its own.
     """
-    error_m2, wide_m2 = diagnosis.final.rms_m**2, diagnosis.envelope_rms_m**2
-    if axis is None or not axis.verdict.applies or axis.quality.limits:
-        return 0.0
-    if not wide_m2 < (1.0 - MAJORITY) * error_m2:
-        return 0.0
-    if _zero_power_m2(axis) > MAJORITY * (error_m2 - wide_m2):
-        return 0.0
-    return float(np.sqrt(error_m2 - wide_m2))
-
-
-def _zero_power_m2(axis: AxisModel) -> float:
-    """Return the mean power of the zeros of the pieces, straight between their knots, m^2."""
-    powers_m2 = []
-    for start in axis.starts:
-        first_m, last_m = start.zero_m[:-1], start.zero_m[1:]
-        if not len(first_m):
-            powers_m2.append(0.0)
-            continue
-        mean_m = float(np.mean(first_m + last_m)) / 2.0
-        square_m2 = float(np.mean(first_m**2 + first_m * last_m + last_m**2)) / 3.0
-        powers_m2.append(square_m2 - mean_m**2)
-    return sum(powers_m2) / max(len(powers_m2), 1)
-
-
-def _loop_shape(diagnosis: Diagnosis, axis: AxisModel | None) -> list[Statement]:
-    shape_m = loop_shape_rms_m(diagnosis, axis)
-    if not shape_m:
+    part = diagnosis.largest_remaining
+    if part is None or part.part == NAME:
         return []
-    text = (
-        f"Loop shape that the model class cannot represent causes {with_unit(shape_m, 'm')} of "
-        f"the held-out error of {with_unit(diagnosis.final.rms_m, 'm')}; feedback reduces it "
-        "within the bandwidth of the loop."
-    )
-    return [_statement(diagnosis, Kind.FINDING, Level.WARNING, "loop_shape", text, shape_m, "m")]
+    level = Level.ACTION if part.part == "extrapolation" else Level.WARNING
+    return [_statement(diagnosis, Kind.LIMIT, level, part.part, part.text, part.rms_m, "m")]
 
 
 def _unnamed(diagnosis: Diagnosis, finding: Finding) -> Statement:

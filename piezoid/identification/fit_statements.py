@@ -20,6 +20,7 @@ LOOSE_WIDTH = 0.2  # half interval of the loop width over the width
 MIN_BLOCKS = 10  # of cycles, from which intervals are computed
 POOR_SCORE, ACTION_SCORE, GOOD_SCORE = 50, 70, 90  # of `Limit.most`
 
+DYNAMICS = "dynamics"  # quantity of the notes on poles, resonances and delay
 REMEDIES = {
     "branch": "Record whole cycles of the drive, up and down, several times.",
     "loop": "Record at least two cycles, and some of smaller size.",
@@ -73,7 +74,12 @@ def fit_statements(axis: AxisModel) -> tuple[Statement, ...]:
         *_intervals(axis),
         *_search(axis),
         *_zero(axis),
-        *(_limit(axis, Level.NOTE, "remark", remark) for remark in axis.verdict.remarks),
+        *(
+            _limit(
+                axis, Level.NOTE, DYNAMICS if remark in axis.dynamics_remarks else "fit", remark
+            )
+            for remark in axis.verdict.remarks
+        ),
     )
 
 
@@ -101,6 +107,14 @@ def _limit(
 def sentence(clause: str) -> str:
     """Return a clause as a sentence, with its capital and its full stop."""
     return f"{clause[:1].upper()}{clause[1:].rstrip('.')}."
+
+
+def _remarks(axis: AxisModel) -> list[Statement]:
+    """Return what the fit remarked of itself, as notes."""
+    return [
+        _limit(axis, Level.NOTE, DYNAMICS if remark in axis.dynamics_remarks else "fit", remark)
+        for remark in axis.verdict.remarks
+    ]
 
 
 def _model_class(axis: AxisModel) -> list[Statement]:

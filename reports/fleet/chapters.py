@@ -25,7 +25,7 @@ from piezoid_reports.fleet.records import (
     Fleet,
     FleetStage,
 )
-from piezoid_reports.page import Figure, Heading, Part, Prose, Section, Table
+from piezoid_reports.parts import Figure, Heading, Part, Prose, Section, Table
 from piezoid_reports.quantities import significant, told, told_between
 from piezoid_reports.render import html
 
@@ -298,10 +298,10 @@ def _histogram(one: Distribution) -> Figure:
         layers.append(canvas.line("limit", "limit for most stages", np.full(2, level), ends))
     return Figure(
         title=f"{one.quantity.label}, axis {one.axis}: how it is spread",
-        numbers=f"{one.spread.count} stages, median {told(one.spread.median, one.quantity.unit)}, "
+        caption=f"{one.spread.count} stages, median {told(one.spread.median, one.quantity.unit)}, "
         f"robust standard deviation {told(one.spread.sigma, one.quantity.unit)}; "
         f"{_outside(one)}.",
-        look=LOOK_SPREAD,
+        guide=LOOK_SPREAD,
         canvas=canvas,
         layers=tuple(layers),
     )
@@ -333,9 +333,9 @@ def _course(one: Distribution) -> Figure:
         layers.append(canvas.dots("odd", "standing out", one.serials[odd], one.values[odd]))
     return Figure(
         title=f"{one.quantity.label}, axis {one.axis}: over the serial numbers",
-        numbers=f"Drift for 100 serial numbers {_drift(one)}, p = {significant(one.trend_p, 2)}: "
+        caption=f"Drift for 100 serial numbers {_drift(one)}, p = {significant(one.trend_p, 2)}: "
         f"{'a drift' if one.drifts else 'no drift that can be told from chance'}.",
-        look=LOOK_DRIFT,
+        guide=LOOK_DRIFT,
         canvas=canvas,
         layers=tuple(layers),
     )

@@ -12,11 +12,14 @@ from piezoid.identification.dynamics.frequency_response import ComplexArray, Fre
 from piezoid.identification.dynamics.maximum_likelihood import resolved_modes
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.records import JointFit
+from piezoid.identification.fit_statements import DYNAMICS
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
 from piezoid.numerics.robust import NORMAL_95
-from piezoid_reports.page import Figure, Page, Part, Prose, Section, Table, axis_heading
+from piezoid_reports.coupling_figures import coupling_parts
+from piezoid_reports.page import Page
+from piezoid_reports.parts import Figure, Part, Prose, Section, Table, axis_heading
 from piezoid_reports.quantities import significant, told
 from piezoid_reports.response_figures import (
     coherence_figure,
@@ -34,13 +37,14 @@ def render(page: Page) -> Section | None:
     for axis in page.axes:
         of_axis = _of_axis(page, axis)
         parts += [axis_heading(axis), *of_axis] if of_axis else []
+    if page.model.coupled is not None:
+        parts += coupling_parts(page, page.model.coupled)
     if not parts:
         return None
     return Section(
         anchor="dynamics",
-        title="Linear dynamics",
-        lead="What is quick and linear: between the drive behind its hysteresis and the "
-        "displacement, from recordings; or as a frequency response was measured.",
+        title="Dynamics",
+        lead="Linear response between the output of the hysteresis and the displacement.",
         parts=tuple(parts),
     )
 
@@ -52,9 +56,8 @@ def _of_axis(page: Page, axis: AxisModel) -> list[Part]:
         parts.append(_poles(axis, axis.dynamics))
     elif axis.dynamics is not None:
         parts += [*_figures(page, axis, axis.dynamics), _poles(axis, axis.dynamics)]
-    if axis.bandwidth is not None:
-        tone = "middling" if axis.bandwidth.kind == "undecided" else "plain"
-        parts.append(Prose(text=axis.bandwidth.text, tone=tone))
+    notes = [fact for fact in page.statements if fact.quantity == DYNAMICS]
+    parts += [Prose(text=fact.text) for fact in notes if fact.axis == axis.axis]
     parts += [] if axis.joint is None else [*_joint(axis.joint)]
     return parts + distortion_parts(page, axis)
 

@@ -1,56 +1,61 @@
-"""What the data cannot tell, what the fit remarks of itself, and the next experiment."""
+"""What the data do not show, and which recording or repair helps most."""
 
+from piezoid.formatting import words
+from piezoid.identification.fit_statements import DYNAMICS
 from piezoid.identification.model import AxisModel
-from piezoid_reports.page import Listing, Page, Part, Prose, Section, Table, axis_heading
+from piezoid.statement import Level
+from piezoid_reports.page import Page
+from piezoid_reports.parts import Listing, Part, Prose, Section, Table, folded
 from piezoid_reports.quantities import told
-from piezoid_reports.weaknesses import weaknesses_of
-from piezoid_reports.what_is_left import named
+
+LABELS = {Level.ACTION: "act", Level.WARNING: "know"}
 
 
 def render(page: Page) -> Section:
-    """Return remarks, untested conditions and experiments for every axis."""
+    """Return warnings and actions in a table, notes and untested conditions in folds."""
+    open_facts = [
+        fact for fact in page.statements if fact.level > Level.NOTE and fact not in page.headline
+    ]
+    notes = tuple(
+        page.text_of(fact)
+        for fact in page.statements
+        if fact.level is Level.NOTE and fact.quantity != DYNAMICS
+    )
+    untested = tuple(_untested(page, axis) for axis in page.axes)
     parts: list[Part] = []
-    for axis in page.axes:
-        parts.append(axis_heading(axis))
-        parts += [_experiments(page, axis), *_remarks(page, axis)]
-        parts += [Prose(text="Never tested by these recordings:"), _untested(axis)]
+    if open_facts:
+        parts.append(
+            Table(
+                caption="Limits and what to do about them.",
+                columns=("level", "about", "statement"),
+                rows=tuple(
+                    (LABELS[fact.level], words(fact.quantity), page.text_of(fact))
+                    for fact in open_facts
+                ),
+                wordy=(2,),
+                is_open=True,
+            )
+        )
+    elif not page.headline:
+        parts.append(Prose(text="No limit was found that needs action.", tone="good"))
+    for summary, items in (
+        (f"Notes: {len(notes)}", notes),
+        ("Conditions that were not tested", untested),
+    ):
+        parts += folded(summary, [Listing(items=items)] if items else [])
     return Section(
         anchor="limits",
-        title="What this data cannot tell, and what to do next",
-        lead="The gravest weakness first. A result must say where it ends.",
+        title="Limits and next experiment",
+        lead="Beyond what the summary says.",
         parts=tuple(parts),
     )
 
 
-def _experiments(page: Page, axis: AxisModel) -> Part:
-    found = weaknesses_of(axis, page.diagnosis_of(axis))
-    if not found:
-        return Prose(text="No weakness was found in this fit.", tone="good")
-    return Table(
-        caption=f"Axis {axis.axis}: weaknesses and the next experiment.",
-        columns=("why", "what to do"),
-        wordy=(0, 1),
-        rows=tuple((weakness.why, weakness.remedy) for weakness in found),
-    )
-
-
-def _remarks(page: Page, axis: AxisModel) -> tuple[Part, ...]:
-    if not axis.verdict.remarks:
-        return ()
-    found = page.diagnosis_of(axis)
-    before = f", before {named(found)} was taken out" if found and found.findings else ""
-    return Prose(text=f"The fit remarks of itself{before}:"), Listing(items=axis.verdict.remarks)
-
-
-def _untested(axis: AxisModel) -> Listing:
+def _untested(page: Page, axis: AxisModel) -> str:
     low_V, high_V = axis.voltage_V
-    return Listing(
-        items=(
-            f"Drives below {told(low_V, 'V')} or above {told(high_V, 'V')} were never applied: "
-            "there the model extrapolates.",
-            f"Drives that change faster than {told(axis.certificate.slew_V_per_s, 'V/s')} were "
-            "never applied: what a resonance or the amplifier does there is not known.",
-            "Temperature, load and age were those of the recordings; nothing here says how the "
-            "model changes with them.",
-        )
+    name = f"Axis {axis.axis}: " if len(page.axes) > 1 else ""
+    slew = told(axis.certificate.slew_V_per_s, "V/s")
+    return (
+        f"{name}drive below {told(low_V, 'V')} or above {told(high_V, 'V')}, or faster than "
+        f"{slew}; other temperature and load."
     )

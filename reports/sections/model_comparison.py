@@ -1,7 +1,8 @@
 """Comparison of an earlier model with the new recordings: does it still hold."""
 
 from piezoid.diagnosis.compare import ModelComparison
-from piezoid_reports.page import Page, Prose, Section, Table
+from piezoid_reports.page import Page
+from piezoid_reports.parts import Prose, Section, Table
 from piezoid_reports.quantities import percent, significant, told
 
 

@@ -1,40 +1,141 @@
-"""The parameters with their intervals, limits and bounds."""
+"""Parameters and uncertainty: loading curve, uncertainty budget, bound of the model, tables."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
 
+from piezoid.identification.displacement_budget import DisplacementBudget, displacement_budget
 from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import Uncertainty
 from piezoid.numerics.robust import student_quantile
-from piezoid_reports.page import Page, Part, Prose, Section, Table, axis_heading
-from piezoid_reports.quantities import MINUS, told, told_between
+from piezoid.numerics.uncertainty_budget import Contribution
+from piezoid_reports.chart import Canvas, axis_over
+from piezoid_reports.page import Page
+from piezoid_reports.parts import (
+    Figure,
+    Heading,
+    Part,
+    Prose,
+    Section,
+    Table,
+    axis_heading,
+    folded,
+)
+from piezoid_reports.quantities import MINUS, percent, significant, told, told_between
 
-EDGE = 0.97  # of half the drive's range: a play this wide moves for a moment only
+GUIDE_BOW = (
+    "Good: a smooth bow, deeper than its band is wide. Bad: kinks, or a band wider than it."
+)
+DECLARATIONS = {
+    "sensor_gain_relative": "gain of the sensor",
+    "sensor_linearity_m": "linearity of the sensor",
+    "tilt_rad": "angle between sensor and motion",
+    "temperature_range_K": "range of the temperature",
+    "expansion_m_per_K": "thermal expansion between sensor and stage",
+}
 Known = Mapping[str, tuple[float, float]]
 
 
-def render(page: Page) -> Section:
-    """Return tables of plays, dead zones and the rest for every axis."""
+def render(page: Page) -> Section | None:
+    """Return loading curve, uncertainty and parameters of every axis."""
     parts: list[Part] = []
+    budgets = []
     for axis in page.axes:
         known = known_of(axis.uncertainty)
-        parts += [
-            axis_heading(axis),
-            *_functions(axis),
-            _plays(axis, known),
-            _dead_zones(axis, known),
-            *_envelope(axis, known),
-            _rest(axis, known),
-        ]
+        parts += [axis_heading(axis), _bow(axis)]
+        if axis.verdict.applies:
+            budgets.append(displacement_budget(axis, page.lab))
+            parts += [_uncertainty(budgets[-1]), _bound(axis)]
+        parts += folded("Parameters", [*_functions(axis), *_weights(axis, known)])
+    if not parts:
+        return None
+    parts += [Heading(text="All axes"), *_contributions(budgets), _quantities(page)]
+    missing = dict.fromkeys(name for budget in budgets for name in budget.unknown)
+    if missing:
+        names = ", ".join(f"{DECLARATIONS[name]} ({name})" for name in missing)
+        parts.append(Prose(text=f"Not declared under [uncertainty] in lab.toml: {names}."))
     return Section(
         anchor="parameters",
-        title="Parameters",
-        lead="Intervals are 95 %, from refits that leave out one block of cycles each, with "
-        "Student's quantile. Neighbouring plays share their weight: single weights are known less "
-        "well than the loading curve they add up to.",
+        title="Parameters and uncertainty",
+        lead="Intervals are 95 %, from refits without one block of cycles each.",
         parts=tuple(parts),
+    )
+
+
+def _bow(axis: AxisModel) -> Figure:
+    """Draw the loading curve without its chord: what the de-poled stage answers to a rise."""
+    found = axis.uncertainty
+    reach_V, half_m = found.reach_V, found.loading_half_m
+    bow_m = found.loading_m - found.loading_m[-1] * reach_V / reach_V[-1]
+    x = axis_over("rise of the drive", [reach_V], "V")
+    shown = [bow_m - half_m, bow_m + half_m, np.zeros(1)]
+    canvas = Canvas(x=x, y=axis_over("loading curve minus chord", shown, "m"), height=260)
+    return Figure(
+        title=f"Axis {axis.axis}: loading curve without its chord",
+        caption=f"The full loop is {told_between(*found.loop_width_m, 'm')} wide in its middle.",
+        guide=GUIDE_BOW,
+        canvas=canvas,
+        layers=(
+            canvas.band("model-band", "95 % interval", reach_V, bow_m - half_m, bow_m + half_m),
+            canvas.line("zero", "no hysteresis", reach_V[[0, -1]], np.zeros(2)),
+            canvas.line("model", "loading curve", reach_V, bow_m),
+        ),
+    )
+
+
+def _uncertainty(budget: DisplacementBudget) -> Prose:
+    found = budget.budget
+    half = told(found.expanded, "m")
+    return Prose(
+        text=f"Axis {budget.axis}: a predicted position is known to ±{half} (95 %, coverage "
+        f"factor {significant(found.coverage_factor)}); the largest error of {found.positions} "
+        f"positions is below {told(found.largest[1], 'm')}.",
+    )
+
+
+def _contributions(budgets: Sequence[DisplacementBudget]) -> list[Part]:
+    """Return the uncertainty budgets of all axes side by side, largest contribution first."""
+    if not budgets:
+        return []
+    first = sorted(budgets[0].budget.contributions, key=lambda one: -one.standard)
+    names = dict.fromkeys(one.name for one in first)
+    names |= dict.fromkeys(one.name for b in budgets for one in b.budget.contributions)
+    sizes = [{one.name: one for one in b.budget.contributions} for b in budgets]
+
+    def cell(budget: DisplacementBudget, one: Contribution | None) -> str:
+        if one is None or one.standard == 0.0:
+            return ""
+        return f"{told(one.standard, 'm')} ({percent(budget.budget.share(one))})"
+
+    rows = [
+        (name, *(cell(b, size.get(name)) for b, size in zip(budgets, sizes, strict=True)))
+        for name in names
+    ]
+    rows.append(("together", *(told(b.budget.combined, "m") for b in budgets)))
+    return [
+        Table(
+            caption="Uncertainty budget of a predicted position at the end of the range: standard "
+            "uncertainty and share.",
+            columns=("source", *(f"axis {b.axis}" for b in budgets)),
+            rows=tuple(row for row in rows if any(row[1:])),
+        )
+    ]
+
+
+def _bound(axis: AxisModel) -> Prose:
+    """Return the bound of the model without feedback, if there is one of use."""
+    found, range_m = axis.certificate, axis.quality.range_m
+    if not axis.quality.is_tested or found.bound_m > range_m:
+        return Prose(text=f"Axis {axis.axis}: no useful bound of the model without feedback.")
+    middle_V = axis.hysteresis.voltage_offset_V
+    speed = " at the speed of the recordings" if axis.quality.lag_is_open else ""
+    return Prose(
+        text=f"Axis {axis.axis}: without feedback the model error stays below "
+        f"{told(found.bound_m, 'm')} (95 % confidence) for drives between "
+        f"{told(middle_V - found.reach_V, 'V')} and {told(middle_V + found.reach_V, 'V')}, up to "
+        f"{told(found.slew_V_per_s, 'V/s')}{speed}."
     )
 
 
@@ -54,8 +155,8 @@ def _functions(axis: AxisModel) -> tuple[Part, ...]:
     operator = axis.minor_loops.operator
     blocks = len(axis.minor_loops.without_m)
     text = (
-        f"Axis {axis.axis} is simulated and inverted by plays behind functions; the plays with "
-        "dead zones further below are what the diagnosis compares with."
+        f"Axis {axis.axis} is simulated and inverted by plays behind functions; the diagnosis "
+        "compares with plays and dead zones."
     )
     return (
         Prose(text=text),
@@ -86,123 +187,62 @@ def _functions(axis: AxisModel) -> tuple[Part, ...]:
     )
 
 
-def _plays(axis: AxisModel, known: Known) -> Table:
-    plays, limits = axis.hysteresis.plays, axis.uncertainty.upper_limit
-    return Table(
-        caption=f"Axis {axis.axis}: play operators. Play 0 is the elastic part, without memory.",
-        columns=("play", "threshold", "weight", "remark"),
-        rows=tuple(
-            (
-                str(i),
-                _shown(f"play_threshold_V[{i}]", float(plays.threshold[i]), known, "V"),
-                _shown(f"play_weight_m_per_V[{i}]", float(plays.weight[i]), known, "m/V"),
-                _on_play(axis, i, known, limits),
-            )
-            for i in range(len(plays.weight))
-        ),
-    )
-
-
-def _dead_zones(axis: AxisModel, known: Known) -> Table:
-    zones = axis.hysteresis.dead_zones
-    return Table(
-        caption=f"Axis {axis.axis}: dead zones, in the gauge where the one at 0 has weight 1.",
-        columns=("dead zone", "threshold", "weight", "remark"),
-        rows=tuple(
-            (
-                str(j),
-                _shown(f"dead_zone_threshold_m[{j}]", float(zones.threshold[j]), known, "m"),
-                _shown(f"dead_zone_weight[{j}]", float(zones.weight[j]), known, ""),
-                "by the gauge" if j == zones.zero else _sign_of(f"dead_zone_weight[{j}]", known),
-            )
-            for j in range(len(zones.weight))
-        ),
-    )
-
-
-def _envelope(axis: AxisModel, known: Known) -> tuple[Table, ...]:
-    envelope = axis.hysteresis.envelope
-    if len(envelope.threshold) == 1:
+def _weights(axis: AxisModel, known: Known) -> tuple[Figure, ...]:
+    """Draw the weights of the plays over their thresholds; model.json has all numbers."""
+    plays = axis.hysteresis.plays
+    if len(plays.weight) < 3:
         return ()
-    return (
-        Table(
-            caption=f"Axis {axis.axis}: envelope of the drive in front of the plays, piecewise "
-            "linear; it keeps the range of the drive.",
-            columns=("bend", "kink, from the voltage offset", "weight", "remark"),
-            rows=tuple(
-                (
-                    str(j),
-                    told(float(envelope.threshold[j]), "V", 4),
-                    _shown(f"envelope_weight[{j}]", float(envelope.weight[j]), known, ""),
-                    _sign_of(f"envelope_weight[{j}]", known),
-                )
-                for j in range(len(envelope.threshold))
-            ),
+    # Play 0 has no memory; its weight is the slope of the loading curve at its beginning.
+    threshold_V, weight = plays.threshold[1:], plays.weight[1:]
+    names = [f"play_weight_m_per_V[{k}]" for k in range(1, len(plays.weight))]
+    half = np.array([known.get(name, (0.0, 0.0))[1] for name in names])
+    y = axis_over("weight", [weight - half, weight + half, np.zeros(1)], "m/V")
+    canvas = Canvas(x=axis_over("threshold", [threshold_V], "V"), y=y, height=240)
+    figure = Figure(
+        title=f"Axis {axis.axis}: weights of the plays",
+        caption=f"{len(weight)} plays, {len(axis.hysteresis.dead_zones.weight) - 1} dead zones.",
+        guide="Neighbouring plays share their weight: single weights are known less well than the "
+        "loading curve.",
+        canvas=canvas,
+        layers=(
+            canvas.band("model-band", "95 % interval", threshold_V, weight - half, weight + half),
+            canvas.line("model", "weight", threshold_V, weight),
+            canvas.dots("odd", "plays", threshold_V, weight),
         ),
     )
+    return (figure,)
 
 
-def _rest(axis: AxisModel, known: Known) -> Table:
-    width_m, half_m = axis.uncertainty.loop_width_m
-    low_V, high_V = axis.voltage_V
-    rows = [
-        ("width of the full loop", told_between(width_m, half_m, "m"), ""),
-        ("lag", *_lag(axis, known)),
-        ("voltage offset", told(axis.hysteresis.voltage_offset_V, "V", 4), "middle of the drive"),
-        (
-            "displacement offset",
-            told(axis.hysteresis.displacement_offset_m, "m", 4),
-            "mean zero of the recordings",
-        ),
-        ("valid drive", f"{told(low_V, 'V')} to {told(high_V, 'V')}", "outside it extrapolates"),
-        (
-            "polarity",
-            "+1" if axis.polarity > 0 else f"{MINUS}1",
-            "rises with the drive" if axis.polarity > 0 else "falls as the drive rises",
-        ),
-    ]
-    rig = (
-        ("amplifier bandwidth", axis.rig.amplifier_bandwidth_Hz),
-        ("sensor bandwidth", axis.rig.sensor_bandwidth_Hz),
-    )
-    rows += [(name, told(value, "Hz"), "declared") for name, value in rig if value is not None]
+def _quantities(page: Page) -> Table:
+    """Return the quantities of the fit besides its weights, the axes side by side."""
+    rows: dict[str, list[str]] = {}
+    for axis in page.axes:
+        low_V, high_V = axis.voltage_V
+        values = {
+            "width of the full loop": told_between(*axis.uncertainty.loop_width_m, "m"),
+            "lag": _lag(axis, known_of(axis.uncertainty)),
+            "voltage offset": told(axis.hysteresis.voltage_offset_V, "V", 4),
+            "displacement offset": told(axis.hysteresis.displacement_offset_m, "m", 4),
+            "valid drive": f"{told(low_V, 'V')} to {told(high_V, 'V')}",
+            "polarity": "+1" if axis.polarity > 0 else f"{MINUS}1",
+            "amplifier bandwidth": _declared(axis.rig.amplifier_bandwidth_Hz),
+            "sensor bandwidth": _declared(axis.rig.sensor_bandwidth_Hz),
+        }
+        for name, value in values.items():
+            rows.setdefault(name, []).append(value)
     return Table(
-        caption=f"Axis {axis.axis}: everything else.",
-        columns=("quantity", "value", "remark"),
-        rows=tuple(rows),
+        caption="Other quantities.",
+        columns=("quantity", *(f"axis {axis.axis}" for axis in page.axes)),
+        rows=tuple((name, *values) for name, values in rows.items() if any(values)),
     )
 
 
-def _shown(name: str, value: float, known: Known, unit: str) -> str:
-    if name not in known:
-        return told(value, unit, 4)
-    return told_between(value, known[name][1], unit)
+def _declared(bandwidth_Hz: float | None) -> str:
+    return "" if bandwidth_Hz is None else told(bandwidth_Hz, "Hz")
 
 
-def _on_play(axis: AxisModel, i: int, known: Known, limits: Mapping[str, float]) -> str:
-    name = f"play_weight_m_per_V[{i}]"
-    reach_V = (axis.voltage_V[1] - axis.voltage_V[0]) / 2
-    if name in limits:
-        return f"on its bound 0; below {told(limits[name], 'm/V')} (95 %)"
-    if axis.hysteresis.plays.threshold[i] >= EDGE * reach_V:
-        return "hardly moved by this drive"
-    return _sign_of(name, known)
-
-
-def _sign_of(name: str, known: Known) -> str:
-    value, half = known.get(name, (0.0, 0.0))
-    return "interval holds 0" if half > 0.0 and abs(value) <= half else ""
-
-
-def _lag(axis: AxisModel, known: Known) -> tuple[str, str]:
+def _lag(axis: AxisModel, known: Known) -> str:
     if axis.quality.lag_is_open and axis.lag.kind != "none":
-        return "not told", "a width of the loop or a lag: the rate was never varied"
-    return _shown("lag_s", axis.lag.time_s, known, "s"), _on_lag(axis)
-
-
-def _on_lag(axis: AxisModel) -> str:
-    if axis.lag.kind == "none":
-        return "none fitted"
-    if axis.lag.time_s <= 0.0:
-        return "on its bound 0"
-    return axis.lag.kind.replace("_", "-")
+        return "not identified: the rate was never varied"
+    value_s, half_s = known.get("lag_s", (axis.lag.time_s, math.nan))
+    return told_between(value_s, half_s, "s")

@@ -1,31 +1,24 @@
-"""Where every number comes from: digests of what went in and of what came out."""
+"""Digests of the recordings and of the files that were made from them."""
 
 from json import loads
 
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
-from piezoid_reports.page import Listing, Page, Part, Prose, Section, Table
+from piezoid_reports.page import Page
+from piezoid_reports.parts import Part, Section, Table
 from piezoid_reports.quantities import told
 
 
 def render(page: Page) -> Section:
-    """Return the chain of digests, and what was odd about the files."""
-    read: list[Recording | RawTable] = [*page.recordings, *page.sweeps]
-    odd = [f"{held.name}: {statement.text}" for held in read for statement in held.statements]
+    """Return the recordings and the chain of digests."""
     parts: list[Part] = [_recordings(page)] if page.recordings else []
     parts += [_sweeps(page)] if page.sweeps else []
-    parts.append(_chain(page))
-    if page.model.remarks:
-        parts += [Prose(text="Recorded, but not used:"), Listing(items=page.model.remarks)]
-    if odd:
-        parts += [Prose(text="Noticed while reading the files:"), Listing(items=tuple(odd))]
     return Section(
         anchor="provenance",
         title="Provenance",
-        lead="The same recordings and the same version give the same model and this same page, "
-        "byte for byte. A file whose digest differs is not the one this page speaks of.",
-        parts=tuple(parts),
+        lead="The same recordings and version give the same files, byte for byte.",
+        parts=(*parts, _chain(page)),
     )
 
 
@@ -93,8 +86,7 @@ def _chain(page: Page) -> Table:
         rows.append(("params.json", _sealed(page, "params.json"), made_from))
     rows += _verified(page)
     return Table(
-        caption="The chain: what was declared and written, and what each was made from. Each file "
-        "carries its own digest; a file that was changed by one bit is refused.",
+        caption="Digests of the files, and what each was made from.",
         columns=("record", "digest", "made from"),
         rows=tuple(rows),
         digests=(1,),

@@ -11,17 +11,17 @@ from piezoid.identification.tunnelling.junction import curves_of
 from piezoid.identification.tunnelling.model import GapLaw, TunnellingModel
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
-from piezoid_reports.junction_words import confidence_of, judged, told_interval
-from piezoid_reports.page import Figure, Fold, Heading, Listing, Page, Part, Prose, Section, Table
-from piezoid_reports.quantities import percent, told
+from piezoid_reports.page import Page
+from piezoid_reports.parts import Figure, Part, Prose, Section, Table
+from piezoid_reports.quantities import percent, told, told_interval
+from piezoid_reports.tunnelling_loop import loop_parts
 
-LOOK_CURVE = (
-    "Good: measured points on the straight line over three decades or more, and a bend only where "
-    "the current sinks into the noise. Bad: two slopes, a step, or a line that only touches."
+GUIDE_CURVE = (
+    "Good: points on the line over three decades. Bad: two slopes, or a step. "
+    "Points at or below zero are fitted but not drawn."
 )
-LOOK_RESIDUAL = (
-    "Good: a band without shape about zero, widening where the current is strong. Bad: a bow, "
-    "which is creep of the height or not one exponential; a step, which is a changed tip."
+GUIDE_RESIDUAL = (
+    "Good: no shape about zero. Bad: a bow (creep of the height) or a step (tip changed)."
 )
 CONFIDENCE = {
     Confidence.HIGH: ("good", "high confidence"),
@@ -32,53 +32,56 @@ POLARITY = {1.0: "positive", -1.0: "negative"}
 
 
 def render(page: Page) -> Section | None:
-    """Return the gap law with its curves, where a junction was recorded."""
+    """Return the gap law with its curves and the closed loop, as far as they were recorded."""
     junction = page.model.tunnelling
-    if junction is None or junction.gap_law is None:
+    if junction is None or (junction.gap_law is None and junction.loop_plant is None):
         return None
     parts: list[Part] = []
-    parts.append(judged(junction.gap_law))
-    parts += [Listing(items=junction.gap_law.reasons)] if junction.gap_law.reasons else []
-    drawn = False
-    for law, direction in _laws(junction, page):
-        curves = [c for c in curves_of(page.sweeps) if c.direction is direction]
-        parts += _drawn(law, curves, direction, is_first=not drawn)
-        drawn = drawn or bool(curves)
+    if junction.gap_law is not None:
+        law = junction.gap_law
+        parts.append(Prose(text=barrier_sentence(law), tone=CONFIDENCE[law.confidence][0]))
+        parts += [_table(junction, page), *_shift(junction)]
+        parts += _figures(junction, page)
+    if junction.loop_plant is not None:
+        parts += loop_parts(page, junction, junction.loop_plant)
     return Section(
         anchor="tunnelling",
-        title="Tunnelling junction",
-        lead="The current falls exponentially with the height of the tip; its decay gives the "
-        "apparent barrier, and the gain of the height loop goes with the barrier's root.",
-        parts=(_table(junction, page), *_shift(junction), *parts),
+        title="Tunnelling",
+        lead="The current decays exponentially with the height of the tip; the decay gives the "
+        "apparent barrier, whose root sets the gain of the height loop.",
+        parts=tuple(parts),
     )
 
 
-def _drawn(
-    law: GapLaw, curves: list[ApproachCurve], direction: Direction, *, is_first: bool
-) -> list[Part]:
-    """Return the figures of one direction; a second one is folded."""
-    if not curves:
-        return []
-    figures = (_curve(law, curves), _residual(law, curves))
-    name = f"{direction.value.capitalize()} sweeps"
-    if is_first:
-        return [Heading(text=name), *figures]
-    return [Fold(summary=f"{name}: 2 figures", parts=figures)]
+def barrier_sentence(law: GapLaw) -> str:
+    """Return barrier, interval and confidence of the gap law."""
+    barrier = told_interval(law.barrier_eV, law.barrier_interval_eV, "eV")
+    unmet = f"; {len(law.reasons)} criteria are not met" if law.reasons else ""
+    return f"Apparent barrier {barrier}, {law.confidence.value} confidence{unmet}."
+
+
+def _figures(
+    junction: TunnellingModel,
+    page: Page,
+    sizes: tuple[tuple[int, int] | None, tuple[int, int] | None] = (None, None),
+) -> tuple[Figure, ...]:
+    """Draw the first law over its sweeps, and its residual."""
+    for law, direction in _laws(junction, page):
+        curves = [c for c in curves_of(page.sweeps) if c.direction is direction]
+        if curves:
+            return _curve(law, curves, sizes[0]), _residual(law, curves, sizes[1])
+    return ()
 
 
 def small_figures(
     page: Page, curve: tuple[int, int], residual: tuple[int, int]
 ) -> tuple[Figure, ...]:
-    """Draw the first law over its sweeps, and what it leaves, for the first screen."""
+    """Return the same figures in the sizes of the first screen."""
     junction = page.model.tunnelling
-    for law, direction in () if junction is None else _laws(junction, page):
-        curves = [c for c in curves_of(page.sweeps) if c.direction is direction]
-        if curves:
-            return (
-                replace(_curve(law, curves, curve), seen_as="Current over height"),
-                replace(_residual(law, curves, residual), seen_as="Left by the gap law"),
-            )
-    return ()
+    if junction is None:
+        return ()
+    figures = _figures(junction, page, (curve, residual))
+    return tuple(replace(one, seen_as=one.title.partition(",")[0]) for one in figures)
 
 
 def _laws(junction: TunnellingModel, page: Page) -> tuple[tuple[GapLaw, Direction], ...]:
@@ -100,16 +103,8 @@ def _decay(law: GapLaw) -> str:
 ROWS: tuple[tuple[str, Callable[[GapLaw], str]], ...] = (
     ("barrier", lambda law: told_interval(law.barrier_eV, law.barrier_interval_eV, "eV")),
     ("decay k [1/nm]", _decay),
-    (
-        "k of each sweep alone [1/nm]",
-        lambda law: ", ".join(f"{1e-9 * k:.3f}" for k in law.sweep_decay_per_m),
-    ),
-    ("current at z = 0", lambda law: told(law.current_at_zero_height_A, "A")),
-    ("polarity", lambda law: POLARITY[law.polarity]),
-    ("offset", lambda law: told(law.offset_A, "A")),
     ("noise without current, rms", lambda law: told(law.floor_A, "A")),
     ("jitter of the gap, rms at most", lambda law: told(law.gap_jitter_m, "m")),
-    ("confidence", confidence_of),
 )
 
 
@@ -119,10 +114,7 @@ def _table(junction: TunnellingModel, page: Page) -> Table:
     both = ""
     if len(laws) > 1 and junction.gap_law is not None:
         columns.insert(0, ("both ways", junction.gap_law))
-        both = (
-            " Drift of the height makes one way steeper and the other less so: only the law of "
-            "both ways is free of it."
-        )
+        both = " Only the law of both ways is free of drift of the height."
     return Table(
         caption="Gap law i = ± I0 exp(\N{MINUS SIGN}k z) + offset, z growing as the tip "
         f"retracts; 95 % intervals. The barrier is (k / 10.246 per nm)², in eV.{both}",
@@ -182,12 +174,8 @@ def _curve(
     layers.append(canvas.line("zero", "noise, rms", heights[[0, -1]], np.full(2, floor)))
     return Figure(
         title=f"Current over height, {len(curves)} sweep{'s' if len(curves) != 1 else ''}",
-        numbers=(
-            f"Offset of {told(law.offset_A, 'A')} taken off, polarity {POLARITY[law.polarity]}. "
-            f"The fit weighs every point by its own noise and takes no logarithm; points at or "
-            f"below zero after taking off the offset are used but cannot be drawn here."
-        ),
-        look=LOOK_CURVE,
+        caption=f"Polarity {POLARITY[law.polarity]}, offset {told(law.offset_A, 'A')} removed.",
+        guide=GUIDE_CURVE,
         canvas=canvas,
         layers=tuple(layers),
         is_small=size is not None,
@@ -206,12 +194,11 @@ def _residual(
     rms_A = float(np.sqrt(np.mean(np.concatenate([residual for _, residual in left]) ** 2)))
     zero = canvas.line("zero", "gap law", np.array([x.low, x.high]) * x.scale.factor, np.zeros(2))
     return Figure(
-        title="What the gap law leaves",
-        numbers=(
-            f"{told(rms_A, 'A')} rms over all points; the noise without current is "
-            f"{told(law.floor_A, 'A')}, and the rest grows with the current."
+        title="Residual of the gap law",
+        caption=(
+            f"{told(rms_A, 'A')} rms; the noise without current is {told(law.floor_A, 'A')}."
         ),
-        look=LOOK_RESIDUAL,
+        guide=GUIDE_RESIDUAL,
         canvas=canvas,
         is_small=size is not None,
         layers=(

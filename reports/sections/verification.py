@@ -8,85 +8,49 @@ from piezoid.verification.proof import Proof
 from piezoid.verification.scenarios import spiral_speed_m_per_s
 from piezoid.verification.verification import ComparisonRow, ErrorBound, Verification
 from piezoid_reports.chart import Canvas, decades_over
-from piezoid_reports.page import Figure, Fold, Heading, Page, Part, Prose, Section, Table
+from piezoid_reports.page import Page
+from piezoid_reports.parts import Figure, Part, Section, Table, count_of, folded
 from piezoid_reports.quantities import significant, told
 from piezoid_reports.spirals import METHODS, errors_in_time, motions, spiral
 
+MAX_VERDICTS = 10  # in the table; all that failed are shown
 STROKES = {"mpi_dob": "model", "none": "limit", "dob": "rising", "mpi": "trend"}
-_EVERY = "all"
 
 
 def render(page: Page) -> Section | None:
-    """Return the chapter, where what ships was run."""
+    """Return how the compiled controllers behave on the identified stage, if they were run."""
     found = page.verification
     if found is None:
         return None
     return Section(
         anchor="verification",
         title="Verification",
-        lead="The compiled controller that ships, with the parameters that ship, run against the "
-        "identified stage: converters, noise, and stages the recordings allow as well. Every axis "
-        "is led to the middle of its references first. Nobody knows how a stage was driven before "
-        "that: of two pasts over its whole range spirals show the worse.",
-        parts=tuple(_parts(page, found)),
+        lead="The compiled controller that ships, run against the identified stage with "
+        "converters, noise, and other stages that the recordings allow.",
+        parts=(
+            *_figures(page, found),
+            *_currents(found),
+            *_verdicts(found),
+            *_proofs(found.proofs),
+            *_limit_proofs(found.limit_proofs),
+        ),
     )
-
-
-def _parts(page: Page, found: Verification) -> list[Part]:
-    return [
-        _summary(found),
-        *_figures(page, found),
-        *_currents(found),
-        Heading(text="Verdicts"),
-        _verdicts(found),
-        *_proofs(found.proofs),
-        *_limit_proofs(found.limit_proofs),
-    ]
-
-
-def _summary(found: Verification) -> Prose:
-    failed = [verdict for verdict in found.verdicts if not verdict.passed]
-    differing = [proof.build for proof in found.proofs if not proof.passed]
-    ships = ", ".join(f"axis {axis}: {METHODS[m]}" for axis, m in found.methods.items())
-    ships = f"What ships: {ships}"
-    text = (
-        f"{len(found.verdicts) - len(failed)} of {len(found.verdicts)} verdicts passed. {ships}."
-    )
-    if failed:
-        text += " Failed: " + "; ".join(f"{v.name} ({v.scenario})" for v in failed) + "."
-    unproved = [f"axis {p.axis} in {p.precision}" for p in found.limit_proofs if not p.passed]
-    if unproved:
-        text += " Not proved: " + "; ".join(unproved) + "."
-    if differing:
-        text += " Builds that gave other bits: " + "; ".join(differing) + "."
-    return Prose(text=text, tone="good" if found.passed else "bad")
 
 
 def _figures(page: Page, found: Verification) -> list[Part]:
-    """Return all pictures beside each other, the table of the comparison after them."""
-    compared = [_shape_figure(found)] if found.comparison else []
-    drawn = tuple(spiral(trace, found) for trace in found.traces)
-    followed = motions(found)
-    return [
-        *compared,
-        *errors_in_time(found),
-        *(
-            [Fold(summary=f"Raster and steps in time: {_number(followed)}", parts=followed)]
-            if followed
-            else []
-        ),
-        *(
-            [Fold(summary=f"Spirals as they were run: {_number(drawn)}", parts=drawn)]
-            if drawn
-            else []
-        ),
-        *([_table(page, found)] if found.comparison else []),
-        *_bounds(found),
+    shipped = set(found.methods.values())
+    fastest_Hz = max((trace.frequency_Hz for trace in found.traces), default=0.0)
+    spirals = [
+        spiral(trace, found)
+        for trace in found.traces
+        if trace.method in shipped and trace.frequency_Hz == fastest_Hz
     ]
-
-
-def _number(drawn: tuple[Figure, ...]) -> str:
-    return "1 figure" if len(drawn) == 1 else f"{len(drawn)} figures"
+    details = [*spirals, *motions(found)]
+    parts: list[Part] = [_shape_figure(found)] if found.comparison else []
+    parts += errors_in_time(found)[-1:]
+    parts += folded(f"Raster, steps and spirals: {count_of(len(details), 'figure')}", details)
+    parts += [_table(page, found)] if found.comparison else []
+    return [*parts, *_bounds(found)]
 
 
 def _shape_figure(found: Verification) -> Figure:
@@ -107,49 +71,32 @@ def _shape_figure(found: Verification) -> Figure:
     shipped = curves[methods[0]]
     return Figure(
         title="Shape error on spirals, method by method",
-        numbers=f"{METHODS[methods[0]]}: {told(shipped[0].aligned_rms_m, 'm')} at "
+        caption=f"{METHODS[methods[0]].capitalize()}: {told(shipped[0].aligned_rms_m, 'm')} at "
         f"{told(shipped[0].frequency_Hz, 'Hz')}, {told(shipped[-1].aligned_rms_m, 'm')} at "
-        f"{told(shipped[-1].frequency_Hz, 'Hz')}, rms after the best common delay; radius "
-        f"{told(found.radius_m, 'm')}.",
-        look="Good: what ships lies lowest at every frequency that will be used. Bad: it crosses "
-        "another method: above that frequency the other one is better. Without feedback the past "
-        "of the stage decides: drive it over its whole range before you rely on the inverse "
-        "alone.",
+        f"{told(shipped[-1].frequency_Hz, 'Hz')}, rms after the best delay.",
+        guide="Good: the controller that ships lies lowest. Bad: it crosses another method.",
         canvas=canvas,
         layers=tuple(layers),
     )
 
 
 def _table(page: Page, found: Verification) -> Table:
-    further = {(row.method, row.frequency_Hz): row for row in found.spirals}
-    rows = []
+    """Return the error of each method at each rate, and what is guaranteed of what ships."""
+    rates_Hz = sorted({row.frequency_Hz for row in found.comparison})
+    by_method: dict[str, dict[float, ComparisonRow]] = {}
     for row in found.comparison:
-        spiral = further[row.method, row.frequency_Hz]
-        pitch = spiral.pitch_error
-        rows.append(
-            (
-                told(row.frequency_Hz, "Hz"),
-                row.method,
-                told(row.rms_m, "m"),
-                told(row.rms_percent, "%"),
-                told(row.max_m, "m"),
-                _guaranteed(page, found, row),
-                told(row.aligned_rms_m, "m"),
-                told(row.delay_s, "s"),
-                told(spiral.radial_rms_m, "m"),
-                "" if pitch is None else told(100.0 * pitch, "%"),
-            )
-        )
+        by_method.setdefault(row.method, {})[row.frequency_Hz] = row
+    rows = []
+    for method, of_method in by_method.items():
+        errors = [of_method.get(rate_Hz) for rate_Hz in rates_Hz]
+        rows.append((METHODS[method], *("" if e is None else told(e.rms_m, "m") for e in errors)))
+        bounds = ["" if e is None else _guaranteed(page, found, e) for e in errors]
+        if any(bounds) and method in found.methods.values():
+            rows.append((f"guaranteed: {METHODS[method]}", *bounds))
     return Table(
-        caption=f"Spirals of radius {told(found.radius_m, 'm')}, by turns a second and method: "
-        "distance from the path, rms, in percent of the diameter, and largest after the start "
-        "from rest; shape: what the best common delay leaves between start and end, and that "
-        "delay (negative: early); error of the radius; scatter of "
-        f"the distance between turns. {_methods(found)}.",
-        columns=(
-            *("turns a second", "method", "rms", "of diameter", "largest", "guaranteed"),
-            *("shape rms", "delay", "radial rms", "pitch"),
-        ),
+        caption=f"Distance from a spiral of radius {told(found.radius_m, 'm')}, rms, by turns a "
+        "second.",
+        columns=("method", *(told(rate_Hz, "Hz") for rate_Hz in rates_Hz)),
         rows=tuple(rows),
     )
 
@@ -169,19 +116,15 @@ def _bounds(found: Verification) -> list[Part]:
         )
         for row in found.bounds
     )
-    probability = f"{100.0 * found.bounds[0].probability:g} %"
+    probability = f"{100.0 * (1.0 - found.bounds[0].probability):.2g} %"
     table = Table(
-        caption="The largest error of half a second, for references (or the surface under a tip) "
-        "that are never faster than said. Bounded: what the certificate proves on its conditions, "
-        "which stages farther from the model's class than rows left out do not meet; of a tip "
-        "what its linear loop can show, each with three standard deviations of noise. "
-        f"Probable: below this with a probability of {probability}, on stages like those that the "
-        "recordings allow; it is no guarantee. Worst found: by a search over references, pasts "
-        "and stages. Simulated: on the identified stage, in the median.",
+        caption="Largest error within half a second. Bounded: proven on the conditions of the "
+        f"certificate. Probable: exceeded with a probability below {probability} on stages that "
+        "the recordings allow. Worst found: by search. Simulated: median.",
         columns=("axis", "at most", "bounded", "probable", "worst found", "simulated"),
         rows=rows,
     )
-    return [Heading(text="How large errors may be"), table]
+    return [table]
 
 
 def _bounded(row: ErrorBound) -> str:
@@ -207,12 +150,6 @@ def _guaranteed(page: Page, found: Verification, row: ComparisonRow) -> str:
     return told(bound_m, "m") if bound_m < 2.0 * found.radius_m else ""
 
 
-def _methods(found: Verification) -> str:
-    """Say in words what the short names of the table stand for."""
-    short = dict.fromkeys(row.method for row in found.comparison)
-    return "; ".join(f"{name}: {METHODS[name]}" for name in short)
-
-
 def _currents(found: Verification) -> list[Part]:
     if not found.currents:
         return []
@@ -227,41 +164,56 @@ def _currents(found: Verification) -> list[Part]:
         for row in found.currents
     )
     return [
-        Heading(text="The tip over a rough surface"),
         Table(
-            caption="The tunnelling loop while the other axes take the tip along their path, over "
-            "a surface of 0.1 nm rms: scatter of the logarithm of the current, the same as a "
-            "height, and the largest current over its set point.",
+            caption="The tip over a surface of 0.1 nm rms. Largest current: over its set point.",
             columns=("path", "std of ln i", "height rms", "largest current", "samples retracted"),
             rows=rows,
         ),
     ]
 
 
-def _verdicts(found: Verification) -> Table:
-    ordered = sorted(found.verdicts, key=lambda verdict: verdict.passed)
-    return Table(
-        caption="Every verdict with its limit, failed ones first. Limits are defaults unless "
-        "limits.toml or [verification] in lab.toml says otherwise.",
-        columns=("what", "in", "found", "limit", "unit", "verdict"),
-        rows=tuple(_verdict_row(verdict) for verdict in ordered),
-    )
+def _verdicts(found: Verification) -> list[Part]:
+    """Return the verdicts by name, each with the scenario that comes closest to its limit."""
+    if not found.verdicts:
+        return []
+    by_name: dict[str, list[Verdict]] = {}
+    for verdict in found.verdicts:
+        by_name.setdefault(verdict.name, []).append(verdict)
+    worst = [max(same, key=_closeness) for same in by_name.values()]
+    worst.sort(key=_closeness, reverse=True)
+    n_passed = sum(verdict.passed for verdict in found.verdicts)
+    return [
+        Table(
+            caption=f"Verdicts: {n_passed} of {len(found.verdicts)} passed. The closest to their "
+            "limits, each in its worst scenario; verification.json has all.",
+            columns=("what", "worst in", "found", "limit", ""),
+            rows=tuple(
+                (
+                    f"{verdict.name} ({len(by_name[verdict.name])})",
+                    verdict.scenario,
+                    _measured(verdict, verdict.value),
+                    _measured(verdict, verdict.limit),
+                    "passed" if verdict.passed else "failed",
+                )
+                for verdict in worst[: max(MAX_VERDICTS, sum(not one.passed for one in worst))]
+            ),
+            is_open=n_passed < len(found.verdicts),
+        )
+    ]
 
 
-def _verdict_row(verdict: Verdict) -> tuple[str, ...]:
-    return (
-        verdict.name,
-        "every run" if verdict.scenario == _EVERY else verdict.scenario,
-        _measured(verdict, verdict.value),
-        _measured(verdict, verdict.limit),
-        "" if verdict.unit in ("1", "s", "m") else verdict.unit,
-        "passed" if verdict.passed else "failed",
-    )
+def _closeness(verdict: Verdict) -> float:
+    """Return the value of a verdict in units of its limit; a limit of zero has no scale."""
+    if verdict.limit:
+        return verdict.value / verdict.limit
+    return np.inf if verdict.value > 0.0 else 0.0
 
 
 def _measured(verdict: Verdict, value: float) -> str:
-    """Return a number of a verdict; times and distances carry their unit."""
-    return told(value, verdict.unit) if verdict.unit in ("s", "m") else significant(value)
+    """Return a number of a verdict with its unit."""
+    if verdict.unit in ("s", "m"):
+        return told(value, verdict.unit)
+    return f"{significant(value)} {'' if verdict.unit == '1' else verdict.unit}".strip()
 
 
 def _proofs(proofs: tuple[Proof, ...]) -> list[Part]:
@@ -280,9 +232,8 @@ def _proofs(proofs: tuple[Proof, ...]) -> list[Part]:
         for proof in proofs
     )
     return [
-        Heading(text="The same bits from other builds"),
         Table(
-            caption="The bundle compiled again and stepped through the same inputs.",
+            caption="The bundle, compiled again and compared bit for bit.",
             columns=("build", "samples", "differing", "instructions a sample"),
             rows=rows,
         ),
@@ -303,10 +254,8 @@ def _limit_proofs(proofs: tuple[LimitProof, ...]) -> list[Part]:
         for proof in proofs
     )
     return [
-        Heading(text="Proved of every input"),
         Table(
-            caption="The C of the bundle with these parameters: any reference and any reading, "
-            "NaN and the infinities included, for any number of samples.",
+            caption="Proofs for every input, NaN and infinities included.",
             columns=("axis", "verdict", "what holds, or where it was not shown", "by", "took"),
             rows=rows,
         ),

@@ -322,8 +322,7 @@
       } else return;
       event.preventDefault();
     });
-    const presses = { ".closer": () => middle(0.6), ".farther": () => middle(1 / 0.6), ".reset": () => show(full) };
-    for (const name in presses) figure.querySelector(name)?.addEventListener("click", presses[name]);
+    figure.querySelector(".reset").addEventListener("click", () => show(full));
 
     // The numbers of every curve as they are drawn: to a twentieth of a pixel of the full view.
     function numbers() {

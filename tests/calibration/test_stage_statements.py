@@ -2,20 +2,19 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from piezoid.calibration.stage_statements import stage_statements
+from piezoid.diagnosis.diagnosis import BudgetPart
 from piezoid.diagnosis.diagnosis_statements import (
     diagnosis_statements,
     largest_first,
-    loop_shape_rms_m,
 )
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.something_else import NAME
 from piezoid.identification.fit_statements import Grade, fit_statements, grade_of
 from piezoid.identification.model import AxisModel
-from piezoid.identification.quality import Limit, Verdict
+from piezoid.identification.quality import Limit
 from piezoid.statement import Level, select
 from piezoid.verification import criteria
 from piezoid.verification.verification import Verification
@@ -30,13 +29,6 @@ def levels(axis: AxisModel) -> dict[str, Level]:
 def with_quality(**changes: object) -> AxisModel:
     axis = axis_model()
     return replace(axis, quality=replace(axis.quality, **changes))
-
-
-def with_zero(*zero_m: float) -> AxisModel:
-    axis = axis_model()
-    return replace(
-        axis, starts=tuple(replace(one, zero_m=np.array(zero_m)) for one in axis.starts)
-    )
 
 
 @pytest.mark.parametrize(
@@ -111,40 +103,28 @@ def test_effects_that_cannot_be_separated_ask_for_their_experiment(effect: str) 
 
 
 def test_a_diagnosis_that_finds_nothing_says_what_to_record_where_error_is_left() -> None:
-    (fact,) = diagnosis_statements(diagnosed())
+    found = replace(diagnosed(), budget=())
+    (fact,) = diagnosis_statements(found)
     assert (fact.quantity, fact.level, fact.value) == (
         "no_effect_detected",
         Level.ACTION,
-        diagnosed().envelope_rms_m,
+        found.envelope_rms_m,
     )
-    quiet = replace(diagnosed(), envelope_rms_m=5.5e-9)
+    quiet = replace(found, envelope_rms_m=5.5e-9)
     assert diagnosis_statements(quiet)[0].level is Level.NOTE
-    assert diagnosis_statements(diagnosed(finding("delay"))) == ()
+    assert diagnosis_statements(replace(diagnosed(finding("delay")), budget=())) == ()
 
 
-@pytest.mark.parametrize(("wide_m", "shape_m"), [(8e-9, 30.6e-9), (30e-9, 0.0)])
-def test_an_error_that_a_wider_class_removes_is_loop_shape(wide_m: float, shape_m: float) -> None:
-    found = replace(diagnosed(), envelope_rms_m=wide_m)
-    found = replace(found, final=replace(found.final, rms_m=31.6e-9))
-    assert loop_shape_rms_m(found, with_zero(0.0)) == pytest.approx(shape_m, rel=0.01)
-
-
-def test_loop_shape_is_not_claimed_where_the_recordings_could_not_tell_it() -> None:
-    """A wide class imitates a lag at one speed, a zero that moves, and what a class refuses."""
-    found = replace(diagnosed(), envelope_rms_m=8e-9)
-    axis = with_zero(0.0)
-    one_speed = Limit(lack="speed", reason="one speed", most=50)
-    assert loop_shape_rms_m(found, axis) > 0.0
-    # rms of a straight zero: its range over the square root of 12
-    assert loop_shape_rms_m(found, with_zero(0.0, 5e-8)) > 0.0
-    assert loop_shape_rms_m(found, with_zero(0.0, 5e-8, 0.0)) > 0.0
-    assert loop_shape_rms_m(found, with_zero(0.0, 1.2e-7)) == 0.0
-    assert loop_shape_rms_m(found, with_zero(0.0, 1.2e-7, 0.0)) == 0.0
-    narrow = replace(axis, quality=replace(axis.quality, limits=(one_speed,)))
-    assert loop_shape_rms_m(found, narrow) == 0.0
-    refused = replace(axis, verdict=Verdict(applies=False, reason="a butterfly"))
-    assert loop_shape_rms_m(found, refused) == 0.0
-    assert loop_shape_rms_m(found, None) == 0.0
+@pytest.mark.parametrize(
+    ("part", "level"), [("loop_shape", Level.WARNING), ("extrapolation", Level.ACTION)]
+)
+def test_the_part_that_dominates_the_remaining_error_is_stated(part: str, level: Level) -> None:
+    large = BudgetPart(part=part, rms_m=2.9e-8, is_explained=False, text="What it is.")
+    found = replace(diagnosed(finding("delay")), budget=(large,))
+    (fact,) = diagnosis_statements(found)
+    assert (fact.quantity, fact.level, fact.value) == (part, level, 2.9e-8)
+    near = replace(found, final=replace(found.final, rms_m=5.5e-9))
+    assert diagnosis_statements(near) == ()
 
 
 def test_an_unnamed_finding_leads_only_if_it_is_the_largest() -> None:

@@ -75,14 +75,14 @@ def test_words_tell_the_error_and_what_to_record_of_the_other_axes(
     stage: tuple[Path, str],
 ) -> None:
     shown = stage[1]
-    assert "coupled axes x, y, z: error on realisations left out" in shown
+    assert "coupled axes x, y, z: held-out error" in shown
     for axis in ("y", "z"):
         assert f"axis {axis}: it is driven only where all coupled axes are" in shown
 
 
-def test_the_report_has_a_chapter_with_matrix_error_and_modes(stage: tuple[Path, str]) -> None:
+def test_the_report_has_a_section_with_matrix_error_and_modes(stage: tuple[Path, str]) -> None:
     page = (stage[0] / "out" / "report.html").read_text()
-    chapter = page[page.index('id="coupling"') :]
+    chapter = page[page.index('id="dynamics"') :]
     text = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", chapter))
     assert "Which drive moves which displacement" in text
     assert "each realisation left out of the fit once" in text

@@ -15,7 +15,6 @@ from piezoid.identification.store import write_model
 from piezoid_cli.design import design
 from piezoid_reports.quantities import significant
 from piezoid_reports.render import render
-from piezoid_reports.sections.design import nyquist, pole_map
 from tests.reports.known_stage import axis_model, recording, stage_model
 
 APP = typer.Typer()
@@ -54,19 +53,12 @@ def test_a_fitted_stage_gets_both_forms_and_keeps_its_other_files(stage: Path) -
     assert [loop.method for loop in found.axis("x").loops] == ["mpi_dob", "dob"]
     assert (stage / "report.html").read_text() == "the fit's own report"
     loop = found.axis("x").recommended
-    curve, poles = nyquist(found.axis("x"), loop), pole_map(found.axis("x"), loop)
-    nearest = float(curve.numbers.split(" comes is ")[1].split(";")[0])
-    # Two grids of their own, 0.005 of rounding.
-    assert nearest == pytest.approx(loop.worst_modulus_margin, rel=1e-2)
-    largest = max(margin.spectral_radius for margin in loop.margins)
-    assert f"the largest magnitude is {significant(largest, 4)}" in poles.numbers
-    page = (stage / "design.html").read_text()
-    assert curve.title in page
-    assert poles.title in page
-    unshipped = render(MODEL, [recording()], design=found, undesigned="ceiling_A is missing")
-    assert "Designed, but not exported: ceiling_A is missing" in unshipped
-    for words in ('id="design"', "modulus margin", "the declared poles (4000 Hz, 8500 Hz)"):
+    page = (stage / "design.html").read_text().replace("\u202f", " ")
+    assert f"<td>{significant(loop.worst_modulus_margin)}</td>" in page
+    for words in ('id="controllers"', "modulus margin", "the declared poles (4000 Hz, 8500 Hz)"):
         assert words in page
+    undesigned = render(MODEL, [recording()], design=found, undesigned="ceiling_A is missing")
+    assert undesigned.count("ceiling_A is missing") == 1
 
 
 def test_what_is_asked_is_asked_of_its_axis(stage: Path, tmp_path: Path) -> None:
@@ -100,8 +92,8 @@ def test_where_one_of_two_axes_cannot_be_met_the_other_is_written(
     found = design_from_json((stage / "design.json").read_bytes())
     assert [axis.axis for axis in found.axes] == ["x"]
     page = render(MODEL, [recording()], design=found, unshipped=found.refused)
-    assert "Axis y does not ship: axis y, bandwidth 5000 Hz" in page
-    assert "axis y has no controller." in page
+    assert page.count("axis y, bandwidth 5000 Hz") == 1
+    assert "axis y has no controller" in page
 
 
 def test_a_changed_model_is_refused(stage: Path) -> None:
@@ -130,4 +122,4 @@ def test_a_rate_at_which_no_controller_runs_is_refused(stage: Path, rate: str) -
 
 def test_a_report_without_controllers_says_why() -> None:
     page = render(stage_model(axis_model()), [recording()], undesigned="no pole is declared")
-    assert "Not designed: no pole is declared" in page
+    assert page.count("no pole is declared") == 1

@@ -33,7 +33,7 @@ def write_sweep(path: Path, displacement_um: np.ndarray, heading: str = "pos [um
 def test_bundled_sweep_becomes_model_and_report(tmp_path: Path) -> None:
     done = piezoid("fit", piezoid_datasets.recordings()[0], "--out", "stage", place=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "held-out rms" in done.stdout
+    assert "closure" in done.stdout
     model = read_model((tmp_path / "stage" / "model.json").read_bytes())
     assert model["x"].quality.held_out_rms_percent < 0.35
     assert model["x"].hysteresis.is_invertible

@@ -42,7 +42,7 @@ def stage(tmp_path: Path, sweep: Path) -> Path:
     return tmp_path / "stage"
 
 
-def chapters(stage: Path) -> set[str]:
+def sections(stage: Path) -> set[str]:
     page = Anatomy((stage / "report.html").read_text(encoding="utf-8"))
     return {section.attributes["id"] for section in page.all("section")}
 
@@ -51,8 +51,8 @@ def test_without_recordings_the_page_says_what_it_lacks(stage: Path) -> None:
     status, said = run(stage)
     assert status == 0, said
     assert "without its recordings" in said
-    assert {"verdict", "parameters", "uncertainty", "provenance"} <= chapters(stage)
-    assert "loops" not in chapters(stage)
+    assert {"summary", "parameters", "limits", "provenance"} <= sections(stage)
+    assert "loops" not in sections(stage)
     assert "drawn without the recordings" in (stage / "report.html").read_text()
     assert (stage / "notes.txt").read_text() == "mine"
 
@@ -60,7 +60,7 @@ def test_without_recordings_the_page_says_what_it_lacks(stage: Path) -> None:
 def test_with_the_recordings_of_the_fit_the_loops_are_drawn(stage: Path, sweep: Path) -> None:
     status, said = run(stage, sweep)
     assert status == 0, said
-    assert {"loops", "residual-over-time"} <= chapters(stage)
+    assert {"loops", "residuals"} <= sections(stage)
     assert "drawn without the recordings" not in (stage / "report.html").read_text()
 
 

@@ -21,7 +21,6 @@ def test_a_tone_of_no_grid_is_told_first_with_its_frequency_and_drawn(tmp_path: 
         app, ["diagnose", *files, "--lab", str(made / "lab.toml"), "--out", str(out)]
     )
     assert done.exit_code == 0, done.output
-    assert done.stdout.startswith("No effect of the catalogue stands for it")
     record = json.loads((out / "diagnosis.json").read_text())
     (finding,) = record["findings"]
     assert (finding["effect"], finding["coordinate"]) == ("something_else", "frequency")
@@ -29,4 +28,4 @@ def test_a_tone_of_no_grid_is_told_first_with_its_frequency_and_drawn(tmp_path: 
     assert record["unexplained"]["p_value"] < 0.05
     assert "something_else" not in {absent["effect"] for absent in record["not_detected"]}
     page = (out / "diagnosis.html").read_text()
-    assert "what is left against the part of a period" in page
+    assert "residual against the part of a period" in page

@@ -56,7 +56,7 @@ def test_a_stage_of_one_spectroscopy_gives_barrier_model_and_report(
     assert low < DECAY_per_m < high
     assert record["axes"] == {}
     page = (tmp_path / "stage" / "report.html").read_text()
-    for words in ('id="verdict"', 'id="tunnelling"', "Backward sweeps", "What the gap law leaves"):
+    for words in ('id="summary"', 'id="tunnelling"', "Residual of the gap law"):
         assert words in page
     assert 'id="loops"' not in page
 

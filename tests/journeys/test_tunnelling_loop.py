@@ -148,15 +148,15 @@ def test_the_report_shows_the_loop_and_the_naive_estimate(fitted: tuple[Path, st
     folder, shown = fitted
     page = (folder / "report.html").read_text()
     for words in (
-        'id="tunnelling-loop"',
-        "Spectra in the closed loop: loop_2.csv",
-        "The naive estimate, a plain transfer function",
+        'id="tunnelling"',
+        "Spectra in the closed loop: loop_1.csv",
+        "naive barrier",
         "step of the drive",
         "mains, 60 Hz",
         "Sweeps and loop agree",
     ):
         assert words in page
-    assert "From 3 closed loops: apparent barrier" in shown
+    assert "Closed loop: apparent barrier" in shown
 
 
 def test_the_model_with_its_loop_comes_back_to_the_last_bit(fitted: tuple[Path, str]) -> None:

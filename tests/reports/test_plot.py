@@ -27,7 +27,7 @@ def test_no_name_in_a_shown_record_is_markup() -> None:
     assert "<b>" not in html_table("<b>", [("<b>", "<b>")])
 
 
-@pytest.mark.parametrize(("kind", "figures"), [("loops", 2), ("residual", 3)])
+@pytest.mark.parametrize(("kind", "figures"), [("loops", 1), ("residual", 2)])
 def test_a_plot_holds_the_figures_and_runs_nothing(kind: str, figures: int) -> None:
     drawn = plot(stage_model(axis_model()), recording(), kind=kind)._repr_html_()
     (frame,) = Anatomy(drawn).all("iframe")

@@ -8,8 +8,14 @@ from hypothesis import strategies as st
 
 from piezoid import formatting
 from piezoid.formatting import PREFIXES, UNKNOWN
-from piezoid_reports.junction_words import told_interval
-from piezoid_reports.quantities import MICRO, MINUS, significant, told, told_between
+from piezoid_reports.quantities import (
+    MICRO,
+    MINUS,
+    significant,
+    told,
+    told_between,
+    told_interval,
+)
 
 FACTOR = {prefix: factor for factor, prefix in PREFIXES} | {MICRO: 1e-6}
 
@@ -73,14 +79,14 @@ def test_significant_digits_come_back(value: float) -> None:
 
 @given(st.floats(-1e6, 1e6))
 def test_the_terminal_is_told_the_same_number_in_plain_letters(value: float) -> None:
-    plain = formatting.told(value, "m")
+    plain = formatting.with_unit(value, "m")
     assert plain.isascii()
     set_here = told(value, "m").replace("\u202f", " ").replace(MINUS, "-").replace(MICRO, "u")
     assert set_here == plain
 
 
 def test_microns_in_a_sentence_are_written_without_a_power_of_ten() -> None:
-    assert formatting.told(6.06e-6, "m") == "6.06 um"
+    assert formatting.with_unit(6.06e-6, "m") == "6.06 um"
 
 
 def test_a_value_that_may_be_anything_is_not_told():

@@ -4,32 +4,31 @@ import numpy as np
 
 from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid_reports.chart import Axis, Canvas, Layer, axis_over
-from piezoid_reports.page import Figure, Page, Part, Prose, Section, Table
+from piezoid_reports.page import Page
+from piezoid_reports.parts import Figure, Heading, Part, Prose, Table
 from piezoid_reports.quantities import MINUS, percent, significant, told
 
 GAINS_Hz = 3  # frequencies at which the change of the gain is told
 LARGEST = 0.42  # of a cell: half the side of the square of the largest entry
 
 
-def render(page: Page) -> Section | None:
-    """Return the chapter, where axes are coupled."""
-    coupled = page.model.coupled
-    if coupled is None:
-        return None
-    parts: list[Part] = [_picture(coupled), _matrix(coupled), _errors(coupled)]
-    parts += [_modes(coupled), *_gain(coupled)]
-    if page.design is not None and page.design.decoupling is not None:
-        parts.append(Prose(text=page.design.decoupling.text))
+def coupling_parts(page: Page, coupled: CoupledStage) -> list[Part]:
+    """Return the part of the dynamics about axes whose drives act on each other."""
+    parts: list[Part] = [
+        Heading(text="Coupled axes"),
+        Prose(
+            text="Every drive moves every displacement; behind the inverse of the matrix each "
+            "axis answers to its own drive. The other sections show decoupled displacements."
+        ),
+        _picture(coupled),
+        _matrix(coupled),
+        _errors(coupled),
+        _modes(coupled),
+        *_gain(coupled),
+    ]
     if page.verification is not None and page.verification.coupling:
         parts.append(_closed(page))
-    return Section(
-        anchor="coupling",
-        title="Coupled axes",
-        lead="Every drive moves every displacement. The matrix is that well below the first mode; "
-        "behind its inverse, scaled so that an axis keeps its own gain, each axis answers to its "
-        "own drive. All chapters on single axes are about these decoupled displacements.",
-        parts=tuple(parts),
-    )
+    return parts
 
 
 def _picture(coupled: CoupledStage) -> Figure:
@@ -52,10 +51,10 @@ def _picture(coupled: CoupledStage) -> Figure:
     largest = told(float(np.abs(gain).max()), "m/V")
     return Figure(
         title="Which drive moves which displacement",
-        numbers=f"Columns are the drives {', '.join(coupled.inputs)}, rows from the bottom the "
+        caption=f"Columns are the drives {', '.join(coupled.inputs)}, rows from the bottom the "
         f"displacements {', '.join(coupled.outputs)}. The area of a square is the size of an "
         f"entry, the largest {largest}.",
-        look="Good: large squares along the rising diagonal. Bad: a large one beside it, which "
+        guide="Good: large squares along the rising diagonal. Bad: a large one beside it, which "
         "the decoupling must take away, or a small one on it.",
         canvas=canvas,
         layers=layers,

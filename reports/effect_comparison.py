@@ -31,7 +31,7 @@ RECORDINGS = 6  # of those fitted worst
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Compared:
+class EffectSimulation:
     """One recording, at rows that every part of it has.
 
     rows       (rows,)  which samples
@@ -47,10 +47,10 @@ class Compared:
     injected_m: Array
 
 
-def compared(
+def compare_effects(
     axis: AxisModel, traces: Sequence[Trace], diagnosis: Diagnosis
-) -> dict[str, tuple[Compared, ...]]:
-    """Return for every finding what its picture is made of, recordings fitted worst first."""
+) -> dict[str, tuple[EffectSimulation, ...]]:
+    """Return for every finding the residuals without and with it, worst recordings first."""
     used = traces[:RECORDINGS]
     if not used:
         return {}
@@ -65,7 +65,7 @@ def compared(
     }
 
 
-def _one(axis: AxisModel, finding: Finding, trace: Trace, fitted: "Fitted") -> Compared:
+def _one(axis: AxisModel, finding: Finding, trace: Trace, fitted: "Fitted") -> EffectSimulation:
     if effect_named(finding.effect).shows.kind == "spectrum":
         rows = np.flatnonzero(np.isfinite(trace.modelled_m))
         whole_m = fitted.whole_m.get(finding.effect)
@@ -76,7 +76,7 @@ def _one(axis: AxisModel, finding: Finding, trace: Trace, fitted: "Fitted") -> C
         rows, after_m = fitted.rows, fitted.after_m
         own_m = fitted.part_m.get(finding.effect)
         part_m = carried_part(axis, finding.effect, trace)[rows] if own_m is None else own_m
-    return Compared(
+    return EffectSimulation(
         trace=trace,
         rows=rows,
         before_m=after_m + part_m,
@@ -85,7 +85,7 @@ def _one(axis: AxisModel, finding: Finding, trace: Trace, fitted: "Fitted") -> C
     )
 
 
-def _turned(found: Sequence[Compared]) -> tuple[Compared, ...]:
+def _turned(found: Sequence[EffectSimulation]) -> tuple[EffectSimulation, ...]:
     """Mirror the look-alikes where that makes them like what was found."""
     alike = sum(
         float(np.nansum((one.before_m - one.after_m) * (one.injected_m - one.injected_m.mean())))

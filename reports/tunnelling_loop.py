@@ -1,4 +1,4 @@
-"""The closed tunnelling loop: plant and barrier, the naive estimate, spectra, what limits it."""
+"""The closed tunnelling loop: plant, barrier, spectra, and the noise that limits it."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,56 +10,57 @@ from piezoid.identification.tunnelling.junction import noise_of_loop
 from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig, is_loop, read_loop
 from piezoid.identification.tunnelling.loop_model import LoopPlant, LoopSummary
 from piezoid.identification.tunnelling.loop_noise import MainsLine, power_density
-from piezoid.identification.tunnelling.model import GapLaw
+from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, decades_over
-from piezoid_reports.junction_words import (
-    SOURCES,
-    joint_sentence,
-    loop_judged,
-    told_interval,
-)
-from piezoid_reports.page import Figure, Listing, Page, Part, Prose, Section, Table
-from piezoid_reports.quantities import percent, significant, told
+from piezoid_reports.page import Page
+from piezoid_reports.parts import Figure, Heading, Part, Prose, Table
+from piezoid_reports.quantities import percent, significant, told, told_interval
 
-LOOK_SPECTRA = (
-    "Good: the drive lies along the gap's unrest below the loop's bandwidth, which it cancels, "
-    "and the current lies far below both there. Bad: the current rising above the unrest over a "
-    "decade, a loop that amplifies; mains lines far above what surrounds them."
+SOURCES = {
+    "shot": "shot noise",
+    "johnson": "Johnson noise of the resistor",
+    "adc_step": "step of the current's converter",
+    "drive_step": "step of the drive's converter",
+    "gap": "motion of the gap",
+}
+GUIDE_SPECTRA = (
+    "Good: below the bandwidth the drive lies on the motion of the gap, the current far below. "
+    "Bad: the current above the motion over a decade, or strong mains lines."
 )
 LEAST_m2_per_Hz = 1e-34  # what a still column shows
 
 
-def render(page: Page) -> Section | None:
-    """Return the loop's plant and spectra, where a closed loop was recorded."""
-    junction = page.model.tunnelling
-    if junction is None or junction.loop_plant is None:
-        return None
-    loop = junction.loop_plant
-    parts: list[Part] = [loop_judged(loop)]
-    parts += [Listing(items=loop.reasons)] if loop.reasons else []
+def loop_parts(page: Page, junction: TunnellingModel, loop: LoopPlant) -> list[Part]:
+    """Return plant, barrier and spectra of the closed loop."""
+    parts: list[Part] = [Heading(text="Closed loop"), Prose(text=loop_sentence(loop))]
     if junction.joint is not None and junction.gap_law is not None:
-        parts.append(_joint(junction.gap_law, loop, junction.joint))
-    parts += [_plant(loop), _naive(loop)]
-    parts += [_records(loop)] if loop.records else []
-    parts += [*_sources(loop), *_figures(page, loop)]
-    return Section(
-        anchor="tunnelling-loop",
-        title="Tunnelling loop",
-        lead="While the controller holds the current, the drive answers to the very noise it is "
-        "to be told apart from; the external dither, which depends on nothing measured, is what "
-        "the plant is found by.",
-        parts=tuple(parts),
+        parts.append(_joint(junction.joint))
+    parts += [_plant(loop), *([_records(loop)] if loop.records else [])]
+    return [*parts, *_sources(loop), *_figures(page, loop)]
+
+
+def loop_sentence(loop: LoopPlant) -> str:
+    """Return barrier and gain of the closed loop."""
+    barrier = told_interval(loop.barrier_eV, loop.barrier_interval_eV, "eV")
+    gain = told_interval(loop.plant.gain_nepers_per_V, loop.gain_interval, "")
+    return (
+        f"Closed loop: apparent barrier {barrier}, gain {gain} nepers per volt, "
+        f"{loop.confidence.value} confidence."
     )
 
 
-def _joint(law: GapLaw, loop: LoopPlant, joint: JointBarrier) -> Prose:
-    ratio = told_interval(joint.ratio, joint.ratio_interval, "")
-    return Prose(
-        text=f"The loop's decay is {ratio} times that of the sweeps. "
-        f"{joint_sentence(law, loop, joint)}",
-        tone="good" if joint.agree else "bad",
-    )
+def joint_sentence(joint: JointBarrier) -> str:
+    """Return whether sweeps and closed loop agree, with the common barrier."""
+    if joint.barrier_eV is not None:
+        common = told_interval(joint.barrier_eV, joint.barrier_interval_eV, "eV")
+        return f"Sweeps and loop agree: weighted barrier {common}."
+    low, high = (significant(end, 4) for end in joint.barrier_interval_eV)
+    return f"Sweeps and loop disagree: the barrier lies between {low} and {high} eV."
+
+
+def _joint(joint: JointBarrier) -> Prose:
+    return Prose(text=joint_sentence(joint), tone="good" if joint.agree else "bad")
 
 
 def _plant(loop: LoopPlant) -> Table:
@@ -81,10 +82,9 @@ def _plant(loop: LoopPlant) -> Table:
     rows.append(("amplifier's pole, declared", told(plant.amplifier_pole_Hz, "Hz"), "", ""))
     seen = loop.family_records > 2
     spread = (
-        f"the family holds 95 % of further spots, judged from {loop.family_records} records"
+        f"the family covers 95 % of further spots, from {loop.family_records} records"
         if seen
-        else f"{loop.family_records} record(s) cannot show how spots differ: the family holds "
-        "what one of them leaves uncertain"
+        else "the family covers the uncertainty of one record; spots may differ"
     )
     return Table(
         caption=f"Plant from drive to ln of the current, 95 % intervals; {spread}.",
@@ -123,15 +123,6 @@ def _drift(record: LoopSummary) -> str:
     return told_interval(drift, record.unrest.drift_interval_m_per_s, "m/s")
 
 
-def _naive(loop: LoopPlant) -> Prose:
-    return Prose(
-        text=f"The naive estimate, a plain transfer function from drive to current, gives "
-        f"{significant(loop.naive_gain, 3)} nepers per volt where the dither gives "
-        f"{significant(loop.plant.gain_nepers_per_V, 3)}, however long the record: "
-        f"{loop.naive_reason}."
-    )
-
-
 def _sources(loop: LoopPlant) -> tuple[Part, ...]:
     known = [(r.recording, r.unrest) for r in loop.records if r.unrest is not None]
     if not known:
@@ -141,16 +132,10 @@ def _sources(loop: LoopPlant) -> tuple[Part, ...]:
         (SOURCES[source.name], *(column[place] for column in sources))
         for place, source in enumerate(known[0][1].sources)
     ]
-    rows.append(("limits most", *(SOURCES[unrest.limiting_source] for _, unrest in known)))
-    rows.append(
-        ("of the electronics", *(SOURCES[unrest.limiting_electronics] for _, unrest in known))
-    )
-    rows.append(("mains lines in the gap", *(_mains(unrest.mains) for _, unrest in known)))
     return (
         Table(
-            caption="What blurs or moves the gap, rms within "
-            f"{told(known[0][1].bandwidth_Hz, 'Hz')}. A converter's step that the record does not "
-            "show counts as none.",
+            caption="Contributions to the motion of the gap, rms within "
+            f"{told(known[0][1].bandwidth_Hz, 'Hz')}.",
             columns=("", *(name for name, _ in known)),
             rows=tuple(rows),
         ),
@@ -163,15 +148,16 @@ def _mains(lines: Sequence[MainsLine]) -> str:
 
 
 def _figures(page: Page, loop: LoopPlant) -> list[Part]:
-    """Spectra of the recordings at hand; what else the model was fitted to is not drawn."""
+    """Return the spectra of the first recording at hand."""
     if loop.rig is None:
         return []
     fitted = {record.recording: record for record in loop.records}
-    return [
+    figures = [
         _spectra(loop, loop.rig, fitted[recording.name], read_loop(recording, loop.rig))
         for recording in page.recordings
         if is_loop(recording) and recording.name in fitted
     ]
+    return list(figures[:1])
 
 
 def _spectra(loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRecord) -> Figure:
@@ -194,8 +180,8 @@ def _spectra(loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRe
     layers += [canvas.line(role, name, f, level, points=900) for role, name, f, level in curves]
     return Figure(
         title=f"Spectra in the closed loop: {summary.recording}",
-        numbers=_numbers(summary),
-        look=LOOK_SPECTRA,
+        caption=_caption(summary),
+        guide=GUIDE_SPECTRA,
         canvas=canvas,
         layers=tuple(layers),
     )
@@ -213,7 +199,7 @@ def _curves(
     ]
     noise = noise_of_loop(record, rig, replace(loop.plant, gain_nepers_per_V=summary.gain))
     if noise is not None:
-        shown.append(("trend", "unrest of the gap", noise.frequency_Hz, noise.density_m2_per_Hz))
+        shown.append(("trend", "motion of the gap", noise.frequency_Hz, noise.density_m2_per_Hz))
     return [
         (role, name, np.log10(f_Hz[1:]), _in_pm(np.maximum(density[1:], LEAST_m2_per_Hz)))
         for role, name, f_Hz, density in shown
@@ -224,14 +210,10 @@ def _in_pm(density_m2_per_Hz: Array) -> Array:
     return np.asarray(0.5 * np.log10(density_m2_per_Hz) + 12.0)
 
 
-def _numbers(summary: LoopSummary) -> str:
-    text = "ln of the current over the decay, the drive times its extension, and what the drive "
-    text += "does not explain. The comb in current and drive is the dither"
-    if summary.period_s is not None:
-        text += f", which repeats every {told(summary.period_s, 's')}"
+def _caption(summary: LoopSummary) -> str:
     if summary.unrest is None:
-        return f"{text}. The record is too short to tell drift and mains."
-    return f"{text}. Mains lines found: {_mains(summary.unrest.mains)}."
+        return "The record is too short for drift and mains lines."
+    return f"Mains lines found: {_mains(summary.unrest.mains)}."
 
 
 def _level(signal: Array) -> Array:

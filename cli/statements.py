@@ -1,0 +1,36 @@
+"""Statements on the terminal: the few that need action, or all of them with --verbose."""
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from piezoid_cli.progress import EVERYTHING
+from piezoid_cli.terminal import plain
+
+if TYPE_CHECKING:
+    from piezoid.statement import Level, Statement
+
+MAX_SHOWN = 5
+
+
+def show_statements(statements: "Iterable[Statement]", minimum: "Level | None" = None) -> None:
+    """Print at most five statements at or above a level, by default those that need action."""
+    from rich.console import Console
+    from rich.padding import Padding
+
+    from piezoid.statement import Level, select
+
+    is_verbose = EVERYTHING.get()
+    lowest = Level.NOTE if is_verbose else Level.ACTION if minimum is None else minimum
+    selected = select(statements, minimum=lowest)
+    shown = selected if is_verbose else selected[:MAX_SHOWN]
+    console = Console()
+    if shown and lowest is Level.ACTION:
+        console.print(plain("needs action:"))
+    for statement in shown:
+        axis = f"axis {statement.axis}: " if statement.axis else ""
+        style = {Level.ACTION: "bold", Level.NOTE: "dim"}.get(statement.level, "")
+        text = plain(f"{axis}{statement.text}", style=style)
+        console.print(Padding(text, (0, 0, 0, 2), expand=False))
+    if len(selected) > len(shown):
+        rest = len(selected) - len(shown)
+        console.print(plain(f"  {rest} more in the report and with --verbose"))

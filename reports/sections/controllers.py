@@ -1,0 +1,203 @@
+"""The controllers: margins, sensitivities over the plant family, and what is proven."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from piezoid.design.damping import told_of_mode
+from piezoid.design.design import AxisDesign, LoopDesign
+from piezoid.design.design_statements import error_parts_m, useful_bound_m
+from piezoid.design.lateral_task import assumptions_of
+from piezoid.design.sensitivity import sensitivities
+from piezoid.design.templates import delay_limit
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.frequency import decibel
+from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
+from piezoid_reports.page import Page
+from piezoid_reports.parts import (
+    Figure,
+    Heading,
+    Listing,
+    Part,
+    Prose,
+    Section,
+    Table,
+    folded,
+)
+from piezoid_reports.quantities import MINUS, significant, told
+
+GRID = 240
+LOWEST = 300.0  # parts of the bandwidth: below, attenuation is only a straight line
+NYQUIST = 0.499
+FUNCTIONS = {
+    "Syp": (
+        "output sensitivity",
+        "Good: the whole band below every dashed line. Bad: a band that opens at one frequency, "
+        "where the plant is not known well enough.",
+    ),
+    "Syb": (
+        "noise sensitivity",
+        "Good: 0 dB up to the bandwidth, then falling. Bad: a hump near the delay limit.",
+    ),
+}
+METHODS = {
+    "mpi_dob": "disturbance observer on the inverse",
+    "dob": "disturbance observer with an affine map",
+    "rst": "R, S, T on the logarithm of the current",
+}
+
+
+def render(page: Page) -> Section | None:
+    """Return a table of all loops and a sensitivity for each axis, more in folds."""
+    if page.design is None:
+        return None
+    parts: list[Part] = [_loops(page)]
+    for axis in page.axis_designs:
+        parts += [*_axis(axis), *_proven(page, axis)]
+    conditions = tuple(dict.fromkeys(_conditions(page)))
+    parts += folded("Conditions", [Listing(items=conditions)] if conditions else [])
+    return Section(
+        anchor="controllers",
+        title="Controllers",
+        lead="Margins are computed from R, S and every member of the plant family.",
+        parts=tuple(parts),
+    )
+
+
+def _conditions(page: Page) -> Iterator[str]:
+    """Yield what the guaranteed errors and the plant families assume."""
+    for axis in page.axis_designs:
+        model = page.model.axes.get(axis.axis)
+        if model is None:
+            continue
+        certificate = axis.recommended.certificate
+        if page.ships(axis.axis) and useful_bound_m(certificate, model) is not None:
+            assert certificate is not None
+            yield from certificate.conditions
+        yield from assumptions_of(model)
+
+
+def _loops(page: Page) -> Table:
+    """Return every loop of every axis with its worst margins; the first of an axis is chosen."""
+    return Table(
+        caption="Worst member of each plant family; the first loop of an axis is recommended.",
+        columns=(
+            "axis",
+            "loop",
+            "bandwidth",
+            "modulus margin",
+            "delay margin",
+            "guaranteed error",
+        ),
+        rows=tuple(
+            (
+                axis.axis,
+                METHODS[loop.method],
+                told(loop.bandwidth_Hz, "Hz"),
+                significant(loop.worst_modulus_margin),
+                _delay(loop.worst_delay_margin_s),
+                _bound(page, axis, loop),
+            )
+            for axis in page.axis_designs
+            for loop in axis.loops
+        ),
+        is_open=True,
+    )
+
+
+def _delay(margin_s: float | None) -> str:
+    return "any" if margin_s is None else told(margin_s, "s")
+
+
+def _bound(page: Page, axis: AxisDesign, loop: LoopDesign) -> str:
+    model = page.model.axes.get(axis.axis)
+    if model is None or loop.certificate is None or not loop.certificate.is_guaranteed:
+        return "none"
+    if page.verification is not None and not page.ships(axis.axis):
+        return "not verified"
+    bound_m = useful_bound_m(loop.certificate, model)
+    return "no useful bound" if bound_m is None else told(bound_m, "m")
+
+
+def _axis(axis: AxisDesign) -> list[Part]:
+    loop = axis.recommended
+    return [
+        Heading(text=f"Axis {axis.axis}"),
+        _figure(axis, loop, "Syp"),
+        *folded("Noise sensitivity: 1 figure", (_figure(axis, loop, "Syb"),)),
+        *((Prose(text=mode),) if (mode := told_of_mode(loop)) else ()),
+    ]
+
+
+def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
+    """One sensitivity: its nominal line, the band of the family, the limits it had to keep."""
+    rate_Hz = loop.members[0].sampling_rate_Hz
+    frequency_Hz = np.geomspace(loop.bandwidth_Hz / LOWEST, NYQUIST * rate_Hz, GRID)
+    level_dB = np.stack(
+        [
+            decibel(getattr(sensitivities(member, loop.R, loop.S, frequency_Hz), function))
+            for member in loop.members
+        ]
+    )
+    limits = _limits(axis, function, frequency_Hz)
+    decades = np.log10(frequency_Hz)
+    x = decades_over("frequency", [decades], "Hz")
+    shown = [np.maximum(level_dB, -80.0), *(limit for _, limit in limits)]
+    y = axis_over(f"|{function}| [dB]", [part.ravel() for part in shown], "")
+    canvas = Canvas(x=x, y=y)
+    layers: list[Layer] = [
+        canvas.band(
+            "model-band", "plant family", decades, shown[0].min(axis=0), shown[0].max(axis=0)
+        ),
+        canvas.line("model", "nominal", decades, shown[0][0]),
+    ]
+    layers += [canvas.line("limit", name, decades, limit) for name, limit in limits]
+    what, guide = FUNCTIONS[function]
+    worst_dB = level_dB.max(axis=0)
+    return Figure(
+        title=f"Axis {axis.axis}: {what} |{function}|",
+        caption=f"Largest {_decibels(float(worst_dB.max()))} at "
+        f"{told(float(frequency_Hz[worst_dB.argmax()]), 'Hz')}, of {len(loop.members)} members.",
+        guide=guide,
+        canvas=canvas,
+        layers=tuple(layers),
+    )
+
+
+def _decibels(level: float) -> str:
+    """Return a level to a hundredth of a decibel: below, a curve is flat."""
+    return f"{round(level, 2) + 0.0:.2f} dB".replace("-", MINUS)
+
+
+def _limits(axis: AxisDesign, function: str, frequency_Hz: Array) -> list[tuple[str, Array]]:
+    """Named limits in dB over the grid, NaN where there is none."""
+    asked = axis.specification
+    limits = [
+        (t.name, t.limit_dB(frequency_Hz)) for t in asked.all_templates if t.function == function
+    ]
+    if function == "Syp":
+        peak_dB = float(decibel(1.0 / asked.modulus_margin))
+        limits.append(("modulus margin", np.full(len(frequency_Hz), peak_dB)))
+    if function == "Syb":
+        limits.append(("delay margin", decibel(delay_limit(frequency_Hz, asked.delay_margin_s))))
+    return [
+        (name, np.where(np.isfinite(level) & (level < 40.0), level, np.nan))
+        for name, level in limits
+    ]
+
+
+def _proven(page: Page, axis: AxisDesign) -> list[Part]:
+    """Return what the guaranteed error is made of and its conditions; limits are statements."""
+    proven, model = axis.recommended.certificate, page.model.axes.get(axis.axis)
+    if model is None or proven is None or not page.ships(axis.axis):
+        return []
+    if useful_bound_m(proven, model) is None:
+        return []
+    parts_m = {name: size_m for name, size_m in error_parts_m(proven).items() if size_m > 0.0}
+    terms = ", ".join(f"{told(size_m, 'm')} from {name}" for name, size_m in parts_m.items())
+    text = (
+        f"Axis {axis.axis}: guaranteed error {told(proven.guaranteed_error_m, 'm')} ({terms}); "
+        f"small gain {significant(proven.small_gain)}, below 1; sensor noise adds "
+        f"{told(proven.noise_error_m, 'm')} (three standard deviations)."
+    )
+    return [Prose(text=text)]

@@ -1,0 +1,71 @@
+"""Error budget: from the plain simulation to the sensor noise, cause by cause."""
+
+from math import sqrt
+
+from piezoid.diagnosis.diagnosis import BudgetPart, Diagnosis
+from piezoid.formatting import words
+from piezoid_reports.chart import axis_from_zero
+from piezoid_reports.page import Page
+from piezoid_reports.parts import Bar, Section, Waterfall
+from piezoid_reports.quantities import told
+
+NOISE = "noise"
+NEGLIGIBLE = 1e-3  # of the power of the error: no bar
+
+
+def render(page: Page) -> Section | None:
+    """Return a waterfall for each axis whose error was split."""
+    parts = tuple(_waterfall(diagnosis) for diagnosis in page.diagnoses if diagnosis.budget)
+    if not parts:
+        return None
+    return Section(
+        anchor="error-budget",
+        title="Error budget",
+        lead="Held-out error of a simulation with hysteresis alone, split into its causes; the "
+        "squares of the parts add up.",
+        parts=parts,
+    )
+
+
+def visible_parts(diagnosis: Diagnosis) -> tuple[BudgetPart, ...]:
+    """Return the parts of the error that are not negligible, the noise last."""
+    least_m2 = NEGLIGIBLE * diagnosis.baseline.rms_m**2
+    return tuple(p for p in diagnosis.budget if p.rms_m**2 > least_m2 or p.part == NOISE)
+
+
+def label_of(part: BudgetPart) -> str:
+    """Return the name of a part as a reader sees it."""
+    return "sensor noise" if part.part == NOISE else words(part.part)
+
+
+def _waterfall(diagnosis: Diagnosis) -> Waterfall:
+    parts, total_m = visible_parts(diagnosis), diagnosis.baseline.rms_m
+    total = Bar(
+        name="hysteresis alone",
+        start_m=0.0,
+        end_m=total_m,
+        value=told(total_m, "m"),
+        role="total",
+    )
+    bars, rest_m2 = [total], total_m**2
+    for part in parts:
+        end_m, is_noise = sqrt(rest_m2), part.part == NOISE
+        rest_m2 = max(rest_m2 - part.rms_m**2, 0.0)
+        bars.append(
+            Bar(
+                name=label_of(part),
+                start_m=0.0 if is_noise else sqrt(rest_m2),
+                end_m=part.rms_m if is_noise else end_m,
+                value=told(part.rms_m, "m"),
+                role="noise" if is_noise else "modelled" if part.is_explained else "open",
+            )
+        )
+    modelled = [label_of(part) for part in parts if part.is_explained]
+    removed = " and ".join(modelled) if modelled else "nothing"
+    return Waterfall(
+        title=f"Axis {diagnosis.axis}: error budget",
+        caption=f"Removed by the model: {removed}; held-out error "
+        f"{told(diagnosis.final.rms_m, 'm')}.",
+        axis=axis_from_zero("error, rms", total_m, "m"),
+        bars=tuple(bars),
+    )

@@ -1,0 +1,165 @@
+"""The effects that a plain simulation lacks: picture, size, meaning for control, confirmation."""
+
+from collections.abc import Mapping, Sequence
+
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding, NotDetected
+from piezoid.diagnosis.diagnosis_statements import largest_first
+from piezoid.diagnosis.effects import effect_named
+from piezoid.diagnosis.something_else import CONTROL, NAME
+from piezoid.formatting import words
+from piezoid_reports.effect_comparison import EffectSimulation, compare_effects
+from piezoid_reports.effect_figures import figure_of, unnamed_figure
+from piezoid_reports.page import Page
+from piezoid_reports.parts import Heading, Part, Prose, Section, Table
+from piezoid_reports.quantities import percent, size_of, told
+
+MIN_GAIN = 1e-3  # of the held-out error: below, refitting alone moves it as much
+NO_PICTURES = "No pictures: they need a model of these recordings, which `piezoid fit` makes."
+NO_PICTURE = "No picture: in the samples of the fit the residual is the same without the effect."
+
+
+def render(page: Page) -> Section | None:
+    """Return a figure and a paragraph for each finding, and tables of what was tested."""
+    if not page.diagnoses:
+        return None
+    parts: list[Part] = [_table(page.diagnoses)]
+    parts += [
+        part
+        for k, diagnosis in enumerate(page.diagnoses)
+        for part in _axis_parts(diagnosis, page, described=_described(page.diagnoses[:k]))
+    ]
+    parts.append(Heading(text="Not detected"))
+    return Section(
+        anchor="findings",
+        title="Findings",
+        lead="Effects that a simulation with hysteresis alone lacks. Dashed: the effect at the "
+        "size found, put into a simulated healthy stage.",
+        parts=(*parts, *not_detected_tables(page.diagnoses)),
+    )
+
+
+def _described(diagnoses: Sequence[Diagnosis]) -> dict[str, str]:
+    """Return the axis under which each effect is described, the first that has it."""
+    pairs = [(f.effect, one.axis) for one in diagnoses for f in one.findings]
+    return dict(reversed(pairs))
+
+
+def _axis_parts(
+    diagnosis: Diagnosis, page: Page, *, described: Mapping[str, str]
+) -> tuple[Part, ...]:
+    """Return the parts about one axis; effects of earlier axes are not described again."""
+    axis = page.model.axes.get(diagnosis.axis)
+    traces = page.traces.get(diagnosis.axis, ())
+    pictures = {} if axis is None else compare_effects(axis, traces, diagnosis)
+    parts: list[Part] = []
+    if diagnosis.findings and not pictures:
+        parts.append(Prose(text=NO_PICTURES))
+    elif diagnosis.findings and page.note:
+        parts.append(Prose(text=page.note))
+    for finding in largest_first(diagnosis):
+        parts += _picture(diagnosis.axis, finding, pictures.get(finding.effect, ()))
+        is_proposed = any(finding.next_experiment in fact.text for fact in page.statements)
+        parts += _meaning(finding, described.get(finding.effect, ""), is_proposed=is_proposed)
+    return tuple(parts)
+
+
+def _table(diagnoses: Sequence[Diagnosis]) -> Part:
+    rows = tuple(
+        (
+            diagnosis.axis,
+            words(finding.effect),
+            size_of(finding),
+            told(finding.held_out_rms_before_m, "m"),
+            told(finding.held_out_rms_after_m, "m"),
+            percent(finding.held_out_gain) if finding.held_out_gain >= MIN_GAIN else "none",
+            f"{finding.p_value:.2g}",
+        )
+        for diagnosis in diagnoses
+        for finding in diagnosis.findings
+    )
+    if not rows:
+        return Prose(text="No effect was found.")
+    return Table(
+        caption="Size with 95 % interval; held-out error without and with the effect, both "
+        "refitted; p from healthy stages.",
+        columns=("axis", "effect", "size", "error without", "with", "gain", "p"),
+        rows=rows,
+        is_open=True,
+    )
+
+
+def _picture(axis: str, finding: Finding, pictures: tuple[EffectSimulation, ...]) -> list[Part]:
+    heading = Heading(text=f"Axis {axis}: {words(finding.effect)}")
+    is_unnamed = finding.effect == NAME
+    figure = unnamed_figure(finding) if is_unnamed else figure_of(finding, pictures)
+    if figure is None:
+        return [heading, Prose(text=NO_PICTURE)] if pictures else [heading]
+    return [heading, figure]
+
+
+def _meaning(finding: Finding, described: str, *, is_proposed: bool) -> list[Part]:
+    """Return what a finding is, what it means for control and what would confirm it.
+
+    Args:
+        finding: of one axis.
+        described: the axis under which its effect is described already, or empty.
+        is_proposed: whether a statement proposes its experiment already.
+    """
+    if finding.effect == NAME:  # its explanation and experiment are among the statements
+        return [] if described else [Prose(text=f"For control: {CONTROL}")]
+    if described:
+        return [Prose(text=f"Described under axis {described}.")]
+    control = effect_named(finding.effect).control
+    parts: list[Part] = [Prose(text=f"{finding.explanation} For control: {control}")]
+    if not is_proposed:
+        parts.append(Prose(text=f"To confirm: {finding.next_experiment}"))
+    return parts
+
+
+def not_detected_tables(diagnoses: Sequence[Diagnosis]) -> list[Part]:
+    """Return the effects and the data faults that were not detected, least known first."""
+    absent = [(one, diagnosis.axis) for diagnosis in diagnoses for one in diagnosis.not_detected]
+    absent.sort(key=lambda pair: -_hidden_m(pair[0]))
+    names = dict.fromkeys(one.effect for one, _ in absent)
+    effects = [name for name in names if effect_named(name).fault is None]
+    faults = [name for name in names if effect_named(name).fault is not None]
+    axes = [diagnosis.axis for diagnosis in diagnoses]
+    by_name = {(one.effect, axis): one for one, axis in absent}
+    tables = (
+        (
+            effects,
+            "Effects not detected. Upper bound (95 %) and detection limit (found in four "
+            "of five cases), rms.",
+        ),
+        (faults, "Data faults not detected. Detection limit, height of a spike or step."),
+    )
+    return [
+        Table(
+            caption=caption,
+            columns=("effect", *(f"axis {axis}" for axis in axes)),
+            rows=tuple(
+                (words(name), *(_known(by_name.get((name, axis))) for axis in axes))
+                for name in shown
+            ),
+        )
+        for shown, caption in tables
+        if shown
+    ]
+
+
+def _known(one: NotDetected | None) -> str:
+    """Return bound and limit of an effect, or why it could not be tested."""
+    if one is None:
+        return "found"
+    if one.detection_limit_m is None:
+        return "not tested"
+    limit = told(one.detection_limit_m, "m")
+    is_fault = effect_named(one.effect).fault is not None
+    if is_fault or one.upper_bound_m is None:
+        return limit
+    return f"{told(one.upper_bound_m, 'm')}, {limit}"
+
+
+def _hidden_m(one: NotDetected) -> float:
+    """Return the larger of bound and limit: below it nothing is known of an effect."""
+    return max(one.detection_limit_m or 0.0, one.upper_bound_m or 0.0)

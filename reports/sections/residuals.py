@@ -1,0 +1,153 @@
+"""The residual against time and drive, and the samples that were left out of the fit."""
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.identification.model import AxisModel
+from piezoid.numerics.arrays import Array
+from piezoid_reports.chart import Canvas, Layer, axis_over
+from piezoid_reports.page import Page
+from piezoid_reports.parts import Figure, Part, Section, axis_heading, count_of, folded
+from piezoid_reports.quantities import percent, told
+from piezoid_reports.traces import Trace, rms
+
+SIGMAS = 2.0
+TIME_HEIGHT = 240  # pixels
+DRIVE_BINS, MIN_BIN_SAMPLES = 60, 8  # fewer samples have no quantiles
+MIN_TICK = 1 / 600  # of the recording: half a pixel
+GUIDE_TIME = (
+    "Good: structureless, mostly between the dashed lines. Bad: waves with the period of the "
+    "drive (hysteresis), slow bending (creep or drift), spikes at turning points (dynamics)."
+)
+GUIDE_DRIVE = (
+    "Good: both medians run along zero. Bad: they part (loop width wrong) or bend together "
+    "(static curve wrong)."
+)
+
+
+def render(page: Page) -> Section | None:
+    """Return the residual against time and drive for each axis, more in a fold."""
+    parts: list[Part] = []
+    for axis in page.axes:
+        drawn = page.drawn(axis)
+        if not drawn:
+            continue
+        parts += [axis_heading(axis), over_time(drawn[0], axis)]
+        parts.append(_over_drive(axis, page.traces[axis.axis]))
+        others = [over_time(trace, axis) for trace in drawn[1:]]
+        parts += folded(f"More residuals: {count_of(len(others), 'figure')}", others)
+    if not parts:
+        return None
+    return Section(
+        anchor="residuals",
+        title="Residuals",
+        lead="Measured minus modelled displacement; each column spans its extremes.",
+        parts=tuple(parts),
+    )
+
+
+def left_out(traces: tuple[Trace, ...]) -> tuple[int, int]:
+    """Return how many samples the fit left out, and of how many."""
+    total = sum(len(trace.time_s) for trace in traces)
+    return total - sum(trace.counted for trace in traces), total
+
+
+def over_time(trace: Trace, axis: AxisModel, *, size: tuple[int, int] | None = None) -> Figure:
+    """Draw the residual against time with the band of the noise; small for the first screen."""
+    width, height = size or (Canvas.width, TIME_HEIGHT)
+    noise_m, residual_m = axis.quality.noise_rms_m, trace.residual_m
+    x = axis_over("time", [trace.time_s], "s")
+    y = axis_over("residual", [residual_m, np.array([SIGMAS * noise_m])], "m", even=True)
+    canvas = Canvas(x=x, y=y, width=width, height=height)
+    ends_s = trace.time_s[[0, -1, -1, 0, -1]]
+    limits_m = SIGMAS * noise_m * np.array([1.0, 1.0, np.nan, -1.0, -1.0])
+    finite_m = np.abs(residual_m[np.isfinite(residual_m)])
+    inside = float((finite_m <= SIGMAS * noise_m).mean())
+    return Figure(
+        title=f"{trace.recording.name}, axis {axis.axis}: residual against time",
+        caption=f"{told(rms(residual_m), 'm')} rms, at most {told(float(finite_m.max()), 'm')}; "
+        f"{percent(inside)} of the samples lie within twice the sensor noise of "
+        f"{told(noise_m, 'm')}.",
+        guide=GUIDE_TIME,
+        canvas=canvas,
+        is_small=size is not None,
+        layers=(
+            canvas.range_over_time("model", "residual", trace.time_s, residual_m),
+            canvas.line("limit", "± 2 sensor noise", ends_s, limits_m),
+            *_marks(canvas, trace),
+        ),
+    )
+
+
+def _over_drive(axis: AxisModel, traces: tuple[Trace, ...]) -> Figure:
+    voltage_V = np.concatenate([trace.voltage_V for trace in traces])
+    residual_m = np.concatenate([trace.residual_m for trace in traces])
+    is_rising = np.concatenate([_is_rising(trace) for trace in traces])
+    is_finite = np.isfinite(residual_m)
+    edges_V = np.linspace(voltage_V.min(), voltage_V.max(), DRIVE_BINS + 1)
+    rising, falling = (
+        _quantiles(voltage_V[is_finite & branch], residual_m[is_finite & branch], edges_V)
+        for branch in (is_rising, ~is_rising)
+    )
+    x = axis_over("drive", [voltage_V], "V")
+    shown = [rising[:, 1:].ravel(), falling[:, 1:].ravel()]
+    canvas = Canvas(x=x, y=axis_over("residual", shown, "m", even=True))
+    largest = [told(_largest_median(one), "m") for one in (rising, falling)]
+    return Figure(
+        title=f"Axis {axis.axis}: residual against drive",
+        caption=f"Largest median {largest[0]} rising, {largest[1]} falling; bands hold 90 %.",
+        guide=GUIDE_DRIVE,
+        canvas=canvas,
+        layers=(*_bands(canvas, "rising", rising), *_bands(canvas, "falling", falling)),
+    )
+
+
+def _is_rising(trace: Trace) -> NDArray[np.bool_]:
+    """Return for each sample whether the drive last moved upwards."""
+    step = np.sign(np.diff(trace.voltage_V, prepend=trace.voltage_V[0]))
+    last = np.maximum.accumulate(np.where(step != 0, np.arange(len(step)), 0))
+    return np.asarray(step[last] > 0)
+
+
+def _quantiles(voltage_V: Array, residual_m: Array, edges_V: Array) -> Array:
+    """Return middle of the bin, 5 %, 50 % and 95 % quantiles, (bins, 4)."""
+    index = np.clip(np.searchsorted(edges_V, voltage_V, side="right") - 1, 0, DRIVE_BINS - 1)
+    order = np.argsort(index, kind="stable")
+    cuts = np.searchsorted(index[order], np.arange(DRIVE_BINS + 1))
+    rows = [
+        [
+            (edges_V[k] + edges_V[k + 1]) / 2,
+            *np.quantile(residual_m[order[a:b]], [0.05, 0.5, 0.95]),
+        ]
+        for k, (a, b) in enumerate(itertools.pairwise(cuts))
+        if b - a >= MIN_BIN_SAMPLES
+    ]
+    return np.array(rows).reshape(-1, 4)
+
+
+def _bands(canvas: Canvas, role: str, bins: Array) -> tuple[Layer, ...]:
+    if len(bins) < 2:
+        return ()
+    middle, low, median, high = bins.T
+    line = canvas.line(role, f"{role}: median", middle, median)
+    return canvas.band(f"{role}-band", f"{role}: 90 %", middle, low, high), line
+
+
+def _largest_median(bins: Array) -> float:
+    return float(np.abs(bins[:, 2]).max()) if len(bins) else float("nan")
+
+
+def _marks(canvas: Canvas, trace: Trace) -> tuple[Layer, ...]:
+    """Draw a bar under every run of samples that was left out, at least half a pixel wide."""
+    is_used, time_s = np.isfinite(trace.modelled_m), trace.time_s
+    if is_used.all():
+        return ()
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~is_used, [False]]).astype(int)))
+    ends_s = time_s[np.minimum(edges, len(time_s) - 1)].reshape(-1, 2)
+    ends_s[:, 1] = np.maximum(ends_s[:, 1], ends_s[:, 0] + MIN_TICK * np.ptp(time_s))
+    low = canvas.y.low * canvas.y.scale.factor
+    x = np.column_stack([ends_s, np.full(len(ends_s), np.nan)]).ravel()
+    y = np.where(np.isfinite(x), low, np.nan)
+    return (canvas.line("missing", "left out of the fit", x, y),)

@@ -1,0 +1,215 @@
+"""The first screen: verdict, limits and next step, and a row for each axis."""
+
+from dataclasses import replace
+
+from piezoid.design.design import LoopDesign
+from piezoid.design.design_statements import useful_bound_m
+from piezoid.formatting import words
+from piezoid.identification.fit_statements import Grade, grade_of
+from piezoid.identification.model import AxisModel
+from piezoid.statement import Level
+from piezoid.verification.scenarios import spiral_speed_m_per_s
+from piezoid_reports.page import Page
+from piezoid_reports.parts import Card, Cards, Figure, Said, Section, worst_tone
+from piezoid_reports.quantities import percent, significant, told, told_interval
+from piezoid_reports.sections import loops, residuals, tunnelling
+
+LOOP_SIZE, RESIDUAL_SIZE = (300, 122), (440, 122)  # pixels, beside each other
+TRACKED_Hz = 10.0  # of the spirals that the verification compares
+TONES = {
+    Grade.GOOD: "good",
+    Grade.LIMITED: "middling",
+    Grade.POOR: "bad",
+    Grade.REJECTED: "bad",
+}
+METHODS = {
+    "mpi_dob": "observer on the inverse",
+    "dob": "plain observer",
+    "mpi": "inverse, no feedback",
+    "none": "static gain",
+    "rst": "R, S, T on ln i",
+}
+
+
+def render(page: Page) -> Section:
+    """Return what a reader must know if nothing else is read."""
+    cards = (*(_card(page, axis) for axis in page.axes), *_tip_card(page))
+    tones = [card.tone for card in cards]
+    if page.unshipped or (page.verification is not None and not page.verification.passed):
+        tones.append("bad")
+    said = Said(sentences=sentences(page), tone=worst_tone(tones))
+    return Section(anchor="summary", title="Summary", lead="", parts=(said, Cards(cards=cards)))
+
+
+def sentences(page: Page) -> tuple[tuple[str, str], ...]:
+    """Return the sentences on top, each with the word in front of it."""
+    labels = {Level.ACTION: "Next", Level.WARNING: "Limits"}
+    return (
+        (_word(page), f"{_verdict(page)}{_verified(page)}."),
+        *_accuracy(page),
+        *((labels[fact.level], page.text_of(fact)) for fact in reversed(page.headline)),
+    )
+
+
+def _word(page: Page) -> str:
+    if not page.axes:
+        return "Tip"
+    worst = max((grade_of(axis) for axis in page.axes), key=list(Grade).index)
+    return {Grade.REJECTED: "Bad", Grade.LIMITED: "Care"}.get(worst, words(worst).capitalize())
+
+
+def _verdict(page: Page) -> str:
+    if not page.axes:
+        return "No axis with drive and displacement was recorded, only a tunnelling junction"
+    good = [axis.axis for axis in page.axes if axis.verdict.applies]
+    bad = [axis.axis for axis in page.axes if not axis.verdict.applies]
+    if not bad:
+        return f"The hysteresis model applies to {_names(good)}"
+    but = f", but it does to {_names(good)}" if good else ""
+    return f"The hysteresis model does not apply to {_names(bad)}{but}"
+
+
+def _verified(page: Page) -> str:
+    """Return what became of the controllers, as the end of the first sentence."""
+    missing = "".join(f"; axis {name} has no controller" for name in page.unshipped)
+    found = page.verification
+    if found is None:
+        return missing
+    n_failed, n_all = sum(not one.passed for one in found.verdicts), len(found.verdicts)
+    if n_failed:
+        return f"; the controllers failed {n_failed} of {n_all} verdicts{missing}"
+    if not found.passed:
+        return f"; a rebuild of the controllers did not give the same bits{missing}"
+    return f"; the controllers passed all {n_all} verdicts{missing}"
+
+
+def _names(names: list[str]) -> str:
+    if len(names) == 1:
+        return f"axis {names[0]}"
+    return f"axes {', '.join(names[:-1])} and {names[-1]}"
+
+
+def _accuracy(page: Page) -> tuple[tuple[str, str], ...]:
+    """Return the error of the worst axis."""
+    if not page.axes:
+        return ()
+    worst = max(page.axes, key=lambda axis: axis.quality.held_out_rms_percent)
+    quality = worst.quality
+    kind = "Held-out error" if quality.is_tested else "Error on the data of the fit"
+    where = f" on axis {worst.axis} (the worst axis)" if len(page.axes) > 1 else ""
+    error, share = told(quality.held_out_rms_m, "m"), told(quality.held_out_rms_percent, "%")
+    text = f"{kind}: {error} rms{where}, {share} of the {told(quality.range_m, 'm')} range."
+    return (("Error", text),)
+
+
+def _card(page: Page, axis: AxisModel) -> Card:
+    grade = grade_of(axis)
+    return Card(
+        title=f"Axis {axis.axis}",
+        tone=TONES[grade],
+        word=grade.value,
+        figures=_figures(page, axis),
+        facts=_facts(page, axis),
+    )
+
+
+def _figures(page: Page, axis: AxisModel) -> tuple[Figure, ...]:
+    """Return loop and residual of the recording with the largest residual, linked in time."""
+    traces = page.drawn(axis)
+    if not traces:
+        return ()
+    name = traces[0].recording.name
+    link = f"axis-{list(page.model.axes).index(axis.axis)}"
+    residual = residuals.over_time(traces[0], axis, size=RESIDUAL_SIZE)
+    span = float(traces[0].time_s[-1]) / residual.canvas.x.scale.factor
+    loop = loops.without_line(page, axis, traces[0], size=LOOP_SIZE)
+    return (
+        replace(loop, link=link, seen_as=f"{name}: loop"),
+        replace(residual, link=link, span=span, seen_as=f"{name}: residual"),
+    )
+
+
+def _facts(page: Page, axis: AxisModel) -> tuple[tuple[str, str], ...]:
+    quality, loop = axis.quality, page.loop_of(axis.axis)
+    noise_m = quality.noise_rms_m
+    closure = f"{significant(quality.held_out_rms_m / noise_m, 2)} times noise" if noise_m else ""
+    return (
+        (
+            "Held-out error" if quality.is_tested else "Error in sample",
+            f"{told(quality.held_out_rms_m, 'm')} rms, "
+            f"{percent(quality.held_out_rms_m / quality.range_m)}",
+        ),
+        (
+            "Sensor noise; closure",
+            f"{quality.noise_bound}{told(noise_m, 'm')} rms; {closure}",
+        ),
+        _speed(page, axis.axis, loop),
+        ("Guaranteed error", guarantee(page, axis, loop)),
+        ("Ships", ships(page, axis.axis)),
+    )
+
+
+def _speed(page: Page, axis: str, loop: LoopDesign | None) -> tuple[str, str]:
+    """Return the bandwidth, with the error on the spiral if the verification ran one."""
+    if loop is None:
+        return "Bandwidth", "none"
+    bandwidth, found = told(loop.bandwidth_Hz, "Hz"), page.verification
+    if found is None:
+        return "Bandwidth", bandwidth
+    for row in found.comparison:
+        if (row.method, row.frequency_Hz) == (found.methods.get(axis), TRACKED_Hz):
+            label = f"Bandwidth; tracking error at {TRACKED_Hz:g} Hz"
+            return label, f"{bandwidth}; {told(row.rms_m, 'm')} rms"
+    return "Bandwidth", bandwidth
+
+
+def guarantee(page: Page, axis: AxisModel, loop: LoopDesign | None) -> str:
+    """Return the guaranteed error of a loop, or why there is none of use."""
+    found = page.verification
+    if loop is None or loop.certificate is None or not loop.certificate.is_guaranteed:
+        return "none proven"
+    if found is None or not page.ships(axis.axis):
+        return "not verified"
+    bound_m = useful_bound_m(loop.certificate, axis)
+    if bound_m is None:
+        return "no useful bound"
+    speed_m_per_s = spiral_speed_m_per_s(TRACKED_Hz, found.radius_m)
+    slow_m = loop.certificate.guaranteed_at(speed_m_per_s)
+    at_most = f"{told(bound_m, 'm')} at most"
+    return f"{told(slow_m, 'm')} at {TRACKED_Hz:g} Hz, {at_most}" if slow_m < bound_m else at_most
+
+
+def ships(page: Page, axis: str) -> str:
+    """Return whether the controller of an axis ships, and which, in a few words."""
+    if axis in page.unshipped:
+        return "no: see limits"
+    if page.loop_of(axis) is None:
+        return "no: not designed"
+    found = page.verification
+    if found is None or axis not in found.methods:
+        return "no: not verified"
+    method = METHODS[found.methods[axis]]
+    return f"yes: {method}" if found.passed else f"no: verification failed ({method})"
+
+
+def _tip_card(page: Page) -> tuple[Card, ...]:
+    """Return the card of the tunnelling tip, if a junction or its loop was recorded."""
+    junction = page.model.tunnelling
+    law, plant = (None, None) if junction is None else (junction.gap_law, junction.loop_plant)
+    best = law or plant
+    if best is None:
+        return ()
+    tone, word = tunnelling.CONFIDENCE[best.confidence]
+    loop = next((one for one in page.axis_designs if one.recommended.method == "rst"), None)
+    barriers = [
+        (f"Barrier, {source}", told_interval(one.barrier_eV, one.barrier_interval_eV, "eV"))
+        for source, one in (("sweeps", law), ("closed loop", plant))
+        if one is not None
+    ]
+    facts = (
+        *barriers,
+        ("Bandwidth", "none" if loop is None else told(loop.recommended.bandwidth_Hz, "Hz")),
+        ("Ships", ships(page, "z" if loop is None else loop.axis)),
+    )
+    figures = tunnelling.small_figures(page, LOOP_SIZE, RESIDUAL_SIZE)
+    return (Card(title="Tip", tone=tone, word=word, figures=figures, facts=facts),)
