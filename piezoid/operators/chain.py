@@ -10,7 +10,7 @@ dy/dslope_k = the part of h inside segment k
 dy/dg_k     = sigma (w_0 c_k(u) + sum_i w_i c_k(u where play i last moved)), c_k the part of
               the drive inside segment k of gamma
 
-Kinks are told by the gaps between them, outwards from 0: a change of one moves all behind it.
+Kinks are parametrised by the gaps between them, outwards from 0: a gap moves all kinks beyond.
 """
 
 import ctypes
@@ -51,12 +51,12 @@ class _Chain(ctypes.Structure):
 
 @dataclass(frozen=True, kw_only=True)
 class FirstOrder:
-    """A first-order lag of a signal that is straight between its samples, exactly.
+    """Exact first-order lag of a signal that is linear between its samples.
 
         y[k] = p y[k-1] + b0 x[k] + b1 x[k-1]
         p = exp(-T/tau),  b0 = 1 - (tau/T)(1 - p),  b1 = (tau/T)(1 - p) - p
 
-    tau = 0 passes everything.
+    tau = 0: no lag.
     """
 
     time_s: float
@@ -69,30 +69,30 @@ class FirstOrder:
         if ratio < 1e-9:
             return 0.0, 1.0, 0.0
         pole = float(np.exp(-1.0 / ratio))
-        held = -ratio * float(np.expm1(-1.0 / ratio))
-        return pole, 1.0 - held, held - pole
+        mean_decay = -ratio * float(np.expm1(-1.0 / ratio))
+        return pole, 1.0 - mean_decay, mean_decay - pole
 
     @property
     def by_time(self) -> tuple[float, float, float]:
-        """Return how the three change with tau, 1/s."""
+        """Return the derivatives of the three by tau, 1/s."""
         ratio = self.time_s * self.rate_Hz
         if ratio < 1e-9:
             return 0.0, -self.rate_Hz, self.rate_Hz
         pole = float(np.exp(-1.0 / ratio)) / ratio**2
-        held = -float(np.expm1(-1.0 / ratio)) - ratio * pole
-        return pole * self.rate_Hz, -held * self.rate_Hz, (held - pole) * self.rate_Hz
+        mean_decay = -float(np.expm1(-1.0 / ratio)) - ratio * pole
+        return pole * self.rate_Hz, -mean_decay * self.rate_Hz, (mean_decay - pole) * self.rate_Hz
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chain:
-    """From the drive to the reading, in any units that fit together.
+    """Hysteresis, lag and sensor from the drive to the reading, in consistent units.
 
     gap           (plays,)      d: r_i = d_1 + ... + d_i are the thresholds of the moving plays
     weight        (plays + 1,)  w, that of the play of threshold 0 first
     memory_slope  (plays,)      s: z_i(0) = gamma(u(0)) + sum_(j<=i) d_j s_j
     zones         Psi
-    envelope      gamma, in front of the plays, its kinks as far below 0 as above
-    share         of the sample before, in every reading: what is left of a delay; None: no delay
+    envelope      gamma, in front of the plays, with kinks symmetric about 0
+    share         weight of the previous sample (fractional delay); None: no delay
     lag, sensor   first-order filters behind everything, or None
     rate_Hz       samples per second
     """
@@ -109,21 +109,21 @@ class Chain:
 
     @property
     def plays(self) -> int:
-        """How many moving plays there are."""
+        """Number of moving plays."""
         return len(self.gap)
 
     @property
     def columns(self) -> int:
-        """How many columns ``Following.rows`` writes besides those of the memory."""
+        """Number of columns of ``Following.rows`` besides those of the memory."""
         zones, bends = len(self.zones.threshold) - 1, self.envelope.zero
         return 2 * self.plays + 1 + 2 * zones + 2 * bends + 2
 
 
 class Following:
-    """One piece followed through a chain, chunk by chunk; its state is the only thing kept."""
+    """State of a chain along one segment, advanced chunk by chunk."""
 
     def __init__(self, chain: Chain, first_drive: float) -> None:
-        """Begin at rest at the first drive, with the memory the chain tells."""
+        """Start at rest at the first drive, with the memory of the chain."""
         plays, every = chain.plays, chain.plays + chain.columns
         self.chain = chain
         self._carry = np.zeros(4 * plays + 5 * every)
@@ -132,47 +132,47 @@ class Following:
         inner = float(chain.envelope.run(np.array([first_drive]))[0])
         self._carry[:plays] = inner + np.cumsum(chain.gap * chain.memory_slope)
         self._tile = np.empty((TILE + 1) * every)
-        self._begun = False
-        self._kept = _kept(chain)
+        self._is_started = False
+        self._view = _kernel_view(chain)
 
-    def rows(self, drive: Array, wanted: Samples, out: Array) -> None:
+    def rows(self, drive: Array, samples: Samples, out: Array) -> None:
         """Write [memory | anything | gaps, weights, zones, envelope, lag, reading], row by row.
 
-        drive   (samples,)  the next ones of the piece
-        wanted  (rows,)     which of them, in order; one may come more than once
-        out     (rows, >= plays + columns)  column-major; the first and the last are written
+        drive    (samples,)  next samples of the segment
+        samples  (rows,)     indices of the rows to write, in order; may repeat
+        out      (rows, >= plays + columns)  column-major; the first and last columns are written
         """
         chain = self.chain
         u = contiguous(drive)
-        bent = u if chain.envelope is LINEAR else chain.envelope.run(u)
-        picked = np.ascontiguousarray(wanted, dtype=np.uintp)
-        rows = len(picked)
-        if rows and (picked[-1] >= len(u) or (picked[1:] < picked[:-1]).any()):
-            raise TypeError("rows are written of samples of this chunk, in order")
+        inner_drive = u if chain.envelope is LINEAR else chain.envelope.run(u)
+        index = np.ascontiguousarray(samples, dtype=np.uintp)
+        rows = len(index)
+        if rows and (index[-1] >= len(u) or (index[1:] < index[:-1]).any()):
+            raise TypeError("rows must be samples of this chunk, in order")
         if out.dtype != np.float64 or not out.flags.f_contiguous or len(out) != rows:
-            raise TypeError("rows are written into float64 columns of as many rows")
+            raise TypeError("rows need float64 columns of as many rows")
         if out.shape[1] < chain.plays + chain.columns:
             raise TypeError(f"rows have {chain.plays + chain.columns} columns")
         first = out.ctypes.data
         KERNELS.pk_chain_rows(
-            int(self._begun),
+            int(self._is_started),
             len(u),
             address(u),
-            address(bent),
-            ctypes.addressof(self._kept[0]),
+            address(inner_drive),
+            ctypes.addressof(self._view[0]),
             rows,
-            picked.ctypes.data,
+            index.ctypes.data,
             address(self._carry),
             address(self._tile),
             rows,
             first,
             first + 8 * rows * (out.shape[1] - chain.columns),
         )
-        self._begun = True
+        self._is_started = True
 
 
-def _kept(chain: Chain) -> tuple[_Chain, tuple[object, ...]]:
-    """Return the kernel's view of a chain, and in the same tuple all that it points to."""
+def _kernel_view(chain: Chain) -> tuple[_Chain, tuple[object, ...]]:
+    """Return the kernel's view of a chain with the arrays that it points to."""
     arrays = [
         contiguous(values)
         for values in (np.cumsum(chain.gap), chain.weight, chain.gap, chain.memory_slope)
@@ -180,8 +180,8 @@ def _kept(chain: Chain) -> tuple[_Chain, tuple[object, ...]]:
     bend = contiguous(chain.envelope.threshold[chain.envelope.zero + 1 :])
     zones = chain.zones.kernel_map()
     filters = [
-        None if one is None else _Filter(*one.coefficients, *one.by_time)
-        for one in (chain.lag, chain.sensor)
+        None if low_pass is None else _Filter(*low_pass.coefficients, *low_pass.by_time)
+        for low_pass in (chain.lag, chain.sensor)
     ]
     view = _Chain(
         chain.plays,
@@ -192,6 +192,6 @@ def _kept(chain: Chain) -> tuple[_Chain, tuple[object, ...]]:
         int(chain.share is not None),
         chain.share or 0.0,
         chain.rate_Hz,
-        *(None if one is None else ctypes.addressof(one) for one in filters),
+        *(None if low_pass is None else ctypes.addressof(low_pass) for low_pass in filters),
     )
     return view, (arrays, bend, zones, filters)

@@ -90,11 +90,11 @@ class DeadZones:
         return output
 
     def kernel_map(self) -> KernelMap:
-        """Return the map as a kernel takes it."""
+        """Return the map in the layout of the C kernels."""
         knot, slope = self.threshold, self.slope
-        found = KernelMap(len(knot), address(knot), address(slope), self.zero)
-        found.arrays = (knot, slope)
-        return found
+        view = KernelMap(len(knot), address(knot), address(slope), self.zero)
+        view.arrays = (knot, slope)
+        return view
 
     def columns(self, h: Array) -> Array:
         """Return s_r(h) for every threshold, (samples, zones), column-major."""

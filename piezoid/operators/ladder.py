@@ -1,4 +1,4 @@
-"""A ladder of first-order filters side by side, as creep is made of."""
+"""Parallel first-order filters of one signal (the relaxation ladder of creep)."""
 
 from collections.abc import Sequence
 
@@ -14,28 +14,28 @@ def ladder(
     coefficients: Sequence[tuple[float, float, float]],
     share: ArrayLike = 1.0,
 ) -> Array:
-    """Return the sum of what filters make of one signal that was steady before.
+    """Return the sum of parallel first-order filters of one signal, at rest before it starts.
 
         y[k] = sum_i c_i y_i[k],    y_i[k] = p_i y_i[k-1] + b0_i x[k] + b1_i x[k-1]
 
     signal        (samples,)
-    coefficients  (rungs,)    p, b0, b1 of each, all of gain one: (b0 + b1) / (1 - p) = 1
-    share         (rungs,)    c, or one for all
-    returned      (samples,)  of the signal's unit; zeros without rungs
+    coefficients  (rungs,)    p, b0, b1 of each filter, of unit gain: (b0 + b1) / (1 - p) = 1
+    share         (rungs,)    c, or a common value
+    returned      (samples,)  unit of the signal; zero without rungs
     """
-    given = contiguous(signal)
-    found = np.empty_like(given)
+    source = contiguous(signal)
+    output = np.empty_like(source)
     pole, b0, b1 = np.array(coefficients, dtype=np.float64).reshape(-1, 3).T.copy()
-    part = np.broadcast_to(np.asarray(share, dtype=np.float64), pole.shape)
-    b0, b1 = b0 * part, b1 * part
+    weight = np.broadcast_to(np.asarray(share, dtype=np.float64), pole.shape)
+    b0, b1 = b0 * weight, b1 * weight
     KERNELS.pk_ladder(
-        len(given),
-        address(given),
+        len(source),
+        address(source),
         len(pole),
         address(pole),
         address(b0),
         address(b1),
-        address(part * given[:1].sum()),
-        address(found),
+        address(weight * source[:1].sum()),
+        address(output),
     )
-    return found
+    return output

@@ -1,4 +1,4 @@
-"""Operators with a limit: a largest speed, and barriers climbed by thermal activation."""
+"""Slew limit and thermally activated motion."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from piezoid.operators.library import KERNELS, address, contiguous
 
 
 def slewed(signal: Array, step: float) -> Array:
-    """Return a signal that goes at most a step from sample to sample.
+    """Return the signal with its change between samples limited.
 
         z[k] = z[k-1] + clamp(u[k] - z[k-1], -step, step),   z[0] = u[0]
 
@@ -15,23 +15,23 @@ def slewed(signal: Array, step: float) -> Array:
     step      scalar, > 0, in the signal's unit
     returned  (samples,)
     """
-    given = contiguous(signal)
-    found = np.empty_like(given)
-    KERNELS.pk_slew(len(given), address(given), step, address(found))
-    return found
+    source = contiguous(signal)
+    output = np.empty_like(source)
+    KERNELS.pk_slew(len(source), address(source), step, address(output))
+    return output
 
 
 def activated(irreversible: Array, time_s: float, sampling_rate_Hz: float, strain: float) -> Array:
-    """Return an irreversible response that climbs its barriers by thermal activation.
+    """Return a rate-dependent irreversible response: barriers crossed by thermal activation.
 
         dx/dt = (s / tau) sinh((h - x) / s),   exact for steps of h    [Eyring 1936]
 
-    h    irreversible  (samples,)  any unit; what would be reached without haste
+    h    irreversible  (samples,)  any unit; the quasi-static response
     tau  time_s        scalar      s, time constant of small lags
     s    strain        scalar      unit of h; lags beyond it grow with the logarithm of the speed
     """
-    given = contiguous(irreversible)
-    found = np.empty_like(given)
+    source = contiguous(irreversible)
+    output = np.empty_like(source)
     step = float(np.exp(-1.0 / (time_s * sampling_rate_Hz)))
-    KERNELS.pk_activated(len(given), address(given), step, 2.0 * strain, address(found))
-    return found
+    KERNELS.pk_activated(len(source), address(source), step, 2.0 * strain, address(output))
+    return output

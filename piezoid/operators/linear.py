@@ -1,4 +1,4 @@
-"""Linear systems with a delay: their exact sampling behind a hold, and running them."""
+"""Linear systems with a delay, sampled exactly behind a zero-order hold."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ BLOCK_SAMPLES = 64  # run() works in blocks: below, Python's loop costs; above, 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ContinuousSystem:
-    """A linear system in continuous time whose input arrives late.
+    """A linear system in continuous time with an input delay.
 
         x'(t) = A x(t) + B u(t - delay),    y(t) = C x(t) + D u(t - delay)
 
@@ -93,13 +93,13 @@ class DiscreteSystem:
 
     def impulse_response(self, samples: int) -> Array:
         """Return D, CB, CAB, ..., (samples, outputs, inputs)."""
-        found = np.empty((samples, *self.D.shape))
-        found[:1] = self.D
+        response = np.empty((samples, *self.D.shape))
+        response[:1] = self.D
         column = self.B
         for k in range(1, samples):
-            found[k] = self.C @ column
+            response[k] = self.C @ column
             column = self.A @ column
-        return found
+        return response
 
 
 def _freeze_matrices(system: ContinuousSystem | DiscreteSystem) -> None:
@@ -171,14 +171,14 @@ def sample(system: ContinuousSystem, sampling_rate_Hz: float) -> DiscreteSystem:
         exp([A B; 0 0] t) = [A(t) B(t); 0 I]                               [Van Loan 1978]
         x[k+1] = A(T) x[k] + B(T - e) u[k-d] + A(T - e) B(e) u[k-d-1],   delay = d T + e
 
-    The inputs not yet arrived are states behind those of the system, the newest first. A direct
+    Delayed inputs are states after those of the system, the newest first. A direct
     term sees the input that has arrived: u[k-d] for e = 0, else u[k-d-1].
     """
     interval_s = 1.0 / sampling_rate_Hz
-    whole, transition, taps, direct = _held_late(system, interval_s)
+    whole, transition, taps, direct = _sampled_delay(system, interval_s)
     taps = [np.zeros_like(system.B)] * whole + taps
     direct = [np.zeros_like(system.D)] * whole + direct
-    return _with_late_inputs(transition, taps, system.C, direct, interval_s)
+    return _with_delayed_inputs(transition, taps, system.C, direct, interval_s)
 
 
 def sampled_fractions(
@@ -221,10 +221,10 @@ def sampled_fractions(
     return np.asarray(made * behind[:, :, None])
 
 
-def _held_late(
+def _sampled_delay(
     system: ContinuousSystem, interval_s: float
 ) -> tuple[int, Array, list[Array], list[Array]]:
-    """Whole samples of delay; A(T); what the inputs after them do to states and to outputs."""
+    """Whole samples of delay, A(T), and the input matrices of states and outputs after them."""
     whole, rest_s = _split_delay(system.delay_s, interval_s)
     transition, newest = _held(system, interval_s - rest_s)
     if rest_s <= 0.0:
@@ -235,7 +235,7 @@ def _held_late(
 
 
 def _split_delay(delay_s: float, interval_s: float) -> tuple[int, float]:
-    """Whole samples, and the rest; a rest below rounding counts as none."""
+    """Whole samples and the remainder, which is 0 below rounding."""
     whole = int(np.floor(delay_s / interval_s + 1e-9))
     rest_s = delay_s - whole * interval_s
     return whole, (rest_s if rest_s > 1e-9 * interval_s else 0.0)
@@ -250,10 +250,10 @@ def _held(system: ContinuousSystem, duration_s: float) -> tuple[Array, Array]:
     return exponential[:states, :states], exponential[:states, states:]
 
 
-def _with_late_inputs(
+def _with_delayed_inputs(
     A: Array, taps: list[Array], C: Array, direct: list[Array], interval_s: float
 ) -> DiscreteSystem:
-    """Make states of the inputs that have not arrived yet."""
+    """Append the delayed inputs to the state."""
     (states, inputs), outputs = taps[0].shape, len(C)
     late = (len(taps) - 1) * inputs
     shift = np.eye(late, k=-inputs)
@@ -286,7 +286,7 @@ def fraction(
 
 
 def recursive_filter(numerator: ArrayLike, denominator: ArrayLike, signal: Array) -> Array:
-    """Return what a fraction in the delay operator makes of a signal that was zero before.
+    """Filter a signal by a fraction in the delay operator, zero before the first sample.
 
         a_0 y[k] = sum_i b_i x[k-i] - sum_(i>0) a_i y[k-i]       [Oppenheim & Schafer, ch. 6]
 
@@ -301,18 +301,18 @@ def recursive_filter(numerator: ArrayLike, denominator: ArrayLike, signal: Array
     if not a[0]:
         raise ValueError("denominator begins with 0: the newest output is not determined")
     order = max(len(a), len(b)) - 1
-    given = contiguous(signal)
-    found = np.empty_like(given)
+    source = contiguous(signal)
+    output = np.empty_like(source)
     KERNELS.pk_filter(
-        len(given),
-        address(given),
+        len(source),
+        address(source),
         order,
         address(_padded(b / a[0], order)),
         address(_padded(a / a[0], order)),
         address(np.zeros(order + 1)),
-        address(found),
+        address(output),
     )
-    return found
+    return output
 
 
 def _padded(coefficients: Array, order: int) -> Array:
@@ -322,8 +322,8 @@ def _padded(coefficients: Array, order: int) -> Array:
 def first_order(frequency_Hz: float) -> ContinuousSystem:
     """Return w / (s + w) with w = 2 pi ``frequency_Hz``: an amplifier, a sensor."""
     w = 2 * np.pi * frequency_Hz
-    one = np.ones((1, 1))
-    return ContinuousSystem(A=-w * one, B=w * one, C=one, D=np.zeros((1, 1)))
+    unit = np.ones((1, 1))
+    return ContinuousSystem(A=-w * unit, B=w * unit, C=unit, D=np.zeros((1, 1)))
 
 
 def resonance(frequency_Hz: float, damping: float, rate_gain_s: float = 0.0) -> ContinuousSystem:
