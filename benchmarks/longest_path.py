@@ -30,7 +30,7 @@ from scipy.sparse import lil_matrix
 from piezoid.errors import RuntimeLibraryError
 from piezoid.export.bundle import bundle
 from piezoid.export.parameter_file import ParameterFile, from_json
-from piezoid.verification.rebuild import build_for_cortex_m4, called, emulate
+from piezoid.verification.rebuild import build_for_cortex_m4, emulate, run_program
 
 _FUNCTION = re.compile(r"^[0-9a-f]+ <([^>]+)>:$")
 _SOURCE = re.compile(r"piezoid_runtime\.c:(\d+)")
@@ -380,7 +380,7 @@ def bounds_of(file: ParameterFile) -> dict[str, Bound]:
     with TemporaryDirectory() as name:
         folder = Path(name)
         build_for_cortex_m4(folder, contents, file)
-        disassembly = called(_DISASSEMBLE, folder)
+        disassembly = run_program(_DISASSEMBLE, folder)
     source = contents["piezoid_runtime.c"].decode()
     return {
         axis.axis: longest_path(disassembly, source, loop_counts(axis.values), entry="pz_step")

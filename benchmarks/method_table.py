@@ -39,7 +39,7 @@ from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.records.recording import Channel, Quantity, Recording
-from piezoid.verification.plant import AxisPlant, Plugged
+from piezoid.verification.plant import AxisPlant, CustomResponse
 from piezoid.verification.scenarios import Scenario, constant_angular_velocity
 from piezoid.verification.verification import Verification
 from piezoid.verification.verify import verify
@@ -126,7 +126,7 @@ def axis_of(name: str, seed: int) -> tuple[AxisParameters, AxisPlant]:
         axis=name,
         label="Preisach ceramic",
         sampling_rate_Hz=RATE_Hz,
-        response=Plugged(begin=partial(stepped, ceramic, everett, reversible)),
+        response=CustomResponse(begin=partial(stepped, ceramic, everett, reversible)),
         amplifier=(AMPLIFIER,),
         mechanics=(MECHANICS["mode"],),
         sensor=(SENSOR, BUTTERWORTH),

@@ -47,7 +47,7 @@ def design(
 
     from rich.console import Console
 
-    from piezoid.design.design_stage import Asked, design_stage
+    from piezoid.design.design_stage import SpecificationText, design_stage
     from piezoid.design.design_statements import design_statements
     from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.sealed_files import read_model
@@ -59,7 +59,7 @@ def design(
 
     content = content_of(stage / "model.json")
     model = read_model(content, str(stage / "model.json"))
-    asked = None if spec is None else Asked(text=text_of(spec), place=spec.name)
+    asked = None if spec is None else SpecificationText(text=text_of(spec), place=spec.name)
     check_folder(stage, force=force, names=("design.json", "design.html"))
     with shown(quiet=quiet or json) as told:
         found = design_stage(

@@ -223,14 +223,14 @@ def _reason(found: "Calibration") -> str:
 
 
 def _wrong_controllers(made: "Controllers") -> list[str]:
-    from piezoid.verification.criteria import failure_of
+    from piezoid.verification.criteria import describe_failure
 
     if made.passed:
         return []
     wrong = [made.reason] if made.reason else []
     wrong += [f"axis {axis} does not ship: {reason}" for axis, reason in made.unshipped.items()]
     return wrong + [
-        failure_of(verdict)
+        describe_failure(verdict)
         for verdict in (() if made.verification is None else made.verification.verdicts)
         if not verdict.passed
     ]

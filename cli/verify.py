@@ -158,7 +158,7 @@ def show(found: "Verification", file: "ParameterFile") -> None:
     """Print the comparison, the proofs, and the verdicts that failed."""
     from rich.console import Console
 
-    from piezoid.verification.criteria import failure_of
+    from piezoid.verification.criteria import describe_failure
 
     console = Console()
     if found.comparison:
@@ -171,7 +171,7 @@ def show(found: "Verification", file: "ParameterFile") -> None:
         console.print(plain(_claim_line(claimed), style="" if claimed.passed else "bold red"))
     failed = [verdict for verdict in found.verdicts if not verdict.passed]
     for verdict in failed[:MAX_SHOWN]:
-        console.print(plain(f"failed: {failure_of(verdict)}", style="bold red"))
+        console.print(plain(f"failed: {describe_failure(verdict)}", style="bold red"))
     if len(failed) > MAX_SHOWN:
         console.print(plain(f"{len(failed) - MAX_SHOWN} more failed: see verification.json"))
     n_passed = len(found.verdicts) - len(failed)

@@ -16,7 +16,7 @@ from piezoid.calibration import calibrate as whole_way
 from piezoid.calibration.calibrate import Calibration
 from piezoid.calibration.controllers import shipped
 from piezoid.design.design import Design
-from piezoid.design.design_stage import Asked, controller_rate_Hz, design_stage
+from piezoid.design.design_stage import SpecificationText, controller_rate_Hz, design_stage
 from piezoid.diagnosis import diagnose as engine
 from piezoid.diagnosis import experiment
 from piezoid.diagnosis.diagnosis import Diagnosis
@@ -40,7 +40,12 @@ from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
 from piezoid.sealed_files import Place, digest_of, path_of
-from piezoid.verification.axis_simulation import Controller, follow, own_parameters, parameters_of
+from piezoid.verification.axis_simulation import (
+    Controller,
+    axis_parameters,
+    parameters_of,
+    simulate_axis,
+)
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.criteria import limits_from_toml
 from piezoid.verification.plant import lateral_plant
@@ -210,7 +215,7 @@ def design(
     [('x', 'mpi_dob')]
     """
     place = None if specification is None else path_of(specification)
-    asked = None if place is None else Asked(text=_text(place), place=place.name)
+    asked = None if place is None else SpecificationText(text=_text(place), place=place.name)
     return design_stage(
         model,
         model_digest=digest_of(model),
@@ -319,7 +324,7 @@ def simulate_loop(
     >>> loop.after(2000).rms_error < 50e-9
     True
     """
-    return follow(model, controller, reference_m, axis=axis, lab=_lab(lab), seed=seed)
+    return simulate_axis(model, controller, reference_m, axis=axis, lab=_lab(lab), seed=seed)
 
 
 @on_one_thread
@@ -359,7 +364,7 @@ def learn(
     (True, True)
     """
     declared = _lab(lab)
-    own = None if controller is None else own_parameters(controller, model, declared, axis)
+    own = None if controller is None else axis_parameters(controller, model, declared, axis)
     known = model[axis or (next(iter(model.axes)) if own is None else own.axis)]
     known.refuse_counts()
     sources = {"model": digest_of(model)}

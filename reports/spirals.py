@@ -3,7 +3,7 @@
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.verification.criteria import SHAPE, Limits
+from piezoid.verification.criteria import SHAPE_ERROR, Limits
 from piezoid.verification.plotted_paths import Motion, SpiralTrace, rms_from
 from piezoid.verification.verification import Verification
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
@@ -83,7 +83,7 @@ def _error_in_time(frequency_Hz: float, found: Verification) -> Figure:
 
 def _shape_limit_m(found: Verification) -> float:
     """Return what the shape of a spiral may be wrong by: the verdict's limit."""
-    percent = [v.limit for v in found.verdicts if v.name == SHAPE]
+    percent = [v.limit for v in found.verdicts if v.name == SHAPE_ERROR]
     return (percent[0] if percent else Limits().aligned_percent) / 100.0 * 2.0 * found.radius_m
 
 

@@ -45,7 +45,7 @@ from piezoid.verification.rebuild import (
     _TARGET,
     _TARGET_FLAGS,
     emulate,
-    source,
+    target_source,
 )
 from piezoid_datasets.virtual_lab.truths import ZOO
 
@@ -212,7 +212,7 @@ def _on_the_board(table: Preisach, state: BoucWen) -> tuple[float, float]:
         (folder / "numbers.h").write_text("\n".join(lines))
         (folder / "inverses.c").write_bytes((HERE / "inverses.c").read_bytes())
         for own in ("board.c", "board.ld"):
-            (folder / own).write_bytes(source(own))
+            (folder / own).write_bytes(target_source(own))
         made = ("inverses.c", "board.c", "-T", "board.ld", "-lm", "-o", "replay.elf")
         flags = (*_FLAGS, *_TARGET_FLAGS, "-DBOARD", "-DSINGLE")
         subprocess.run((_TARGET, *flags, *made), cwd=folder, check=True, capture_output=True)

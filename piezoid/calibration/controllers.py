@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from piezoid.calibration.stage_jobs import Designed
     from piezoid.design.design import Design
-    from piezoid.design.design_stage import Outcome
+    from piezoid.design.design_stage import AxisDesignResult
     from piezoid.export.parameter_file import ParameterFile
     from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.records.lab import Lab
@@ -111,7 +111,7 @@ def controllers_of(
         return Controllers(design=design, reason=reason, stumbled=True)
 
 
-def _outcomes(designed: "Sequence[Designed]") -> "tuple[Outcome, ...]":
+def _outcomes(designed: "Sequence[Designed]") -> "tuple[AxisDesignResult, ...]":
     for one in designed:
         if one.fault is not None:
             raise one.fault
@@ -165,12 +165,12 @@ def shipped(
     Raises ``ParameterFileError`` or ``LabFileError`` where nothing can be exported.
     """
     from piezoid.export.export_stage import export_stage
-    from piezoid.verification.release import shipping_of
+    from piezoid.verification.release import release
 
     told("exporting")
     parameters = export_stage(model, design, design_digest=design_digest, lab=lab)
     told("running the compiled controller against the stage")
-    return shipping_of(parameters, model, lab=lab, threads=threads)
+    return release(parameters, model, lab=lab, threads=threads)
 
 
 def failed_of(found: "Shipping") -> "tuple[ParameterFile, Verification] | None":

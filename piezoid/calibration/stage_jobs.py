@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from piezoid.design.design_stage import Outcome
+    from piezoid.design.design_stage import AxisDesignResult
     from piezoid.diagnosis.diagnosis import Diagnosis
     from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.identification.hysteresis.order import Elsewhere
@@ -65,7 +65,7 @@ class Designed:
     fault     what else ended it
     """
 
-    outcomes: "tuple[Outcome, ...]" = ()
+    outcomes: "tuple[AxisDesignResult, ...]" = ()
     fault: Exception | None = None
 
 

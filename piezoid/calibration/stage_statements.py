@@ -11,7 +11,7 @@ from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.fit_statements import fit_statements
 from piezoid.records.recording import Recording
 from piezoid.statement import Kind, Level, Statement
-from piezoid.verification.criteria import failure_of
+from piezoid.verification.criteria import describe_failure
 from piezoid.verification.verification import Verification
 
 
@@ -73,7 +73,7 @@ def verification_statements(verification: Verification | None) -> tuple[Statemen
                 kind=Kind.FINDING,
                 level=Level.ACTION,
                 quantity=verdict.name,
-                text=f"Failed: {failure_of(verdict)}.",
+                text=f"Failed: {describe_failure(verdict)}.",
                 value=verdict.value,
                 unit=verdict.unit,
             )

@@ -61,7 +61,7 @@ def must_damp(plant: Fraction, bandwidth_Hz: float) -> bool:
     return mode is not None and bandwidth_Hz > (1.0 + 1e-9) * MODE_SHARE * mode.frequency_Hz
 
 
-def in_the_way(family: PlantFamily, bandwidth_Hz: float) -> str:
+def describe_obstacle(family: PlantFamily, bandwidth_Hz: float) -> str:
     """Return what makes a mode hard to damp, in words; empty where the loop need not damp it."""
     plant = family.nominal
     if not must_damp(plant, bandwidth_Hz):
@@ -71,11 +71,11 @@ def in_the_way(family: PlantFamily, bandwidth_Hz: float) -> str:
     return (
         f"To get there the loop must damp the mode at {found[0]:.4g} Hz, damping "
         f"{modes[0].damping:.3g}. It lies anywhere from {min(found):.4g} to {max(found):.4g} Hz, "
-        f"and {turned(plant, modes[0])}, which the feedback must lead"
+        f"and {describe_delay(plant, modes[0])}, which the feedback must lead"
     )
 
 
-def turned(plant: Fraction, mode: Mode) -> str:
+def describe_delay(plant: Fraction, mode: Mode) -> str:
     """Return by how much everything late beside the mode turns it, in words.
 
     The phase delay at rest of the whole plant, without the mode's own 2 z / w0.
@@ -89,7 +89,7 @@ def turned(plant: Fraction, mode: Mode) -> str:
     )
 
 
-def told_of_mode(loop: LoopDesign) -> str:
+def describe_mode(loop: LoopDesign) -> str:
     """Return what a loop does about the slowest mode that rings, in words; empty without one."""
     nominal = loop.members[0]
     mode, damped = ringing_mode(nominal), damped_mode(loop)
@@ -98,11 +98,11 @@ def told_of_mode(loop: LoopDesign) -> str:
     if damped is None:
         return (
             f"The loop stays below the mode at {mode.frequency_Hz:.4g} Hz and leaves it as it is; "
-            f"{turned(nominal, mode)}."
+            f"{describe_delay(nominal, mode)}."
         )
     return (
         f"The mode at {mode.frequency_Hz:.4g} Hz is damped by state feedback, from "
-        f"{mode.damping:.3g} to {damped:.3g} of critical; {turned(nominal, mode)}."
+        f"{mode.damping:.3g} to {damped:.3g} of critical; {describe_delay(nominal, mode)}."
     )
 
 
@@ -122,7 +122,7 @@ def damped_mode(loop: LoopDesign) -> float | None:
     return float((-near.real / np.abs(near)).min(initial=1.0))
 
 
-def raised(
+def raise_bandwidth(
     base: AxisDesign,
     family: PlantFamily,
     default: Specification,

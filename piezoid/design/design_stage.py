@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from piezoid.design.converters import converters_of
-from piezoid.design.damping import raised
+from piezoid.design.damping import raise_bandwidth
 from piezoid.design.decoupling import decoupling_of
 from piezoid.design.design import AxisDesign, Design
 from piezoid.design.feasibility import at_feasible_bandwidth
@@ -23,7 +23,7 @@ _SLOWEST_Hz, _FASTEST_Hz = 1.0, 1e7  # of the runtime
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked:
+class SpecificationText:
     """What somebody asks for, over the defaults; the text and the name of ``design.toml``."""
 
     text: str = ""
@@ -31,7 +31,7 @@ class Asked:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class AxisDesignResult:
     """What comes of designing one axis: a controller, a refusal or an obstacle.
 
     design    the controller
@@ -65,7 +65,7 @@ def design_stage(
     model_digest: str,
     sampling_rate_Hz: float | None = None,
     lab: Lab | None = None,
-    asked: Asked | None = None,
+    asked: SpecificationText | None = None,
     forms: Sequence[str] = FORMS,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Design:
@@ -106,20 +106,20 @@ def design_axes(
     *,
     sampling_rate_Hz: float | None = None,
     lab: Lab | None = None,
-    asked: Asked | None = None,
+    asked: SpecificationText | None = None,
     forms: Sequence[str] = FORMS,
     progress: Callable[[str], None] = lambda _: None,
-) -> tuple[Outcome, ...]:
+) -> tuple[AxisDesignResult, ...]:
     """Return what comes of designing every axis, as ``design_stage`` would; none needs another.
 
     Without ``asked``, a stage may be designed axis by axis and put together by ``design_of``.
     """
     tasks, obstacles = _tasks(model, lab or Lab(), sampling_rate_Hz, forms)
-    hindered = tuple(Outcome(axis=name, obstacle=why) for name, why in obstacles.items())
+    hindered = tuple(AxisDesignResult(axis=name, obstacle=why) for name, why in obstacles.items())
     if not tasks:
         return hindered
     defaults = {name: task.specification for name, task in tasks.items()}
-    wanted = asked or Asked()
+    wanted = asked or SpecificationText()
     specifications = specifications_from_toml(wanted.text, defaults, place=wanted.place)
     designed = []
     for name, task in tasks.items():
@@ -129,7 +129,7 @@ def design_axes(
 
 
 def design_of(
-    outcomes: Sequence[Outcome],
+    outcomes: Sequence[AxisDesignResult],
     *,
     model_digest: str,
     lab: Lab | None = None,
@@ -171,7 +171,9 @@ def _edited(lab: Lab | None) -> str:
     )
 
 
-def without_damping(outcomes: Sequence[Outcome], axes: Collection[str]) -> tuple[Outcome, ...]:
+def without_damping(
+    outcomes: Sequence[AxisDesignResult], axes: Collection[str]
+) -> tuple[AxisDesignResult, ...]:
     """Return the outcomes with the loops of some axes below their modes, as far as they damp any.
 
     A loop that damps a mode rests on its frequency; one below it does not.
@@ -184,18 +186,18 @@ def without_damping(outcomes: Sequence[Outcome], axes: Collection[str]) -> tuple
     )
 
 
-def _outcome(name: str, task: _Task, wanted: Specification) -> Outcome:
+def _outcome(name: str, task: _Task, wanted: Specification) -> AxisDesignResult:
     """Design exactly what somebody asks for; a default may give way in its bandwidth,
     and goes beyond it where damping a mode allows that.
     """
     try:
         if wanted is not task.specification:
-            return Outcome(axis=name, design=task.design(wanted))
+            return AxisDesignResult(axis=name, design=task.design(wanted))
         base = at_feasible_bandwidth(task.design, wanted)
         found = task.raised(base, wanted)
     except TemplateError as refusal:
-        return Outcome(axis=name, refusal=refusal)
-    return Outcome(axis=name, design=found, slower=None if found is base else base)
+        return AxisDesignResult(axis=name, refusal=refusal)
+    return AxisDesignResult(axis=name, design=found, slower=None if found is base else base)
 
 
 def _tasks(
@@ -243,7 +245,9 @@ def _raised(name: str, task: LateralTask, base: AxisDesign, default: Specificati
     """Return the axis with its recommended loop beyond a mode; loops to compare it with stay."""
     form = next(form for form in FORMS if form in task.families)
     alone = replace(task, families={form: task.families[form]})
-    return raised(base, task.families[form], default, partial(_lateral, name, alone), form=form)
+    return raise_bandwidth(
+        base, task.families[form], default, partial(_lateral, name, alone), form=form
+    )
 
 
 def _between_converters(name: str, default: Specification, lab: Lab) -> Specification:

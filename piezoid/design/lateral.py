@@ -8,7 +8,7 @@ from typing import NoReturn
 import numpy as np
 
 from piezoid.design.certificate import Certificate, Disturbances, Operation, certify
-from piezoid.design.damping import in_the_way, must_damp
+from piezoid.design.damping import describe_obstacle, must_damp
 from piezoid.design.design import (
     AxisDesign,
     Candidate,
@@ -207,7 +207,7 @@ def _refuse(
         specification,
         best,
         nearest_feasible(specification, best, attempt),
-        because=in_the_way(request.family, specification.bandwidth_Hz),
+        because=describe_obstacle(request.family, specification.bandwidth_Hz),
     )
 
 

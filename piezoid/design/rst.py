@@ -64,7 +64,7 @@ class RstController:
         freeze(self, "R", "S", "T", "H_R", "H_S", "P")
 
 
-def place(
+def place_poles(
     plant: Plant, P: ArrayLike, *, H_R: ArrayLike = (1.0,), H_S: ArrayLike = (1.0, -1.0)
 ) -> RstController:
     """Place the closed-loop polynomial P with fixed parts in R and S.

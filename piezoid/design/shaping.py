@@ -16,7 +16,7 @@ from piezoid.design.rst import (
     OPEN_AT_NYQUIST,
     RstController,
     closed_loop_target,
-    place,
+    place_poles,
 )
 from piezoid.design.search import search
 from piezoid.design.specification import Specification, rest_delay_s
@@ -96,7 +96,7 @@ class ShapedController:
     excess_dB: float
 
 
-def shaped(
+def place_band_stops(
     plant: Plant,
     dominant: Section,
     auxiliary_root: float,
@@ -115,7 +115,7 @@ def shaped(
     target = closed_loop_target(
         dominant, plant.sampling_rate_Hz, auxiliary_root=auxiliary_root, auxiliary_count=free
     )
-    return place(plant, product(target, denominators), H_R=part_r, H_S=part_s)
+    return place_poles(plant, product(target, denominators), H_R=part_r, H_S=part_s)
 
 
 def shape(
@@ -168,7 +168,7 @@ def _best_placement(
 
     def build(x: Array) -> RstController:
         dominant = Section(frequency_Hz=float(np.exp(x[0])), damping=float(x[1]))
-        return shaped(plant, dominant, float(x[2]), band_stops)
+        return place_band_stops(plant, dominant, float(x[2]), band_stops)
 
     def cost(x: Array) -> tuple[float, float]:
         try:

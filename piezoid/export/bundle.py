@@ -14,7 +14,7 @@ from types import MappingProxyType
 import numpy as np
 
 from piezoid.digests import digest_of_bytes
-from piezoid.export.c_header import c_header, inert
+from piezoid.export.c_header import c_header, plain_ascii
 from piezoid.export.parameter_file import AxisParameters, ParameterFile, digest_of
 from piezoid.numerics.arrays import Array
 from piezoid.records.which_voltage import WHICH_VOLTAGE
@@ -85,14 +85,16 @@ class Bundle:
     source_digest: str
 
 
-def shipped(name: str) -> bytes:
+def runtime_source(name: str) -> bytes:
     """Return a file of the runtime as it was installed, byte for byte."""
     return files("piezoid.runtime").joinpath(name).read_bytes()
 
 
 def source_digest() -> str:
     """Return the digest of the runtime's source, header first."""
-    return digest_of_bytes(shipped("piezoid_runtime.h") + shipped("piezoid_runtime.c"))
+    return digest_of_bytes(
+        runtime_source("piezoid_runtime.h") + runtime_source("piezoid_runtime.c")
+    )
 
 
 def bundle(file: ParameterFile) -> Bundle:
@@ -102,7 +104,7 @@ def bundle(file: ParameterFile) -> Bundle:
         "piezo_params.h": c_header(file, digest),
         "golden.csv": golden_csv(file),
         "README.md": _README.format(
-            name=inert(file.name),
+            name=plain_ascii(file.name),
             samples=SAMPLES,
             which_voltage=fill(WHICH_VOLTAGE, 98),
             axes="\n".join(_row(place, axis) for place, axis in enumerate(file.axes)),
@@ -112,7 +114,7 @@ def bundle(file: ParameterFile) -> Bundle:
             source=source_digest(),
         ),
     }
-    content = {name: shipped(name) for name in SHIPPED}
+    content = {name: runtime_source(name) for name in SHIPPED}
     content.update({name: text.encode() for name, text in made.items()})
     return Bundle(files=MappingProxyType(content), source_digest=source_digest())
 
@@ -120,7 +122,7 @@ def bundle(file: ParameterFile) -> Bundle:
 def _unshipped(file: ParameterFile) -> str:
     """Say which axes firmware will look for in vain, a paragraph each."""
     return "".join(
-        f"\nAxis {inert(axis)} is not in here: {inert(reason, length=600)}\n"
+        f"\nAxis {plain_ascii(axis)} is not in here: {plain_ascii(reason, length=600)}\n"
         for axis, reason in file.unshipped.items()
     )
 
@@ -144,7 +146,7 @@ def _decoupled(file: ParameterFile) -> str:
     found = file.decoupled
     if found is None:
         return ""
-    names = [inert(axis) for axis in found.axes]
+    names = [plain_ascii(axis) for axis in found.axes]
     return _DECOUPLED.format(
         names=", ".join(names),
         heads=" | ".join(names),
@@ -175,14 +177,14 @@ def golden_csv(file: ParameterFile) -> str:
     """
     lines = [",".join(COLUMNS)]
     for place, axis in enumerate(file.axes):
-        reference, measured = inputs(axis, np.random.default_rng(place))
+        reference, measured = golden_inputs(axis, np.random.default_rng(place))
         answers = [_answers(axis, precision, reference, measured) for precision in PRECISIONS]
         rows = zip(reference, measured, *answers, strict=True)
         lines.extend(f"{place},{_golden_row(row)}" for row in rows)
     return "\n".join(lines) + "\n"
 
 
-def inputs(axis: AxisParameters, rng: np.random.Generator) -> tuple[Array, Array]:
+def golden_inputs(axis: AxisParameters, rng: np.random.Generator) -> tuple[Array, Array]:
     """Return references and measurements that reach every branch a usual day reaches.
 
     returned  (SAMPLES,) and (SAMPLES,)  m, or A where the axis regulates a current

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from piezoid.export.parameter_file import AxisParameters, ParameterFile, used
+from piezoid.export.parameter_file import AxisParameters, ParameterFile, used_values
 from piezoid.runtime.library import PRECISIONS, SEALED, library
 from piezoid.runtime.schema import PARAMETERS, VERSION, Parameter
 
@@ -72,7 +72,7 @@ def c_header(file: ParameterFile, digest: str) -> str:
     digest  of the ``params.json`` it is written to, ``sha256:`` and 64 hexadecimal digits
     """
     top = _TOP.format(
-        name=inert(file.name),
+        name=plain_ascii(file.name),
         digest=digest,
         version=VERSION,
         enumerators=", ".join(
@@ -88,7 +88,7 @@ def _decoupling(file: ParameterFile) -> str:
     if file.decoupled is None:
         return ""
     return _DECOUPLING.format(
-        axes=", ".join(map(inert, file.decoupled.axes)),
+        axes=", ".join(map(plain_ascii, file.decoupled.axes)),
         count=len(file.decoupled.axes),
         rows="\n".join(f"    {_literal(row)}," for row in file.decoupled.matrix),
     )
@@ -128,11 +128,11 @@ def _member(parameter: Parameter, value: str) -> str:
         break_long_words=False,
         break_on_hyphens=False,
     )
-    return "\n".join([f"        /* {unit}{inert(parameter.meaning)} */", *wrapped])
+    return "\n".join([f"        /* {unit}{plain_ascii(parameter.meaning)} */", *wrapped])
 
 
 def _value(parameter: Parameter, axis: AxisParameters) -> str:
-    value = used(parameter, axis.values[parameter.name])
+    value = used_values(parameter, axis.values[parameter.name])
     if parameter.kind == "integer":
         return str(int(value))
     return _literal(value)
@@ -146,7 +146,7 @@ def _literal(value: Any) -> str:
     return "{" + ", ".join(rows or ["{PZ_REAL(0)}" if value.ndim > 1 else "PZ_REAL(0)"]) + "}"
 
 
-def inert(text: str, *, length: int = 80) -> str:
+def plain_ascii(text: str, *, length: int = 80) -> str:
     """Return ``text`` as plain ASCII that ends no comment, line or string, and starts nothing.
 
     Whatever is not a letter, digit, space or plain punctuation becomes ``_``: a star and slash,

@@ -160,12 +160,12 @@ def tip_guards(
     steepest = max(
         loop.gain_interval[1], *(m.gain_nepers_per_V for m in junction_family(loop, lab))
     )
-    extension_m_per_V = extension_of(loop)
-    step_V = _step_V(lab, bound / steepest, extension_m_per_V * rate_Hz)
+    m_per_V = extension_m_per_V(loop)
+    step_V = _step_V(lab, bound / steepest, m_per_V * rate_Hz)
     longest_s = declared.retract_s * 2.0 ** min(declared.retract_limit, _MOST_DOUBLED)
     way_m, speed_m_per_s = (
         declared.retract_m + declared.search_m,
-        step_V * extension_m_per_V * rate_Hz,
+        step_V * m_per_V * rate_Hz,
     )
     window_s = max(_WINDOW_s, longest_s + _CYCLES * way_m / speed_m_per_s)
     contact_A = reference_A * math.exp(-_CONTACT * room)
@@ -176,14 +176,14 @@ def tip_guards(
         floor_A=floor_A,
         ceiling_A=ceiling_A,
         retract_voltage_V=retract_V,
-        retract_step_V=declared.retract_m / extension_m_per_V,
+        retract_step_V=declared.retract_m / m_per_V,
         retract_samples=max(round(declared.retract_s * rate_Hz), 1),
         bad_samples=bad_samples,
         contact_samples=bad_samples,
         approach_step_V=step_V,
         approach_log_step=step_V * steepest,
         contact_log=_CONTACT * room,
-        search_voltage_V=declared.search_m / extension_m_per_V,
+        search_voltage_V=declared.search_m / m_per_V,
         trip_limit=declared.retract_limit,
         trip_samples=min(round(window_s * rate_Hz), _MOST_SAMPLES),
         stuck_samples=stuck_samples,
@@ -200,7 +200,7 @@ def reaction_samples(loop: LoopPlant, rate_Hz: float) -> float:
     return (delay_s + poles_s) * rate_Hz + 2.0
 
 
-def extension_of(loop: LoopPlant) -> float:
+def extension_m_per_V(loop: LoopPlant) -> float:
     """Return dz/du, metres of extension per volt of command: declared, or K / (2 kappa)."""
     if loop.rig is not None:
         return loop.rig.drive_gain_m_per_V

@@ -14,8 +14,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from piezoid.digests import digest_of_bytes
-from piezoid.export.bundle import SAMPLES, shipped
-from piezoid.export.c_header import c_header, inert
+from piezoid.export.bundle import SAMPLES, runtime_source
+from piezoid.export.c_header import c_header, plain_ascii
 from piezoid.export.parameter_file import AxisParameters, ParameterFile, digest_of
 from piezoid.export.shared_library import LINUX, shared_library
 
@@ -137,7 +137,7 @@ def fmu_files(units: Mapping[str, Unit]) -> tuple[Mapping[str, bytes], tuple[str
 
 def _zipped_unit(unit: Unit) -> tuple[bytes, bool]:
     """Return one zip file, and whether it has a binary."""
-    sources = {_MAIN: shipped(_MAIN)} | dict(unit.sources)
+    sources = {_MAIN: runtime_source(_MAIN)} | dict(unit.sources)
     text = _description(unit, "") + _axis_header(unit, "")
     token = digest_of_bytes(b"".join(sources[name] for name in sorted(sources)) + text.encode())
     sources["fmu_of_axis.h"] = _axis_header(unit, token).encode()
@@ -200,7 +200,7 @@ def _zipped(contents: Mapping[str, bytes]) -> bytes:
 
 def controller_units(file: ParameterFile) -> Mapping[str, Unit]:
     """Return the controller units of all axes by the stem of their file names."""
-    sources = {name: shipped(name) for name in _RUNTIME_SOURCES}
+    sources = {name: runtime_source(name) for name in _RUNTIME_SOURCES}
     sources["piezo_params.h"] = c_header(file, digest_of(file)).encode()
     return {f"{axis.axis}_controller": _controller(file, axis, sources) for axis in file.axes}
 
@@ -217,7 +217,7 @@ def _controller(file: ParameterFile, axis: AxisParameters, sources: Mapping[str,
     return Unit(
         identifier=f"piezoid_{axis.axis}_controller",
         description=f"Controller of axis {axis.axis}, method {axis.method}, "
-        f"of the stage {inert(file.name)}",
+        f"of the stage {plain_ascii(file.name)}",
         header="fmu_controller.h",
         macros=f"#define FMU_AXIS PIEZO_AXIS_{axis.axis.upper()}\n"
         f"#define FMU_INPUT_AT_START {start!r}\n",

@@ -239,7 +239,7 @@ def _entries(values: Values) -> dict[str, Any]:
     return {
         p.name: {
             "unit": p.unit,
-            "value": used(p, values[p.name]).tolist(),
+            "value": used_values(p, values[p.name]).tolist(),
             "meaning": p.meaning,
         }
         for p in _shipped()
@@ -247,7 +247,7 @@ def _entries(values: Values) -> dict[str, Any]:
     }
 
 
-def used(parameter: Parameter, value: Array) -> Any:
+def used_values(parameter: Parameter, value: Array) -> Any:
     """Return the first places of an array up to the last that is not 0, or the number itself."""
     whole = value.astype(np.int64) if parameter.kind == "integer" else value
     if not parameter.shape:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from piezoid.errors import RuntimeLibraryError
-from piezoid.export.bundle import golden_csv, shipped
-from piezoid.export.c_header import c_header, inert
+from piezoid.export.bundle import golden_csv, runtime_source
+from piezoid.export.c_header import c_header, plain_ascii
 from piezoid.export.parameter_file import ParameterFile, digest_of
 
 # -O2 and no contraction: what the runtime was verified with. The last keeps the clock out.
@@ -148,7 +148,7 @@ sys.exit(1 if differ else 0)
 def shared_library_files(file: ParameterFile) -> tuple[Mapping[str, bytes], tuple[str, ...]]:
     """Return the folder's files by name, and what could not be made on this machine."""
     digest = digest_of(file)
-    sources = {name: shipped(name) for name in _SOURCES}
+    sources = {name: runtime_source(name) for name in _SOURCES}
     sources["piezo_params.h"] = c_header(file, digest).encode()
     axes = "\n".join(
         f"| {axis.axis} | {place} | {float(axis.values['sampling_rate_Hz']):g} "
@@ -159,7 +159,9 @@ def shared_library_files(file: ParameterFile) -> tuple[Mapping[str, bytes], tupl
         **sources,
         "golden.csv": golden_csv(file).encode(),
         "example.py": _EXAMPLE.encode(),
-        "README.md": _README.format(name=inert(file.name), axes=axes, digest=digest).encode(),
+        "README.md": _README.format(
+            name=plain_ascii(file.name), axes=axes, digest=digest
+        ).encode(),
     }
     notes = []
     for system, name in _BUILT:

@@ -12,7 +12,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.readers import read_table
 from piezoid.records.table import Column
 from piezoid.records.units import Dimension
-from piezoid.targets.waveform import Waveform, coded, waveform_csv
+from piezoid.targets.waveform import Waveform, quantise, waveform_csv
 
 _CLOCK = 1e-3
 
@@ -67,7 +67,7 @@ def learned_files(
             wanted=_literals(learned.wanted_m),
         ).encode()
     elif converter_V is not None and bits is not None:
-        table = coded(table, converter_V, bits)
+        table = quantise(table, converter_V, bits)
         _refuse_beyond(table, converter_V)
         assert table.code is not None
         files[f"{learned.axis}_int16.bin"] = table.code.astype("<i2").tobytes()

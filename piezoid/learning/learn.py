@@ -28,7 +28,7 @@ from piezoid.numerics.frequency import Response
 from piezoid.record_json import read_sealed, to_json
 from piezoid.records.recording import Recording
 from piezoid.runtime.controller import Status
-from piezoid.targets.waveform import inverted_V
+from piezoid.targets.waveform import inverse_V
 from piezoid.verification.plant import AxisPlant
 
 SHARE_OF_MEASURED = 0.8
@@ -154,7 +154,7 @@ def first_table(
     _refuse_untouched(model.axis, found, wanted_m)
     quiet = replace(plant, noise_rms=0.0, hums=(), reading_step=0.0)
     rng = np.random.default_rng(0)
-    table_V = inverted_V(quiet, wanted_m) if values is None else np.zeros(len(wanted_m))
+    table_V = inverse_V(quiet, wanted_m) if values is None else np.zeros(len(wanted_m))
     best_V, least_m = table_V, np.inf
     for _ in range(_ROUNDS):
         moved = play(quiet, wanted_m, table_V, values=values, rng=rng)

@@ -15,7 +15,7 @@ from piezoid.runtime.library import Values
 from piezoid.verification.closed_loop import run_law
 from piezoid.verification.loop_plant import rest_position
 from piezoid.verification.plant import AxisPlant
-from piezoid.verification.start_position import led_to
+from piezoid.verification.start_position import approach_path
 
 _SETTLED_s = 0.1  # before what is kept: ten time constants of a loop of 16 Hz
 LIMITED = Status.VOLTAGE_LIMITED | Status.VOLTAGE_STEP | Status.REFERENCE_LIMITED
@@ -69,7 +69,7 @@ def play(
         record = run_law(plant, lambda _reference, _measured: next(drive), reference_m, rng=rng)
         seen = Status(0)
     else:
-        led_m = led_to(plant, float(wanted_m[0]))
+        led_m = approach_path(plant, float(wanted_m[0]))
         reference_m = np.concatenate([led_m, np.tile(wanted_m, settling + periods)])
         ahead = np.arange(len(reference_m)) + int(values["preview_samples"])
         late = ahead >= len(reference_m)

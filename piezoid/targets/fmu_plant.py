@@ -15,11 +15,11 @@ from importlib.resources import files
 import numpy as np
 
 from piezoid.export.bundle import SAMPLES
-from piezoid.export.c_header import inert
+from piezoid.export.c_header import plain_ascii
 from piezoid.export.fmu import Unit, variables
 from piezoid.numerics.arrays import Array
-from piezoid.verification.loop_library import Kept, Linear, LoopPlant, Map
-from piezoid.verification.loop_plant import begun_plant
+from piezoid.verification.loop_library import ArrayOwner, Linear, LoopPlant, Map
+from piezoid.verification.loop_plant import initial_plant
 from piezoid.verification.plant import AxisPlant, Junction
 
 _SCALARS = (
@@ -56,7 +56,7 @@ def _unit(name: str, plant: AxisPlant) -> Unit:
     noise = "Of the identified noise and lines in the reading; 0: none."
     return Unit(
         identifier=f"piezoid_{plant.axis}_plant",
-        description=f"Identified plant of axis {plant.axis} of the stage {inert(name)}, "
+        description=f"Identified plant of axis {plant.axis} of the stage {plain_ascii(name)}, "
         f"at rest at {plant.rest_voltage_V!r} V",
         header="fmu_plant.h",
         macros="",
@@ -76,8 +76,8 @@ def _unit(name: str, plant: AxisPlant) -> Unit:
 
 def plant_header(plant: AxisPlant) -> str:
     """Return the text of plant_of_axis.h; ``ParameterFileError`` where the loop has no room."""
-    kept = Kept()
-    begun = begun_plant(plant, kept, 0.0)
+    kept = ArrayOwner()
+    begun = initial_plant(plant, kept, 0.0)
     lines = ["/* The identified plant of an axis at rest, written by piezoid. SI units. */"]
     lines += _macros(plant, begun)
     arrays = dict(_arrays(begun)) | dict(_hums(plant))

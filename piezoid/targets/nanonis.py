@@ -17,14 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.errors import ParameterFileError
-from piezoid.export.c_header import inert
+from piezoid.export.c_header import plain_ascii
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.targets.target_inputs import TargetInputs, exported_position_m
-from piezoid.targets.waveform import inverted_V, last_period, refuse_beyond
+from piezoid.targets.waveform import check_range, inverse_V, last_period
 from piezoid.verification.scenarios import raster
-from piezoid.verification.start_position import room_of
+from piezoid.verification.start_position import reference_range
 
 _LINE_Hz = 1.0  # to and fro
 _DENSE = 4096  # points of a branch
@@ -131,11 +131,11 @@ def nanonis_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str,
     notes = [f"axis {axis} has no table in nanonis/: it follows a surface" for axis in inputs.tips]
     if not inputs.lateral:
         return {}, tuple(notes)
-    tables = [table_of(inputs, axis) for axis in inputs.lateral]
+    tables = [hysteresis_table(inputs, axis) for axis in inputs.lateral]
     files: dict[str, str] = {"nanonis.json": settings_json(inputs, tables), "send.py": _SEND}
     sections = []
     for axis, table in zip(inputs.lateral, tables, strict=True):
-        rows = compared(inputs, axis, table)
+        rows = line_errors_m(inputs, axis, table)
         worst = {name: max(row[name] for row in rows.values()) for name in COLUMNS}
         price = (
             f"a table of {len(table.x_m)} points errs by {with_unit(worst['table'], 'm')} rms on "
@@ -154,7 +154,7 @@ def nanonis_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str,
         )
     gains = [inputs.amplifier_V_per_V.get(table.axis) for table in tables]
     files["README.md"] = _README.format(
-        name=inert(inputs.file.name),
+        name=plain_ascii(inputs.file.name),
         voltages="Volts and m/V are those behind the amplifier that lab.toml declares."
         if all(gains)
         else "Volts and m/V are those of the command: lab.toml declares no gain_V_per_V of the "
@@ -168,9 +168,9 @@ def nanonis_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str,
     return {name: text.encode() for name, text in files.items()}, tuple(notes)
 
 
-def table_of(inputs: TargetInputs, axis: AxisParameters) -> Table:
+def hysteresis_table(inputs: TargetInputs, axis: AxisParameters) -> Table:
     """Return sensitivity and table of one axis for a frame in the middle of its references."""
-    hardware, plant, room = inputs.hardware, inputs.family(axis.axis)[0], room_of(axis)
+    hardware, plant, room = inputs.hardware, inputs.family(axis.axis)[0], reference_range(axis)
     half_m = hardware.frame_half_range_m or room.radius_m
     if half_m > room.farthest_m:
         raise ParameterFileError(
@@ -179,10 +179,10 @@ def table_of(inputs: TargetInputs, axis: AxisParameters) -> Table:
             remedy="Set it to that or less.",
         )
     forward_m = np.linspace(-half_m, half_m, _DENSE)
-    loop_V = inverted_V(plant, room.centre_m + np.concatenate([forward_m, forward_m[::-1]]))
+    loop_V = inverse_V(plant, room.centre_m + np.concatenate([forward_m, forward_m[::-1]]))
     ends_V = (float(loop_V.min()), float(loop_V.max()))
     allowed_V = (float(axis.values["voltage_minimum_V"]), float(axis.values["voltage_maximum_V"]))
-    refuse_beyond(axis.axis, loop_V, allowed_V, half_m, "frame_half_range_m", "[nanonis]")
+    check_range(axis.axis, loop_V, allowed_V, half_m, "frame_half_range_m", "[nanonis]")
     branch_V = loop_V[:_DENSE]
     slope = 2.0 * half_m / float(branch_V[-1] - branch_V[0])
     sensitivity = _single(slope)
@@ -222,7 +222,7 @@ def _polyline(place_m: Array, value_m: Array, points: int) -> tuple[Array, Array
     return knot_m, fitted_m, float(np.sqrt(np.mean((hats @ fitted_m - value_m) ** 2)))
 
 
-def compared(
+def line_errors_m(
     inputs: TargetInputs, axis: AxisParameters, table: Table
 ) -> dict[str, dict[str, float]]:
     """Return by plant what is left on lines: rms in m, ``COLUMNS``."""
@@ -286,7 +286,9 @@ def settings_json(inputs: TargetInputs, tables: list[Table]) -> str:
         points[f"{speed}_axis_points_X"] = x
         points[f"{speed}_axis_number_points_Y"] = len(y)
         points[f"{speed}_axis_points_Y"] = y
-    drift = [0.0 if t is None else _single(-crept(inputs, t)[0]) for t in [*by_place, None]]
+    drift = [
+        0.0 if t is None else _single(-creep_after_move(inputs, t)[0]) for t in [*by_place, None]
+    ]
     calls = {
         "Piezo_SensSet": sensitivities,
         "Piezo_XYZLimitsSet": limits,
@@ -301,7 +303,7 @@ def settings_json(inputs: TargetInputs, tables: list[Table]) -> str:
     return json.dumps({"schema": "piezoid.nanonis/1", "calls": calls}, indent=1) + "\n"
 
 
-def crept(inputs: TargetInputs, table: Table) -> tuple[float, float, float]:
+def creep_after_move(inputs: TargetInputs, table: Table) -> tuple[float, float, float]:
     """Return m/s and m that a stage creeps after a move by half the frame, and m left of them.
 
     From the creep elements that ship: y sum of share_i (1 - exp(-t / tau_i)).
@@ -326,7 +328,7 @@ def _section(
     rows: Mapping[str, Mapping[str, float]],
     price: str,
 ) -> str:
-    speed, gone_m, left_m = crept(inputs, table)
+    speed, gone_m, left_m = creep_after_move(inputs, table)
     drift = (
         f"After a move by {with_unit(table.half_m, 'm')} it creeps by {with_unit(gone_m, 'm')} "
         f"between {_CREPT_s[0]:g} s and {_CREPT_s[1]:g} s; {with_unit(speed, 'm')} a second leave "

@@ -8,7 +8,7 @@ import numpy as np
 from piezoid.design.hysteresis_bounds import affine_bounds
 from piezoid.design.lateral import with_sector
 from piezoid.design.lateral_task import plant_family
-from piezoid.export.c_header import inert
+from piezoid.export.c_header import plain_ascii
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
@@ -17,7 +17,7 @@ from piezoid.targets.pid_search import TunedPid, tuned_pid
 from piezoid.targets.target_inputs import SEED, TargetInputs, exported_position_m
 from piezoid.verification.closed_loop import run_law
 from piezoid.verification.scenarios import constant_angular_velocity
-from piezoid.verification.start_position import led_to, room_of
+from piezoid.verification.start_position import approach_path, reference_range
 
 _SPIRAL_Hz, _TURNS = 10.0, 5.0
 _NOTCHES = ("no notch", "one notch", "two notches")
@@ -111,7 +111,7 @@ def pid_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str, ...
             values = [*np.pad(b, (0, 3 - len(b))), *np.pad(a, (0, 3 - len(a)))[1:]]
             sections.append(",".join([result.axis, str(index), *(f"{v:.17g}" for v in values)]))
     readme = _README.format(
-        name=inert(inputs.file.name),
+        name=plain_ascii(inputs.file.name),
         notches=inputs.hardware.notches,
         update=with_unit(update_Hz, "Hz", 6),
         axes="\n".join(_section(result) for result in results),
@@ -146,13 +146,13 @@ def pid_of(inputs: TargetInputs, axis: AxisParameters) -> PidResult:
         notches=hardware.notches,
         specification=specification,
     )
-    room = room_of(axis)
+    room = reference_range(axis)
     path_m = room.centre_m + room.radius_m * (
         constant_angular_velocity(rate_Hz, _SPIRAL_Hz, _TURNS).x
     )
     errors_m = {}
     for plant in plants:
-        approach_m = led_to(plant, float(path_m[0]))
+        approach_m = approach_path(plant, float(path_m[0]))
         reference_m = np.concatenate([approach_m, path_m])
         rng = np.random.default_rng(SEED)
         record = run_law(plant, PidController(tuned.pid), reference_m, rng=rng)

@@ -12,7 +12,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.targets.controller_hardware import ControllerHardware
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.plant import AxisPlant
-from piezoid.verification.start_position import led_to
+from piezoid.verification.start_position import approach_path
 
 SEED = 0  # of the sensor noise in every comparison
 
@@ -58,7 +58,7 @@ class TargetInputs:
 
 def exported_position_m(axis: AxisParameters, plant: AxisPlant, path_m: Array) -> Array:
     """Return the position under the exported controller, from the start of the path."""
-    approach_m = led_to(plant, float(path_m[0]))
+    approach_m = approach_path(plant, float(path_m[0]))
     reference_m = np.concatenate([approach_m, path_m])
     record = run_axis(plant, axis, reference_m, rng=np.random.default_rng(SEED))
     return record.position[len(approach_m) :]

@@ -15,7 +15,7 @@ import numpy as np
 
 from piezoid.design.lateral_task import plant_family
 from piezoid.errors import ParameterFileError
-from piezoid.export.c_header import inert
+from piezoid.export.c_header import plain_ascii
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
@@ -25,7 +25,7 @@ from piezoid.targets.target_inputs import SEED, TargetInputs, exported_position_
 from piezoid.verification.closed_loop import run_law
 from piezoid.verification.plant import AxisPlant, Hysteresis
 from piezoid.verification.scenarios import raster
-from piezoid.verification.start_position import room_of
+from piezoid.verification.start_position import reference_range
 
 _PERIODS = 3  # the last is looked at: plays have closed their loops after the first
 # Rounds of correction. After eight the identified plants of the bundled stage erred by 0.21 and
@@ -115,7 +115,7 @@ def waveform_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str
             notes.append(f"waveform/{one.axis}_int16.bin is not written: {_NO_RANGE}")
         else:
             files[f"{one.axis}_int16.bin"] = one.code.astype("<i2").tobytes()
-        rows = compared(inputs, axis, one)
+        rows = scan_errors_m(inputs, axis, one)
         sections.append(_section(one, rows))
         converters.append(f"Axis {one.axis}: {_converter(one)}")
         worst = {name: max(row[name] for row in rows.values()) for name in _COLUMNS[:3]}
@@ -126,7 +126,7 @@ def waveform_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str
         )
     if made:
         files["README.md"] = _README.format(
-            name=inert(inputs.file.name),
+            name=plain_ascii(inputs.file.name),
             shape=inputs.hardware.shape,
             frequency=with_unit(made[0].rate_Hz / len(made[0].wanted_m), "Hz"),
             points=len(made[0].wanted_m),
@@ -145,7 +145,7 @@ def waveform_of(inputs: TargetInputs, axis: AxisParameters) -> Waveform:
     rate_Hz = hardware.rate_Hz or plant.sampling_rate_Hz
     hold = _hold(axis.axis, plant.sampling_rate_Hz, rate_Hz)
     points = _points(hardware, rate_Hz)
-    room = room_of(axis)
+    room = reference_range(axis)
     radius_m = hardware.half_range_m or room.radius_m
     if radius_m > room.farthest_m:
         raise ParameterFileError(
@@ -162,7 +162,7 @@ def waveform_of(inputs: TargetInputs, axis: AxisParameters) -> Waveform:
     q = unit_circle(harmonic_Hz, plant.sampling_rate_Hz)
     response = polynomial_response(nominal.B_position, q) / polynomial_response(nominal.A, q)
     response[np.abs(response) < _BAND * abs(response[0])] = np.inf
-    voltage_V = inverted_V(plant, wanted_m)
+    voltage_V = inverse_V(plant, wanted_m)
     quiet = replace(plant, noise_rms=0.0, hums=())
     for _ in range(_ROUNDS):
         position_m = last_period(quiet, voltage_V, hold)
@@ -174,15 +174,15 @@ def waveform_of(inputs: TargetInputs, axis: AxisParameters) -> Waveform:
         axis=axis.axis, rate_Hz=rate_Hz, hold=hold, wanted_m=wanted_m, voltage_V=voltage_V
     )
     if range_V is None:
-        refuse_beyond(axis.axis, voltage_V, own_V, radius_m)
+        check_range(axis.axis, voltage_V, own_V, radius_m)
         return table
-    rounded = coded(table, range_V, hardware.bits)
+    rounded = quantise(table, range_V, hardware.bits)
     allowed_V = (max(range_V[0], own_V[0]), min(range_V[1] - rounded.step_V, own_V[1]))
-    refuse_beyond(axis.axis, voltage_V, allowed_V, radius_m)
+    check_range(axis.axis, voltage_V, allowed_V, radius_m)
     return rounded
 
 
-def coded(table: Waveform, range_V: tuple[float, float], bits: int) -> Waveform:
+def quantise(table: Waveform, range_V: tuple[float, float], bits: int) -> Waveform:
     """Return the table as a converter with these ends puts it out, with its codes."""
     step_V = (range_V[1] - range_V[0]) / 2.0**bits
     middle_V = 0.5 * (range_V[0] + range_V[1])
@@ -194,7 +194,7 @@ def coded(table: Waveform, range_V: tuple[float, float], bits: int) -> Waveform:
 _COLUMNS = ("straight", "waveform", "exported", "offset")
 
 
-def compared(
+def scan_errors_m(
     inputs: TargetInputs, axis: AxisParameters, one: Waveform
 ) -> dict[str, dict[str, float]]:
     """Return by plant what is left: rms in m of a straight drive, the waveform, the controller."""
@@ -202,7 +202,7 @@ def compared(
     plants = inputs.family(axis.axis)
     gain = plant_family(inputs.models[axis.axis], plants[0].sampling_rate_Hz).nominal.gain
     middle_V = 0.5 * float(one.voltage_V.max() + one.voltage_V.min())
-    straight_V = middle_V + (one.wanted_m - room_of(axis).centre_m) / gain
+    straight_V = middle_V + (one.wanted_m - reference_range(axis).centre_m) / gain
     path_m = np.tile(np.repeat(one.wanted_m, one.hold), _PERIODS)
     for plant in plants:
         waveform_m = last_period(plant, one.voltage_V, one.hold) - one.wanted_m
@@ -255,7 +255,7 @@ def _converter(one: Waveform) -> str:
     return f"voltage = {one.middle_V!r} V + code x {one.step_V!r} V."
 
 
-def refuse_beyond(
+def check_range(
     axis: str,
     voltage_V: Array,
     range_V: tuple[float, float],
@@ -282,7 +282,7 @@ def refuse_beyond(
     )
 
 
-def inverted_V(plant: AxisPlant, wanted_m: Array) -> Array:
+def inverse_V(plant: AxisPlant, wanted_m: Array) -> Array:
     """Return the voltage that makes the hysteresis alone move so, its loop closed."""
     response = plant.response
     assert isinstance(response, Hysteresis)

@@ -45,7 +45,7 @@ def parameters_of(controller: Controller, model: ActuatorModel, lab: Lab | None)
     return export_stage(model, controller, design_digest=digest, lab=lab)
 
 
-def own_parameters(
+def axis_parameters(
     controller: Controller, model: ActuatorModel, lab: Lab | None, axis: str | None
 ) -> AxisParameters:
     """Return what the runtime consumes for one axis; None: the only one there is.
@@ -62,7 +62,7 @@ def own_parameters(
     return file.axes[0] if axis is None else file.axis(axis)
 
 
-def follow(
+def simulate_axis(
     model: ActuatorModel,
     controller: Controller,
     reference_m: ArrayLike,
@@ -83,7 +83,7 @@ def follow(
     Raises ``ParameterFileError`` for an axis without a controller. What goes wrong: a reference
     outside the range the controller keeps is limited there, which ``status`` says.
     """
-    own = own_parameters(controller, model, lab, axis)
+    own = axis_parameters(controller, model, lab, axis)
     reference = np.asarray(reference_m, dtype=np.float64)
     if reference.ndim != 1 or not len(reference) or not np.isfinite(reference).all():
         raise ParameterFileError(

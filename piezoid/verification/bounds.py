@@ -42,7 +42,7 @@ from piezoid.numerics.polynomial import product
 from piezoid.runtime.controller import Status
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.plant import AxisPlant, Hysteresis, Junction, lateral_plant
-from piezoid.verification.start_position import led_to, room_of
+from piezoid.verification.start_position import approach_path, reference_range
 from piezoid.verification.verification import ErrorBound
 
 PROBABILITY, DRAWN = 0.95, 59  # runs at each speed: the third largest of them bounds the next
@@ -110,10 +110,10 @@ def error_bounds(
     return tuple(found)
 
 
-def probable_of(largest_m: Sequence[float], probability: float = PROBABILITY) -> float:
+def conformal_quantile(largest_m: Sequence[float], probability: float = PROBABILITY) -> float:
     """Return what bounds the next of such numbers with this probability; infinite if too few.
 
-    >>> probable_of(np.arange(1.0, 20.0), 0.95)
+    >>> conformal_quantile(np.arange(1.0, 20.0), 0.95)
     19.0
     """
     place = int(np.ceil((len(largest_m) + 1) * probability - 1e-9))
@@ -155,7 +155,7 @@ def _at_speed(
         axis=name,
         slew_m_per_s=slew,
         bound_m=task.bound(slew),
-        probable_m=probable_of([error for error, _ in kept]),
+        probable_m=conformal_quantile([error for error, _ in kept]),
         probability=PROBABILITY,
         worst_found_m=worst_m,
         simulated_m=float(np.median([error for error in usual if error is not None])),
@@ -172,7 +172,7 @@ class _LateralTask:
         certificate: Certificate | None,
         scan_Hz: float,
     ) -> None:
-        self.nominal, self._axis, self._room = plant, axis, room_of(axis)
+        self.nominal, self._axis, self._room = plant, axis, reference_range(axis)
         self._model, self._certificate = model, certificate
         self.reach_m = REACH * self._room.farthest_m
         # What a certificate takes as well.
@@ -213,7 +213,7 @@ class _LateralTask:
 
     def error(self, chosen: AxisPlant, path: Array, rng: np.random.Generator) -> float | None:
         asked = self._room.centre_m + path
-        way = led_to(chosen, float(asked[0]))
+        way = approach_path(chosen, float(asked[0]))
         moved = chosen.motion_m(len(asked) + len(way), np.concatenate([0.0 * way, path]))
         run = run_axis(
             chosen,

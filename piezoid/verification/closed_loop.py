@@ -13,8 +13,8 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Controller
-from piezoid.verification.loop_library import Kept, LoopPlant, LoopRun, loop_library
-from piezoid.verification.loop_plant import begun_plant, rest_position
+from piezoid.verification.loop_library import ArrayOwner, LoopPlant, LoopRun, loop_library
+from piezoid.verification.loop_plant import initial_plant, rest_position
 from piezoid.verification.plant import AxisPlant, Junction
 
 if TYPE_CHECKING:
@@ -124,8 +124,8 @@ def run_axis(
     """
     _same_rate(plant, parameters)
     samples = len(reference)
-    kept = Kept()
-    begun = begun_plant(plant, kept, 0.0 if disturbance is None else float(disturbance[0]))
+    kept = ArrayOwner()
+    begun = initial_plant(plant, kept, 0.0 if disturbance is None else float(disturbance[0]))
     preview = int(parameters.values["preview_samples"])
     ahead = np.minimum(np.arange(samples) + preview, samples - 1)
     controller = Controller(parameters.values, precision=precision)
@@ -162,8 +162,8 @@ def run_law(
     disturbance  (samples,)  m at the response's output; None: none
     """
     samples = len(reference)
-    kept = Kept()
-    begun = begun_plant(plant, kept, 0.0 if disturbance is None else float(disturbance[0]))
+    kept = ArrayOwner()
+    begun = initial_plant(plant, kept, 0.0 if disturbance is None else float(disturbance[0]))
     step = _STEP(lambda _state, _parameters, wanted, measured: law(wanted, measured))
     state = np.zeros(2, dtype=np.uint32)  # the loop reads the status from the second word
     run = LoopRun(state=state.ctypes.data, samples=samples, reset_at=samples)
@@ -178,7 +178,7 @@ def run_law(
 
 
 def _run(
-    plant: AxisPlant, begun: LoopPlant, run: LoopRun, kept: Kept, inputs: dict[str, Array]
+    plant: AxisPlant, begun: LoopPlant, run: LoopRun, kept: ArrayOwner, inputs: dict[str, Array]
 ) -> LoopRecord:
     samples = run.samples
     outputs = {name: np.empty(samples) for name in ("driven", "position", "measured", "voltage_V")}

@@ -13,8 +13,8 @@ from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.criteria import Verdict
-from piezoid.verification.scenario_runner import Bench
-from piezoid.verification.start_position import led_to
+from piezoid.verification.scenario_runner import ScenarioRunner
+from piezoid.verification.start_position import approach_path
 from piezoid.verification.verification import CouplingRow
 
 PERIODS = 4  # of the motion, the first of which does not count
@@ -24,7 +24,7 @@ ROUNDS = 12
 LEAST_GAIN = 0.05
 
 
-def coupling_rows(bench: Bench, coupled: CoupledStage | None) -> tuple[CouplingRow, ...]:
+def coupling_rows(bench: ScenarioRunner, coupled: CoupledStage | None) -> tuple[CouplingRow, ...]:
     """Return what the coupling leaves in closed loop, where all coupled axes ship."""
     decoupled = bench.file.decoupled
     if coupled is None or decoupled is None or set(decoupled.axes) - set(bench.lateral):
@@ -55,7 +55,7 @@ def coupling_rows(bench: Bench, coupled: CoupledStage | None) -> tuple[CouplingR
     return tuple(rows)
 
 
-def judged(rows: tuple[CouplingRow, ...], limit_percent: float) -> Verdict:
+def coupling_verdict(rows: tuple[CouplingRow, ...], limit_percent: float) -> Verdict:
     """Judge the largest motion of an axis that the coupling left to it."""
     return Verdict(
         name="motion of an axis while another one moves",
@@ -66,11 +66,11 @@ def judged(rows: tuple[CouplingRow, ...], limit_percent: float) -> Verdict:
     )
 
 
-def _samples(bench: Bench) -> int:
+def _samples(bench: ScenarioRunner) -> int:
     return round(PERIODS * bench.rate_Hz / bench.limits.judged_Hz)
 
 
-def _frequencies(bench: Bench) -> Array:
+def _frequencies(bench: ScenarioRunner) -> Array:
     """Return the lines of twice the record, so that its end does not meet its beginning."""
     count = _samples(bench)
     return np.asarray(np.arange(count + 1) * bench.rate_Hz / (2 * count))
@@ -86,7 +86,7 @@ def _transmission(response: ComplexArray) -> ComplexArray:
 
 
 def _answers(
-    bench: Bench, axes: tuple[str, ...], moved: int, D: Array, T: ComplexArray
+    bench: ScenarioRunner, axes: tuple[str, ...], moved: int, D: Array, T: ComplexArray
 ) -> Array | None:
     """Return the amplitude of every axis in percent of that of one; None: they do not settle."""
     samples = _samples(bench)
@@ -117,10 +117,10 @@ def _answers(
     )
 
 
-def _own(bench: Bench, axis: str, reference_m: Array, shift_m: Array) -> Array:
+def _own(bench: ScenarioRunner, axis: str, reference_m: Array, shift_m: Array) -> Array:
     """Return what an axis moves by itself, about its centre, while others move it by a shift."""
     plant = bench.plants[axis]
-    way = led_to(plant, float(reference_m[0]))
+    way = approach_path(plant, float(reference_m[0]))
     record = run_axis(
         plant,
         bench.file.axis(axis),

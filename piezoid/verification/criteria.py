@@ -17,7 +17,7 @@ from piezoid.toml_files import read_toml
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.tracking import Tracking
 
-SHAPE = "shape error of what ships"
+SHAPE_ERROR = "shape error of what ships"
 _SETTLED = 0.02  # of the largest step
 _BEFORE_NEXT_s = 5e-3  # a loop that previews its reference moves before the next step
 _BACK = 0.5  # nepers, within which the current is back at its set point
@@ -81,7 +81,7 @@ class Verdict:
         return self.value <= self.limit
 
 
-def failure_of(verdict: Verdict) -> str:
+def describe_failure(verdict: Verdict) -> str:
     """Return what was found and what is allowed, in units that are read at a glance."""
 
     def shown(value: float) -> str:
@@ -93,10 +93,12 @@ def failure_of(verdict: Verdict) -> str:
     return f"{verdict.name} ({verdict.scenario}): {found}, allowed {allowed}"
 
 
-def shape(scenario: str, found: Tracking, radius_m: float, limit_percent: float) -> Verdict:
+def shape_verdict(
+    scenario: str, found: Tracking, radius_m: float, limit_percent: float
+) -> Verdict:
     """Judge the error that remains after the best common delay."""
     return Verdict(
-        name=SHAPE,
+        name=SHAPE_ERROR,
         scenario=scenario,
         value=100.0 * found.aligned_rms_m / (2.0 * radius_m),
         limit=limit_percent,
@@ -104,7 +106,7 @@ def shape(scenario: str, found: Tracking, radius_m: float, limit_percent: float)
     )
 
 
-def against_none(scenario: str, shipped: Tracking, none: Tracking) -> Verdict:
+def improvement_verdict(scenario: str, shipped: Tracking, none: Tracking) -> Verdict:
     """Judge what ships against a static gain without feedback."""
     return Verdict(
         name="shape error, against no compensation",
@@ -115,7 +117,7 @@ def against_none(scenario: str, shipped: Tracking, none: Tracking) -> Verdict:
     )
 
 
-def drive(
+def voltage_range_verdict(
     records: Mapping[str, Sequence[LoopRecord]], axes: Mapping[str, AxisParameters]
 ) -> Verdict:
     """Judge that every voltage of every run is finite and inside the converter's limits."""
@@ -129,12 +131,12 @@ def drive(
     return _count("voltages not finite or outside the limits", "all", outside)
 
 
-def reserve(scenario: str, records: Sequence[LoopRecord]) -> Verdict:
+def saturation_verdict(scenario: str, records: Sequence[LoopRecord]) -> Verdict:
     """Judge that the drive never met its limits."""
     return _samples_with(scenario, records, Status.VOLTAGE_LIMITED, "samples at a voltage limit")
 
 
-def settling(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Verdict, Verdict]:
+def step_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Verdict, Verdict]:
     """Judge overshoot and settling time of one axis after its largest step.
 
     The last 5 ms before the next step do not count.
@@ -166,7 +168,7 @@ def settling(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Verdict
     )
 
 
-def survived(
+def fault_verdicts(
     scenario: str, error_m: Array, healthy: Tracking, radius_m: float, limits: Limits
 ) -> tuple[Verdict, Verdict]:
     """Judge how far a failed sensor led the stage away, and that it came back.
@@ -194,13 +196,13 @@ def survived(
     )
 
 
-def noticed(scenario: str, records: Sequence[LoopRecord], flag: Status) -> Verdict:
+def fault_reported_verdict(scenario: str, records: Sequence[LoopRecord], flag: Status) -> Verdict:
     """Judge that every axis said in its status what happened to its sensor."""
     silent = [r for r in records if not bool(np.any(r.status & np.uint32(flag)))]
     return _count("axes whose status did not say so", scenario, len(silent))
 
 
-def tunnelling(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Verdict, Verdict]:
+def current_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Verdict, Verdict]:
     """Judge the current of a tunnelling axis: how steady, and that the tip never had to flee."""
     return (
         Verdict(
@@ -214,7 +216,9 @@ def tunnelling(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Verdi
     )
 
 
-def held(scenario: str, record: LoopRecord, lost_at: int, limits: Limits) -> tuple[Verdict, ...]:
+def hold_verdicts(
+    scenario: str, record: LoopRecord, lost_at: int, limits: Limits
+) -> tuple[Verdict, ...]:
     """Judge that a stage whose sensor is gone for good is held soon, and then does not move."""
     says = (record.status & np.uint32(Status.BLIND | Status.LATCHED)) > Status.LATCHED
     at = int(np.argmax(says)) if says.any() else len(says)
@@ -231,7 +235,7 @@ def held(scenario: str, record: LoopRecord, lost_at: int, limits: Limits) -> tup
     )
 
 
-def closeness(scenario: str, beyond_m: float, limits: Limits) -> Verdict:
+def tip_distance_verdict(scenario: str, beyond_m: float, limits: Limits) -> Verdict:
     """Judge how close a tip came to the surface."""
     return Verdict(
         name="closer to the surface than the set point",
@@ -242,7 +246,7 @@ def closeness(scenario: str, beyond_m: float, limits: Limits) -> Verdict:
     )
 
 
-def returned(
+def recovery_verdict(
     scenario: str, nepers: Array, rate_Hz: float, allowed_s: float, *, far: bool
 ) -> Verdict:
     """Judge how long the current was off its set point; the whole record if it never came back.
@@ -259,7 +263,7 @@ def returned(
     )
 
 
-def latched(scenario: str, status: NDArray[np.uint32], cause: Status) -> Verdict:
+def latch_verdict(scenario: str, status: NDArray[np.uint32], cause: Status) -> Verdict:
     """Judge that a tip waits for an operator and says why, (samples,) of its status."""
     asked = np.uint32(Status.LATCHED | Status.RETRACTED | cause)
     silent = int(np.sum((status & asked) != asked))

@@ -20,7 +20,7 @@ import numpy as np
 
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.numerics.executor import SERIAL, Executor
-from piezoid.verification.rebuild import own_files
+from piezoid.verification.rebuild import check_bundle
 
 TOOL = "frama-c"
 LIMIT_s = 600  # an axis takes 6 to 25 s of a free core: a machine with much else to do has time
@@ -94,7 +94,7 @@ def prove(
 
     Raises ``ParameterFileError`` for a bundle that is not this parameter file's.
     """
-    held = own_files(file, contents)
+    held = check_bundle(file, contents)
     wanted = [(place, real) for place in range(len(file.axes)) for real in PRECISIONS]
     return tuple(
         executor.map(lambda one: prove_axis(held, file.axes[one[0]], one[0], one[1]), wanted)

@@ -118,7 +118,7 @@ def loop_library() -> ctypes.CDLL:
     )
 
 
-class Kept:
+class ArrayOwner:
     """Arrays a structure points to, kept alive with it."""
 
     def __init__(self) -> None:

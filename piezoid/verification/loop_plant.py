@@ -21,7 +21,7 @@ from piezoid.operators.preisach_plays import PreisachPlays, straight_between
 from piezoid.verification.loop_library import (
     MAX_STATES,
     RESPOND,
-    Kept,
+    ArrayOwner,
     Linear,
     LoopPlant,
     Map,
@@ -53,11 +53,11 @@ def rest_position(plant: AxisPlant, begun: LoopPlant | None = None) -> float:
 
     begun  the plant where it has begun already, with what disturbs it at the first sample
     """
-    begun = begun or begun_plant(plant, Kept(), 0.0)
+    begun = begun or initial_plant(plant, ArrayOwner(), 0.0)
     return float(begun.w) * (1.0 if plant.measured is None else plant.measured_gain)
 
 
-def begun_plant(plant: AxisPlant, kept: Kept, disturbance: float) -> LoopPlant:
+def initial_plant(plant: AxisPlant, kept: ArrayOwner, disturbance: float) -> LoopPlant:
     """Return the plant as the loop takes it, settled at its rest voltage.
 
     kept         holds the arrays it points to; it must live as long as the plant
@@ -92,7 +92,9 @@ def begun_plant(plant: AxisPlant, kept: Kept, disturbance: float) -> LoopPlant:
     return begun
 
 
-def _fill_hysteresis(begun: LoopPlant, response: Hysteresis, kept: Kept, plant: AxisPlant) -> None:
+def _fill_hysteresis(
+    begun: LoopPlant, response: Hysteresis, kept: ArrayOwner, plant: AxisPlant
+) -> None:
     operator = response.operator
     begun.polarity = response.polarity
     begun.voltage_offset_V = operator.voltage_offset_V
@@ -121,7 +123,7 @@ def _fill_hysteresis(begun: LoopPlant, response: Hysteresis, kept: Kept, plant: 
 
 
 def _fill_plays(
-    begun: LoopPlant, operator: ModifiedPrandtlIshlinskii, states_V: Array, kept: Kept
+    begun: LoopPlant, operator: ModifiedPrandtlIshlinskii, states_V: Array, kept: ArrayOwner
 ) -> float:
     """Return where the irreversible part is, m."""
     begun.plays = len(operator.plays.threshold)
@@ -134,7 +136,7 @@ def _fill_plays(
 
 
 def _fill_functions(
-    begun: LoopPlant, operator: PreisachPlays, states_V: Array, kept: Kept
+    begun: LoopPlant, operator: PreisachPlays, states_V: Array, kept: ArrayOwner
 ) -> float:
     """Return where the irreversible part is, m."""
     begun.plays, begun.edges = operator.value_m.shape
@@ -148,7 +150,9 @@ def _fill_functions(
     )
 
 
-def _fill_discrepancy(begun: LoopPlant, second: Discrepancy, past_V: Array, kept: Kept) -> None:
+def _fill_discrepancy(
+    begun: LoopPlant, second: Discrepancy, past_V: Array, kept: ArrayOwner
+) -> None:
     begun.second_powers, begun.second_plays = second.weight_m.shape
     begun.second_threshold_V = kept.address(second.threshold_V)
     begun.second_weight_m = kept.address(np.ascontiguousarray(second.weight_m))
@@ -158,7 +162,7 @@ def _fill_discrepancy(begun: LoopPlant, second: Discrepancy, past_V: Array, kept
     begun.second_centre_V, begun.second_reach_V = second.centre_V, second.reach_V
 
 
-def _map(zones: DeadZones, kept: Kept) -> Map:
+def _map(zones: DeadZones, kept: ArrayOwner) -> Map:
     slope = np.ascontiguousarray(zones.slope)
     return Map(
         knots=len(zones.threshold),
@@ -194,7 +198,7 @@ def cascade(sections: Sequence[Section]) -> tuple[Array, Array, list[int]]:
     return A, B, outputs
 
 
-def _before(plant: AxisPlant, rate_Hz: float, gain: float, kept: Kept) -> _Block:
+def _before(plant: AxisPlant, rate_Hz: float, gain: float, kept: ArrayOwner) -> _Block:
     """Return amplifier and what the delay has beside whole samples, behind a held command."""
     whole_s = int(plant.delay_s * plant.sampling_rate_Hz) / plant.sampling_rate_Hz
     sections = plant.amplifier or (Section(frequency_Hz=_QUICK * rate_Hz / (2.0 * np.pi)),)
@@ -211,7 +215,7 @@ def _before(plant: AxisPlant, rate_Hz: float, gain: float, kept: Kept) -> _Block
     return _block(held.A, (held.B[:, 0], np.zeros(len(held.A))), rows, (0.0, 0.0), kept)
 
 
-def _after(plant: AxisPlant, rate_Hz: float, kept: Kept) -> _Block:
+def _after(plant: AxisPlant, rate_Hz: float, kept: ArrayOwner) -> _Block:
     """Return mechanics and sensor behind a signal that is straight between substeps.
 
     x[k+1] = e^(A h) x[k] + G_1 w[k] + G_2 (w[k+1] - w[k])
@@ -247,7 +251,7 @@ def _behind(plant: AxisPlant) -> tuple[Array, Array, Array, tuple[float, float]]
 
 
 def _block(
-    A: Array, drive: tuple[Array, Array], C: Array, D: tuple[float, float], kept: Kept
+    A: Array, drive: tuple[Array, Array], C: Array, D: tuple[float, float], kept: ArrayOwner
 ) -> _Block:
     """Build a block; ``drive`` holds B_old and B_new."""
     old, new = drive

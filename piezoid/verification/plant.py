@@ -73,7 +73,7 @@ class Junction:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Plugged:
+class CustomResponse:
     """Any other response, for example a laboratory's truth.
 
     begin  called before every run with the voltage at which the axis rests; returns what answers
@@ -83,7 +83,7 @@ class Plugged:
     begin: Callable[[float], Respond]
 
 
-Response = Hysteresis | Junction | Plugged
+Response = Hysteresis | Junction | CustomResponse
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -283,7 +283,7 @@ def with_gain(plant: AxisPlant, factor: float, label: str) -> AxisPlant:
     return replace(plant, response=changed, label=label)
 
 
-def with_pasts(plant: AxisPlant) -> tuple[AxisPlant, ...]:
+def with_histories(plant: AxisPlant) -> tuple[AxisPlant, ...]:
     """Return the plant as each of its possible pasts left it; itself where it has but one."""
     response = plant.response
     if not isinstance(response, Hysteresis) or not response.pasts_V:

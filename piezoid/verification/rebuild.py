@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from piezoid.errors import ParameterFileError, RuntimeLibraryError
-from piezoid.export.bundle import bundle, inputs
+from piezoid.export.bundle import bundle, golden_inputs
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Controller
@@ -60,12 +60,14 @@ class Answers:
     state_bytes: int
 
 
-def source(name: str) -> bytes:
+def target_source(name: str) -> bytes:
     """Return a file of the folder ``cortex_m4``, byte for byte."""
     return files("piezoid.verification").joinpath("cortex_m4", name).read_bytes()
 
 
-def lay_out(folder: Path, contents: Mapping[str, bytes], file: ParameterFile, real: str) -> int:
+def write_build_files(
+    folder: Path, contents: Mapping[str, bytes], file: ParameterFile, real: str
+) -> int:
     """Write sources and inputs for one precision; return how many samples are ordinary.
 
     contents  the bundle's files
@@ -73,9 +75,9 @@ def lay_out(folder: Path, contents: Mapping[str, bytes], file: ParameterFile, re
     """
     for name, content in contents.items():
         (folder / name).write_bytes(content)
-    (folder / "replay.c").write_bytes(source("replay.c"))
-    pairs = [inputs_of(axis, place) for place, axis in enumerate(file.axes)]
-    ordinary = len(inputs(file.axes[0], np.random.default_rng(0))[0])
+    (folder / "replay.c").write_bytes(target_source("replay.c"))
+    pairs = [replay_inputs(axis, place) for place, axis in enumerate(file.axes)]
+    ordinary = len(golden_inputs(file.axes[0], np.random.default_rng(0))[0])
     counts = np.array([SAMPLES, ordinary], dtype="<u4").tobytes()
     dtype = "<f8" if real == "double" else "<f4"
     with np.errstate(over="ignore"):
@@ -84,7 +86,7 @@ def lay_out(folder: Path, contents: Mapping[str, bytes], file: ParameterFile, re
     return ordinary
 
 
-def inputs_of(axis: AxisParameters, place: int) -> tuple[Array, Array]:
+def replay_inputs(axis: AxisParameters, place: int) -> tuple[Array, Array]:
     """Return references and measurements: an ordinary day, then hostile ones.
 
     One in five of the hostile samples is no number, infinite, enormous or the smallest there is;
@@ -92,7 +94,7 @@ def inputs_of(axis: AxisParameters, place: int) -> tuple[Array, Array]:
     """
     rng = np.random.default_rng([place, SAMPLES])
     found = []
-    for usual in inputs(axis, np.random.default_rng(place)):
+    for usual in golden_inputs(axis, np.random.default_rng(place)):
         good = usual[np.isfinite(usual)]
         centre, half = (good.max() + good.min()) / 2, good.max() - good.min()
         wild = centre + half * rng.uniform(-1.0, 1.0, SAMPLES - len(usual))
@@ -102,13 +104,13 @@ def inputs_of(axis: AxisParameters, place: int) -> tuple[Array, Array]:
     return found[0], found[1]
 
 
-def expected(file: ParameterFile, real: str) -> bytes:
+def expected_answers(file: ParameterFile, real: str) -> bytes:
     """Return what the packaged library answers, as replay.c writes it."""
     number = PRECISIONS[real][1]
     record = np.dtype([("voltage_V", np.dtype(number)), ("status", "<u4")])
     answers = []
     for place, axis in enumerate(file.axes):
-        reference, measured = inputs_of(axis, place)
+        reference, measured = replay_inputs(axis, place)
         controller = Controller(axis.values, precision=real)
         with np.errstate(over="ignore"):
             controller.start(0.0, float(measured[0]))
@@ -126,9 +128,9 @@ def compare(
 
     Raises ``RuntimeLibraryError`` where it fails or answers another number of samples.
     """
-    said = called(command, folder)
+    said = run_program(command, folder)
     found = (folder / "answers.bin").read_bytes()
-    wanted = expected(file, real)
+    wanted = expected_answers(file, real)
     if len(found) != len(wanted):
         raise RuntimeLibraryError(
             f"{command[0]} wrote {len(found)} bytes of answers",
@@ -149,7 +151,7 @@ def compare(
     )
 
 
-def called(command: Sequence[str], folder: Path) -> str:
+def run_program(command: Sequence[str], folder: Path) -> str:
     """Run a program in a folder and return what it printed.
 
     Raises ``RuntimeLibraryError`` with the program's own words where it fails.
@@ -173,7 +175,7 @@ def rebuild(file: ParameterFile, contents: Mapping[str, bytes] | None = None) ->
     Raises ``ParameterFileError`` for a bundle that is not this parameter file's, and
     ``RuntimeLibraryError`` for one that does not compile or run.
     """
-    held = own_files(file, contents)
+    held = check_bundle(file, contents)
     compiler = next((found for name in _HOST if (found := which(name))), None)
     if compiler is None:
         said = f"host: none of {', '.join(_HOST)} is on this machine"
@@ -186,7 +188,7 @@ def emulate(file: ParameterFile, contents: Mapping[str, bytes] | None = None) ->
 
     Raises as ``rebuild`` does.
     """
-    held = own_files(file, contents)
+    held = check_bundle(file, contents)
     missing = _missing_for_target()
     if missing:
         said = f"Cortex-M4F: no {' and no '.join(missing)} on this machine"
@@ -209,12 +211,12 @@ def emulate(file: ParameterFile, contents: Mapping[str, bytes] | None = None) ->
 
 def build_for_cortex_m4(folder: Path, contents: Mapping[str, bytes], file: ParameterFile) -> int:
     """Compile ``replay.elf`` in a folder; return how many samples of its inputs are ordinary."""
-    ordinary = lay_out(folder, contents, file, "float")
+    ordinary = write_build_files(folder, contents, file, "float")
     for name in ("board.c", "board.ld"):
-        (folder / name).write_bytes(source(name))
+        (folder / name).write_bytes(target_source(name))
     sources = ("replay.c", "board.c", "piezoid_runtime.c")
     script = ("-T", "board.ld", "-o", "replay.elf")
-    called((_TARGET, *_FLAGS, *_TARGET_FLAGS, *sources, *script), folder)
+    run_program((_TARGET, *_FLAGS, *_TARGET_FLAGS, *sources, *script), folder)
     return ordinary
 
 
@@ -222,7 +224,7 @@ def _missing_for_target() -> list[str]:
     """Return what of compiler, its C library and emulator is not here."""
     missing = [name for name in (_TARGET, _EMULATOR) if which(name) is None]
     if not missing:
-        place = called((_TARGET, f"-print-file-name={_LIBRARY}"), Path.cwd()).strip()
+        place = run_program((_TARGET, f"-print-file-name={_LIBRARY}"), Path.cwd()).strip()
         missing += [_LIBRARY] if place == _LIBRARY else []  # a path where there is one
     return missing
 
@@ -231,8 +233,8 @@ def _on_host(file: ParameterFile, held: Mapping[str, bytes], compiler: str, real
     chosen = ("-DPZ_REAL_FLOAT",) if real == "float" else ()
     with TemporaryDirectory(prefix="piezoid-") as name:
         folder = Path(name)
-        ordinary = lay_out(folder, held, file, real)
-        called(
+        ordinary = write_build_files(folder, held, file, real)
+        run_program(
             (compiler, *_FLAGS, *chosen, "replay.c", "piezoid_runtime.c", "-o", "replay"), folder
         )
         found = compare(folder, (str(folder / "replay"),), file, real, ordinary)
@@ -245,7 +247,7 @@ def _on_host(file: ParameterFile, held: Mapping[str, bytes], compiler: str, real
     )
 
 
-def own_files(file: ParameterFile, contents: Mapping[str, bytes] | None) -> Mapping[str, bytes]:
+def check_bundle(file: ParameterFile, contents: Mapping[str, bytes] | None) -> Mapping[str, bytes]:
     """Return the bundle's files, after comparing those found with what this file makes."""
     made = bundle(file).files
     for name, content in made.items():

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from piezoid.export.parameter_file import ParameterFile
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.lab import Lab
-from piezoid.verification.criteria import failure_of
+from piezoid.verification.criteria import describe_failure
 from piezoid.verification.verification import Verification
 from piezoid.verification.verify_stage import verify_stage
 
@@ -30,7 +30,7 @@ class Shipping:
     reasons: Mapping[str, str] = field(default_factory=dict)
 
 
-def shipping_of(
+def release(
     file: ParameterFile, model: ActuatorModel, *, lab: Lab | None = None, threads: int = 1
 ) -> Shipping:
     """Run a parameter file against the identified stage, and keep the axes that pass.
@@ -68,7 +68,7 @@ def shipping_of(
 
 
 def _reason(found: Verification) -> str:
-    failed = [failure_of(verdict) for verdict in found.verdicts if not verdict.passed]
+    failed = [describe_failure(verdict) for verdict in found.verdicts if not verdict.passed]
     told = "; ".join(failed[:_TOLD])
     more = f"; and {len(failed) - _TOLD} more" if len(failed) > _TOLD else ""
     if not failed:

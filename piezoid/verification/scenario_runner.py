@@ -13,7 +13,7 @@ from piezoid.verification.closed_loop import LoopRecord, run_axis
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.plant import AxisPlant, Junction
 from piezoid.verification.plotted_paths import SpiralTrace
-from piezoid.verification.start_position import led_to, room_of
+from piezoid.verification.start_position import approach_path, reference_range
 from piezoid.verification.verification import ComparisonRow, CurrentRow, SpiralRow
 
 
@@ -30,7 +30,7 @@ class Run:
 
 
 @dataclass(kw_only=True, eq=False)
-class Bench:
+class ScenarioRunner:
     """Everything the runs share, and what they have found so far."""
 
     file: ParameterFile
@@ -69,7 +69,7 @@ class Bench:
     def _run(self, numbered: tuple[int, Run]) -> LoopRecord:
         number, run = numbered
         is_led = run.axis.axis in self.lateral
-        way = led_to(run.plant, float(run.reference[0])) if is_led else np.empty(0)
+        way = approach_path(run.plant, float(run.reference[0])) if is_led else np.empty(0)
         led, asked = len(way), np.concatenate([way, run.reference])
         record = run_axis(
             run.plant,
@@ -89,13 +89,13 @@ def _from_its_first(disturbance: Array | None, samples: int) -> Array | None:
     return np.concatenate([np.full(samples, disturbance[0]), disturbance])
 
 
-def bench_of(
+def scenario_runner(
     file: ParameterFile,
     plants: Sequence[AxisPlant],
     limits: Limits,
     seed: int,
     executor: Executor = SERIAL,
-) -> Bench:
+) -> ScenarioRunner:
     """Put every axis beside its plant, and choose the radius of all paths.
 
     Raises ``ParameterFileError`` for an axis without a plant.
@@ -110,8 +110,8 @@ def bench_of(
             )
     tips = tuple(a.axis for a in file.axes if isinstance(by_axis[a.axis].response, Junction))
     lateral = tuple(a.axis for a in file.axes if a.axis not in tips)
-    rooms = {name: room_of(file.axis(name)) for name in lateral}
-    return Bench(
+    rooms = {name: reference_range(file.axis(name)) for name in lateral}
+    return ScenarioRunner(
         file=file,
         plants=by_axis,
         limits=limits,

@@ -14,7 +14,7 @@ _LED_s, _STAYED_s = 0.4, 0.2  # nine periods of the slowest loop an outsider's s
 
 
 @dataclass(frozen=True, kw_only=True)
-class Room:
+class ReferenceRange:
     """What an axis may be asked: references about ``centre_m``, at most ``farthest_m`` away."""
 
     centre_m: float
@@ -26,13 +26,13 @@ class Room:
         return _REACH * self.farthest_m
 
 
-def room_of(axis: AxisParameters) -> Room:
+def reference_range(axis: AxisParameters) -> ReferenceRange:
     """Return the middle of the references of an axis, and how far their ends are from it."""
     low_m, high_m = (float(axis.values[f"reference_{end}_m"]) for end in ("minimum", "maximum"))
-    return Room(centre_m=0.5 * (low_m + high_m), farthest_m=0.5 * (high_m - low_m))
+    return ReferenceRange(centre_m=0.5 * (low_m + high_m), farthest_m=0.5 * (high_m - low_m))
 
 
-def led_to(plant: AxisPlant, begin_m: float) -> Array:
+def approach_path(plant: AxisPlant, begin_m: float) -> Array:
     """Return how a stage is led from rest to where its path begins, and stays there, (samples,).
 
     Half a cosine, as a user would go: what the way leaves in the memory is part of the error,

@@ -21,7 +21,7 @@ from piezoid.verification import criteria
 from piezoid.verification.closed_loop import Fault, LoopRecord
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.plant import AxisPlant, Junction
-from piezoid.verification.scenario_runner import Bench, Run
+from piezoid.verification.scenario_runner import Run, ScenarioRunner
 from piezoid.verification.scenarios import Path, Scenario
 from piezoid.verification.verification import CurrentRow
 
@@ -64,12 +64,12 @@ class RoughSurface:
 
 
 def judge_tips(
-    bench: Bench, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
+    bench: ScenarioRunner, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
 ) -> None:
     """Judge every tip while the stage moves it over a rough surface."""
     for name, record in run_tips(bench, path, records, bench.plants).items():
         response = _junction(bench.plants[name])
-        verdicts = criteria.tunnelling(scenario.name, record, bench.limits)
+        verdicts = criteria.current_verdicts(scenario.name, record, bench.limits)
         bench.currents.append(
             CurrentRow(
                 scenario=scenario.name,
@@ -84,7 +84,7 @@ def judge_tips(
 
 
 def run_tips(
-    bench: Bench,
+    bench: ScenarioRunner,
     path: Path,
     records: Mapping[str, LoopRecord],
     plants: Mapping[str, AxisPlant],
@@ -98,7 +98,7 @@ def run_tips(
     return bench.run([_over(bench, name, plants[name], height_m) for name in bench.tunnelling])
 
 
-def _over(bench: Bench, name: str, plant: AxisPlant, height_m: Array) -> Run:
+def _over(bench: ScenarioRunner, name: str, plant: AxisPlant, height_m: Array) -> Run:
     response = _junction(plant)
     return Run(
         axis=bench.file.axis(name),
@@ -175,7 +175,7 @@ TIP_TRIALS: tuple[TipTrial, ...] = (
 )
 
 
-def judge_trials(bench: Bench, trials: Sequence[TipTrial]) -> None:
+def judge_trials(bench: ScenarioRunner, trials: Sequence[TipTrial]) -> None:
     """Run every trial on every tip; the worst of its runs is judged."""
     for name in bench.tunnelling:
         for trial in trials:
@@ -189,7 +189,7 @@ def judge_trials(bench: Bench, trials: Sequence[TipTrial]) -> None:
                 bench.verdicts.append(max(same, key=lambda verdict: verdict.value))
 
 
-def _verdicts(bench: Bench, name: str, trial: TipTrial, step_m: float) -> list[Verdict]:
+def _verdicts(bench: ScenarioRunner, name: str, trial: TipTrial, step_m: float) -> list[Verdict]:
     axis = bench.file.axis(name)
     plant = _plant(bench.plants[name], axis, trial)
     cause = trial.cause or _beyond_search(axis, plant, step_m)
@@ -215,14 +215,16 @@ def _verdicts(bench: Bench, name: str, trial: TipTrial, step_m: float) -> list[V
         ]
     )[name]
     beyond_m = _beyond_m(record, junction, height_m, step_m)
-    found = [criteria.closeness(trial.name, beyond_m, bench.limits)]
+    found = [criteria.tip_distance_verdict(trial.name, beyond_m, bench.limits)]
     if cause:
         at_s = seconds if reset_s is None else reset_s
         last = slice(round((at_s - 0.1) * bench.rate_Hz), round(at_s * bench.rate_Hz) - 1)
-        found.append(criteria.latched(trial.name, record.status[last], cause))
+        found.append(criteria.latch_verdict(trial.name, record.status[last], cause))
     if not trial.cause and trial.gain == 1.0:
         after = np.log(record.position[round(since_s * bench.rate_Hz) :] / junction.current_A)
-        found.append(criteria.returned(trial.name, after, bench.rate_Hz, allowed_s, far=is_far))
+        found.append(
+            criteria.recovery_verdict(trial.name, after, bench.rate_Hz, allowed_s, far=is_far)
+        )
     return found
 
 
@@ -257,7 +259,7 @@ def _beyond_search(axis: AxisParameters, plant: AxisPlant, step_m: float) -> Sta
 
 
 def _height(
-    bench: Bench,
+    bench: ScenarioRunner,
     axis: AxisParameters,
     plant: AxisPlant,
     trial: TipTrial,
@@ -276,7 +278,7 @@ def _height(
     return height_m
 
 
-def _fault(bench: Bench, trial: TipTrial, count: int) -> Array:
+def _fault(bench: ScenarioRunner, trial: TipTrial, count: int) -> Array:
     found = np.zeros(count)
     begins = round((_AT_s + (_SEEN_s if any(trial.steps_m) else 0.0)) * bench.rate_Hz)
     lasts = count if math.isinf(trial.fault_s) else round(trial.fault_s * bench.rate_Hz)

@@ -12,10 +12,10 @@ from piezoid.numerics.executor import Executor
 from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
 from piezoid.verification.closed_loop import LoopRecord
-from piezoid.verification.coupled_loop import coupling_rows, judged
+from piezoid.verification.coupled_loop import coupling_rows, coupling_verdict
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.limit_proof import LimitProof
-from piezoid.verification.plant import AxisPlant, with_pasts
+from piezoid.verification.plant import AxisPlant, with_histories
 from piezoid.verification.plotted_paths import (
     SHOWN,
     TRACED_BESIDE,
@@ -25,7 +25,7 @@ from piezoid.verification.plotted_paths import (
     trace_of,
 )
 from piezoid.verification.proof import Proof
-from piezoid.verification.scenario_runner import Bench, Run, bench_of
+from piezoid.verification.scenario_runner import Run, ScenarioRunner, scenario_runner
 from piezoid.verification.scenarios import SCENARIOS, Path, Scenario
 from piezoid.verification.tip_trials import (
     TIP_TRIALS,
@@ -70,7 +70,7 @@ def verify(
 
     Raises ``ParameterFileError`` for an axis without a plant.
     """
-    bench = bench_of(file, plants, limits or Limits(), seed, Executor(threads=threads))
+    bench = scenario_runner(file, plants, limits or Limits(), seed, Executor(threads=threads))
     for scenario in scenarios:
         if scenario.is_varied:
             _run_varied(bench, scenario, variations)
@@ -82,10 +82,10 @@ def verify(
     judge_trials(bench, trials)
     coupling = coupling_rows(bench, coupled)
     if coupling:
-        bench.verdicts.append(judged(coupling, bench.limits.coupling_percent))
+        bench.verdicts.append(coupling_verdict(coupling, bench.limits.coupling_percent))
     drawn = [plant for chosen in variations for plant in chosen]
     shipped = {axis.axis: axis for axis in file.axes}
-    drive = criteria.drive(bench.records, shipped)
+    drive = criteria.voltage_range_verdict(bench.records, shipped)
     return Verification(
         name=file.name,
         methods={axis.axis: axis.method for axis in file.axes},
@@ -106,7 +106,7 @@ def verify(
     )
 
 
-def references_of(bench: Bench, path: Path) -> dict[str, Array]:
+def references_of(bench: ScenarioRunner, path: Path) -> dict[str, Array]:
     """Return where each lateral axis is to be: the first follows x, the next y."""
     ways = (path.x, path.y)
     return {
@@ -116,7 +116,7 @@ def references_of(bench: Bench, path: Path) -> dict[str, Array]:
 
 
 def _lateral_runs(
-    bench: Bench,
+    bench: ScenarioRunner,
     path: Path,
     method: str | None = None,
     plants: Mapping[str, AxisPlant] | None = None,
@@ -142,7 +142,7 @@ def _lateral_runs(
 
 
 def _centred(
-    bench: Bench, records: Mapping[str, LoopRecord]
+    bench: ScenarioRunner, records: Mapping[str, LoopRecord]
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return references and positions about the path's middle."""
     return (
@@ -152,7 +152,7 @@ def _centred(
 
 
 def _tracked(
-    bench: Bench, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
+    bench: ScenarioRunner, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
 ) -> Tracking:
     """Compare what was run with the path."""
     return track(
@@ -164,7 +164,7 @@ def _tracked(
     )
 
 
-def _run(bench: Bench, scenario: Scenario) -> None:
+def _run(bench: ScenarioRunner, scenario: Scenario) -> None:
     """Run what ships, the other methods where they are compared, and the tip over a surface."""
     path = scenario.path(bench.rate_Hz)
     records: dict[str, LoopRecord] = {}
@@ -179,22 +179,22 @@ def _run(bench: Bench, scenario: Scenario) -> None:
 
 
 def _judge(
-    bench: Bench,
+    bench: ScenarioRunner,
     scenario: Scenario,
     records: Mapping[str, LoopRecord],
     found: Tracking,
 ) -> None:
     if scenario.kind == "steps":  # which may use all the drive there is
         for record in records.values():
-            bench.verdicts.extend(criteria.settling(scenario.name, record, bench.limits))
+            bench.verdicts.extend(criteria.step_verdicts(scenario.name, record, bench.limits))
         return
-    bench.verdicts.append(criteria.reserve(scenario.name, list(records.values())))
+    bench.verdicts.append(criteria.saturation_verdict(scenario.name, list(records.values())))
     if scenario.frequency_Hz <= bench.limits.judged_Hz:
         limit = bench.limits.aligned_percent
-        bench.verdicts.append(criteria.shape(scenario.name, found, bench.radius_m, limit))
+        bench.verdicts.append(criteria.shape_verdict(scenario.name, found, bench.radius_m, limit))
 
 
-def _compare(bench: Bench, scenario: Scenario, path: Path) -> dict[str, LoopRecord]:
+def _compare(bench: ScenarioRunner, scenario: Scenario, path: Path) -> dict[str, LoopRecord]:
     """Run every method from every past, and keep the worst: what ships is judged by it too.
 
     Returns the records of what ships.
@@ -233,19 +233,21 @@ def _compare(bench: Bench, scenario: Scenario, path: Path) -> dict[str, LoopReco
         )
     first = bench.methods()[0]
     if "none" in found and first != "none":
-        bench.verdicts.append(criteria.against_none(scenario.name, found[first], found["none"]))
+        bench.verdicts.append(
+            criteria.improvement_verdict(scenario.name, found[first], found["none"])
+        )
     return shipped
 
 
-def _all_pasts(bench: Bench) -> list[dict[str, AxisPlant]]:
+def _all_pasts(bench: ScenarioRunner) -> list[dict[str, AxisPlant]]:
     """Return all plants by axis, as each past left them; each axis has as many as the most."""
-    by_axis = {name: with_pasts(plant) for name, plant in bench.plants.items()}
+    by_axis = {name: with_histories(plant) for name, plant in bench.plants.items()}
     count = max(len(pasts) for pasts in by_axis.values())
     return [{name: p[k % len(p)] for name, p in by_axis.items()} for k in range(count)]
 
 
 def _trace(
-    bench: Bench,
+    bench: ScenarioRunner,
     scenario: Scenario,
     path: Path,
     records: Mapping[str, LoopRecord],
@@ -267,7 +269,7 @@ def _trace(
     bench.traces.append(kept)
 
 
-def _motions(bench: Bench, scenarios: Sequence[Scenario]) -> Iterator[Motion]:
+def _motions(bench: ScenarioRunner, scenarios: Sequence[Scenario]) -> Iterator[Motion]:
     """Keep what pictures in time need; the static gain is run last and judges nothing."""
     for scenario in scenarios:
         if scenario.kind not in SHOWN or scenario.name not in bench.shown:
@@ -280,7 +282,7 @@ def _motions(bench: Bench, scenarios: Sequence[Scenario]) -> Iterator[Motion]:
 
 
 def _run_varied(
-    bench: Bench, scenario: Scenario, variations: Sequence[Sequence[AxisPlant]]
+    bench: ScenarioRunner, scenario: Scenario, variations: Sequence[Sequence[AxisPlant]]
 ) -> None:
     """Judge the worst of the plants the uncertainty allows."""
     path = scenario.path(bench.rate_Hz)
@@ -291,15 +293,15 @@ def _run_varied(
         if records:
             numbers = _tracked(bench, scenario, path, records)
             limit = bench.limits.varied_percent
-            found.append(criteria.shape(scenario.name, numbers, bench.radius_m, limit))
+            found.append(criteria.shape_verdict(scenario.name, numbers, bench.radius_m, limit))
         for record in run_tips(bench, path, records, plants).values():
-            found.extend(criteria.tunnelling(scenario.name, record, bench.limits))
+            found.extend(criteria.current_verdicts(scenario.name, record, bench.limits))
     for name in dict.fromkeys(verdict.name for verdict in found):
         same = [verdict for verdict in found if verdict.name == name]
         bench.verdicts.append(max(same, key=lambda verdict: verdict.value))
 
 
-def _run_fault(bench: Bench, scenario: Scenario) -> None:
+def _run_fault(bench: ScenarioRunner, scenario: Scenario) -> None:
     path = scenario.path(bench.rate_Hz)
     if np.isinf(scenario.fault_s):
         _run_blind(bench, scenario, path)
@@ -309,15 +311,15 @@ def _run_fault(bench: Bench, scenario: Scenario) -> None:
     records = _lateral_runs(bench, path, fault=fault)
     error_m = np.sqrt(sum((r.position - r.reference) ** 2 for r in records.values()))
     bench.verdicts.extend(
-        criteria.survived(scenario.name, error_m, healthy, bench.radius_m, bench.limits)
+        criteria.fault_verdicts(scenario.name, error_m, healthy, bench.radius_m, bench.limits)
     )
     is_lost = scenario.fault is not None and np.isnan(scenario.fault)
     flag = Status.BAD_MEASUREMENT if is_lost else Status.STUCK_SENSOR
     watching = [r for r in records.values() if _has_feedback(bench, r.axis)]
-    bench.verdicts.append(criteria.noticed(scenario.name, watching, flag))
+    bench.verdicts.append(criteria.fault_reported_verdict(scenario.name, watching, flag))
 
 
-def _run_blind(bench: Bench, scenario: Scenario, path: Path) -> None:
+def _run_blind(bench: ScenarioRunner, scenario: Scenario, path: Path) -> None:
     """Judge the worst axis of a stage whose sensors never come back."""
     fault = scenario.fault_of(len(path.x), bench.rate_Hz)
     records = _lateral_runs(bench, path, fault=fault).values()
@@ -325,12 +327,14 @@ def _run_blind(bench: Bench, scenario: Scenario, path: Path) -> None:
         verdict
         for record in records
         if _has_feedback(bench, record.axis)
-        for verdict in criteria.held(scenario.name, record, len(path.x) // 2, bench.limits)
+        for verdict in criteria.hold_verdicts(
+            scenario.name, record, len(path.x) // 2, bench.limits
+        )
     ]
     for name in dict.fromkeys(verdict.name for verdict in found):
         same = [verdict for verdict in found if verdict.name == name]
         bench.verdicts.append(max(same, key=lambda verdict: verdict.value))
 
 
-def _has_feedback(bench: Bench, axis: str) -> bool:
+def _has_feedback(bench: ScenarioRunner, axis: str) -> bool:
     return bench.file.axis(axis).method in ("dob", "mpi_dob", "rst")

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from piezoid.design.damping import told_of_mode
+from piezoid.design.damping import describe_mode
 from piezoid.design.design import AxisDesign, LoopDesign
 from piezoid.design.design_statements import error_parts_m, useful_bound_m
 from piezoid.design.lateral_task import assumptions_of
@@ -125,7 +125,7 @@ def _axis(axis: AxisDesign) -> list[Part]:
         Heading(text=f"Axis {axis.axis}"),
         _figure(axis, loop, "Syp"),
         *folded("Noise sensitivity: 1 figure", (_figure(axis, loop, "Syb"),)),
-        *((Prose(text=mode),) if (mode := told_of_mode(loop)) else ()),
+        *((Prose(text=mode),) if (mode := describe_mode(loop)) else ()),
     ]
 
 

@@ -9,7 +9,7 @@ import pytest
 from piezoid.calibration.controllers import Controllers, controllers_of
 from piezoid.calibration.stage_jobs import Designed
 from piezoid.design.design import AxisDesign
-from piezoid.design.design_stage import Outcome, design_axes
+from piezoid.design.design_stage import AxisDesignResult, design_axes
 from piezoid.errors import DesignError, PiezoidError, RuntimeLibraryError, TemplateError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
@@ -41,7 +41,7 @@ def stage(axis: AxisModel, *more: AxisModel) -> ActuatorModel:
     return replace(fitted(), axes={held.axis: held for held in (axis, *more)})
 
 
-def controllers(model: ActuatorModel, *outcomes: Outcome, lab: Lab = LAB) -> Controllers:
+def controllers(model: ActuatorModel, *outcomes: AxisDesignResult, lab: Lab = LAB) -> Controllers:
     return made_of(model, Designed(outcomes=outcomes), lab)
 
 
@@ -54,7 +54,7 @@ def test_a_loop_that_damps_a_mode_and_fails_is_tried_once_more_below_the_mode(
 ) -> None:
     """The fast loop overshoots by 18 % where 5 % are allowed; the slow one ships and says why."""
     fast = with_reference(good, (9.0, -8.0), bandwidth_Hz=155.0)
-    made = controllers(fitted(), Outcome(axis="x", design=fast, slower=good))
+    made = controllers(fitted(), AxisDesignResult(axis="x", design=fast, slower=good))
     assert made.shipped == {"x"}
     assert made.design is not None
     assert made.design.axes == (good,)
@@ -72,8 +72,8 @@ def test_an_axis_that_does_not_ship_is_told_and_keeps_no_other_back(good: AxisDe
     x = fitted()["x"]
     made = controllers(
         stage(x, replace(x, axis="y", polarity=-1)),
-        Outcome(axis="x", design=good),
-        Outcome(axis="y", design=replace(good, axis="y")),
+        AxisDesignResult(axis="x", design=good),
+        AxisDesignResult(axis="y", design=replace(good, axis="y")),
     )
     assert made.shipped == {"x"}
     assert made.verification is not None
@@ -84,8 +84,8 @@ def test_an_axis_that_does_not_ship_is_told_and_keeps_no_other_back(good: AxisDe
 
 
 def test_what_nobody_declared_is_no_failure_but_a_limit_nothing_meets_is() -> None:
-    unknown = Outcome(axis="x", obstacle=DesignError("no pole is declared", **SAID))
-    missed = Outcome(axis="x", refusal=TemplateError("missed by 3 dB", **SAID))
+    unknown = AxisDesignResult(axis="x", obstacle=DesignError("no pole is declared", **SAID))
+    missed = AxisDesignResult(axis="x", refusal=TemplateError("missed by 3 dB", **SAID))
     assert controllers(fitted(), unknown).passed
     assert not controllers(fitted(), missed).passed
     assert not controllers(fitted(), unknown, missed).passed
@@ -111,7 +111,7 @@ def test_a_refusal_of_a_later_step_is_told_and_the_design_is_kept(
     polarity: int, lab: Lab, reason: str, good: AxisDesign
 ) -> None:
     axis = replace(fitted()["x"], polarity=polarity)
-    made = controllers(stage(axis), Outcome(axis="x", design=good), lab=lab)
+    made = controllers(stage(axis), AxisDesignResult(axis="x", design=good), lab=lab)
     assert reason in made.reason
     assert made.refused
     assert not made.stumbled
@@ -127,7 +127,9 @@ def test_a_mistake_of_ours_is_told_as_one_and_nothing_ships(step: str, good: Axi
     model = stage(replace(axis, uncertainty=unknown) if step == "verification" else axis)
     design = with_reference(good, (0.0,)) if step == "export" else good
     fault = ValueError("40 states") if step == "design" else None
-    made = made_of(model, Designed(outcomes=(Outcome(axis="x", design=design),), fault=fault))
+    made = made_of(
+        model, Designed(outcomes=(AxisDesignResult(axis="x", design=design),), fault=fault)
+    )
     assert made.reason.startswith("a mistake of ours, ")
     assert (made.reason == "a mistake of ours, ValueError: 40 states") == (step == "design")
     assert made.stumbled

@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.varied_chains import varied
 from piezoid.design.chain import Chain, Section, family_from_chains, plant_from_chain
 from piezoid.design.plant import Plant, PlantFamily
-from piezoid.design.rst import closed_loop_target, place, sampled_poles
+from piezoid.design.rst import closed_loop_target, place_poles, sampled_poles
 from piezoid.design.specification import Specification
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import roots_of
@@ -137,5 +137,5 @@ def loop(frequency_Hz: float, damping: float) -> tuple[Array, Array]:
     """R and S placed on the vertical axis for one of LOOPS."""
     dominant = Section(frequency_Hz=frequency_Hz, damping=damping)
     target = closed_loop_target(dominant, RATE_Hz, auxiliary_root=0.2, auxiliary_count=2)
-    c = place(plant_from_chain(vertical_chain()), target, H_R=[1.0, 1.0])
+    c = place_poles(plant_from_chain(vertical_chain()), target, H_R=[1.0, 1.0])
     return c.R, c.S

@@ -9,7 +9,7 @@ from scipy.signal import cont2discrete
 from benchmarks.varied_chains import varied
 from piezoid.design.certificate import Certificate
 from piezoid.design.chain import Chain, Section, family_from_chains
-from piezoid.design.damping import damped_mode, raised, ringing_mode, told_of_mode
+from piezoid.design.damping import damped_mode, describe_mode, raise_bandwidth, ringing_mode
 from piezoid.design.design import AxisDesign, LoopDesign
 from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.lateral import design_lateral
@@ -117,7 +117,7 @@ def test_a_loop_says_from_what_to_what_it_damps_the_mode(loop):
     damping = damped_mode(loop)
     assert damping is not None
     assert damping > 5.0 * DAMPING
-    assert "700 Hz is damped by state feedback, from 0.0125 to 0.1" in told_of_mode(loop)
+    assert "700 Hz is damped by state feedback, from 0.0125 to 0.1" in describe_mode(loop)
     assert any("damped by state feedback" in c.name for c in loop.candidates if c.is_chosen)
 
 
@@ -125,7 +125,7 @@ def test_a_default_is_raised_as_far_as_what_guarantees_it_lasts():
     of = family(0.02, ends=3)
     asked = default(of)
     base = designed(of, asked)
-    found = raised(base, of, asked, lambda s: designed(of, s), form="inverse").recommended
+    found = raise_bandwidth(base, of, asked, lambda s: designed(of, s), form="inverse").recommended
     assert base.recommended.bandwidth_Hz < 0.16 * MODE_Hz
     assert found.bandwidth_Hz > 2.0 * base.recommended.bandwidth_Hz
     assert found.worst_modulus_margin >= 0.5
@@ -133,7 +133,7 @@ def test_a_default_is_raised_as_far_as_what_guarantees_it_lasts():
     assert found.certificate.is_guaranteed
     unproven = replace(base.recommended, certificate=None)
     bare = replace(base, loops=(unproven,))
-    assert raised(bare, of, asked, lambda s: designed(of, s), form="inverse") is bare
+    assert raise_bandwidth(bare, of, asked, lambda s: designed(of, s), form="inverse") is bare
 
 
 def test_a_mode_that_the_delay_turns_too_far_is_refused_with_the_angle():

@@ -9,7 +9,7 @@ from piezoid.design.chain import Section, plant_from_chain
 from piezoid.design.family_grid import family_grid, judge, worst_place
 from piezoid.design.feasibility import noise_rms, unmet
 from piezoid.design.plant import PlantFamily
-from piezoid.design.rst import closed_loop_target, place
+from piezoid.design.rst import closed_loop_target, place_poles
 from piezoid.design.sensitivity import closed_loop_polynomial, margins, sensitivities
 from piezoid.design.templates import Template
 from piezoid.numerics.polynomial import spectral_radius
@@ -70,7 +70,7 @@ def test_the_bandwidth_itself_belongs_to_the_band():
     plant, asked = plant_from_chain(vertical_chain()), vertical_specification(100.0)
     dominant = Section(frequency_Hz=1e3, damping=0.9)
     target = closed_loop_target(dominant, RATE_Hz, auxiliary_root=0.2, auxiliary_count=3)
-    c = place(plant, target, H_S=[1.0, -2.0, 1.0])
+    c = place_poles(plant, target, H_S=[1.0, -2.0, 1.0])
     seen = worst_place(family_grid(PlantFamily(members=(plant,)), asked), c.R, c.S)
     at_end = sensitivities(plant, c.R, c.S, np.array([asked.bandwidth_Hz])).Syp
     assert seen.rejection == pytest.approx(abs(at_end[0]))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.design.design import SCHEMA, design_from_json
-from piezoid.design.design_stage import Asked, design_stage
+from piezoid.design.design_stage import SpecificationText, design_stage
 from piezoid.design.hysteresis_bounds import draw_replicates
 from piezoid.design.lateral_task import LateralTask, lateral_task, relative_gain_half
 from piezoid.design.specification import slowest_Hz
@@ -242,7 +242,7 @@ def test_a_delay_of_more_samples_than_the_controller_has_states_is_designed_for(
 
 
 def test_what_is_asked_and_cannot_be_met_is_refused_with_what_could() -> None:
-    asked = Asked(text="[x]\nbandwidth_Hz = 4000\n")
+    asked = SpecificationText(text="[x]\nbandwidth_Hz = 4000\n")
     known = rigged(bandwidth=unseen(12e3, "nothing was recorded"))
     with pytest.raises(TemplateError, match="Ask for bandwidth_Hz"):
         design_stage(
@@ -294,7 +294,7 @@ def test_a_data_sheets_resonance_lets_the_loop_be_faster() -> None:
 
 def test_an_axis_whose_limits_nothing_meets_keeps_no_other_back() -> None:
     both = stage(axes={"x": rigged(), "y": rigged(axis="y")})
-    asked = Asked(text="[y]\nbandwidth_Hz = 4000\n")
+    asked = SpecificationText(text="[y]\nbandwidth_Hz = 4000\n")
     found = design_stage(both, model_digest=DIGEST, asked=asked, forms=("inverse",))
     assert [axis.axis for axis in found.axes] == ["x"]
     assert "axis y, bandwidth 4000 Hz" in found.refused["y"]
@@ -313,6 +313,6 @@ def test_a_design_of_a_version_that_knew_no_refusals_is_read() -> None:
 
 
 def test_an_axis_that_is_not_of_the_model_is_refused_by_name() -> None:
-    asked = Asked(text="[w]\nbandwidth_Hz = 10\n", place="mine.toml")
+    asked = SpecificationText(text="[w]\nbandwidth_Hz = 10\n", place="mine.toml")
     with pytest.raises(LabFileError, match=r"mine\.toml: \[w\]"):
         design_stage(stage(), model_digest=DIGEST, asked=asked)

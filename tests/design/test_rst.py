@@ -8,7 +8,7 @@ from piezoid.design.rst import (
     OPEN_AT_NYQUIST,
     RstController,
     closed_loop_target,
-    place,
+    place_poles,
 )
 from piezoid.design.sensitivity import margins, sensitivities
 from piezoid.design.shaping import BandStop, band_stop_polynomials
@@ -26,7 +26,7 @@ def example(*, p_extra: Array | None = None, s_extra: Array | None = None) -> Rs
         Section(frequency_Hz=1e3, damping=0.9), RATE_Hz, auxiliary_root=0.2, auxiliary_count=2
     )
     one = np.ones(1)
-    return place(
+    return place_poles(
         plant_from_chain(vertical_chain()),
         product(target, one if p_extra is None else p_extra),
         H_R=OPEN_AT_NYQUIST,
@@ -93,7 +93,7 @@ def test_200_random_plants_are_placed_to_1e_10_with_fixed_parts(rng):
         target = closed_loop_target(
             dominant, RATE_Hz, auxiliary_root=float(rng.uniform(0.05, 0.5)), auxiliary_count=2
         )
-        c = place(plant, target, H_R=h_r, H_S=h_s)
+        c = place_poles(plant, target, H_R=h_r, H_S=h_s)
         left = np.convolve(plant.A, c.S)
         right = np.convolve(plant.B, c.R)
         closed = np.zeros(max(len(left), len(right)))
@@ -129,17 +129,17 @@ def test_a_target_is_its_dominant_pair_and_so_many_auxiliary_roots(count):
 def test_a_target_on_the_unit_circle_is_refused():
     plant = plant_from_chain(vertical_chain())
     with pytest.raises(UnstableLoopError, match="magnitude 1"):
-        place(plant, np.array([1.0, -1.0]))
+        place_poles(plant, np.array([1.0, -1.0]))
 
 
 def test_an_unstable_target_is_refused():
     with pytest.raises(UnstableLoopError, match=r"magnitude 1\.01"):
-        place(plant_from_chain(vertical_chain()), [1.0, -1.01])
+        place_poles(plant_from_chain(vertical_chain()), [1.0, -1.01])
 
 
 def test_a_zero_that_cancels_the_integrator_is_refused():
     with pytest.raises(DesignError, match="no common root"):
-        place(plant_from_chain(vertical_chain()), [1.0, -0.5], H_R=[1.0, -1.0])
+        place_poles(plant_from_chain(vertical_chain()), [1.0, -0.5], H_R=[1.0, -1.0])
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from piezoid.design.observer import (
     linear_controller,
     with_oscillators_as_states,
 )
-from piezoid.design.rst import place
+from piezoid.design.rst import place_poles
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import product
 from piezoid.runtime.controller import Controller
@@ -97,7 +97,7 @@ def test_the_runtimes_observer_is_the_designed_controller(delay_s, oscillation_H
 def test_the_runtimes_polynomials_are_the_designed_ones(rng):
     plant = plant_from_chain(vertical_chain())
     target = np.real(np.poly([0.72, 0.71, 0.3, 0.2, 0.1]))
-    c = place(plant, target, H_R=[1.0, 1.0])
+    c = place_poles(plant, target, H_R=[1.0, 1.0])
     without_integrator = np.cumsum(c.S)[:-1]
     current_A = 1e-9 * np.exp(0.2 * rng.normal(size=SAMPLES))
     reference_A = 1e-9 * np.exp(0.2 * rng.normal(size=SAMPLES))

@@ -9,7 +9,7 @@ from piezoid.design.chain import Section
 from piezoid.design.feasibility import unmet
 from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import margins
-from piezoid.design.shaping import shape, shaped
+from piezoid.design.shaping import place_band_stops, shape
 from piezoid.design.templates import Template
 from piezoid.design.youla import optimise
 from tests.design.placed import plant_from_fraction
@@ -54,7 +54,7 @@ def test_each_convex_step_keeps_every_member_stable_and_gains():
 )
 def test_a_convex_design_has_the_taps_its_start_needs_and_begins_with_it(B, A):
     plant = plant_from_fraction("p", B, A, sampling_rate_Hz=RATE_Hz, output_unit="m")
-    start = shaped(plant, Section(frequency_Hz=500.0, damping=0.9), 0.2)
+    start = place_band_stops(plant, Section(frequency_Hz=500.0, damping=0.9), 0.2)
     family, asked = PlantFamily(members=(plant,)), lateral_specification()
     for taps in (1, 20):
         found = optimise(family, asked, start, taps=taps, most_iterations=0)

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from piezoid.errors import ParameterFileError
-from piezoid.export.bundle import SAMPLES, SHIPPED, bundle, golden_csv, shipped
-from piezoid.export.c_header import c_header, inert
+from piezoid.export.bundle import SAMPLES, SHIPPED, bundle, golden_csv, runtime_source
+from piezoid.export.c_header import c_header, plain_ascii
 from piezoid.export.parameter_file import AxisParameters, digest_of
 from piezoid.records.which_voltage import WHICH_VOLTAGE
 from piezoid.runtime.controller import Status
@@ -88,7 +88,7 @@ def test_every_bit_of_the_header_is_that_of_the_packed_parameters(precision, tmp
 def test_the_shipped_files_are_the_installed_ones_byte_for_byte():
     files = bundle(stage()).files
     assert set(files) == {*SHIPPED, "piezo_params.h", "golden.csv", "README.md"}
-    assert all(files[name] == shipped(name) for name in SHIPPED)
+    assert all(files[name] == runtime_source(name) for name in SHIPPED)
 
 
 def test_the_same_parameters_give_the_same_bytes():
@@ -171,14 +171,14 @@ def test_an_axis_that_is_no_name_in_c_is_refused(axis):
 
 @given(st.text(), st.integers(0, 40))
 def test_inert_text_is_plain_and_no_longer_than_asked(text, length):
-    kept = inert(text, length=length)
+    kept = plain_ascii(text, length=length)
     assert len(kept) == min(len(text), length)
     assert kept.isascii()
     assert not set(kept) & set("*/\\\"'?#%<>[]{}|&\n\r\0`$@!~^")
 
 
 def test_inert_text_holds_nothing_a_compiler_reads():
-    assert inert('a*/b\\c"d??e\nf', length=12) == "a__b_c_d__e_"
+    assert plain_ascii('a*/b\\c"d??e\nf', length=12) == "a__b_c_d__e_"
 
 
 def test_the_header_names_the_digest_of_the_parameter_file():

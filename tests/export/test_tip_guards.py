@@ -7,7 +7,7 @@ import pytest
 
 from piezoid.design.junction_task import vertical_task
 from piezoid.errors import LabFileError
-from piezoid.export.export_stage import extension_of, tip_guards
+from piezoid.export.export_stage import extension_m_per_V, tip_guards
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.records.lab import Acquisition, Tunnelling
 from tests.design.junction_lab import LAB, loop_plant
@@ -74,7 +74,7 @@ def test_a_ceiling_nearer_to_the_set_point_makes_the_approach_slower() -> None:
 
 
 def test_the_laboratory_may_ask_for_a_slower_approach_and_for_no_faster_one() -> None:
-    extension = extension_of(loop_plant())
+    extension = extension_m_per_V(loop_plant())
     speed = guards().approach_step_V * extension * RATE_Hz
     half = guards(approach_m_per_s=speed / 2)
     assert half.approach_step_V == pytest.approx(guards().approach_step_V / 2)
@@ -83,7 +83,7 @@ def test_the_laboratory_may_ask_for_a_slower_approach_and_for_no_faster_one() ->
 
 
 def test_distances_become_volts_by_the_extension() -> None:
-    found, extension = guards(retract_m=2e-9, search_m=1e-9), extension_of(loop_plant())
+    found, extension = guards(retract_m=2e-9, search_m=1e-9), extension_m_per_V(loop_plant())
     assert found.retract_step_V == pytest.approx(2e-9 / extension)
     assert found.search_voltage_V == pytest.approx(1e-9 / extension)
 

@@ -19,9 +19,9 @@ from piezoid.learning.learn import (
 from piezoid.learning.period import learning_shares, play
 from piezoid.numerics.frequency import unit_circle
 from piezoid.records.frames import from_arrays
-from piezoid.verification.plant import Plugged, lateral_plant
+from piezoid.verification.plant import CustomResponse, lateral_plant
 from piezoid.verification.scenarios import raster
-from piezoid.verification.start_position import room_of
+from piezoid.verification.start_position import reference_range
 from tests.targets.known_inputs import chain, exported
 from tests.verification.known_fit import fitted
 from tests.verification.rig import GAIN_m_per_V, RATE_Hz, lateral, lateral_parameters
@@ -37,7 +37,7 @@ def shipped():
 
 
 def triangle(share=0.5):
-    room = room_of(shipped())
+    room = reference_range(shipped())
     unit = raster(RATE_Hz, RATE_Hz / POINTS, 1.0).x
     return room.centre_m + share * room.farthest_m * unit
 
@@ -83,7 +83,9 @@ def test_three_periods_bring_a_plant_of_other_hysteresis_below_the_noise(closed)
 
 
 def test_a_volt_of_the_table_moves_what_the_response_says():
-    linear = lateral(response=Plugged(begin=lambda _: lambda v: GAIN_m_per_V * v), noise_rms=0.0)
+    linear = lateral(
+        response=CustomResponse(begin=lambda _: lambda v: GAIN_m_per_V * v), noise_rms=0.0
+    )
     values = lateral_parameters().for_method("dob").values
     table_V = 0.5 * np.sin(2 * np.pi * np.arange(POINTS) / POINTS)
     rest_m = np.zeros(POINTS)

@@ -15,7 +15,12 @@ import pytest
 
 from piezoid.errors import ParameterFileError
 from piezoid.targets.controller_hardware import ControllerHardware
-from piezoid.targets.nanonis import compared, crept, nanonis_files, table_of
+from piezoid.targets.nanonis import (
+    creep_after_move,
+    hysteresis_table,
+    line_errors_m,
+    nanonis_files,
+)
 from tests.runtime.compiler import run
 from tests.targets.known_inputs import exported
 
@@ -59,7 +64,7 @@ def test_the_bytes_that_are_sent_hold_the_table(tmp_path):
             sys.executable, "send.py", "127.0.0.1", str(server.getsockname()[1]), cwd=tmp_path
         )
         thread.join(timeout=10)
-    table = table_of(exported(), exported().lateral[0])
+    table = hysteresis_table(exported(), exported().lateral[0])
     body = heard["Piezo.HystValsSet"]
     assert struct.unpack(">i", body[:4])[0] == 32
     np.testing.assert_array_equal(struct.unpack(">32f", body[4:132]), table.x_m)
@@ -83,7 +88,7 @@ def test_volts_are_those_at_the_piezo_where_the_amplifier_is_declared():
 
 def test_the_table_straightens_forward_lines_of_every_plant():
     axis = exported().lateral[0]
-    rows = compared(exported(), axis, table_of(exported(), axis))
+    rows = line_errors_m(exported(), axis, hysteresis_table(exported(), axis))
     assert len(rows) == len(exported().family("x"))
     for row in rows.values():
         assert row["table"] < 0.5 * row["straight"]
@@ -94,10 +99,12 @@ def test_the_table_straightens_forward_lines_of_every_plant():
 def test_a_finer_table_is_a_better_one():
     axis = exported().lateral[0]
     coarse, fine = (
-        compared(
+        line_errors_m(
             replace(exported(), drawn={}),
             axis,
-            table_of(replace(exported(), hardware=ControllerHardware(table_points=points)), axis),
+            hysteresis_table(
+                replace(exported(), hardware=ControllerHardware(table_points=points)), axis
+            ),
         )["identified"]["table"]
         for points in (8, 64)
     )
@@ -106,7 +113,7 @@ def test_a_finer_table_is_a_better_one():
 
 def test_the_csv_is_the_table():
     rows = list(csv.DictReader(io.StringIO(made()[0]["x.csv"].decode())))
-    table = table_of(exported(), exported().lateral[0])
+    table = hysteresis_table(exported(), exported().lateral[0])
     for name, held in (("x_m", table.x_m), ("y_m", table.y_m)):
         np.testing.assert_array_equal(np.float32([float(row[name]) for row in rows]), held)
     assert made()[0] == made()[0]
@@ -121,8 +128,8 @@ def test_drift_is_what_the_shipped_creep_does_between_two_times():
         axis, values={**axis.values, "relaxation_rate": rate, "relaxation_share": share}
     )
     stage = replace(exported(), file=replace(exported().file, axes=(known,)))
-    table = table_of(stage, known)
-    speed, gone_m, left_m = crept(stage, table)
+    table = hysteresis_table(stage, known)
+    speed, gone_m, left_m = creep_after_move(stage, table)
     wanted_m = 0.01 * table.half_m * (np.exp(-10.0 / 50.0) - np.exp(-100.0 / 50.0))
     assert gone_m == pytest.approx(wanted_m, rel=1e-6)
     assert speed == pytest.approx(wanted_m / 90.0, rel=1e-6)

@@ -20,7 +20,7 @@ from piezoid.targets.pid import Notch, PidController
 from piezoid.targets.pid_files import pid_files, pid_of
 from piezoid.targets.pid_search import tuned_pid
 from piezoid.verification.closed_loop import run_law
-from piezoid.verification.plant import Plugged
+from piezoid.verification.plant import CustomResponse
 from tests.targets.known_inputs import BLANK, chain, exported, family
 from tests.verification.rig import GAIN_m_per_V, RATE_Hz, lateral
 
@@ -125,7 +125,7 @@ def test_the_box_in_the_loop_rejects_what_its_fraction_says():
     """Signs included: a disturbance of 40 Hz on a plant without hysteresis."""
     pid = tuned().pid
     plant = lateral(
-        response=Plugged(begin=lambda _: lambda v: GAIN_m_per_V * v),
+        response=CustomResponse(begin=lambda _: lambda v: GAIN_m_per_V * v),
         noise_rms=0.0,
         delay_s=0.0,
     )

@@ -10,7 +10,7 @@ import pytest
 from piezoid.errors import ParameterFileError
 from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.targets.controller_hardware import ControllerHardware, read_hardware
-from piezoid.targets.waveform import compared, waveform_files, waveform_of
+from piezoid.targets.waveform import scan_errors_m, waveform_files, waveform_of
 from piezoid.verification.closed_loop import run_law
 from piezoid.verification.plant import Hysteresis, lateral_plant
 from tests.targets.known_inputs import exported
@@ -29,7 +29,7 @@ def table(**box):
 def test_the_identified_plant_follows_the_table_to_a_few_steps_of_its_converter(shape):
     made, axis = boxed(shape=shape), exported().lateral[0]
     one = waveform_of(made, axis)
-    found = compared(made, axis, one)["identified"]
+    found = scan_errors_m(made, axis, one)["identified"]
     step_m = one.step_V * 4e-6
     assert found["waveform"] < 3 * step_m
     assert abs(found["offset"]) < 0.2 * step_m
@@ -87,7 +87,7 @@ def test_a_fast_scan_over_a_mode_is_followed_without_tearing_at_the_drive():
     fast = ControllerHardware(frequency_Hz=200.0, half_range_m=5e-6)
     made = replace(own, plants=(plant,), drawn={}, models={"x": model}, hardware=fast)
     one = waveform_of(made, own.lateral[0])
-    found = compared(made, own.lateral[0], one)["identified"]
+    found = scan_errors_m(made, own.lateral[0], one)["identified"]
     assert found["waveform"] < 5e-8
     assert found["straight"] > 10 * found["waveform"]
     assert np.abs(np.diff(one.voltage_V)).max() < 0.5

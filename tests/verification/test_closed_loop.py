@@ -10,7 +10,7 @@ from piezoid.operators.linear import ContinuousSystem
 from piezoid.runtime.controller import Controller, Status
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.loop_plant import cascade, rest_position
-from piezoid.verification.plant import AxisPlant, Hysteresis, Plugged
+from piezoid.verification.plant import AxisPlant, CustomResponse, Hysteresis
 from tests.verification.rig import (
     AMPLIFIER,
     MODE,
@@ -49,7 +49,7 @@ def test_without_dynamics_the_position_is_the_operators_own(rng):
 def test_the_linear_chain_is_the_one_margins_are_computed_from(rng):
     """A plugged line makes the axis linear: B/A of the design's exact sampling must answer."""
     plant = lateral(
-        response=Plugged(begin=lambda _: lambda v: GAIN_m_per_V * v),
+        response=CustomResponse(begin=lambda _: lambda v: GAIN_m_per_V * v),
         noise_rms=0.0,
         sensor=(),
         delay_s=1.3 / RATE_Hz,

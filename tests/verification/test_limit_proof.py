@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.proof_mutants import LATERAL, SOURCE, TIP, broken, table
 from piezoid.errors import ParameterFileError
-from piezoid.export.bundle import bundle, shipped
+from piezoid.export.bundle import bundle, runtime_source
 from piezoid.export.runtime_parameters import function_values
 from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.verification.limit_proof import TOOL, LimitProof, prove, prove_axis
@@ -68,7 +68,7 @@ def test_an_axis_of_plays_behind_functions_is_proved():
 )
 def test_what_is_not_analysed_to_its_end_is_never_proved(old, new, said):
     file = stage("z")
-    source = shipped(SOURCE).decode().replace(old, new)
+    source = runtime_source(SOURCE).decode().replace(old, new)
     found = prove_axis({**bundle(file).files, SOURCE: source.encode()}, file.axes[0], 0, "double")
     assert not found.is_proved
     assert not found.passed
@@ -120,7 +120,7 @@ def test_a_proof_of_nothing_is_none():
 
 
 def test_every_mutant_changes_the_source():
-    source = shipped(SOURCE).decode()
+    source = runtime_source(SOURCE).decode()
     assert len(LATERAL) + len(TIP) >= 50
     assert len({broken(source, slip) for slip in LATERAL + TIP}) == len(LATERAL) + len(TIP)
     with pytest.raises(ValueError, match="clamp does not hold"):

@@ -14,7 +14,12 @@ from piezoid.identification.tunnelling.junction_plant import DriveMode
 from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.records.lab import Lab, Tunnelling
 from piezoid.verification.closed_loop import run_axis
-from piezoid.verification.plant import Hysteresis, Plugged, junction_axis_plant, lateral_plant
+from piezoid.verification.plant import (
+    CustomResponse,
+    Hysteresis,
+    junction_axis_plant,
+    lateral_plant,
+)
 from piezoid.verification.verify_stage import varied_plants, verify_stage
 from tests.design.junction_lab import LAB
 from tests.identification.dynamics.stage import truth
@@ -62,7 +67,10 @@ def test_plays_behind_functions_answer_in_the_plant_as_their_operator_does(rng):
             path,
             rng=np.random.default_rng(0),
         )
-        for response in (Hysteresis(operator=operator, history_V=history_V), Plugged(begin=begin))
+        for response in (
+            Hysteresis(operator=operator, history_V=history_V),
+            CustomResponse(begin=begin),
+        )
     ]
     assert np.ptp(runs[0].voltage_V) > 8.0
     np.testing.assert_allclose(runs[0].position, runs[1].position, rtol=0.0, atol=1e-18)

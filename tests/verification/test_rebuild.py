@@ -6,7 +6,14 @@ import pytest
 from piezoid.errors import ParameterFileError, RuntimeLibraryError
 from piezoid.export.bundle import bundle
 from piezoid.verification.proof import Proof
-from piezoid.verification.rebuild import SAMPLES, compare, emulate, expected, inputs_of, rebuild
+from piezoid.verification.rebuild import (
+    SAMPLES,
+    compare,
+    emulate,
+    expected_answers,
+    rebuild,
+    replay_inputs,
+)
 from tests.runtime.compiler import found
 from tests.verification.rig import stage
 
@@ -43,7 +50,7 @@ def test_counting_the_same_loop_again_gives_the_same_number():
 
 def test_one_other_answer_is_counted(tmp_path):
     file = stage("x")
-    answers = bytearray(expected(file, "float"))
+    answers = bytearray(expected_answers(file, "float"))
     answers[8 * 4321] ^= 1
     (tmp_path / "answers.bin").write_bytes(bytes(answers))
     one = compare(tmp_path, ("echo", "0 0 0 0 892"), file, "float", 1000)
@@ -90,7 +97,7 @@ def test_a_build_that_compared_nothing_does_not_pass():
 
 def test_the_hostile_part_holds_every_kind_of_bad_number():
     for axis in stage().axes:
-        for signal in inputs_of(axis, 0):
+        for signal in replay_inputs(axis, 0):
             assert np.isnan(signal).any()
             assert (np.isinf(signal) & (signal > 0)).any()
             assert (np.isinf(signal) & (signal < 0)).any()

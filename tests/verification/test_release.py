@@ -5,7 +5,7 @@ from json import loads
 
 from piezoid.calibration.controllers import Controllers, failed_of, files_of
 from piezoid.export.parameter_file import from_json
-from piezoid.verification.release import shipping_of
+from piezoid.verification.release import release
 from tests.verification.known_fit import junction_model, shipped
 from tests.verification.rig import stage
 
@@ -18,7 +18,7 @@ def files_for(found):
 
 
 def test_what_passes_ships_and_nothing_is_refused():
-    found = shipping_of(stage("z"), junction_model())
+    found = release(stage("z"), junction_model())
     assert found.parameters is not None
     assert found.verification.passed
     assert not found.reasons
@@ -29,7 +29,7 @@ def test_what_passes_ships_and_nothing_is_refused():
 
 def test_what_fails_leaves_neither_parameters_nor_a_bundle_but_its_figures():
     """The tip's loop cannot hold a junction whose gain is eight times the one it is made for."""
-    found = shipping_of(stage("z"), junction_model(ratios=(1.0, 8.0)))
+    found = release(stage("z"), junction_model(ratios=(1.0, 8.0)))
     assert found.parameters is None
     assert "verdicts" in found.reasons["z"]
     assert "plants the recordings allow" in found.reasons["z"]
@@ -43,7 +43,7 @@ def test_an_axis_that_passes_alone_ships_without_the_one_that_fails():
     tip = stage("z")
     within = {"reference_minimum_m": -7e-6, "reference_maximum_m": 1.1e-5}
     both = replace(tip, axes=(shipped("mpi_dob").with_values(within), *tip.axes))
-    found = shipping_of(both, junction_model(ratios=(1.0, 8.0)))
+    found = release(both, junction_model(ratios=(1.0, 8.0)))
     assert [axis.axis for axis in found.parameters.axes] == ["x"]
     assert set(found.reasons) == {"z"} == set(found.parameters.unshipped)
     assert found.verification.passed

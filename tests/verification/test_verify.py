@@ -11,8 +11,8 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.bundle import source_digest
 from piezoid.export.parameter_file import ParameterFile, digest_of
 from piezoid.runtime.controller import Status
-from piezoid.verification.criteria import Limits, survived
-from piezoid.verification.plant import Plugged, with_gain
+from piezoid.verification.criteria import Limits, fault_verdicts
+from piezoid.verification.plant import CustomResponse, with_gain
 from piezoid.verification.proof import Proof
 from piezoid.verification.scenarios import SCENARIOS, Path
 from piezoid.verification.tip_trials import TIP_TRIALS
@@ -199,7 +199,7 @@ def test_a_fault_is_forgotten_once_the_error_is_what_may_ship(percent, passes):
         {"x": path}, {"x": path + 1e-9}, path=Path(x=path, y=path), radius_m=radius_m,
         frequency_Hz=10.0, sampling_rate_Hz=20e3,
     )  # fmt: skip
-    _, forgotten = survived("lost", error_m, healthy, radius_m, Limits())
+    _, forgotten = fault_verdicts("lost", error_m, healthy, radius_m, Limits())
     assert forgotten.passed == passes
 
 
@@ -273,7 +273,7 @@ def test_an_axis_without_a_plant_is_refused_by_name():
 
 
 def test_a_plugged_response_has_no_gain_to_change():
-    plugged = lateral(response=Plugged(begin=lambda _: lambda v: GAIN_m_per_V * v))
+    plugged = lateral(response=CustomResponse(begin=lambda _: lambda v: GAIN_m_per_V * v))
     with pytest.raises(TypeError, match="no gain"):
         with_gain(plugged, 1.1, "more")
 
