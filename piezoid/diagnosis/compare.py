@@ -245,7 +245,7 @@ def _without_outliers(model: AxisModel, recording: Recording) -> Recording:
         piece.start + int(k)
         for piece in recording.pieces
         if np.isfinite(error_m[piece]).all()
-        for k in outlying(error_m[piece], drive_V[piece])
+        for k in outlying(error_m[piece], drive_V[piece], measured_m[piece])
     ]
     if not outliers:
         return recording

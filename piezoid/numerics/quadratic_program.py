@@ -11,6 +11,9 @@ from piezoid.errors import InfeasibleFitError
 from piezoid.numerics.arrays import Array
 
 _TOLERANCE = 1e-10
+# Of columns of norm 1, tried in turn: nearly dependent columns are separated by the smallest one
+# for which the active-set method ends.
+RIDGES = (0.0, 1e-13, 1e-11, 1e-9)
 JITTER = 1e-14  # of a column's norm squared: keeps R'R definite where rounding would not
 AT_BOUND = 1e-7  # of what is added up in a constraint
 ROUNDING = 1e-11  # of columns and a target of norm 1
@@ -133,7 +136,7 @@ def bounded_minimum(gram: Array, right: Array, lower: Array, upper: Array) -> Ar
     Invariant to scale: b and the bounds in other units give x in other units. A variable at an
     active bound equals the bound exactly.
 
-    Raises ``LinAlgError`` for a G that is not positive definite to rounding.
+    Raises ``LinAlgError`` for a G that is not positive definite to 1e-9 of its diagonal.
 
     Source: Arnstroem, Bemporad & Axehill, IEEE Transactions on Automatic Control 67 (2022), daqp.
     """
@@ -144,16 +147,19 @@ def bounded_minimum(gram: Array, right: Array, lower: Array, upper: Array) -> Ar
     nearest = np.clip(np.zeros_like(length), lower, upper) * length
     height = float(max(np.linalg.norm(right / length), np.linalg.norm(nearest))) or 1.0
     below, above = lower * (length / height), upper * (length / height)
-    scaled, _, flag, details = daqp.solve(
-        gram / np.outer(length, length),
-        -right / (length * height),
-        np.empty((0, len(length))),
-        np.minimum(above, _UNBOUNDED),
-        np.maximum(below, -_UNBOUNDED),
-        np.where(lower >= upper, _EQUALITY, 0).astype(np.int32),
-        primal_tol=_PRIMAL_TOLERANCE,
-    )
-    if flag != _SOLVED:
+    for ridge in RIDGES:
+        scaled, _, flag, details = daqp.solve(
+            gram / np.outer(length, length) + ridge * np.eye(len(length)),
+            -right / (length * height),
+            np.empty((0, len(length))),
+            np.minimum(above, _UNBOUNDED),
+            np.maximum(below, -_UNBOUNDED),
+            np.where(lower >= upper, _EQUALITY, 0).astype(np.int32),
+            primal_tol=_PRIMAL_TOLERANCE,
+        )
+        if flag == _SOLVED:
+            break
+    else:
         raise np.linalg.LinAlgError(
             f"the quadratic form was not minimised: daqp ended with status {flag}"
         )

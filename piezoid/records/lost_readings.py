@@ -35,6 +35,7 @@ Places = NDArray[np.intp]
 AGAIN = 3  # times: one value far off its neighbours twice may be chance
 MOST = 0.2  # of the samples: where more repeat themselves, the sensor is slower than the clock
 FAR = 8.0  # times the noise: one of 1e14 normal readings
+DRIVEN = 0.25  # of the drive's step behind a repeat: its own step; a uniform motion has all of it
 OFF = 2.0  # times what the neighbours leave open, and what the drive moved
 SPIKE = 0.05  # of the range: a smaller one is sized by the diagnosis, beside a model
 SPIKE_OFF = 4.0  # times the same: a spike has nothing else to show for it
@@ -101,7 +102,7 @@ def lost_readings(values: Array, drive: Array | None = None) -> tuple[Lost, ...]
             break
         spikes |= fresh_spikes
         gone |= fresh_spikes
-    held = _held(values, gone, noise)
+    held = _held(values, gone, noise, drive)
     if (gone | held)[~standing].mean() > MOST:
         return ()
     said = [_lost("written", here, value) for value, here in sorted(found.items())]
@@ -266,8 +267,12 @@ def _spikes(values: Array, gone: Mask, noise: float, moved: Array, travel: float
     return wrong
 
 
-def _held(values: Array, gone: Mask, noise: float) -> Mask:
-    """Return samples that repeat the one before while the stage moves on in one direction."""
+def _held(values: Array, gone: Mask, noise: float, drive: Array | None) -> Mask:
+    """Return samples that repeat the one before while the stage moves on in one direction.
+
+    Where the drive is known it moves during the repeats by about as much in each sample as behind
+    them. Equal readings at the end of a hold, where it moves behind them only, are no fault.
+    """
     wrong: Mask = np.zeros(len(values), dtype=bool)
     place = np.flatnonzero(~gone)
     kept = values[place]
@@ -281,6 +286,10 @@ def _held(values: Array, gone: Mask, noise: float) -> Mask:
         return wrong
     if step_size(kept) == 0.0:  # no fine reading comes again by itself, however slowly it moves
         off[:] = True
+    if drive is not None:
+        during = np.abs(drive[place[ends - 1]] - drive[place[begins]])
+        behind = np.abs(drive[place[ends]] - drive[place[ends - 1]])
+        off &= during >= DRIVEN * behind * (ends - 1 - begins)
     for begin, end in zip(begins[off].tolist(), ends[off].tolist(), strict=True):
         wrong[place[begin + 1 : end]] = True
     return wrong

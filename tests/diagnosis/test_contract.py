@@ -8,7 +8,7 @@ import pytest
 
 import piezoid.diagnosis.effects as folder
 from piezoid.diagnosis.candidate import judged, structural_candidate
-from piezoid.diagnosis.effect import HEADINGS, Effect
+from piezoid.diagnosis.effect import HEADINGS, Effect, Filter
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.refinement import initial_guess, refined
 from piezoid.diagnosis.score_test import score_test
@@ -52,6 +52,24 @@ def test_an_effect_explains_itself_in_five_headings(effect):
     assert places == sorted(places)
     assert len(effect.experiment) > 40
     assert set(effect.confounded) <= set(NAMES)
+
+
+def filter_cases() -> list[tuple[str, Filter, dict[str, float]]]:
+    """Return every filter of the catalogue with the parameters of one of its trials."""
+    return [
+        (effect.name, passed, dict(effect.trials(healthy_view())[0].parameters))
+        for effect in EFFECTS
+        for passed in (effect.drive_filter, effect.response_filter)
+        if passed is not None and effect.trials is not None
+    ]
+
+
+@pytest.mark.parametrize("samples", [0, 1, 2])
+def test_a_filter_takes_signals_of_any_length(samples):
+    signal = np.linspace(0.0, 1.0, samples)
+    for name, passed, parameters in filter_cases():
+        assert len(passed(signal, 1e-9, parameters)) == samples, name
+        assert len(passed(signal, 1e4, parameters)) == samples, name
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=NAMES)

@@ -43,7 +43,7 @@ CLIPPED_AT = 0.94  # of the range, about its middle, in a plan
 
 def _clip(drive: Array, _: float, parameters: Parameters) -> Array:
     low, high = parameters.get("low", -np.inf), parameters.get("high", np.inf)
-    if drive.min() >= low and drive.max() <= high:
+    if np.all((drive >= low) & (drive <= high)):
         return drive
     return np.clip(drive, low, high)
 

@@ -40,7 +40,7 @@ PLANNED = 0.7  # of the fastest speed along the drive, in a plan
 
 def _limited(drive: Array, rate_Hz: float, parameters: Parameters) -> Array:
     step = parameters["limit_per_s"] / rate_Hz
-    return drive if float(np.abs(np.diff(drive)).max()) <= step else slewed(drive, step)
+    return slewed(drive, step) if np.any(np.abs(np.diff(drive)) > step) else drive
 
 
 def _trials(view: View) -> list[Trial]:

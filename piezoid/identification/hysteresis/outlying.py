@@ -6,13 +6,15 @@ What a rough fit does not follow is smooth beside a single wrong reading, so the
 where the response itself is steep. Where many neighbours stand out as far, it rings: ``local`` is
 the 70 % quantile of |d| around. Behind a turn of the drive a rough fit errs by the same every
 time: there ``local`` is at least that quantile of |d| at as many samples behind the other turns.
-[Hampel 1974]
+Where the drive moves the stage far within the window, a rough fit errs by a part of that motion:
+|d| must exceed a tenth of it as well. [Hampel 1974]
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.search import Fitted, continued
@@ -28,6 +30,7 @@ STEEP = 0.8  # of its distance from the median: less is a corner
 SOLE = 0.9  # of a pair's, for a corner is three quarters
 BEFORE, BEHIND = 2, 8  # samples about a turn in which a law bends as a rough fit does not
 TURNS = 3  # so many say what is usual there
+MISFIT = 0.1  # of the motion in the window: what a rough fit may miss of it
 PASSES = 3  # one of two beside each other may hide the other
 MOST = 0.1  # of a piece: more are no outliers
 
@@ -54,7 +57,7 @@ def left_out_of(before: Sequence[Piece], after: Sequence[Piece]) -> tuple[str, .
 
 
 def _without(piece: Piece, error: Array) -> Piece:
-    out = outlying(error, piece.drive)
+    out = outlying(error, piece.drive, piece.response)
     out = out[(out >= piece.first) & (out < piece.last)]
     if not len(out):
         return piece
@@ -66,15 +69,17 @@ def _without(piece: Piece, error: Array) -> Piece:
     )
 
 
-def outlying(error: Array, drive: Array) -> Samples:
+def outlying(error: Array, drive: Array, response: Array) -> Samples:
     """Return which samples of a residual stand out of their neighbours, increasing.
 
-    error, drive  (samples,)  any unit
+    error, drive, response  (samples,)  any unit; the response in that of the error
     """
-    lag = _behind_turns(drive)
+    lag, motion = _behind_turns(drive), _motion(drive, response)
     good = np.arange(len(error))
     for _ in range(PASSES):
-        fresh = _standing_out(error[good], lag[good]) if len(good) > 4 * WIDTH else good[:0]
+        if len(good) <= 4 * WIDTH:
+            break
+        fresh = _standing_out(error[good], lag[good], motion[good])
         if not len(fresh):
             break
         good = np.delete(good, fresh)
@@ -92,6 +97,14 @@ def _behind_turns(drive: Array) -> Samples:
     return lag
 
 
+def _motion(drive: Array, response: Array) -> Array:
+    """Return how far the drive moves the stage within the window of every sample, (samples,)."""
+    ends = (0.002, 0.998)
+    gain = np.ptp(np.quantile(response, ends)) / max(np.ptp(np.quantile(drive, ends)), 1e-300)
+    moved = maximum_filter1d(drive, WIDTH) - minimum_filter1d(drive, WIDTH)
+    return np.asarray(gain * moved)
+
+
 def _usual(apart: Array, lag: Samples) -> Array:
     """Return what is usual as many samples behind a turn, 0 elsewhere, (samples,)."""
     usual = np.zeros(len(apart))
@@ -102,14 +115,14 @@ def _usual(apart: Array, lag: Samples) -> Array:
     return usual
 
 
-def _standing_out(error: Array, lag: Samples) -> Samples:
+def _standing_out(error: Array, lag: Samples, motion: Array) -> Samples:
     reach = WIDTH // 2
     padded = np.pad(error, reach, mode="reflect", reflect_type="odd")
     apart = np.abs(
         error - np.median(np.lib.stride_tricks.sliding_window_view(padded, WIDTH), axis=1)
     )
     scale = 1.4826 * float(np.median(apart))
-    far = np.flatnonzero(apart > FAR * scale)
+    far = np.flatnonzero(apart > np.maximum(FAR * scale, MISFIT * motion))
     if scale == 0.0 or len(far) > MOST * len(error):
         return np.zeros(0, dtype=np.intp)
     near = [apart[max(k - AROUND, 0) : k + AROUND + 1] for k in far.tolist()]
