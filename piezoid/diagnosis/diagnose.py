@@ -356,7 +356,8 @@ def _of_cause(cause: Candidate, outcome: Outcome, numbers: Simulated) -> Finding
         f"{100 * cause.share:.3g} % of the stroke (rms) of it is what no hysteresis could be; "
         f"beside everything else found it takes {100 * cause.cv.gain:.3g} % off the error that "
         "is left there."
-        f"{_or_a_part(structure)}",
+        f"{_or_a_part(structure)}"
+        + ("" if effect.note is None else f" {effect.note(cause.selected.parameters)}"),
         next_experiment=" ".join(one.experiment for one in (effect, *structure)),
         parameters=dict(cause.selected.parameters),
     )

@@ -278,6 +278,7 @@ class Effect:
     fault                     how it is looked for, for faults of the data
     size                      (view, parameters, coefficients) -> size in ``unit``; None: rms in
                               percent
+    note                      (parameters) -> what the parameters mean, for its explanation
     at_rest                   (standing) -> what it adds while the drive rests, (rows, columns), or
                               why these readings cannot show it; None: it needs a drive
     model_error               part of the size that the law itself may be wrong by (a spectrum
@@ -314,6 +315,7 @@ class Effect:
     between_recordings: "Effect | None" = None
     fault: FaultTest | None = None
     size: Callable[[View, Parameters, Array], float] | None = None
+    note: Callable[[Parameters], str] | None = None
     at_rest: Callable[[Standing], Array | str] | None = None
     extend: Callable[[Found, Setting], tuple[Extension, ...]] | None = None
     structural: Structural | None = None

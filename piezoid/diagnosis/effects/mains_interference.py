@@ -15,6 +15,7 @@ Source
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -47,6 +48,8 @@ OFF_Hz, OFF_STEP_Hz = 0.3, 0.03  # how far a grid is off its nominal frequency
 OFF_AT_REST_Hz = 0.5
 NEAR_Hz = 6.0  # around a line, to compare it with
 LINE = 8.0  # times what is around it
+MISSED = 1.0  # of a line of the residual: a line of the static response that may be it
+CLOCK_OFF = 2e-3  # of the nominal frequency: grids stay within 0.1 % for hours
 PLANNED_Hz = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
 
 
@@ -64,11 +67,15 @@ class Lines:
     spectra        amplitudes of the waves of every track's static response
     resolution_Hz  their distance
     floor          what the sensor's noise is in such a spectrum
+    residuals      (rows,) of every track, and their samples
+    rates_Hz       of the tracks
     """
 
     spectra: tuple[Array, ...]
     resolution_Hz: tuple[float, ...]
     floor: tuple[float, ...]
+    residuals: tuple[tuple[Array, Places], ...]
+    rates_Hz: tuple[float, ...]
 
     @classmethod
     def of(cls, view: View) -> "Lines":
@@ -78,10 +85,18 @@ class Lines:
             spectra=tuple(_spectrum(static) for static in view.static),
             resolution_Hz=tuple(t.rate_Hz / len(t.response) for t in view.tracks),
             floor=tuple(noise),
+            residuals=tuple(
+                (view.null.residual[a:b], track.place)
+                for track, (a, b) in zip(view.tracks, pairwise(view.nuisance.edges), strict=True)
+            ),
+            rates_Hz=tuple(track.rate_Hz for track in view.tracks),
         )
 
     def driven(self, k: int, frequency_Hz: float) -> bool:
-        """Tell whether the static response of a track has a line there."""
+        """Tell whether the static response of a track has a line there that may be misfit.
+
+        A class that misses a part of that line leaves less than the line itself.
+        """
         spectrum, step_Hz = self.spectra[k], self.resolution_Hz[k]
         away_Hz = np.abs(np.arange(len(spectrum)) * step_Hz - frequency_Hz)
         here = away_Hz <= max(OFF_Hz, 2.0 * step_Hz)
@@ -90,7 +105,15 @@ class Lines:
             return False
         # what lies below the sensor's noise is no line of anything
         least = max(float(np.median(spectrum[around])), self.floor[k])
-        return bool(spectrum[here].max() > LINE * least)
+        line = float(spectrum[here].max())
+        return line > LINE * least and line > MISSED * self._residual_line(k, frequency_Hz)
+
+    def _residual_line(self, k: int, frequency_Hz: float) -> float:
+        """Return the largest amplitude of the residual of a track near a frequency."""
+        residual, place = self.residuals[k]
+        near_Hz = frequency_Hz + np.arange(-OFF_Hz, OFF_Hz + 1e-9, OFF_STEP_Hz)
+        powers = _powers(residual, 2.0 * np.pi * near_Hz / self.rates_Hz[k], place)
+        return 2.0 * float(np.sqrt(powers.max())) / len(residual)
 
 
 def _spectrum(signal: Array) -> Array:
@@ -130,15 +153,15 @@ def _strongest(view: View, lines: Lines, nominal_Hz: float) -> tuple[float, int]
     return best[1], best[2]
 
 
-def _powers(signal: Array, reversals: Array, place: Places) -> Array:
-    """Return how strongly a signal follows waves of equally spaced turns per sample, (turns,).
+def _powers(signal: Array, step_rad: Array, place: Places) -> Array:
+    """Return |sum_k s_k exp(i w k)|^2 for equally spaced angles w per sample, (angles,).
 
     The next wave is the last one times a slow one: a product instead of a sine for every sample.
     """
-    wave = signal * np.exp(1j * reversals[0] * place)
-    slow = np.exp(1j * (reversals[1] - reversals[0]) * place)
+    wave = signal * np.exp(1j * step_rad[0] * place)
+    slow = np.exp(1j * (step_rad[1] - step_rad[0]) * place)
     sums = [wave.sum()]
-    for _ in reversals[1:]:
+    for _ in step_rad[1:]:
         wave *= slow
         sums.append(wave.sum())
     return np.asarray(np.abs(sums) ** 2)
@@ -161,8 +184,8 @@ def _columns(view: View, parameters: Parameters) -> Array:
 
 def _tangent(drive: Driven, _: float) -> Array:
     heard = [f for f in PLANNED_Hz if f < 0.4 * drive.rate_Hz]
-    reversals = [2 * np.pi * f * drive.time_s for f in heard]
-    lines = [wave(turn) for turn in reversals for wave in (np.cos, np.sin)]
+    angles_rad = [2 * np.pi * f * drive.time_s for f in heard]
+    lines = [wave(angle_rad) for angle_rad in angles_rad for wave in (np.cos, np.sin)]
     return 1e-6 * np.column_stack(lines or [np.zeros(len(drive.voltage_V))])
 
 
@@ -180,6 +203,19 @@ def _at_rest(standing: Standing) -> Array | str:
     power = [abs(np.exp(-2j * np.pi * f * time_s) @ calm_m) for f in tried[:4000]]
     best = peak_Hz(calm_m, time_s, tried[int(np.argmax(power))], 0.25 / span_s)
     return waves(time_s, [n * best for n in HARMONICS if 2 * n * best < rate_Hz])
+
+
+def _clock_note(parameters: Parameters) -> str:
+    """Return what the frequency says about the clock of the file, if it is the grid's."""
+    frequency_Hz = parameters["frequency_Hz"]
+    nominal_Hz = min(GRIDS_Hz, key=lambda grid_Hz: abs(grid_Hz - frequency_Hz))
+    off = frequency_Hz / nominal_Hz - 1.0
+    if abs(off) < CLOCK_OFF:
+        return f"The line stands at {frequency_Hz:.2f} Hz."
+    return (
+        f"The line stands at {frequency_Hz:.2f} Hz. If this is the mains, the clock of the file "
+        f"is {100.0 * abs(off):.2f} % off."
+    )
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -202,6 +238,7 @@ EFFECT = Effect(
     trials=_trials,
     columns=_columns,
     size=added_percent(_columns),
+    note=_clock_note,
     model_error=0.04,  # a phase that wanders between knots, and higher harmonics, are not in it
     at_rest=_at_rest,
     inject=inject,
