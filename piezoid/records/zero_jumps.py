@@ -38,6 +38,10 @@ FRINGES = (
     (316.4e-9, "an interferometer with a helium-neon laser"),
     (158.2e-9, "a double-pass interferometer with a helium-neon laser"),
 )
+MIN_CYCLES = 4  # equal ones: two to compare on either side of a step
+STEP_RATIO = 5.0  # mean over the period with the step, over the largest of the others
+FLAT = 1.2  # scatter within that period, over that of the others: a step shifts all of it
+EQUAL = 0.01  # of a cycle's rms: what equal cycles of the drive differ by
 TOLD = 5  # jumps by place and size
 BLOCK = 20  # samples of a mean, where the drive rests
 
@@ -100,8 +104,10 @@ def lasting_jumps(reading: Array, drive: Array, *, rests: bool = False) -> tuple
         for jump in _standing_out(reading, drive, width):
             if all(jump.last < other.first or jump.first > other.last for other in found):
                 found.append(jump)
-    if not 0 < len(found) <= MOST:
+    if len(found) > MOST:
         return ()
+    if not found:
+        return _steps_between_cycles(reading, drive)
     found.sort(key=lambda jump: jump.first)
     up = np.array([jump.size > 0.0 for jump in found])
     if len(found) >= SWITCHES and (up[1:] != up[:-1]).mean() >= TO_AND_FRO:
@@ -117,6 +123,59 @@ def lasting_jumps(reading: Array, drive: Array, *, rests: bool = False) -> tuple
         if len(near.differs) and near.misses(found) < EXPLAINED * near.misses(others):
             kept.append(jump)
     return tuple(kept)
+
+
+def _steps_between_cycles(reading: Array, drive: Array) -> tuple[Jump, ...]:
+    """Return the step of the zero that equal cycles show, however noisy the reading is.
+
+        d(t) = y(t + P) - y(t) = J   for t_0 - P <= t < t_0,   else 0
+
+    P is the period of the drive and J the step at t_0, so that the mean of d over a period finds
+    steps far below the noise of single samples. The first cycle still moves the walls, and is not
+    compared. A step lies alone: the means of the other periods differ by much less.
+    """
+    period = _period(drive)
+    if period == 0 or len(drive) < MIN_CYCLES * period:
+        return ()
+    differs = reading[2 * period :] - reading[period:-period]
+    means = np.convolve(differs - np.median(differs), np.full(period, 1.0 / period), "valid")
+    best = int(np.argmax(np.abs(means)))
+    size, instant = float(means[best]), best + 2 * period
+    others = np.concatenate([means[: max(best - period, 0)], means[best + period :]])
+    scatter = 1.4826 * float(np.median(np.abs(np.diff(differs)))) / np.sqrt(2.0 * period)
+    if not len(others) or abs(size) < STEP_RATIO * max(float(np.abs(others).max()), scatter):
+        return ()
+    centred = differs - np.median(differs)
+    here = np.zeros(len(centred), dtype=bool)
+    here[best : best + period] = True
+    if _spread(centred[here]) > FLAT * _spread(centred[~here]):
+        return ()
+    return (Jump(first=instant - 1, last=instant, size=size),)
+
+
+def _spread(values: Array) -> float:
+    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
+
+
+def _period(drive: Array) -> int:
+    """Return the period of a drive that repeats in equal cycles, in samples; 0 otherwise.
+
+    D(P) = sum (u(t + P) - u(t))^2   small against the power of u
+    """
+    count, centred = len(drive), drive - drive.mean()
+    correlation = np.fft.irfft(np.abs(np.fft.rfft(centred, 2 * count)) ** 2)[:count]
+    power = np.concatenate([[0.0], np.cumsum(centred**2)])
+    lags = np.arange(count // MIN_CYCLES + 1)
+    differs = power[count - lags] + power[-1] - power[lags] - 2.0 * correlation[lags]
+    variance = differs / (count - lags)
+    moves = np.flatnonzero(variance > 0.5 * power[-1] / count)
+    if not len(moves):
+        return 0
+    repeats = moves[0] + np.flatnonzero(variance[moves[0] :] < EQUAL**2 * power[-1] / count)
+    if not len(repeats):
+        return 0
+    first = repeats[: 1 + np.argmax(np.diff(repeats, append=np.inf) > 1)]
+    return int(first[np.argmin(variance[first])])
 
 
 def _standing_out(reading: Array, drive: Array, width: int) -> list[Jump]:

@@ -9,6 +9,7 @@ import pytest
 from piezoid.identification.fit import fit
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
+from piezoid.records.zero_jumps import lasting_jumps
 from piezoid.statement import Statement
 from tests.laws import LAWS, recorded, triangles
 
@@ -101,3 +102,16 @@ def test_a_fit_holds_its_error_and_says_what_was_odd(tmp_path: Path, law: str) -
     assert "The parts between" not in limit.reason
     worst_first = [one.most for one in now.quality.limits]
     assert all(a <= b for a, b in pairwise(worst_first))
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_step_below_ten_times_the_noise_shows_between_equal_cycles(law: str) -> None:
+    field = triangles(8, 300)
+    clean_um = 10.0 * LAWS[law](field)
+    noise_um = 0.06 * np.random.default_rng(5).standard_normal(len(FIELD))
+    (jump,) = lasting_jumps(clean_um + stairs((1100, 0.5)) + noise_um, field)
+    assert abs(jump.last - 1100) <= 3
+    assert jump.size == pytest.approx(0.5, rel=0.15)
+    assert lasting_jumps(clean_um + noise_um, field) == ()
+    other_gain = np.where(np.arange(len(FIELD)) < 1100, 1.0, 1.03)
+    assert lasting_jumps(other_gain * clean_um + noise_um, field) == ()
