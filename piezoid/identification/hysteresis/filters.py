@@ -38,6 +38,8 @@ def first_order(time_constant_s: float, sampling_rate_Hz: float) -> Coefficients
 
 def relaxed(moved: Array, time_s: float, rate_Hz: float) -> Array:
     """Return a signal behind a first-order lag, straight between samples."""
+    if len(moved) == 0:
+        return moved
     columns = moved if moved.ndim == 2 else moved[:, None]
     state = np.repeat(columns[:1], 2, axis=0)
     return filter_columns(columns, first_order(time_s, rate_Hz), state).reshape(moved.shape)
