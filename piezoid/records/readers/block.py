@@ -257,7 +257,7 @@ def _frame(text: str, layout: Layout, dtype: type) -> "DataFrame | None":
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
             return pd.read_csv(
-                io.StringIO(text),
+                io.BytesIO(text.encode("utf-8", "replace")),  # a StringIO takes 4 bytes a letter
                 sep=layout.separator or r"\s+",
                 decimal=layout.decimal,
                 header=None,

@@ -13,16 +13,17 @@ _SEEN = 10  # rows at the end of the head: comments and headings stand before th
 
 
 def _pattern(digits: str) -> re.Pattern[str]:
+    # A number is matched as a whole or not at all (++): a run of digits is searched once.
     # The sign stands close to both parts or apart from both: "1.0 -0.3i" are two fields.
     return re.compile(
-        rf"\(?(?P<real>[+-]?{digits})(?:\s+(?P<apart>[+-])\s+|\+?(?P<sign>[+-]))"
+        rf"(?<![\w.])\(?(?P<real>[+-]?{digits})(?:\s{{1,9}}(?P<apart>[+-])\s{{1,9}}|\+?(?P<sign>[+-]))"
         rf"(?P<imaginary>{digits})\s?\*?[ijIJ](?![a-zA-Z\d])\)?"
     )
 
 
-_WITH_POINTS = _pattern(r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+_WITH_POINTS = _pattern(r"(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][+-]?\d++)?")
 # A comma is a decimal one only where something else parts the fields.
-_WITH_COMMAS = _pattern(r"(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
+_WITH_COMMAS = _pattern(r"(?:\d++(?:[.,]\d*+)?|[.,]\d++)(?:[eE][+-]?\d++)?")
 
 
 def parts_of(text: str) -> tuple[str, str] | None:

@@ -30,6 +30,7 @@ _LAYOUTS = tuple(
 # What may be a decimal comma with three decimals, or a thousand: ``1,234``.
 _THOUSAND = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
 _BELOW_THOUSAND = re.compile(r"[+-]?[1-9]\d{0,2}")
+_BRACKETS = frozenset("[](){}")
 _HEXADECIMAL = re.compile(r"\b0[xX][0-9a-fA-F]{1,16}\b")
 _COMMENT = re.compile(r"^\s*(?:#|%|//)+\s?")
 # No opening bracket inside: a line of those alone would be searched to its end from each of them.
@@ -276,9 +277,9 @@ def _cells(line: str, layout: Layout, is_open: bool = False) -> tuple[str, ...] 
     if not layout.separator:
         cuts += [_NAME_AND_BRACKET.findall(bare), re.split(r"\s{2,}|\t", bare.strip())]
     cuts += [split(bare, separator) for separator in ("\t", ";", ",")]
-    if layout.separator:  # ``position [um, filtered]``
-        outside = rf"{re.escape(layout.separator)}(?![^\[\](){{}}]*[\])}}])"
-        cuts.append(re.split(outside, bare))
+    if layout.separator and layout.separator in bare and not _BRACKETS.isdisjoint(bare):
+        # ``position [um, filtered]``
+        cuts.append(_split_outside_brackets(bare, layout.separator))
     for cells in cuts:
         cells = [cell.strip().strip('"').strip() for cell in cells]
         if len(cells) > layout.fields and not any(cells[layout.fields :]):
@@ -288,6 +289,18 @@ def _cells(line: str, layout: Layout, is_open: bool = False) -> tuple[str, ...] 
         if is_open and len(cells) + 1 == layout.fields:
             return (*cells, "")
     return None
+
+
+def _split_outside_brackets(line: str, separator: str) -> list[str]:
+    """Cut a line at the separators that no bracket encloses."""
+    cells, depth = [""], 0
+    for part in re.split(rf"([\[\](){{}}]|{re.escape(separator)})", line):
+        if part == separator and depth == 0:
+            cells.append("")
+            continue
+        depth = max(depth + (part in "[({") - (part in "])}"), 0) if part in _BRACKETS else depth
+        cells[-1] += part
+    return cells
 
 
 def without_headings(
