@@ -151,6 +151,13 @@ def _interrupt(number: int, _frame: object) -> None:
     raise Interrupted
 
 
+_OUT_OF_MEMORY = (
+    "the memory that this process may use is not enough. Needed: memory for all recordings, "
+    "about 1 kB for each sample of a fit. Fit them with --stream, which reads in chunks, or "
+    "name a part of them by start_s and stop_s in lab.toml."
+)
+
+
 def _told(error: Exception) -> int:
     from rich.console import Console
     from rich.text import Text
@@ -161,6 +168,8 @@ def _told(error: Exception) -> int:
         status, said = error.exit_status, str(error)
     elif isinstance(error, OSError):
         status, said = 3, _about_disk(error)
+    elif isinstance(error, MemoryError):
+        status, said = 3, _OUT_OF_MEMORY
     else:
         status, said = 70, f"piezoid failed with {type(error).__name__}: {error}. {_OURS}"
     console = Console(stderr=True)

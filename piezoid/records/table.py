@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array
-from piezoid.records.units import Heading, heading_of, unit_of
+from piezoid.records.units import MAX_HEADING, Heading, heading_of, unit_of
 from piezoid.statement import Statement
 
 # Instruments write 9.9e37 (SCPI) or 1e308 for a reading out of range; neither is a number.
@@ -47,6 +47,7 @@ class Column:
     values: Array
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "label", self.label[:MAX_HEADING])
         object.__setattr__(self, "values", _as_found(self.values))
 
     @property

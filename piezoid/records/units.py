@@ -101,6 +101,7 @@ _OTHER = re.compile(
 
 # Round brackets may hold others: of ``(A/sqrt(Hz))`` the unit is not the inner one.
 _BRACKETS = re.compile(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)")
+MAX_HEADING = 1000  # characters of a heading that are interpreted
 _AFTER_SLASH = re.compile(r"^(.*\S)\s*/\s*([^\s/]+)$")
 _AFTER_COMMA = re.compile(r"^(.*\S)\s*(?:,|\bin\b)\s*([^\s,]+)$")
 _AFTER_UNDERSCORE = re.compile(r"^(.*[^\s_])_([^\s_]+)$")
@@ -131,7 +132,7 @@ def heading_of(label: str) -> Heading:
     Understood: ``time [s]``, ``Voltage (V)``, ``U/V``, ``Position_um``, ``current, nA``. Brackets
     win over the other forms. A lone symbol (``V``) is a name, not a unit: it may be either.
     """
-    label = " ".join(label.split())
+    label = " ".join(label[:MAX_HEADING].split())
     return _bracketed(label) or _trailing(label) or Heading(stem=label, unit=None)
 
 

@@ -1,6 +1,10 @@
 """Small files that are wide, endless or no files: one message, before time is gone."""
 
 import os
+import resource
+import subprocess
+import sys
+import tracemalloc
 from pathlib import Path
 from time import process_time
 
@@ -8,9 +12,9 @@ import pytest
 
 from piezoid.errors import PiezoidError, UnreadableFileError
 from piezoid.records.inspection import inspect_file
-from piezoid.records.readers import read_table
+from piezoid.records.readers import read_table, source
 from piezoid.records.readers.optional_readers import reading
-from piezoid.records.readers.source import open_source
+from piezoid.records.readers.source import open_source, text_of
 from tests.records.tables import said
 
 ROWS = "".join(f"{k / 1000},{k % 7},{k % 5}\n" for k in range(60))
@@ -61,12 +65,84 @@ def test_a_comment_may_be_as_wide_as_it_likes(tmp_path: Path) -> None:
 
 def test_a_reader_short_of_memory_is_named_and_no_reason_made_up(tmp_path: Path) -> None:
     (tmp_path / "run.csv").write_text(HEADED + ROWS)
-    source = open_source(tmp_path / "run.csv")
+    opened = open_source(tmp_path / "run.csv")
     expected = pytest.raises(
         UnreadableFileError, match=r"stopped with MemoryError\. Needed: a whole npy"
     )
-    with expected, reading(source, "npy"):
+    with expected, reading(opened, "npy"):
         raise MemoryError
+
+
+# Each of these found an expression that took time to a higher power: 2000 digits, two minutes.
+RUNS = (
+    "0", "01", "1.", "1,", "1 ", "+", "-", "1e", "1+", "(", "[", ")", "a(", "[a]", "(1", ",", ";",
+    "1i", "1+1i ", "a, ", "_", "/",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("run", RUNS)
+@pytest.mark.parametrize(
+    "text",
+    ["{}", "{}\n" + ROWS, HEADED + "{}\n" + ROWS, HEADED + "0,{},1\n" + ROWS, "# {}\n" + ROWS],
+    ids=["alone", "heading", "row", "cell", "comment"],
+)
+def test_a_long_run_of_digits_signs_or_brackets_is_answered_at_once(
+    run: str, text: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "run.txt"
+    for size in (3_000, 50_000):
+        path.write_text(text.format(run * (size // len(run))))
+        begun_s = process_time()
+        inspect_file(path)
+        assert process_time() - begun_s < 2.0
+
+
+def test_a_recording_that_does_not_fit_into_memory_names_what_it_needs_and_stream(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(HEADED + ROWS * 20)
+    monkeypatch.setattr(source, "available_bytes", lambda: 20_000)
+    with pytest.raises(UnreadableFileError, match=r"takes about .* GB of memory.*--stream"):
+        read_table(path)
+    monkeypatch.undo()
+    assert source.available_bytes() is not None
+
+
+def test_a_command_short_of_memory_ends_with_status_3_and_names_stream(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(HEADED + ROWS * 200_000)
+    limit = (900 << 20, 900 << 20)
+    done = subprocess.run(
+        [Path(sys.executable).with_name("piezoid"), "fit", path, "--out", tmp_path / "out"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "COLUMNS": "500"},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, limit),
+    )
+    assert "--stream" in done.stdout + done.stderr
+    assert "GB of memory" in done.stdout + done.stderr
+    assert "MemoryError" not in done.stdout + done.stderr
+    assert done.returncode == 3
+
+
+def test_a_sparse_file_with_a_heading_is_refused_at_its_first_zero_byte(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(HEADED + ROWS)
+    os.truncate(path, 1 << 29)
+    opened = open_source(path)
+    tracemalloc.start()
+    with pytest.raises(UnreadableFileError, match="line 62 holds a zero byte"):
+        text_of(opened)
+    assert tracemalloc.get_traced_memory()[1] < 10 << 20
+    tracemalloc.stop()
+
+
+def test_a_zero_byte_in_a_heading_is_named_with_its_place(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(HEADED.replace("volt", "vo\x00lt") + ROWS)
+    assert "line 1 holds a zero byte (byte 12 of the file)" in said(path)
 
 
 def test_a_file_too_large_or_empty_is_refused_before_anybody_reads_through_it(

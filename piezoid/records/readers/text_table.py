@@ -31,6 +31,7 @@ from piezoid.records.readers.source import (
     Source,
     check_growth,
     encoding_of,
+    refuse_zero_bytes,
     text_of,
     unreadable,
     with_hyphens,
@@ -41,6 +42,8 @@ from piezoid.statement import Statement, finding
 # No binary format begins with so many lines without a zero byte, unless it has a header of text:
 # those that are known here are asked before.
 _LINES_OF_TEXT = 3
+_MAX_ZEROS = 0.05  # of the first bytes
+_CONTROLS = frozenset(range(1, 32)) - frozenset(b"\t\n\v\f\r\x1a")
 _LONGEST_LINE = 1 << 20  # characters; 4096 columns of whole doubles have a tenth of it
 _LONGEST_HEAD = 1 << 24
 
@@ -180,7 +183,7 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
         start = _start_in_stream(stream, source)
         first: Block | None = None
         line, first_row = start.row + 1, 0
-        for text in _line_chunks(stream, rows, source.name):
+        for text in _line_chunks(stream, rows, source):
             block, begins, statements = parsed(text, start, source.name, line)
             _refuse_dates(block, source.name, line)
             if first is None:
@@ -240,16 +243,16 @@ def _start_in_stream(stream: io.TextIOWrapper, source: Source) -> Start:
     return start
 
 
-def _line_chunks(stream: io.TextIOWrapper, rows: int, name: str) -> Iterator[str]:
+def _line_chunks(stream: io.TextIOWrapper, rows: int, source: Source) -> Iterator[str]:
     """Yield whole lines of about so many rows; each chunk repeats the last line of the one before.
 
     A short remainder goes with the chunk in front of it.
     """
     text = stream.readline(_LONGEST_LINE)
     characters = max(rows, 2) * len(text)
-    text += _whole_lines(stream, characters, name)
+    text += _whole_lines(stream, characters, source)
     while text:
-        more = _whole_lines(stream, characters, name)
+        more = _whole_lines(stream, characters, source)
         if len(more) < characters:
             yield text + more
             return
@@ -258,14 +261,16 @@ def _line_chunks(stream: io.TextIOWrapper, rows: int, name: str) -> Iterator[str
         text = lines[lines.rfind("\n") + 1 :] + "\n" + more
 
 
-def _whole_lines(stream: io.TextIOWrapper, characters: int, name: str) -> str:
+def _whole_lines(stream: io.TextIOWrapper, characters: int, source: Source) -> str:
     text, end_of_line = stream.read(characters), ""
     if text and not text.endswith("\n"):
         end_of_line = stream.readline(_LONGEST_LINE)
-    if "\x00" in text or len(end_of_line) >= _LONGEST_LINE:
+    if "\x00" in text:
+        refuse_zero_bytes(source)
+    if len(end_of_line) >= _LONGEST_LINE:
         raise unreadable(
-            name,
-            "it holds zero bytes, or a line of more than a million characters",
+            source.name,
+            "it holds a line of more than a million characters",
             needed="a text table to its end",
             remedy="Export the recording as CSV.",
         )
@@ -296,12 +301,16 @@ def _refuse_dates(block: Block, name: str, line: int) -> None:
 def recognises(source: Source) -> bool:
     """Take whatever is not the beginning of some other binary file.
 
-    Zero bytes behind some lines of text are damage to a text, which is told where it is read.
+    Zero bytes behind some lines of text, or among bytes that are otherwise text, are damage, which
+    ``text_of`` names.
     """
     head = source.head
     begun = head[: head.find(b"\x00")] if b"\x00" in head else head
-    return begun.count(b"\n") >= _LINES_OF_TEXT or (
-        begun == head or encoding_of(head).startswith("utf-16")
+    return (
+        begun == head
+        or begun.count(b"\n") >= _LINES_OF_TEXT
+        or encoding_of(head).startswith("utf-16")
+        or (head.count(b"\x00") < _MAX_ZEROS * len(head) and not _CONTROLS.intersection(head))
     )
 
 

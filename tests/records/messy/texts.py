@@ -376,7 +376,7 @@ TEXTS: tuple[Messy, ...] = (
         write=lambda path: (
             path.write_bytes(_with_zeros("\n".join(lines()).encode(), 3000, 256)) and None
         ),
-        refused="broken by 256 zero bytes, the first in line 1",
+        refused="line 132 holds a zero byte",
     ),
     Messy(
         name="run.json",
