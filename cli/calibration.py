@@ -22,22 +22,17 @@ def calibrate(
     """
     told("reading recordings")
     from piezoid.calibration.stage_jobs import jobs_of, ready, run_job, weight_of
-    from piezoid_cli.aside import with_trials_aside
-    from piezoid_cli.other_process import others
-    from piezoid_cli.side_by_side import side_by_side
+    from piezoid_cli.workers import map_jobs, worker_pool
 
-    # One more begins to load before it is known what there is to do: a single file is one axis.
-    with others(int(processes > 1 and len(files) > 1), ready) as begun:
+    # A worker loads while the recordings are read: a single file is one axis and needs none.
+    with worker_pool(processes - 1 if len(files) > 1 else 0, ready) as pool:
         from piezoid.records.collection import collect
         from piezoid.records.lab import read_lab
 
         declared = None if lab is None else read_lab(lab)
         held = collect(files, declared)
         blank, ways = jobs_of(held, declared, processes, told)
-        jobs = with_trials_aside(ways, begun)
-        found = side_by_side(
-            run_job, jobs, told, processes=processes, weight=weight_of, begun=begun
-        )
+        found = map_jobs(run_job, ways, told, pool=pool, cost=weight_of)
     from piezoid.calibration.calibrate import finished, stage_of
     from piezoid_reports.render import with_report
 

@@ -54,7 +54,7 @@ def diagnose(
     """
     from piezoid.output_folder import check_folder, write_folder
     from piezoid_cli.progress import shown
-    from piezoid_cli.side_by_side import usable_cores
+    from piezoid_cli.workers import usable_cores
 
     check_folder(
         out, force=force, new=True, names=("diagnosis.json", "diagnosis.html"), inputs=files

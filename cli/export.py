@@ -62,8 +62,8 @@ def export(
     from piezoid.targets.controller_hardware import ControllerHardware, read_hardware
     from piezoid.targets.targets import FOLDERS, check_targets
     from piezoid_cli.progress import shown
-    from piezoid_cli.side_by_side import usable_cores
     from piezoid_cli.stage_files import content_of, lab_of, same_model
+    from piezoid_cli.workers import usable_cores
 
     targets = check_targets(target or ())
     hardware = ControllerHardware() if box is None else read_hardware(box)

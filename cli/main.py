@@ -1,7 +1,11 @@
 """`piezoid` and the order of its verbs; the only place where errors become messages."""
 
+from piezoid_cli.interrupt import install, interruptible
+
+if __name__ == "__main__":
+    install()
+
 import os
-import signal
 import sys
 from typing import Annotated, Any, cast
 
@@ -33,7 +37,6 @@ from piezoid_cli.verify import verify
 _OURS = "This is a mistake of ours; run the same command with --debug and send us what it prints."
 ASKS_FOR_ALL = ("-v", "--verbose")
 USAGE = 2
-INTERRUPTED = 130  # what shells say of a program that Ctrl-C ended
 
 # What is wrong with the words behind a verb; the package names only one kind of it.
 _UsageError = cast(type[typer.BadParameter], typer.BadParameter.__base__)
@@ -122,33 +125,19 @@ def piezoid(
     """
 
 
-class Interrupted(BaseException):
-    """Somebody pressed Ctrl-C: what is half done is cleared away, and nothing else happens.
-
-    A KeyboardInterrupt would end with status 1, which says that a verdict failed.
-    """
-
-
 def main() -> None:
     """Run the command line; errors end as one message and an exit status."""
     arguments = [word for word in sys.argv[1:] if word not in ("--debug", *ASKS_FOR_ALL)]
     if set(sys.argv[1:]) & set(ASKS_FOR_ALL):
         EVERYTHING.set(True)
-    signal.signal(signal.SIGINT, _interrupt)
+    install()
     try:
-        app(arguments)
-    except Interrupted:
-        sys.stderr.write("interrupted: nothing is left half written\n")
-        sys.exit(INTERRUPTED)
+        with interruptible():
+            app(arguments)
     except Exception as error:
         if "--debug" in sys.argv[1:]:
             raise
         sys.exit(_told(error))
-
-
-def _interrupt(number: int, _frame: object) -> None:
-    signal.signal(number, signal.SIG_IGN)  # a second press must not disturb the clearing away
-    raise Interrupted
 
 
 _OUT_OF_MEMORY = (

@@ -70,8 +70,8 @@ def verify(
     from piezoid.verification.criteria import limits_from_toml
     from piezoid.verification.verify_stage import verify_stage
     from piezoid_cli.progress import shown
-    from piezoid_cli.side_by_side import usable_cores
     from piezoid_cli.stage_files import content_of, lab_of, same_model, text_of
+    from piezoid_cli.workers import usable_cores
 
     file = from_json(content_of(stage / "params.json"), str(stage / "params.json"))
     content = content_of(stage / "model.json")

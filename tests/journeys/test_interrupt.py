@@ -27,19 +27,16 @@ main()
 WRITE = """
 import sys
 import piezoid.output_folder as folder
-from piezoid_cli.main import _interrupt, Interrupted
+from piezoid_cli.interrupt import install, interruptible
 from pathlib import Path
-import signal
-signal.signal(signal.SIGINT, _interrupt)
-try:
+install()
+with interruptible():
     print("working", flush=True)
     n = 0
     while True:
         n += 1
         files = {f"{i}.bin": b"%d" % n * 20000 for i in range(8)}
         folder.write_folder(Path("stage"), files, force=True)
-except Interrupted:
-    sys.exit(130)
 """
 
 
@@ -80,3 +77,50 @@ def test_interrupted_while_writing_the_folder_is_whole_and_alone(
     held = [p.read_bytes() for p in (tmp_path / "stage").glob("*.bin")]
     assert len(held) in (0, 8)
     assert len(set(held)) <= 1
+
+
+def test_interrupted_while_modules_load_the_status_is_130_and_the_message_one_line(
+    tmp_path: Path,
+) -> None:
+    """From the first instruction of the command on; before, Python itself is starting."""
+    code = "import sys; print('begun', flush=True); from piezoid_cli.__main__ import main; main()"
+    words = ["simulate", "--recording", "sweep", "--out", "stage", "--quiet"]
+    statuses = []
+    for k in range(16):
+        process = subprocess.Popen(
+            [sys.executable, "-c", code, *words],
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(0.02 + 0.1 * k)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+        statuses.append(process.returncode)
+        if process.returncode != 130:  # it had come to its end
+            assert (process.returncode, said) == (0, b"")
+            break
+        assert said == b"interrupted: nothing is left half written\n"
+        assert not list(tmp_path.iterdir())
+    assert len(statuses) > 4
+
+
+def test_an_interruption_that_a_library_swallows_still_ends_the_command(tmp_path: Path) -> None:
+    code = """
+import signal, time
+from piezoid_cli.interrupt import install, interruptible
+install()
+with interruptible():
+    try:
+        print("working", flush=True)
+        time.sleep(60)
+    except BaseException:
+        pass
+    try:
+        time.sleep(60)
+    except BaseException as error:
+        raise ImportError("cannot load") from None
+"""
+    assert interrupted(code, tmp_path, 0.1) == 130

@@ -1,0 +1,190 @@
+"""Jobs of one command in worker processes.
+
+A job is a frozen record; its result does not depend on the process that does it. A worker that is
+killed costs time and no result: its jobs are done in this process.
+"""
+
+import copyreg
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import contextmanager, suppress
+from functools import partial
+from multiprocessing import active_children, get_context
+from multiprocessing.connection import Connection
+from multiprocessing.resource_tracker import ensure_running
+from pickle import dumps, loads
+from threading import Thread
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+from piezoid.errors import PiezoidError
+from piezoid_cli.interrupt import postponed
+
+Progress = Callable[[str], None]
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+Work = Callable[[Job, Progress], Result]
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+_MAX_MESSAGE = 1000  # characters: shorter than what a pipe takes in one piece
+
+
+def _frozen_mapping(content: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    return MappingProxyType(content)
+
+
+# The only frozen type of records that does not pickle by itself.
+copyreg.pickle(MappingProxyType, lambda mapping: (_frozen_mapping, (dict(mapping),)))
+
+
+def usable_cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class WorkerPool:
+    """Worker processes and the channel through which they report what they do."""
+
+    def __init__(self, count: int, preload: Callable[[], None]) -> None:
+        """Prepare ``count`` workers; each begins with ``preload``."""
+        context = get_context("spawn")
+        self._reader, self._writer = context.Pipe(duplex=False)
+        self._executor = ProcessPoolExecutor(
+            count, context, initializer=_begin, initargs=(self._writer, preload)
+        )
+        self._texts: dict[int, str] = {}
+
+    def submit(self, work: Work[Job, Result], job: Job, index: int) -> "Future[bytes]":
+        """Give a job to a worker; ``loads`` of what comes back is the result."""
+        # Ctrl-C is for this process: a worker inherits that the signal is blocked.
+        ensure_running()  # beginning its process unblocks the signal
+        with postponed():
+            blocked = {signal.SIGINT} if hasattr(signal, "pthread_sigmask") else set()
+            mask = signal.pthread_sigmask(signal.SIG_BLOCK, blocked) if blocked else set()
+            try:
+                return self._executor.submit(_work, dumps((work, job), protocol=5), index)
+            finally:
+                if blocked:
+                    signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+    def report_to(self, report: Progress) -> None:
+        """Say from now on what is being done, here and in the workers."""
+        self._report = report
+        Thread(target=self._forward, daemon=True).start()
+
+    def say(self, index: int, text: str) -> None:
+        """Note what is being done of one job, nothing at its end."""
+        self._texts[index] = text
+        if text:
+            self._report(" | ".join(self._texts[k] for k in sorted(self._texts) if self._texts[k]))
+
+    def close(self) -> None:
+        """End the workers, whatever they do."""
+        with suppress(Exception):
+            self._executor.shutdown(wait=False, cancel_futures=True)
+        for process in active_children():
+            process.kill()
+        self._executor.shutdown(wait=True)
+        self._writer.close()
+
+    def _forward(self) -> None:
+        with self._reader, suppress(EOFError, OSError):
+            while True:
+                self.say(*self._reader.recv())
+
+
+@contextmanager
+def worker_pool(count: int, preload: Callable[[], None]) -> Iterator[WorkerPool | None]:
+    """Give a pool of workers that load what jobs need; None for no worker."""
+    if count < 1:
+        yield None
+        return
+    pool = WorkerPool(count, preload)
+    try:
+        pool.submit(_nothing, None, -1)
+        yield pool
+    finally:
+        pool.close()
+
+
+def map_jobs(
+    work: Work[Job, Result],
+    jobs: Sequence[Job],
+    report: Progress,
+    *,
+    pool: WorkerPool | None,
+    cost: Callable[[Job], float],
+) -> list[Result]:
+    """Return ``work(job, report)`` of every job, in their order.
+
+    work    found by its name in its module; jobs and results are frozen records
+    report  receives what is being done
+    pool    workers beside this process, which does the job of the largest cost itself
+
+    Raises the ``PiezoidError`` of the first job in order that has one.
+    """
+    if pool is None or len(jobs) < 2:
+        return [work(job, report) for job in jobs]
+    pool.report_to(report)
+    first, *others = sorted(range(len(jobs)), key=lambda index: -cost(jobs[index]))
+    futures = {index: pool.submit(work, jobs[index], index) for index in others}
+    results: dict[int, Result | PiezoidError] = {}
+    for index in (first, *reversed(others)):
+        if index == first or futures[index].cancel():
+            results[index] = _result_of(work, jobs[index], partial(pool.say, index))
+            pool.say(index, "")
+    for index, job in enumerate(jobs):
+        result = results[index] if index in results else _received(futures[index])
+        if result is None:
+            result = _result_of(work, job, report)
+        if isinstance(result, PiezoidError):
+            raise result
+        results[index] = result
+    return [results[index] for index in range(len(jobs))]  # type: ignore[misc]
+
+
+def _result_of(work: Work[Job, Result], job: Job, report: Progress) -> Result | PiezoidError:
+    try:
+        return work(job, report)
+    except PiezoidError as refusal:
+        return refusal
+
+
+def _received(future: "Future[bytes]") -> Any:
+    """Return what a worker made; None where it was lost, or failed as it will fail here."""
+    try:
+        return loads(future.result())
+    except Exception:
+        return None
+
+
+def _begin(writer: Connection, preload: Callable[[], None]) -> None:
+    """Prepare a worker process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.environ.update(dict.fromkeys(_THREADS, "1"))  # before anything loads linear algebra
+    _Reports.writer = writer
+    preload()
+
+
+class _Reports:
+    """Where this worker reports to."""
+
+    writer: Connection
+
+
+def _work(letter: bytes, index: int) -> bytes:
+    def report(text: str) -> None:
+        with suppress(OSError):
+            _Reports.writer.send((index, text[:_MAX_MESSAGE]))
+
+    work, job = loads(letter)
+    result = _result_of(work, job, report)
+    report("")
+    return dumps(result, protocol=5)
+
+
+def _nothing(_: object, __: Progress) -> None:
+    """Let a worker begin to load before there is a job."""
