@@ -1,6 +1,7 @@
 """Statements on the terminal: the few that need action, or all of them with --verbose."""
 
 from collections.abc import Iterable
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 from piezoid_cli.progress import EVERYTHING
@@ -10,12 +11,12 @@ if TYPE_CHECKING:
     from piezoid.statement import Level, Statement
 
 MAX_SHOWN = 5
+INDENT = "  "
 
 
 def show_statements(statements: "Iterable[Statement]", minimum: "Level | None" = None) -> None:
     """Print at most five statements at or above a level, by default those that need action."""
     from rich.console import Console
-    from rich.padding import Padding
 
     from piezoid.statement import Level, select
 
@@ -29,8 +30,13 @@ def show_statements(statements: "Iterable[Statement]", minimum: "Level | None" =
     for statement in shown:
         axis = f"axis {statement.axis}: " if statement.axis else ""
         style = {Level.ACTION: "bold", Level.NOTE: "dim"}.get(statement.level, "")
-        text = plain(f"{axis}{statement.text}", style=style)
-        console.print(Padding(text, (0, 0, 0, 2), expand=False))
+        text = fill(
+            f"{axis}{statement.text}",
+            width=console.width,
+            initial_indent=INDENT,
+            subsequent_indent=INDENT,
+        )
+        console.print(plain(text, style=style))
     if len(selected) > len(shown):
         rest = len(selected) - len(shown)
         console.print(plain(f"  {rest} more in the report and with --verbose"))

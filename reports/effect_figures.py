@@ -27,13 +27,13 @@ ROLES, NAMES = ("rising", "falling"), ("without it", "with it")
 
 
 def figure_of(finding: Finding, pictures: tuple[EffectSimulation, ...]) -> Figure | None:
-    """Return what is seen of a finding, or None where no recording shows it."""
+    """Return the residual without and with an effect; None if no recording shows a difference."""
     where = effect_named(finding.effect).shows
-    if not pictures:
+    if all(np.array_equal(one.before_m, one.after_m) for one in pictures):
         return None
     if where.kind == "spectrum":
-        one = _clearest(pictures)
-        return _spectrum(finding, where, one) if _shows(one) else None
+        clearest = _clearest(pictures)
+        return _spectrum(finding, where, clearest) if _shows(clearest) else None
     if where.kind == "time":
         return _over_time(finding, where, _clearest(pictures))
     drawn = _in_classes(finding, where, pictures)
@@ -46,7 +46,7 @@ def _clearest(pictures: tuple[EffectSimulation, ...]) -> EffectSimulation:
 
 
 def _shows(one: EffectSimulation) -> bool:
-    """Tell whether two curves differ: what rang may lie where the fit leaves samples out."""
+    """Return whether the curves differ; a resonance may lie where the fit leaves samples out."""
     before, after = rms(one.before_m), rms(one.after_m)
     return abs(before - after) > SHOWS * before
 
@@ -187,8 +187,7 @@ def _titled(
             f"{words(finding.effect).capitalize()}, {recording}: residual against {where.label}"
         ),
         caption=(
-            f"Residual {told(before_m, 'm')} rms without the effect, {told(after_m, 'm')} with "
-            "it, the rest of the model unchanged."
+            f"Residual {told(before_m, 'm')} rms without the effect, {told(after_m, 'm')} with it."
         ),
         guide=where.reading,
         canvas=canvas,

@@ -9,7 +9,7 @@ from typing import ClassVar
 from piezoid.identification.model import AxisModel
 from piezoid_reports.chart import Axis, Canvas, Layer
 
-FIRST_SENTENCE = re.compile(r"(?<=[.;:])\s")
+FIRST_SENTENCE = re.compile(r"(?<=[.;])\s")
 
 
 @dataclass(frozen=True, kw_only=True)

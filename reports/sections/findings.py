@@ -15,7 +15,7 @@ from piezoid_reports.quantities import percent, size_of, told
 
 MIN_GAIN = 1e-3  # of the held-out error: below, refitting alone moves it as much
 NO_PICTURES = "No pictures: they need a model of these recordings, which `piezoid fit` makes."
-NO_PICTURE = "No picture: in the samples of the fit the residual is the same without the effect."
+NO_PICTURE = "No picture: the residual of the fit is the same without the effect."
 
 
 def render(page: Page) -> Section | None:

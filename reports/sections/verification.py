@@ -48,7 +48,7 @@ def _figures(page: Page, found: Verification) -> list[Part]:
     details = [*spirals, *motions(found)]
     parts: list[Part] = [_shape_figure(found)] if found.comparison else []
     parts += errors_in_time(found)[-1:]
-    parts += folded(f"Raster, steps and spirals: {count_of(len(details), 'figure')}", details)
+    parts += folded(f"Steps and spiral: {count_of(len(details), 'figure')}", details)
     parts += [_table(page, found)] if found.comparison else []
     return [*parts, *_bounds(found)]
 

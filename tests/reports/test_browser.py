@@ -26,7 +26,7 @@ PROBE = (Path(__file__).parent / "probe.js").read_text()
 PHONE = "420,900"
 DESK = "1440,1043"  # a window whose page is 900 high
 SCREEN = 900
-MOST_SCREENS, MOST_WORDS, MOST_SHEETS = 8, 2600, 5  # of this stage of one axis
+MOST_SCREENS, MOST_WORDS, MOST_SHEETS = 5, 900, 4  # of this stage of one axis
 
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 
@@ -119,7 +119,7 @@ def test_every_figure_and_every_image_has_a_name(page: str) -> None:
     anatomy = Anatomy(page)
     named = {one.attributes["id"] for one in anatomy.all("p") if "id" in one.attributes}
     figures = anatomy.all("figure")
-    assert len(figures) > 10
+    assert len(figures) > 8
     for one in figures:
         assert one.attributes.get("aria-label") or one.attributes["aria-labelledby"] in named
     levels = [int(level) for level in re.findall(r"<h([1-6])", page)]
@@ -176,7 +176,7 @@ def test_magnifying_moves_the_ticks_and_a_double_click_brings_them_back(
 def test_even_and_logarithmic_ticks_of_every_figure_are_those_python_wrote(
     found: dict[str, Any],
 ) -> None:
-    assert {figure["decades"] for figure in found["rewritten"]} == {"", "y", "xy"}
+    assert {figure["decades"] for figure in found["rewritten"]} == {"", "xy"}
     for figure in found["rewritten"]:
         assert figure["after"] == figure["before"]
 
@@ -213,7 +213,7 @@ def test_it_prints_to_paper_with_every_figure_on_one_page(page: str, tmp_path: P
     sheets = text.rstrip("\f").split("\f")
     assert len(sheets) <= MOST_SHEETS
     shown = _unfolded(page)
-    assert len(shown) > 5
+    assert len(shown) > 4
     for number, numbers in shown:
         holding = [sheet for sheet in sheets if f"Figure {number}." in sheet]
         assert len(holding) == 1, number
