@@ -14,7 +14,7 @@ def demo(
     processes: Annotated[
         int | None,
         typer.Option(
-            help="At most so many work side by side; not given, as many as there are cores.",
+            help="Number of worker processes; default: one per core.",
             min=1,
         ),
     ] = None,

@@ -138,7 +138,7 @@ def _clock_line(inspection: "Inspection") -> str:
         levels = " at " + ", ".join(f"{level:.4g} V" for level in inspection.levels_V)
         line += in_counts(levels, inspection.counted)
     if not inspection.axis_is_named:
-        line += f"; nobody names the axis: {inspection.axis} is our name for it"
+        line += f"; axis not named in the file, taken as {inspection.axis}"
     return line
 
 
@@ -236,10 +236,10 @@ def response_lines(inspection: "Inspection") -> list[str]:
     ]
     lines += [_path(path, found.lines) for path in found.paths if path.output == path.drive]
     if not inspection.axis_is_named:
-        lines.append("  nobody names the axis: x is our name for it")
+        lines.append("  axis not named in the file, taken as x")
     lines += [_coupling(coupling) for coupling in found.couplings]
     if found.couplings:
-        lines.append("  each axis is fitted by its own response; coupling is told, not controlled")
+        lines.append("  each axis has its own response; coupling is reported, not controlled")
     return lines
 
 
@@ -250,7 +250,7 @@ def _path(path: "PathSummary", lines: int) -> str:
         f"{path.coherent} of {lines} lines coherent" if path.has_coherence else "no coherence"
     )
     if path.peaks:
-        peaks = "looks like modes at " + ", ".join(map(_peak, path.peaks[:_MOST_PEAKS]))
+        peaks = "possible resonances at " + ", ".join(map(_peak, path.peaks[:_MOST_PEAKS]))
         peaks += f" and {len(path.peaks) - _MOST_PEAKS} more" * (len(path.peaks) > _MOST_PEAKS)
     else:
         peaks = "no peak"

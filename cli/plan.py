@@ -30,12 +30,12 @@ def plan(
         str | None, typer.Option(help="Which axis; default: the first that was diagnosed.")
     ] = None,
     effect: Annotated[
-        str | None, typer.Option(help="Ask about this one; default: what was left most open.")
+        str | None, typer.Option(help="Effect to target; default: the least certain.")
     ] = None,
     rate: Annotated[
         float | None, typer.Option(help="Converters' samples per second.", min=0.0)
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of what a drive leaves to chance.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
     force: Force = False,
     quiet: Quiet = False,
     json: Annotated[
@@ -70,7 +70,7 @@ def plan(
         known = _read(stage, axis)
         declared = lab_of(stage, lab)
         held = collect(files, declared).recordings if files else ()
-        told("playing the menu on the model")
+        told("simulating candidate drives")
         found = choose(
             known.model,
             known.diagnosis,
@@ -147,20 +147,22 @@ def _show(found: "Plan", drive: Path) -> None:
 
 
 def _table(found: "Plan") -> "Table":
-    alone = found.question.kind != "separate"
+    """Return the drives that were simulated; separability only where two effects compete."""
+    is_alone = found.question.kind != "separate"
+    headings = ["drive", "duration", *(() if is_alone else ("separability",)), "error of the size"]
     rows: list[tuple[Any, ...]] = []
     for one in found.alternatives:
         if one.told is None:
-            rows.append((one.name, "", "", one.refusal))
+            rows.append((one.name, *[""] * (len(headings) - 2), one.refusal))
             continue
-        error = one.told.errors[0] if alone else one.told.worst
+        error = one.told.errors[0] if is_alone else one.told.worst
         rows.append(
             (
                 plain(one.name, style="bold" if one.name == found.drive.name else ""),
                 f"{one.duration_s:.0f} s",
-                "" if alone else f"{one.told.separability:.2g}",
+                *(() if is_alone else (f"{one.told.separability:.2g}",)),
                 f"{100 * error:.2g} %" if error < 10.0 else "not shown",
             )
         )
     title = f"axis {found.axis}: {' against '.join(found.question.effects)}"
-    return table(title, ("drive", "lasts", "separability", "error of the size"), rows, left=1)
+    return table(title, headings, rows, left=1)

@@ -31,16 +31,19 @@ def verify(
         str, typer.Option(help="cortex-m4: compile bundle/ for it and emulate it.")
     ] = "",
     prove: Annotated[
-        bool, typer.Option("--prove", help="Frama-C: inside the limits whatever comes in.")
+        bool,
+        typer.Option(
+            "--prove", help="Prove with Frama-C that the output never leaves its limits."
+        ),
     ] = False,
     bounds: Annotated[
-        bool, typer.Option("--bounds", help="How large errors may be: probable, worst found.")
+        bool, typer.Option("--bounds", help="Report probable and worst-case errors.")
     ] = False,
     limits: Annotated[
         Path | None, typer.Option(help="limits.toml; by default [verification] of lab.toml.")
     ] = None,
     lab: StageLab = None,
-    seed: Annotated[int, typer.Option(help="Of sensor noise and drawn stages.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed.", min=0)] = 0,
     force: Force = False,
     quiet: Quiet = False,
     json: Annotated[

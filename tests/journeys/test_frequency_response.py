@@ -174,7 +174,7 @@ def test_a_response_alone_is_refused_by_fit_and_told_by_inspect(folder: Path) ->
     seen = piezoid("inspect", "response.csv", place=folder)
     assert seen.returncode == 0
     assert "a frequency response, 500 mHz to 5.00 kHz, 400 lines" in seen.stdout
-    assert "looks like modes at 6" in seen.stdout
+    assert "possible resonances at 6" in seen.stdout
 
 
 def test_a_matrix_is_told_with_its_coupling(tmp_path: Path) -> None:
@@ -183,7 +183,7 @@ def test_a_matrix_is_told_with_its_coupling(tmp_path: Path) -> None:
     seen = piezoid("inspect", "stage.mat", place=tmp_path)
     assert seen.returncode == 0, seen.stdout + seen.stderr
     assert "x moves by 2.0 % of y when y is driven" in seen.stdout
-    assert "coupling is told, not controlled" in seen.stdout
+    assert "coupling is reported, not controlled" in seen.stdout
 
 
 def test_a_response_of_an_axis_without_recording_or_name_is_refused(folder: Path) -> None:

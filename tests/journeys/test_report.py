@@ -67,7 +67,7 @@ def test_with_the_recordings_of_the_fit_the_loops_are_drawn(stage: Path, sweep: 
 def test_any_other_file_is_refused_and_the_old_page_stays(stage: Path, sweep: Path) -> None:
     (stage / "report.html").write_text("old")
     sweep.write_text(sweep.read_text().replace("0.0000", "0.0001", 1))
-    status, said = run(stage, sweep)
+    status, said = run(stage, sweep, "--force")
     assert status != 0
     assert "not one of the recordings" in said
     assert (stage / "report.html").read_text() == "old"
@@ -77,7 +77,7 @@ def test_a_changed_bit_is_refused_and_the_old_page_stays(stage: Path) -> None:
     (stage / "report.html").write_text("old")
     content = (stage / "model.json").read_bytes()
     (stage / "model.json").write_bytes(content.replace(b"bench", b"bench2", 1))
-    status, said = run(stage)
+    status, said = run(stage, "--force")
     assert status != 0
     assert "digest" in said
     assert (stage / "report.html").read_text() == "old"
