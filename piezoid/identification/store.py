@@ -6,6 +6,7 @@ from typing import Any, Literal
 from msgspec import convert
 
 from piezoid.digests import seal
+from piezoid.errors import ParameterFileError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.extensions import LAYOUT_OF_EXTENSIONS
@@ -16,6 +17,8 @@ from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlins
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.record_json import RecordLayout, fields_of, from_fields, read_sealed, to_json
 
+MAX_OPERATORS = 256  # plays, or dead zones; a controller holds 32, the largest order is 16
+MAX_MAGNITUDE = 1e12  # volts, metres, metres a volt, or counts of a converter
 GAUGE = "dead_zone_weight at threshold 0 is 1; the envelope keeps the range of the drive"
 
 
@@ -82,6 +85,8 @@ def _hysteresis_entry(operator: ModifiedPrandtlIshlinskii) -> dict[str, Any]:
 
 
 def _hysteresis(entry: Mapping[str, Any]) -> ModifiedPrandtlIshlinskii:
+    _check_bounds(entry)
+
     def part(kind: type[Any], threshold: str, weight: str) -> Any:
         return from_fields(kind, {"threshold": entry[threshold], "weight": entry[weight]})
 
@@ -91,6 +96,28 @@ def _hysteresis(entry: Mapping[str, Any]) -> ModifiedPrandtlIshlinskii:
         envelope=part(DeadZones, "envelope_threshold_V", "envelope_weight"),
         voltage_offset_V=convert(entry["voltage_offset_V"], float),
         displacement_offset_m=convert(entry["displacement_offset_m"], float),
+    )
+
+
+def _check_bounds(entry: Mapping[str, Any]) -> None:
+    """Refuse a hysteresis that no fit writes and no computer can use: too many or too large."""
+    for name, value in entry.items():
+        numbers = value if isinstance(value, list) else [value]
+        if len(numbers) > MAX_OPERATORS:
+            raise _out_of_bounds(f"{name} has {len(numbers)} entries", f"at most {MAX_OPERATORS}")
+        sizes = [abs(x) for x in numbers if isinstance(x, int | float)]
+        if max(sizes, default=0.0) > MAX_MAGNITUDE:
+            raise _out_of_bounds(f"{name} holds {max(sizes):.3g}", f"at most {MAX_MAGNITUDE:.0g}")
+    weights = entry["play_weight_m_per_V"]
+    if isinstance(weights, list) and weights and not any(weights):
+        raise _out_of_bounds("all play_weight_m_per_V are 0", "a weight above 0: the stage moves")
+
+
+def _out_of_bounds(found: str, needed: str) -> ParameterFileError:
+    return ParameterFileError(
+        f"the hysteresis of a model: {found}",
+        needed=needed,
+        remedy="Fit the recordings again with this version.",
     )
 
 

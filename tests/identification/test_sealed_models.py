@@ -61,6 +61,23 @@ def test_an_entry_of_another_kind_is_refused(place: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("entry", "value", "said"),
+    [
+        ("play_weight_m_per_V", [1e-7] * 50_000, "has 50000 entries. Needed: at most 256"),
+        ("dead_zone_weight", [1.0] * 1_000_000, "has 1000000 entries. Needed: at most 256"),
+        ("play_weight_m_per_V", [1e308, 1e308], "holds 1e\\+308. Needed: at most 1e\\+12"),
+        ("displacement_offset_m", -1e308, "holds 1e\\+308"),
+        ("play_weight_m_per_V", [0.0, 0.0], "all play_weight_m_per_V are 0"),
+    ],
+)
+def test_counts_and_magnitudes_beyond_their_bounds_are_refused_with_number_and_bound(
+    entry: str, value: object, said: str
+) -> None:
+    with pytest.raises(ParameterFileError, match=said):
+        read_model(with_entry(f"axes x hysteresis {entry}", value))
+
+
+@pytest.mark.parametrize(
     ("place", "value"),
     [
         ("axes x polarity", 0),
