@@ -64,8 +64,8 @@ def diagnose(
         from piezoid.diagnosis.diagnose import diagnose as find
         from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
         from piezoid.identification.coupled.from_recordings import as_single_axes
+        from piezoid.records.checks.consistency import refuse_inconsistent
         from piezoid.records.collection import collect
-        from piezoid.records.comparison import refuse_misfits
         from piezoid.records.lab import read_lab
 
         declared = None if lab is None else read_lab(lab)
@@ -73,7 +73,7 @@ def diagnose(
         coupled = None if model is None else model[0].coupled
         held = collect(rest, declared).recordings
         recordings = as_single_axes(held, declared, coupled, progress=told)
-        refuse_misfits(recordings)
+        refuse_inconsistent(recordings)
         known = None if model is None else _known(model, axis)
         found = find(
             recordings,
@@ -137,7 +137,7 @@ def _compared(
 def _tell_unused(recordings: "Sequence[Recording]", axis: str) -> None:
     """Print which recordings do not contribute to the diagnosis of an axis."""
     from piezoid.identification.fit import moving, recorded_of
-    from piezoid.records.plausibility import is_held_throughout
+    from piezoid.records.checks.feedback import is_held_throughout
 
     used = {recording.name for recording in moving(recordings, axis)}
     held = [r.name for r in recorded_of(recordings, axis) if is_held_throughout(r, axis)]

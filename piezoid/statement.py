@@ -76,6 +76,7 @@ def finding(
     text: str,
     axis: str = "",
     place: str = "",
+    recording: str = "",
     value: float | None = None,
     unit: str = "",
 ) -> Statement:
@@ -87,6 +88,7 @@ def finding(
         text=text,
         axis=axis,
         place=place,
+        recording=recording,
         value=value,
         unit=unit,
     )

@@ -33,8 +33,8 @@ from piezoid.identification.store import write_model
 from piezoid.learning.learn import Learned, first_table, next_table, refuse_changed
 from piezoid.numerics.executor import on_one_thread
 from piezoid.records import lab as laboratory
+from piezoid.records.checks.consistency import refuse_inconsistent
 from piezoid.records.collection import Collection, collect, collection_of
-from piezoid.records.comparison import refuse_misfits
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
@@ -146,7 +146,7 @@ def diagnose(
     declared = _lab(lab)
     coupled = None if model is None else model.coupled
     held = as_single_axes(collection_of(recordings).recordings, declared, coupled)
-    refuse_misfits(held)
+    refuse_inconsistent(held)
     wanted = axis or (next(iter(model.axes), None) if model is not None else None)
     known = None if model is None else _known(model, wanted, held)
     return engine.diagnose(

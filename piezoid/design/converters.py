@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
+from piezoid.records.checks.command_range import command_range_V
 from piezoid.records.lab import Lab
-from piezoid.records.which_voltage import command_range_V
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,8 +16,8 @@ from piezoid.design.specification import Specification, specifications_from_toml
 from piezoid.errors import DesignError, LabFileError, PiezoidError, TemplateError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.coupled_stage import CoupledStage
+from piezoid.records.checks.command_range import amplifier_scale, exceeds_range
 from piezoid.records.lab import Lab
-from piezoid.records.which_voltage import passes, scale_of_output
 
 _SLOWEST_Hz, _FASTEST_Hz = 1.0, 1e7  # of the runtime
 
@@ -266,7 +266,7 @@ def _between_converters(name: str, default: Specification, lab: Lab) -> Specific
     if converters.command_V is None:
         return stepped
     low_V, high_V = converters.command_V
-    if passes((default.voltage_min_V, default.voltage_max_V), converters.command_V):
+    if exceeds_range((default.voltage_min_V, default.voltage_max_V), converters.command_V):
         raise LabFileError(
             f"axis {name}: its drive was recorded from {default.voltage_min_V:.6g} to "
             f"{default.voltage_max_V:.6g} V, converter and amplifier take commands from "
@@ -274,7 +274,7 @@ def _between_converters(name: str, default: Specification, lab: Lab) -> Specific
             needed="recordings of the controller's output, the command in front of the amplifier, "
             "not of the high voltage at the ceramic",
             remedy="If they were taken behind the amplifier, write "
-            f"{scale_of_output(lab, name)} into their [[recording]] and fit again; else correct "
+            f"{amplifier_scale(lab, name)} into their [[recording]] and fit again; else correct "
             f"input_range_V or [amplifier] in {lab.place}.",
         )
     return replace(

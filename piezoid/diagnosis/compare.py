@@ -24,8 +24,7 @@ from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import simulate_recording
 from piezoid.numerics.noise import white_noise_rms
-from piezoid.records.comparison import counted_in
-from piezoid.records.recording import Quantity, Recording
+from piezoid.records.recording import Quantity, Recording, counted_in
 from piezoid.statement import Kind, Level, Statement
 
 FIXED_OPERATOR = Structure(operator=False)

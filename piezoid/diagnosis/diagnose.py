@@ -56,11 +56,10 @@ from piezoid.identification.hysteresis.pieces import Scales, pieces_of, scales_o
 from piezoid.identification.hysteresis.scope import scope_of
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.executor import Executor
-from piezoid.records.comparison import counted_in
+from piezoid.records.constant_drive import is_at_rest
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
-from piezoid.records.recording import Recording
-from piezoid.records.rest import is_at_rest
+from piezoid.records.recording import Recording, counted_in
 
 Progress = Callable[[str], None]
 

@@ -24,7 +24,7 @@ from piezoid.diagnosis.rest_columns import BLOCKS, SLOWS, cubic, held
 from piezoid.diagnosis.unnamed import seen_in_classes
 from piezoid.formatting import significant, with_unit
 from piezoid.numerics.arrays import Array
-from piezoid.records.plausibility import held_stretch, is_held_throughout
+from piezoid.records.checks.feedback import held_span, is_held_throughout
 from piezoid.records.recording import Recording
 
 NAME = "creep"
@@ -91,7 +91,7 @@ def with_creep_of_holds(
 def _holds(recordings: Sequence[Recording], axis: str) -> list[_Hold]:
     found = []
     for number, recording in enumerate(recordings):
-        stretch = held_stretch(recording, axis)
+        stretch = held_span(recording, axis)
         if stretch is None:
             continue
         drive_V = recording.voltage_V(axis)

@@ -23,7 +23,7 @@ from piezoid.diagnosis.discovery import CoordinateScore, Remainder
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
-from piezoid.records.faults import step_size
+from piezoid.records.sample_statistics import step_size
 
 MEAN_LOG = -1.2704  # of chi-squared of one degree: the digamma of 1/2, and log 2
 LEAST = 1e-3  # of the noise: what rounding may make of a difference

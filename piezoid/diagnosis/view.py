@@ -19,7 +19,7 @@ from piezoid.diagnosis.tracks import BLOCKS, Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
 from piezoid.numerics.noise import white_noise_rms
-from piezoid.records.faults import step_size
+from piezoid.records.sample_statistics import step_size
 
 SLOWLY_Hz = 1e-9  # of turns before a recording: nothing is too fast for what lets them through
 DIGITS = 9  # of half the stroke that count: a step is the same however it was rounded

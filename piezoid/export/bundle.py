@@ -17,7 +17,7 @@ from piezoid.digests import digest_of_bytes
 from piezoid.export.c_header import c_header, plain_ascii
 from piezoid.export.parameter_file import AxisParameters, ParameterFile, digest_of
 from piezoid.numerics.arrays import Array
-from piezoid.records.which_voltage import WHICH_VOLTAGE
+from piezoid.records.checks.command_range import DRIVE_VOLTAGE_NOTE
 from piezoid.runtime.controller import Controller
 from piezoid.runtime.library import PRECISIONS, library
 
@@ -106,7 +106,7 @@ def bundle(file: ParameterFile) -> Bundle:
         "README.md": _README.format(
             name=plain_ascii(file.name),
             samples=SAMPLES,
-            which_voltage=fill(WHICH_VOLTAGE, 98),
+            which_voltage=fill(DRIVE_VOLTAGE_NOTE, 98),
             axes="\n".join(_row(place, axis) for place, axis in enumerate(file.axes)),
             unshipped=_unshipped(file),
             decoupled=_decoupled(file),

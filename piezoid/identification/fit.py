@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from piezoid.counts import record_in_counts, refusing_in_counts
+from piezoid.counts import refusing_in_counts
 from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.from_recordings import (
@@ -26,17 +26,14 @@ from piezoid.identification.minor_loops import with_minor_loops
 from piezoid.identification.model import AxisModel
 from piezoid.identification.tunnelling.junction import fit_junction, remarks_on_currents
 from piezoid.identification.tunnelling.loop_files import is_loop
-from piezoid.records.comparison import (
-    STILL,
-    copies,
-    counted_in,
-    refuse_misfits,
-    remarks_on_set,
-)
+from piezoid.records.checks import check_set
+from piezoid.records.checks.consistency import refuse_inconsistent
+from piezoid.records.checks.copies import copies
+from piezoid.records.checks.drive_ranges import MIN_RANGE
+from piezoid.records.checks.feedback import is_held_throughout
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
-from piezoid.records.plausibility import is_held_throughout
-from piezoid.records.recording import Quantity, Recording
+from piezoid.records.recording import Quantity, Recording, counted_in
 from piezoid.records.table import RawTable
 
 
@@ -150,8 +147,8 @@ def unfitted(
     """
     refuse_one_name_twice(recordings, sweeps, responses)
     refuse_responses_alone(recordings, responses)
-    refuse_misfits(recordings)
-    remarks = record_in_counts(remarks_on_set(recordings), counted_in(recordings))
+    refuse_inconsistent(recordings)
+    statements = check_set(recordings)
     if not axes_of(recordings) and not sweeps and not any(map(is_loop, recordings)):
         raise lacking(
             recordings,
@@ -163,7 +160,7 @@ def unfitted(
         *sweeps,
         *responses,
     ]
-    remarked = {name for name, _ in remarks}
+    remarked = {statement.recording for statement in statements}
     used = [held for held in files if held.name not in remarked] or files
     return ActuatorModel(
         stage=lab.name or used[0].name.partition(".")[0],
@@ -171,7 +168,7 @@ def unfitted(
         sources={held.name: held.digest for held in files},
         lab=lab.digest or None,
         tunnelling=None,
-        remarks=(*remarks_on_currents(recordings), *(text for _, text in remarks)),
+        remarks=(*remarks_on_currents(recordings), *(s.text for s in statements)),
         controller_rate_Hz=lab.acquisition.sampling_rate_Hz,
     )
 
@@ -352,7 +349,7 @@ def moving(recordings: Sequence[Recording], axis: str) -> tuple[Recording, ...]:
     """
     both = recorded_of(recordings, axis)
     widest = max(float(np.ptp(r.voltage_V(axis))) for r in both)
-    moved = [r for r in both if np.ptp(r.voltage_V(axis)) > STILL * widest]
+    moved = [r for r in both if np.ptp(r.voltage_V(axis)) > MIN_RANGE * widest]
     return tuple(r for r in moved if not is_held_throughout(r, axis)) or tuple(moved) or both
 
 

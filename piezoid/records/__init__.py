@@ -1,7 +1,8 @@
-"""Recordings: what was measured, read from what laboratories write. Start at recording.py.
+"""Recordings: what was measured, read from the files that laboratories write.
 
-In come files and lab.toml; out go `Recording`s. The way: readers/ make a
-`RawTable` of any format, meaning.py and assignment.py say which column is what, conversion.py
-puts it into SI units, clock.py and faults.py say what is odd about it, ingest.py makes the
-recording, inspection.py shows all of it.
+Start at recording.py (the record) and ingest.py (the path to it): ``readers`` turn any format into
+a ``RawTable``, columns.py finds quantity, axis and SI unit of every column, clock.py the sampling
+rate, invalid_samples.py readings that are none; ``checks`` state what is odd, and change nothing.
+May import numerics and operators; nothing here imports identification or any part above it.
+To add a format or a check, add a file to its folder and its line in the folder's list.
 """

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from piezoid.errors import LabFileError, RecordingError
 from piezoid.numerics.arrays import Array
-from piezoid.records.assignment import Assignment, assign
+from piezoid.records.columns import Assignment, assign_columns
 from piezoid.records.ingest import ingest_table, parts_of
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import READERS
@@ -209,7 +209,7 @@ class _Join:
         for table in tables:
             if assignment is None:
                 described = self._whole or RecordingEntry(file=table.name)
-                assignment = assign(table, self._lab, described)
+                assignment = assign_columns(table, self._lab, described)
             has_numbers = _rows_with_numbers(table, assignment)
             if has_numbers.sum() < _MIN_NUMBERS and self._first is not None:
                 self._is_broken = True
@@ -325,7 +325,6 @@ def _labels(recording: Recording) -> list[tuple[Quantity, str, str]]:
 
 def _rows_with_numbers(table: RawTable, assignment: Assignment) -> NDArray[np.bool_]:
     """Tell in which rows every column that is read holds a number."""
-    read = [*assignment.channels, *([assignment.time] if assignment.time else [])]
-    numbers = {assigned.column.number for assigned in read}
+    numbers = {assigned.column.number for assigned in assignment.columns}
     finite = [np.isfinite(c.values) for c in table.columns if c.number in numbers]
     return np.asarray(np.logical_and.reduce(finite))

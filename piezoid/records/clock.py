@@ -1,4 +1,4 @@
-"""The clock of a recording: its rate, and where its time stamps are not those of a uniform one."""
+"""Find the uniform clock of a recording: its rate, and gaps, repeats and steps of its stamps."""
 
 import json
 import math
@@ -6,46 +6,43 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array
-from piezoid.records.time_faults import TimeFaults
 from piezoid.statement import Statement, finding
 
-# A stamp this far (in sampling intervals) off its place is jitter worth telling.
-JITTER_LIMIT = 0.01
-# A robust spread of the steps above this share of their median is no uniform clock at all.
-UNIFORM_LIMIT = 0.35
+Stamps = NDArray[np.int_]
+PlaceOf = Callable[[int], str]  # how messages call the row of a stamp
+
+MIN_JITTER = 0.01  # of the sampling interval, rms; less is not reported
+MAX_SPREAD = 0.35  # of the interval: the robust spread of the steps of a uniform clock
 # Steps are averaged over this many samples before the interval is taken: stamps printed with few
-# digits repeat and jump, their averages do not.
-_WINDOW = 64
-# Over fewer samples where lost ones are so many that fewer averages than this agree.
-_AGREEING = 0.6
-# So many of the steps go back where the newest row stands first; steps back are faults else.
-_BACKWARDS = 0.9
-# Steps that are no faults sum up to the span of the stamps within this share, the spread of an
-# interval told among jitter of a third, and these few at ends and faults.
-_UNACCOUNTED = 0.01
-_SPARE_STEPS = 3
-# Beyond this many units a double rounds too coarsely to tell a printed digit from noise.
-_COUNTABLE = 1e12
-_RARE = 0.01
-
-
-# No converter is as fast or as slow; beyond, rates and durations leave the range of numbers.
-_LEAST_INTERVAL_s = 1e-15
-_MOST_INTERVAL_s = 1e30
+# digits repeat and jump, their averages do not. Over fewer samples where so many are lost that
+# less than MIN_AGREEING of the averages agree.
+AVERAGED_STEPS = 64
+MIN_AGREEING = 0.6
+MIN_BACKWARDS = 0.9  # of the steps, where the newest row is the first
+# Steps without faults sum up to the span of the stamps within this share, the uncertainty of an
+# interval among jitter of a third, and these few at ends and faults.
+MAX_UNACCOUNTED = 0.01
+SPARE_STEPS = 3
+MAX_COUNTABLE = 1e12  # units: beyond, a double rounds too coarsely to show printed digits
+MAX_RARE = 0.01  # of the steps
+MIN_INTERVAL_s, MAX_INTERVAL_s = 1e-15, 1e30  # beyond, rates leave the range of numbers
+MAX_LOST = 2.0**53  # samples in one gap: a damaged stamp may lie anywhere
+_MAX_PLACES = 3  # in a message
 
 
 @dataclass(frozen=True, kw_only=True)
 class Clock:
-    """What the stamps say.
+    """Sampling rate and faults of the time stamps.
 
     sampling_rate_Hz  of the samples between gaps
     jitter_rms_s      of the stamps about uniform ones, faults left out; 0 within their print
     breaks            first sample after each longer gap or step backwards
     bridged           first sample after each gap of one sample
-    statements          ``jitter``, ``gap``, ``duplicate_time``, ``time_reversed``
+    statements        ``jitter``, ``gap``, ``duplicate_time``, ``time_reversed``
     """
 
     sampling_rate_Hz: float
@@ -55,42 +52,37 @@ class Clock:
     statements: tuple[Statement, ...] = ()
 
 
-def read_clock(time_s: Array, name: str, place: Callable[[int], str]) -> Clock:
+def read_clock(time_s: Array, name: str, place: PlaceOf) -> Clock:
     """Find the sampling rate and the faults of a column of time stamps.
 
     time_s  (samples,)  s, finite
     name    of the file, for messages
-    place   says where a row stands
 
     Stamps that a uniform clock would print with these digits are uniform: few digits are no
-    jitter. Stamps that share no interval are refused.
+    jitter. Raises ``RecordingError`` for stamps that share no interval.
     """
     if len(time_s) < 3:
         raise _no_clock(name, f"{len(time_s)} time stamps", "at least three")
     refuse_newest_first(time_s, name, place)
     resolution_s = print_resolution_s(time_s)
-    k = np.arange(len(time_s))
-    uniform_s = (time_s[-1] - time_s[0]) / k[-1]
-    if 0 < uniform_s < _LEAST_INTERVAL_s:
+    uniform_s = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    if 0 < uniform_s < MIN_INTERVAL_s:
         raise _no_clock(name, f"time stamps {uniform_s:.3g} s apart", "the steps of a clock")
     # Rounding is off by half a unit; the fitted line may be off by a quarter more.
     tolerance_s = 0.75 * resolution_s + 8 * np.spacing(np.abs(time_s).max())
-    is_line = uniform_s > 0 and np.abs(time_s - _line(time_s)).max() <= tolerance_s
+    is_line = uniform_s > 0 and np.abs(time_s - _fitted_line(time_s)).max() <= tolerance_s
     if is_line and not _has_rare_jumps(time_s, resolution_s):
-        uncertain = 2 * tolerance_s / (time_s[-1] - time_s[0])
-        return Clock(
-            sampling_rate_Hz=plain_rate_Hz(1 / uniform_s, uncertain),
-            jitter_rms_s=0.0,
-        )
+        uncertainty = 2 * tolerance_s / (time_s[-1] - time_s[0])
+        return Clock(sampling_rate_Hz=plain_rate_Hz(1 / uniform_s, uncertainty), jitter_rms_s=0.0)
     return _faulty_clock(time_s, resolution_s, name, place)
 
 
 def stated_clock(rate_Hz: float, name: str) -> Clock:
-    """Return the clock that is stated for a file without time stamps, refusing one of no bench."""
-    if not 1 / _MOST_INTERVAL_s <= rate_Hz <= 1 / _LEAST_INTERVAL_s:
+    """Return the clock that is stated for a file without time stamps, or refuse an absurd rate."""
+    if not 1 / MAX_INTERVAL_s <= rate_Hz <= 1 / MIN_INTERVAL_s:
         raise RecordingError(
             f"{name}: a sampling rate of {rate_Hz:.3g} Hz is stated",
-            needed=f"one from {1 / _MOST_INTERVAL_s:.0e} to {1 / _LEAST_INTERVAL_s:.0e} Hz",
+            needed=f"one from {1 / MAX_INTERVAL_s:.0e} to {1 / MIN_INTERVAL_s:.0e} Hz",
             remedy="Correct it where it is stated, in the file's header or in lab.toml.",
         )
     return Clock(sampling_rate_Hz=plain_rate_Hz(rate_Hz), jitter_rms_s=0.0)
@@ -99,7 +91,7 @@ def stated_clock(rate_Hz: float, name: str) -> Clock:
 def plain_rate_Hz(rate_Hz: float, uncertainty: float = 0.0) -> float:
     """Return the number of fewest digits within a relative uncertainty of at least 1e-9.
 
-    Two recordings of one rig then have one and the same rate, however their stamps were rounded.
+    Two recordings of one rig then have the same rate, however their stamps were rounded.
     """
     for digits in range(1, 16):
         plain = float(f"{rate_Hz:.{digits}g}")
@@ -117,7 +109,7 @@ def print_resolution_s(time_s: Array) -> float:
     for exponent in range(0, -16, -1):
         scaled = stamps * 10.0**-exponent
         largest = float(np.abs(scaled).max())
-        if largest > _COUNTABLE:
+        if largest > MAX_COUNTABLE:
             break
         rounding = 8 * np.finfo(float).eps * max(1.0, largest)
         if np.abs(scaled - np.round(scaled)).max() <= rounding:
@@ -125,18 +117,29 @@ def print_resolution_s(time_s: Array) -> float:
     return 0.0
 
 
-def _line(time_s: Array) -> Array:
-    """The uniform clock nearest to the stamps in the middle of their errors."""
+def refuse_newest_first(time_s: Array, name: str, place: PlaceOf) -> None:
+    """Refuse stamps that run backwards: read so, every loop would open the wrong way."""
+    if len(time_s) < 3 or np.mean(np.diff(time_s) < 0) < MIN_BACKWARDS:
+        return
+    raise RecordingError(
+        f"{name}: time runs backwards, from {time_s[0]:.6g} s in {place(0)} to "
+        f"{time_s[-1]:.6g} s in {place(len(time_s) - 1)}: the newest row is the first",
+        needed="rows in the order in which they were recorded",
+        remedy="Write into lab.toml, which reverses the rows:\n\n[[recording]]\n"
+        f"file = {json.dumps(name)}\nreverse = true\n",
+    )
+
+
+def _fitted_line(time_s: Array) -> Array:
+    """Return the uniform clock nearest to the stamps, in the middle of their errors."""
     k = np.arange(len(time_s))
     slope, start = np.polyfit(k, time_s - time_s[0], 1)
     error = time_s - time_s[0] - (start + slope * k)
-    middle = (error.max() + error.min()) / 2
-    line: Array = time_s[0] + start + middle + slope * k
-    return line
+    return np.asarray(time_s[0] + start + (error.max() + error.min()) / 2 + slope * k)
 
 
 def _has_rare_jumps(time_s: Array, resolution_s: float) -> bool:
-    """Tell a lost sample from rounding where the print resolves no more than the interval.
+    """Return whether samples are lost although the print resolves no more than the interval.
 
     Of stamps 1, 2, 3, 5, 6 ms a line is never off by more than half a millisecond. A clock a
     little slower than its print would step by two evenly, again and again; lost samples do not.
@@ -144,121 +147,201 @@ def _has_rare_jumps(time_s: Array, resolution_s: float) -> bool:
     if resolution_s == 0:
         return False
     steps = np.round(np.diff(time_s) / resolution_s).astype(np.int64)
-    common = int(np.median(steps))
-    jumps = np.flatnonzero(2 * steps >= 3 * common)
-    if common < 1 or not len(jumps) or len(jumps) > _RARE * len(steps):
+    usual = int(np.median(steps))
+    jumps = np.flatnonzero(2 * steps >= 3 * usual)
+    if usual < 1 or not len(jumps) or len(jumps) > MAX_RARE * len(steps):
         return False
     return len(jumps) < 3 or bool(np.ptp(np.diff(jumps)) > 1)
 
 
-def _faulty_clock(
-    time_s: Array, resolution_s: float, name: str, place: Callable[[int], str]
-) -> Clock:
+def _faulty_clock(time_s: Array, resolution_s: float, name: str, place: PlaceOf) -> Clock:
+    """Return a clock with the faults of its stamps, or refuse stamps that share no interval."""
     steps = np.diff(time_s)
     interval_s = _interval_s(time_s)
     spread_s = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
-    if not interval_s > 0 or spread_s > UNIFORM_LIMIT * interval_s + resolution_s:
+    if not interval_s > 0 or spread_s > MAX_SPREAD * interval_s + resolution_s:
         raise _no_clock(
             name,
             f"time steps from {steps.min():.4g} s to {steps.max():.4g} s, median "
             f"{np.median(steps):.4g} s",
             "samples at a uniform rate",
         )
-    excess_s = max(0.5 * interval_s, 6 * spread_s) + _rounding_s(interval_s, resolution_s)
-    faults = TimeFaults.of(time_s, interval_s, excess_s, resolution_s)
+    # A step may be printed as long as the next multiple of the resolution.
+    rounding_s = 0.0
+    if resolution_s > 0:
+        rounding_s = math.ceil(interval_s / resolution_s - 1e-6) * resolution_s - interval_s
+    max_excess_s = max(0.5 * interval_s, 6 * spread_s) + rounding_s
+    faults = StampFaults.find(time_s, interval_s, max_excess_s, resolution_s)
     _refuse_false_clock(time_s, interval_s, faults, name, place)
-    jitter_s = _jitter_s(steps, interval_s, excess_s)
+    # Two independent stamps make one step, hence the root of two.
+    errors_s = (steps - interval_s)[np.abs(steps - interval_s) < max_excess_s]
+    jitter_s = float(np.sqrt(np.mean(errors_s**2) / 2)) if len(errors_s) else 0.0
+    statements = faults.statements(time_s, place)
+    if jitter_s > MIN_JITTER * interval_s and jitter_s > 0.51 * resolution_s:
+        text = (
+            f"The time stamps jitter by {jitter_s:.3g} s rms about a uniform clock, "
+            f"{100 * jitter_s / interval_s:.2g} % of the sampling interval."
+        )
+        statements.append(
+            finding(
+                quantity="jitter", place="the time column", text=text, value=jitter_s, unit="s"
+            )
+        )
     return Clock(
         sampling_rate_Hz=plain_rate_Hz(1 / interval_s, (resolution_s + jitter_s) / np.ptp(time_s)),
         jitter_rms_s=jitter_s,
-        breaks=faults.breaks,
-        bridged=faults.bridged,
-        statements=(
-            *faults.statements(time_s, place),
-            *_jitter_problem(jitter_s, interval_s, resolution_s),
-        ),
+        breaks=tuple(sorted({*faults.gaps[faults.lost > 1].tolist(), *faults.back.tolist()})),
+        bridged=tuple(faults.gaps[faults.lost == 1].tolist()),
+        statements=tuple(statements),
     )
 
 
-def refuse_newest_first(time_s: Array, name: str, place: Callable[[int], str]) -> None:
-    """Refuse stamps that run backwards: read so, every loop would open the wrong way."""
-    if len(time_s) < 3 or np.mean(np.diff(time_s) < 0) < _BACKWARDS:
-        return
-    last = len(time_s) - 1
-    raise RecordingError(
-        f"{name}: time runs backwards, from {time_s[0]:.6g} s in {place(0)} to "
-        f"{time_s[-1]:.6g} s in {place(last)}: the newest row stands first",
-        needed="rows in the order in which they were recorded",
-        remedy="Write into lab.toml, which turns the rows round:\n\n[[recording]]\n"
-        f"file = {json.dumps(name)}\nreverse = true\n",
-    )
+def _interval_s(time_s: Array) -> float:
+    """Return the interval between samples: the median step, refined over spans without faults.
+
+    Where most spans have lost a sample, shorter ones are taken: their median is right again.
+    """
+    width = min(AVERAGED_STEPS, len(time_s) - 1)
+    while True:
+        spans = time_s[width:] - time_s[:-width]
+        median_s = float(np.median(spans)) / width
+        agrees = np.abs(spans - median_s * width) < 0.5 * median_s
+        if width == 1 or agrees.mean() > MIN_AGREEING:
+            return float(np.mean(spans[agrees])) / width if agrees.any() else median_s
+        width //= 2
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StampFaults:
+    """Where time stamps are not those of a uniform clock.
+
+    gaps       (count,)  first sample behind missing time
+    lost       (count,)  samples missing in front of each of these, at least one
+    repeated   (count,)  samples that repeat the stamp before
+    back       (count,)  first sample behind a step backwards
+    stepped    (count,)  samples by which each of these steps back from where it should be
+    """
+
+    gaps: Stamps
+    lost: Stamps
+    repeated: Stamps
+    back: Stamps
+    stepped: Stamps
+
+    @classmethod
+    def find(
+        cls, time_s: Array, interval_s: float, max_excess_s: float, resolution_s: float
+    ) -> "StampFaults":
+        """Find the faults of stamps.
+
+        max_excess_s  beyond which a step is neither jitter nor rounding
+        resolution_s  to which the stamps were printed
+        """
+        steps = np.diff(time_s)
+        back = np.flatnonzero(steps < -max_excess_s) + 1
+        gaps, lost = _gaps(time_s, interval_s, max_excess_s)
+        return cls(
+            gaps=gaps,
+            lost=lost,
+            repeated=_repeated(steps, interval_s, resolution_s),
+            back=back,
+            stepped=np.round(np.minimum(1.0 - steps[back - 1] / interval_s, MAX_LOST)).astype(int),
+        )
+
+    def statements(self, time_s: Array, place: PlaceOf) -> list[Statement]:
+        """Return one statement for each kind of fault: the count, and the first places."""
+        single = int(np.sum(self.lost == 1))
+        bridged = f"; {single} of single samples, bridged by straight lines" if single else ""
+        faults = (
+            ("gap", "time is missing", self.gaps, int(self.lost.sum()), bridged),
+            (
+                "duplicate_time",
+                "the time stamp is repeated",
+                self.repeated,
+                len(self.repeated),
+                "",
+            ),
+            ("time_reversed", "the clock steps back", self.back, int(self.stepped.sum()), ""),
+        )
+        statements = []
+        for quantity, sentence, rows, samples, addition in faults:
+            if not len(rows):
+                continue
+            first = [
+                f"{place(k)}, t = {time_s[k]:.6g} s (step {time_s[k] - time_s[k - 1]:.6g} s)"
+                for k in rows[:_MAX_PLACES].tolist()
+            ]
+            more = f" and {len(rows) - _MAX_PLACES} more" if len(rows) > _MAX_PLACES else ""
+            statements.append(
+                finding(
+                    quantity=quantity,
+                    place=place(int(rows[0])),
+                    text=f"{sentence} at {len(rows)} places: {'; '.join(first)}{more}{addition}",
+                    value=float(samples),
+                    unit="samples",
+                )
+            )
+        return statements
+
+
+def _gaps(time_s: Array, interval_s: float, max_excess_s: float) -> tuple[Stamps, Stamps]:
+    """Return the first samples after missing time, and how many samples each gap lost.
+
+    A late stamp, or a clock catching up, is no gap: the time must stay lost over the samples
+    around the step, so the step is compared between spans of stamps, not between two stamps.
+    """
+    gaps, lost = [], []
+    for k in (np.flatnonzero(np.diff(time_s) > interval_s + max_excess_s) + 1).tolist():
+        before = k - 1
+        while before > 0 and time_s[before - 1] == time_s[before]:
+            before -= 1
+        after = min(k + 1, len(time_s) - 1)
+        missing_s = time_s[after] - time_s[before] - (after - before) * interval_s
+        if missing_s > max_excess_s:
+            # Of two losses in a row, the next one is counted at its own place.
+            up_to_here_s = time_s[k] - time_s[before] - (k - before) * interval_s
+            missing_s = min(missing_s, up_to_here_s, MAX_LOST * interval_s)
+            gaps.append(k)
+            lost.append(max(round(missing_s / interval_s), 1))
+    return np.array(gaps, dtype=int), np.array(lost, dtype=int)
+
+
+def _repeated(steps: Array, interval_s: float, resolution_s: float) -> Stamps:
+    """Return samples that repeat the stamp before, if more do than rounding explains."""
+    is_equal = np.abs(steps) <= 1e-9 * interval_s
+    if resolution_s <= 0.5 * interval_s:
+        return np.flatnonzero(is_equal) + 1
+    # A clock faster than its print repeats a stamp now and then, and no more often than this.
+    by_rounding = len(steps) * max(0.0, 1.0 - interval_s / resolution_s)
+    if np.count_nonzero(is_equal) > 2 * by_rounding + 2:
+        return np.flatnonzero(is_equal) + 1
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_equal.astype(int), [0]])))
+    max_run = int(np.ceil(resolution_s / interval_s + 1e-6))
+    runs = [np.arange(a, b) + 1 for a, b in edges.reshape(-1, 2).tolist() if b - a > max_run]
+    return np.concatenate(runs) if runs else np.zeros(0, dtype=int)
 
 
 def _refuse_false_clock(
-    time_s: Array, interval_s: float, faults: TimeFaults, name: str, place: Callable[[int], str]
+    time_s: Array, interval_s: float, faults: StampFaults, name: str, place: PlaceOf
 ) -> None:
-    """Refuse a clock whose steps do not sum up to what the stamps say has passed.
+    """Refuse a clock whose steps do not sum up to the span of the stamps.
 
-    A stamp that stands may be one sample too many, or be made up for when the clock catches up.
+    A repeated stamp may be one sample too many, or be made up for when the clock catches up.
     """
-    passed = (time_s[-1] - time_s[0]) / interval_s
+    span = (time_s[-1] - time_s[0]) / interval_s
     steps = len(time_s) - 1 + int(faults.lost.sum()) - int(faults.stepped.sum())
-    allowed = _UNACCOUNTED * max(abs(passed), steps) + _SPARE_STEPS
-    if steps - len(faults.stands) - allowed <= passed <= steps + allowed:
+    tolerance = MAX_UNACCOUNTED * max(abs(span), steps) + SPARE_STEPS
+    if steps - len(faults.repeated) - tolerance <= span <= steps + tolerance:
         return
-    odd = np.abs(np.diff(time_s) - interval_s) > 0.25 * interval_s
-    first = int(np.argmax(odd)) + 1
+    is_other = np.abs(np.diff(time_s) - interval_s) > 0.25 * interval_s
+    first = int(np.argmax(is_other)) + 1
     raise _no_clock(
         name,
         f"most time steps are {interval_s:.6g} s, of which {steps} make {steps * interval_s:.6g} "
         f"s, while the stamps span {time_s[-1] - time_s[0]:.6g} s; the first other step is at "
         f"{place(first)}",
-        "samples at a uniform rate, or stretches of one rate that are long enough to be told",
+        "samples at a uniform rate, or long stretches of one rate",
     )
-
-
-def _interval_s(time_s: Array) -> float:
-    """The interval between samples: the median step, refined over stretches without faults.
-
-    Where most stretches have lost a sample, shorter ones are taken: their median is right again.
-    """
-    width = min(_WINDOW, len(time_s) - 1)
-    while True:
-        spans = time_s[width:] - time_s[:-width]
-        rough = float(np.median(spans)) / width
-        whole = np.abs(spans - rough * width) < 0.5 * rough
-        if width == 1 or whole.mean() > _AGREEING:
-            return float(np.mean(spans[whole])) / width if whole.any() else rough
-        width //= 2
-
-
-def _rounding_s(interval_s: float, resolution_s: float) -> float:
-    """How much longer than the interval a step may be printed: up to the next multiple."""
-    if resolution_s == 0:
-        return 0.0
-    return math.ceil(interval_s / resolution_s - 1e-6) * resolution_s - interval_s
-
-
-def _jitter_s(steps: Array, interval_s: float, excess_s: float) -> float:
-    """Root mean square of the stamps about uniform ones, from the steps that are neither fault.
-
-    Two independent stamps make one step, hence the root of two.
-    """
-    errors = steps - interval_s
-    regular = np.abs(errors) < excess_s
-    return float(np.sqrt(np.mean(errors[regular] ** 2) / 2)) if regular.any() else 0.0
-
-
-def _jitter_problem(
-    jitter_s: float, interval_s: float, resolution_s: float
-) -> tuple[Statement, ...]:
-    if jitter_s <= JITTER_LIMIT * interval_s or jitter_s <= 0.51 * resolution_s:
-        return ()
-    text = (
-        f"the time stamps scatter by {jitter_s:.3g} s rms about a uniform clock, "
-        f"{100 * jitter_s / interval_s:.2g} % of the sampling interval"
-    )
-    return (finding(quantity="jitter", place="the time column", text=text),)
 
 
 def _no_clock(name: str, found: str, needed: str) -> RecordingError:

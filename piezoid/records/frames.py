@@ -14,10 +14,10 @@ from piezoid.counts import COUNTS
 from piezoid.digests import digest_of_bytes
 from piezoid.errors import RecordingError, UnitError
 from piezoid.numerics.arrays import Array
-from piezoid.records.ingest import ingest_table, parts_of, with_remarks
+from piezoid.records.column_roles import Role, meaning_of
+from piezoid.records.ingest import ingest_table, parts_of, with_checks
 from piezoid.records.lab import Lab
 from piezoid.records.lab_tables import RecordingEntry
-from piezoid.records.meaning import Role, meaning_of
 from piezoid.records.recording import Quantity, Recording
 from piezoid.records.table import Column, RawTable
 from piezoid.records.units import heading_of, unit_of
@@ -194,7 +194,7 @@ def _one(table: RawTable, entry: RecordingEntry) -> Recording:
             needed="one rate where one recording is asked for",
             remedy="Make a recording of each stretch.",
         )
-    return with_remarks(ingest_table(*parts[0]), Lab())
+    return with_checks(ingest_table(*parts[0]), Lab())
 
 
 def _table(name: str, columns: tuple[Column, ...]) -> RawTable:

@@ -1,6 +1,10 @@
-"""ingest: from a file, and what lab.toml says about it, to a Recording."""
+"""Ingest: from a file, and what lab.toml declares about it, to a Recording.
 
-from collections.abc import Iterable
+read_table -> assign_columns -> unique_rows, complete_rows -> clock -> SampleRows
+    -> find_invalid_samples -> Recording -> checks -> split_at_baseline_steps
+"""
+
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -8,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 from msgspec import structs
-from numpy.typing import NDArray
 
-from piezoid.counts import record_in_counts
 from piezoid.errors import LabFileError, RecordingError, UnitError
-from piezoid.records.assignment import Assignment, assign
+from piezoid.records.baseline_steps import split_at_baseline_steps
+from piezoid.records.checks import check_recording
+from piezoid.records.checks.columns import check_columns
 from piezoid.records.clock import (
     Clock,
     print_resolution_s,
@@ -20,30 +24,30 @@ from piezoid.records.clock import (
     refuse_newest_first,
     stated_clock,
 )
-from piezoid.records.conversion import Assigned
-from piezoid.records.faults import faults_of
+from piezoid.records.columns import Assignment, assign_columns, clocks_of, entry_template
+from piezoid.records.invalid_samples import InvalidSamples, SensorColumn, find_invalid_samples
 from piezoid.records.lab import Lab, RecordingEntry
-from piezoid.records.lost_readings import LeftOut, Sensed, left_out
-from piezoid.records.meaning import Role, meaning_of
-from piezoid.records.own_axis import incomplete, own_axis, several_axes
-from piezoid.records.plausibility import remarks_on
-from piezoid.records.rates import stretches_of_one_rate
 from piezoid.records.readers import read_table
-from piezoid.records.recording import Channel, Recording
-from piezoid.records.refusal import lab_block
+from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid.records.response_columns import is_response
 from piezoid.records.response_ingest import refused_as_recording
-from piezoid.records.sample_rows import SampleRows
+from piezoid.records.row_alignment import (
+    Rows,
+    SampleRows,
+    complete_rows,
+    positions_in,
+    skips,
+    unique_rows,
+)
 from piezoid.records.table import RawTable
+from piezoid.records.time_stamps import stretches_of_one_rate
 from piezoid.records.units import Dimension
-from piezoid.records.which_voltage import beyond_the_controller
-from piezoid.records.zero_jumps import told_jumps
 from piezoid.statement import Statement, finding
-
-Rows = NDArray[np.intp]
 
 # lab.toml and the time column may differ by this much: crystals do, mistaken rates do not.
 _RATE_TOLERANCE = 0.01
+
+Part = tuple[RawTable, Lab, RecordingEntry | None]
 
 
 def ingest(path: Path, lab: Lab | None = None) -> Recording:
@@ -60,19 +64,18 @@ def ingest(path: Path, lab: Lab | None = None) -> Recording:
             needed="one entry where one recording is asked for",
             remedy="Read them all with ingest_all, or keep one entry.",
         )
-    found = ingest_parts(
-        read_table(path, lab.text_format_of(path)), lab, next(iter(entries), None)
-    )
-    if len(found) > 1:
+    table = read_table(path, lab.text_format_of(path))
+    recordings = ingest_parts(table, lab, next(iter(entries), None))
+    if len(recordings) > 1:
         stretches = ", ".join(
-            f"{part.sampling_rate_Hz:.9g} Hz for {part.duration_s:.6g} s" for part in found
+            f"{part.sampling_rate_Hz:.9g} Hz for {part.duration_s:.6g} s" for part in recordings
         )
         raise RecordingError(
-            f"{path.name}: it holds {len(found)} stretches of different rate: {stretches}",
+            f"{path.name}: it holds {len(recordings)} stretches of different rate: {stretches}",
             needed="one rate where one recording is asked for",
             remedy="Read them all with ingest_all, or state start_s and stop_s in lab.toml.",
         )
-    return found[0]
+    return recordings[0]
 
 
 def ingest_all(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Recording, ...]:
@@ -82,12 +85,12 @@ def ingest_all(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Recording
     """
     lab, paths = Lab() if lab is None else lab, tuple(paths)
     lab.check_files(paths)
-    found: list[Recording] = []
+    recordings: list[Recording] = []
     for path in paths:
         table = read_table(path, lab.text_format_of(path))
         for entry in lab.entries_of(path) or (None,):
-            found += ingest_parts(table, lab, entry)
-    return tuple(found)
+            recordings += ingest_parts(table, lab, entry)
+    return tuple(recordings)
 
 
 def ingest_parts(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[Recording, ...]:
@@ -97,56 +100,64 @@ def ingest_parts(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tup
     """
     if is_response(table, entry):
         raise refused_as_recording(table)
-    parts = parts_of(table, lab, entry)
-    return tuple(with_remarks(ingest_table(*part), lab) for part in parts)
+    return tuple(with_checks(ingest_table(*part), lab) for part in parts_of(table, lab, entry))
 
 
-def parts_of(
-    table: RawTable, lab: Lab, entry: RecordingEntry | None
-) -> tuple[tuple[RawTable, Lab, RecordingEntry | None], ...]:
+def with_checks(recording: Recording, lab: Lab) -> Recording:
+    """Return a recording with the statements of all checks, split where a zero steps."""
+    statements = (*recording.statements, *check_recording(recording, lab))
+    return split_at_baseline_steps(replace(recording, statements=statements))
+
+
+def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[Part, ...]:
     """Cut a table where its sampling rate changes; each part is read by itself.
 
-    returned  what ``ingest_table`` makes each recording of: a part has ``(part 1 of 3)`` in its
-              name, and start_s and stop_s of the entry are counted from its own first sample
+    returned  arguments of ``ingest_table`` for each recording: the name of a part ends in
+              ``(part 1 of 3)``, and its start_s and stop_s count from its own first sample
     """
-    whole = ((table, lab, entry),)
-    if table.independent:
-        return whole
-    time = assign(table, lab, entry or RecordingEntry(file=table.name)).time
-    if time is None or (entry is not None and entry.sampling_rate_Hz is not None):
-        return whole
-    time_s = time.values[::-1] if entry is not None and entry.reverse else time.values
+    undivided: tuple[Part, ...] = ((table, lab, entry),)
+    if table.independent or (entry is not None and entry.sampling_rate_Hz is not None):
+        return undivided
+    time = assign_columns(table, lab, entry or RecordingEntry(file=table.name)).time
+    if time is None:
+        return undivided
+    is_reversed = entry is not None and entry.reverse
+    time_s = time.values[::-1] if is_reversed else time.values
     stamped = np.flatnonzero(np.isfinite(time_s))
     stamps_s = time_s[stamped]
-    found = stretches_of_one_rate(stamps_s, print_resolution_s(stamps_s)) if len(stamped) else ()
-    if len(found) < 2:
-        return whole
+    if not len(stamps_s):
+        return undivided
+    stretches = stretches_of_one_rate(stamps_s, print_resolution_s(stamps_s))
+    if len(stretches) < 2:
+        return undivided
     if entry is not None and entry.reverse:
         table, entry = table.reversed(), structs.replace(entry, reverse=False)
-    begins_s = [float(stamps_s[part.start] - stamps_s[0]) for part in found]
-    ends_s = [float(stamps_s[part.stop - 1] - stamps_s[0]) for part in found]
-    starts = [0, *(int(stamped[part.start]) for part in found[1:])]
-    told = f"{len(found)} stretches of different rate, which begin at " + ", ".join(
+    starts = [0, *(int(stamped[part.start]) for part in stretches[1:])]
+    places = ", ".join(
         f"{table.place_of_row(row)} (t = {stamps_s[part.start]:.6g} s)"
-        for row, part in zip(starts, found, strict=True)
+        for row, part in zip(starts, stretches, strict=True)
     )
     statement = finding(
         quantity="several_rates",
         place=table.place_of_row(starts[1]),
-        text=f"{told}; each is a recording of its own, with its own memory",
+        text=f"The sampling rate changes: {len(stretches)} stretches begin at {places}; each is "
+        "read as a recording.",
     )
-    parts = []
-    for k, (start, stop) in enumerate(pairwise((*starts, table.rows))):
-        own = entry and _shifted(entry, begins_s[k], ends_s[k])
-        if entry is None or own is not None:
-            name = f"{table.name} (part {k + 1} of {len(found)})"
-            part = table.part(slice(start, stop), name)
-            parts.append((replace(part, statements=(*part.statements, statement)), lab, own))
-    return tuple(parts) or whole
+    parts: list[Part] = []
+    for k, (stretch, (start, stop)) in enumerate(
+        zip(stretches, pairwise((*starts, table.rows)), strict=True), 1
+    ):
+        begin_s, end_s = stamps_s[[stretch.start, stretch.stop - 1]] - stamps_s[0]
+        shifted = None if entry is None else _shifted(entry, float(begin_s), float(end_s))
+        if entry is None or shifted is not None:
+            part = table.part(slice(start, stop), f"{table.name} (part {k} of {len(stretches)})")
+            part = replace(part, statements=(*part.statements, statement))
+            parts.append((part, lab, shifted))
+    return tuple(parts) or undivided
 
 
 def _shifted(entry: RecordingEntry, begin_s: float, end_s: float) -> RecordingEntry | None:
-    """Return an entry with its start and stop counted from a part, None where it is not in it."""
+    """Return an entry with start and stop counted from a part, None if it is outside the part."""
     start_s = 0.0 if entry.start_s is None else entry.start_s
     stop_s = np.inf if entry.stop_s is None else entry.stop_s
     if start_s >= end_s or stop_s <= begin_s:
@@ -158,20 +169,8 @@ def _shifted(entry: RecordingEntry, begin_s: float, end_s: float) -> RecordingEn
     )
 
 
-def with_remarks(recording: Recording, lab: Lab) -> Recording:
-    """Return a recording with what is remarkable about drive and response together.
-
-    Where the zero jumped, a piece ends.
-    """
-    edges, jumps = told_jumps(recording)
-    said = (*remarks_on(recording), *jumps, *beyond_the_controller(recording, lab))
-    statements = (*recording.statements, *record_in_counts(said, recording.counted))
-    breaks = tuple(sorted({*recording.breaks, *edges}))
-    return replace(recording, breaks=breaks, statements=statements)
-
-
 def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Recording:
-    """Make a recording of a table that has been read."""
+    """Make a recording of a table, without the checks."""
     if table.independent and (entry is None or not entry.columns):
         raise RecordingError(
             f"{table.name}: a {table.format} table over {table.independent!r}, not over time",
@@ -181,119 +180,109 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
         )
     entry = RecordingEntry(file=table.name) if entry is None else entry
     table = table.reversed() if entry.reverse else table
-    assignment = assign(table, lab, entry)
-    once, repeat_problems = _rows_once(table, assignment)
-    kept, row_problems = _kept_rows(table, assignment, once)
-    clock = _clock(table, lab, entry, assignment, kept, once)
+    assignment = assign_columns(table, lab, entry)
+    unique, repetitions = unique_rows(table, assignment)
+    complete, missing = complete_rows(table, assignment, unique)
+    clock = _clock(table, lab, entry, assignment, complete, unique)
+    segments = positions_in(complete, np.array(table.segment_starts, dtype=int))
     rows = SampleRows.of(
-        kept, {*clock.breaks, *_skips(kept, once), *_segments(table, kept)}, clock.bridged
+        complete, {*clock.breaks, *skips(complete, unique), *segments}, clock.bridged
     )
-    rows = rows.cut(_part(entry, clock, len(rows.place)))
-    lost = left_out(
-        [_sensed(assigned, rows) for assigned in assignment.channels], rows.told(table)
-    )
-    channels = tuple(
-        _channel(assigned, rows, number, lost)
-        for number, assigned in enumerate(assignment.channels)
-    )
+    rows = rows.cut(_selected_samples(entry, clock, len(rows.position)))
+    invalid = find_invalid_samples(_sensor_columns(assignment, rows), rows.source_place(table))
+    channels = _channels(assignment, rows, invalid)
+    axis, axis_statements = _select_axis(entry, channels, lab.place)
+    quantities = {a.column.number: a.quantity for a in assignment.channels if a.quantity}
+    reported = {(s.quantity, s.place) for s in invalid.statements}
     return Recording(
         name=table.name,
         digest=table.digest,
-        axis=own_axis(entry, channels, lab.place),
+        axis=axis,
         sampling_rate_Hz=clock.sampling_rate_Hz,
         channels=channels,
         breaks=rows.breaks,
-        bridged=tuple(sorted({*rows.bridged, *lost.samples})),
+        bridged=tuple(sorted({*rows.bridged, *invalid.samples})),
         statements=(
             *table.statements,
             *assignment.statements,
-            *repeat_problems,
-            *row_problems,
+            *repetitions,
+            *missing,
             *clock.statements,
-            *lost.statements,
-            *_not_yet_told(
-                faults_of(
-                    table, {a.column.number: a.quantity for a in assignment.channels if a.quantity}
-                ),
-                lost,
+            *invalid.statements,
+            *(
+                statement
+                for statement in check_columns(table, quantities)
+                if (statement.quantity, statement.place) not in reported
             ),
-            *incomplete(channels),
-            *several_axes(entry, channels),
+            *axis_statements,
         ),
     )
 
 
-def _rows_once(table: RawTable, assignment: Assignment) -> tuple[Rows, tuple[Statement, ...]]:
-    """Return the rows without those that were written again: same stamp, same numbers.
-
-    They are taken for that only where every stamp is one row's once they are gone: stamps of few
-    digits are shared by many samples, some of which may be alike.
-    """
-    everything = np.arange(table.rows)
-    time_s = None if assignment.time is None else assignment.time.values
-    if time_s is None or not (np.diff(time_s[np.isfinite(time_s)]) <= 0).any():
-        return everything, ()
-    _, first, group = np.unique(time_s, return_index=True, return_inverse=True, equal_nan=False)
-    again = (first[group] != everything) & np.isfinite(time_s)
-    for channel in assignment.channels:
-        earlier = channel.values[first[group]]
-        again &= (channel.values == earlier) | (np.isnan(channel.values) & np.isnan(earlier))
-    once = everything[~again]
-    stamps_s = time_s[once]
-    stamps_s = stamps_s[np.isfinite(stamps_s)]
-    if not again.any() or len(np.unique(stamps_s)) < len(stamps_s):
-        return everything, ()
-    at = np.flatnonzero(again)
-    text = (
-        f"{len(at)} rows are written twice, with the same stamp and the same numbers; each is "
-        f"read once. The first is {table.place_of_row(int(at[0]))}, t = {time_s[at[0]]:.6g} s"
-    )
-    place = table.place_of_row(int(at[0]))
-    return once, (finding(quantity="repeated_rows", place=place, text=text),)
-
-
-def _kept_rows(
-    table: RawTable, assignment: Assignment, once: Rows
-) -> tuple[Rows, tuple[Statement, ...]]:
-    """Return the rows in which every column that is read holds a number.
-
-    once  the rows to choose from
-    """
-    read = [*assignment.channels, *([assignment.time] if assignment.time else [])]
-    whole = np.ones(len(once), dtype=bool)
-    for assigned in read:
-        whole &= np.isfinite(assigned.values[once])
-    kept = once[whole]
-    if len(kept) < 2:
-        counts = ", ".join(f"{a.column.place} {np.isfinite(a.values).sum()}" for a in read)
-        raise RecordingError(
-            f"{table.name}: {len(kept)} of {table.rows} rows hold a number in every column "
-            f"(numbers in {counts})",
-            needed="at least two whole rows",
-            remedy="Leave the empty column out by naming the others in lab.toml.",
+def _sensor_columns(assignment: Assignment, rows: SampleRows) -> list[SensorColumn]:
+    return [
+        SensorColumn(
+            quantity=assigned.quantity,
+            axis=assigned.axis,
+            place=assigned.column.place,
+            unit=assigned.unit.symbol,
+            factor=assigned.unit.factor,
+            values=rows.values(assigned.column.values),
         )
-    lost = len(once) - len(kept)
-    if not lost:
-        return kept, ()
-    held = np.flatnonzero(whole)
-    ends = int(held[0]) + len(once) - 1 - int(held[-1])
-    first = int(once[np.flatnonzero(~whole)[0]])
-    empty = [a.column.place for a in read if not np.isfinite(a.values[first])]
-    text = (
-        f"{lost} rows lack a number, {ends} of them at the ends, {lost - ends} inside (behind a "
-        f"break); the first is {table.place_of_row(first)}, {' and '.join(empty)}"
+        for assigned in assignment.channels
+        if assigned.quantity is not None
+    ]
+
+
+def _channels(
+    assignment: Assignment, rows: SampleRows, invalid: InvalidSamples
+) -> tuple[Channel, ...]:
+    return tuple(
+        Channel(
+            quantity=assigned.quantity,
+            axis=assigned.axis,
+            values=invalid.interpolated(k, rows.values(assigned.values)),
+            label=assigned.column.label or f"column {assigned.column.number}",
+            is_counted=assigned.unit.is_counted and assigned.unit.dimension is Dimension.OTHER,
+        )
+        for k, assigned in enumerate(assignment.channels)
+        if assigned.quantity is not None
     )
-    return kept, (finding(quantity="missing_values", place=table.place_of_row(first), text=text),)
 
 
-def _skips(kept: Rows, once: Rows) -> list[int]:
-    """First kept rows after rows that were left out for lack of a number."""
-    return (np.flatnonzero(np.diff(np.searchsorted(once, kept)) > 1) + 1).tolist()
+def _select_axis(
+    entry: RecordingEntry, channels: Sequence[Channel], place: str
+) -> tuple[str, list[Statement]]:
+    """Return the axis a recording is about, with a statement if it was chosen among several.
 
-
-def _segments(table: RawTable, kept: Rows) -> list[int]:
-    starts = np.searchsorted(kept, np.array(table.segment_starts, dtype=int))
-    return [int(k) for k in starts if 0 < k < len(kept)]
+    It is the axis of the entry, else the one with drive and displacement that is driven the most.
+    """
+    axes = sorted({c.axis for c in channels})
+    if entry.axis is not None:
+        if entry.axis not in axes:
+            raise LabFileError(
+                f"{place}: {entry.file} is said to be about axis {entry.axis!r}, its columns are "
+                f"of {', '.join(axes)}",
+                needed="an axis one of its columns belongs to",
+                remedy="Correct the axis, or name the columns.",
+            )
+        return entry.axis, []
+    displaced = {c.axis for c in channels if c.quantity is Quantity.DISPLACEMENT}
+    ranges = {
+        c.axis: float(np.ptp(c.values))
+        for c in channels
+        if c.quantity is Quantity.VOLTAGE and c.axis in displaced
+    }
+    if not ranges:
+        return min(displaced or axes), []
+    axis = max(sorted(ranges), key=lambda name: ranges[name])
+    if len(ranges) == 1:
+        return axis, []
+    text = (
+        f"Contains the axes {', '.join(sorted(ranges))}; read as {axis}, whose drive moves the "
+        "most. Set axis in its [[recording]] of lab.toml to change this."
+    )
+    return axis, [finding(quantity="several_axes", place="columns", text=text)]
 
 
 def _clock(
@@ -301,57 +290,39 @@ def _clock(
     lab: Lab,
     entry: RecordingEntry,
     assignment: Assignment,
-    kept: Rows,
-    once: Rows,
+    complete: Rows,
+    unique: Rows,
 ) -> Clock:
-    """Return the clock, its breaks and single losses counted in kept rows.
+    """Return the clock, its breaks and single losses as indices of complete rows.
 
-    It is read from every row with a stamp, so that a row left out for another column's sake is no
-    gap in time besides.
+    It is read from every row with a stamp, so that a row that lacks another column's number is no
+    gap in time as well.
     """
     declared_Hz = entry.sampling_rate_Hz
     if assignment.time is None:
-        _refuse_newest_first(table)
+        for column in clocks_of(table):  # not named the clock, and running backwards all the same
+            stamped = np.flatnonzero(np.isfinite(column.values))
+            place = partial(_place_of, table, stamped)
+            refuse_newest_first(column.si_values[stamped], table.name, place)
         return _stated_clock(table, lab, declared_Hz)
-    stamped = once[np.isfinite(assignment.time.values[once])]
-    clock = read_clock(
-        assignment.time.values[stamped],
-        table.name,
-        partial(_place_of, table, stamped),
-    )
+    stamped = unique[np.isfinite(assignment.time.values[unique])]
+    place = partial(_place_of, table, stamped)
+    clock = read_clock(assignment.time.values[stamped], table.name, place)
     if declared_Hz is not None:
         _check_rate(table, lab, declared_Hz, clock.sampling_rate_Hz)
     return replace(
         clock,
-        breaks=_counted(stamped[list(clock.breaks)], kept),
-        bridged=_counted(stamped[list(clock.bridged)], kept),
+        breaks=positions_in(complete, stamped[list(clock.breaks)]),
+        bridged=positions_in(complete, stamped[list(clock.bridged)]),
     )
-
-
-def _refuse_newest_first(table: RawTable) -> None:
-    """Refuse rows whose own stamps run backwards, though nobody named these stamps the clock."""
-    for column in table.columns:
-        if meaning_of(column.heading).role is Role.TIME:
-            stamped = np.flatnonzero(np.isfinite(column.values))
-            refuse_newest_first(
-                column.si_values[stamped],
-                table.name,
-                partial(_place_of, table, stamped),
-            )
 
 
 def _place_of(table: RawTable, rows: Rows, row: int) -> str:
     return table.place_of_row(int(rows[row]))
 
 
-def _counted(rows: Rows, kept: Rows) -> tuple[int, ...]:
-    """Return the numbers of the first kept rows from some rows on."""
-    at = np.searchsorted(kept, rows)
-    return tuple(sorted({int(k) for k in at if 0 < k < len(kept)}))
-
-
 def _stated_clock(table: RawTable, lab: Lab, declared_Hz: float | None) -> Clock:
-    """The clock of a table without time column: the format's, the entry's, the laboratory's."""
+    """Return the clock of a table without time column: the format's, entry's or laboratory's."""
     stated_Hz = table.sampling_rate_Hz
     rate_Hz = stated_Hz or declared_Hz or lab.acquisition.sampling_rate_Hz
     if rate_Hz is None:
@@ -359,7 +330,7 @@ def _stated_clock(table: RawTable, lab: Lab, declared_Hz: float | None) -> Clock
             f"{table.name}: no column is a time and the file states no sampling rate",
             needed="one of the two, to know when each row was recorded",
             remedy="Write into lab.toml 'sampling_rate_Hz = ...' under [acquisition] or under the "
-            f"file's own entry, or name its time column:\n\n{lab_block(table)}\n",
+            f"file's own entry, or name its time column:\n\n{entry_template(table)}\n",
         )
     clock = stated_clock(rate_Hz, table.name)
     if stated_Hz is not None and declared_Hz is not None:
@@ -367,17 +338,17 @@ def _stated_clock(table: RawTable, lab: Lab, declared_Hz: float | None) -> Clock
     return clock
 
 
-def _check_rate(table: RawTable, lab: Lab, declared_Hz: float, found_Hz: float) -> None:
-    if abs(declared_Hz - found_Hz) > _RATE_TOLERANCE * found_Hz:
+def _check_rate(table: RawTable, lab: Lab, declared_Hz: float, clock_Hz: float) -> None:
+    if abs(declared_Hz - clock_Hz) > _RATE_TOLERANCE * clock_Hz:
         raise LabFileError(
             f"{lab.place}: sampling_rate_Hz of {table.name} is {declared_Hz:.9g} Hz, the file's "
-            f"own clock says {found_Hz:.9g} Hz",
+            f"own clock says {clock_Hz:.9g} Hz",
             needed="one rate, or no time column",
             remedy="Correct the rate or the unit of the time column.",
         )
 
 
-def _part(entry: RecordingEntry, clock: Clock, samples: int) -> slice:
+def _selected_samples(entry: RecordingEntry, clock: Clock, samples: int) -> slice:
     """Return the samples between start_s and stop_s, counted from the first sample."""
     start = 0 if entry.start_s is None else round(entry.start_s * clock.sampling_rate_Hz)
     stop = samples if entry.stop_s is None else round(entry.stop_s * clock.sampling_rate_Hz) + 1
@@ -390,33 +361,3 @@ def _part(entry: RecordingEntry, clock: Clock, samples: int) -> slice:
             remedy="Correct start_s and stop_s, counted from the first sample of the file.",
         )
     return slice(start, stop)
-
-
-def _sensed(assigned: Assigned, rows: SampleRows) -> Sensed:
-    assert assigned.quantity is not None
-    return Sensed(
-        quantity=assigned.quantity,
-        axis=assigned.axis,
-        place=assigned.column.place,
-        unit=assigned.unit.symbol,
-        factor=assigned.unit.factor,
-        values=rows.values(assigned.column.values),
-    )
-
-
-def _not_yet_told(faults: tuple[Statement, ...], lost: LeftOut) -> tuple[Statement, ...]:
-    """Return the faults but those of columns whose lost readings tell the same."""
-    told = {(statement.quantity, statement.place) for statement in lost.statements}
-    return tuple(fault for fault in faults if (fault.quantity, fault.place) not in told)
-
-
-def _channel(assigned: Assigned, rows: SampleRows, number: int, lost: LeftOut) -> Channel:
-    assert assigned.quantity is not None
-    column = assigned.column
-    return Channel(
-        quantity=assigned.quantity,
-        axis=assigned.axis,
-        values=lost.of(number, rows.values(assigned.values)),
-        label=column.label or f"column {column.number}",
-        is_counted=assigned.unit.is_counted and assigned.unit.dimension is Dimension.OTHER,
-    )

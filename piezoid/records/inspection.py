@@ -6,24 +6,24 @@ from pathlib import Path
 
 import numpy as np
 
-from piezoid.counts import record_in_counts
 from piezoid.errors import PiezoidError
 from piezoid.numerics.arrays import Array
-from piezoid.records.assignment import Assignment, assign
-from piezoid.records.comparison import counts_beside_units, misfits, remarks_on_set
-from piezoid.records.faults import clipped_share, faults_of, is_dead, noise_rms, step_size
-from piezoid.records.ingest import ingest_table, parts_of, with_remarks
+from piezoid.records.checks import check_set
+from piezoid.records.checks.columns import check_columns
+from piezoid.records.column_roles import Meaning, Role, meaning_of
+from piezoid.records.columns import Assignment, assign_columns
+from piezoid.records.ingest import ingest_table, parts_of, with_checks
 from piezoid.records.lab import Lab, RecordingEntry
-from piezoid.records.meaning import Meaning, Role, meaning_of
 from piezoid.records.readers import read_table
 from piezoid.records.recording import Quantity, Recording
 from piezoid.records.response_columns import is_response, part_of, response_columns
 from piezoid.records.response_ingest import ingest_response
 from piezoid.records.response_summary import ResponseSummary, summary_of
 from piezoid.records.response_units import unit_in_heading
-from piezoid.records.sweep import noise_of, reversals_of
+from piezoid.records.reversals import noise_of, reversals_of
+from piezoid.records.sample_statistics import clipped_share, is_dead, noise_rms, step_size
 from piezoid.records.table import Column, RawTable
-from piezoid.statement import Statement, finding
+from piezoid.statement import Statement
 
 # A turn of the drive smaller than this share of its span is no sweep.
 _TURN_SHARE = 0.01
@@ -114,28 +114,22 @@ def inspect_files(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Inspec
     """
     paths, lab = tuple(paths), lab or Lab()
     lab.check_files(paths)
-    found = [one for path in paths for one in _inspected(path, lab)]
-    recordings = [recording for _, recording in found if recording is not None]
-    said: list[tuple[str, str, str]] = []
-    for counted in sorted({recording.counted for recording in recordings}):
-        alike = [recording for recording in recordings if recording.counted == counted]
-        told = [(misfit.name, "does_not_fit", misfit.reason) for misfit in misfits(alike)]
-        told += [(name, "beside_the_others", text) for name, text in remarks_on_set(alike)]
-        said += record_in_counts(tuple(told), counted)
-    said += [(n, "does_not_fit", text) for n, text in counts_beside_units(recordings).items()]
+    inspected = [pair for path in paths for pair in _inspected(path, lab)]
+    recordings = [recording for _, recording in inspected if recording is not None]
+    statements = check_set(recordings)
     return tuple(
         replace(
             inspection,
             statements=(
                 *inspection.statements,
                 *(
-                    finding(quantity=kind, place="beside the other files", text=text)
-                    for name, kind, text in said
-                    if recording is not None and recording.name == name
+                    s
+                    for s in statements
+                    if recording is not None and s.recording == recording.name
                 ),
             ),
         )
-        for inspection, recording in found
+        for inspection, recording in inspected
     )
 
 
@@ -203,11 +197,11 @@ def _inspect_table(
     table: RawTable, lab: Lab, entry: RecordingEntry | None
 ) -> tuple[Inspection, Recording | None]:
     try:
-        recording = with_remarks(ingest_table(table, lab, entry), lab)
+        recording = with_checks(ingest_table(table, lab, entry), lab)
     except PiezoidError as error:
         return _refused(table, error), None
     said = RecordingEntry(file=table.name) if entry is None else entry
-    assignment = assign(table, lab, said)
+    assignment = assign_columns(table, lab, said)
     drive = recording.find(Quantity.VOLTAGE, recording.axis)
     reversals = None if drive is None else _turns(recording, drive.values)
     found = Inspection(
@@ -237,7 +231,7 @@ def _refused(table: RawTable, error: PiezoidError) -> Inspection:
         rows=table.rows,
         columns=tuple(_summary(column, meaning_of(column.heading)) for column in table.columns),
         sampling_rate_Hz=table.sampling_rate_Hz,
-        statements=(*table.statements, *faults_of(table, {})),
+        statements=(*table.statements, *check_columns(table, {})),
         refusal=str(error),
     )
 
@@ -253,8 +247,7 @@ def _is_axis_named(assignment: Assignment, entry: RecordingEntry) -> bool:
 
 def _read_summary(column: Column, assignment: Assignment) -> ColumnSummary:
     """Summarise a column by what the recording made of it, lab.toml included."""
-    read = [*assignment.channels, *([assignment.time] if assignment.time else [])]
-    for assigned in read:
+    for assigned in assignment.columns:
         if assigned.column is column:
             quantity = assigned.quantity
             return _numbers(

@@ -16,19 +16,17 @@ import numpy as np
 
 from piezoid.counts import COUNTS
 from piezoid.errors import PiezoidError
-from piezoid.records.assignment import assign
+from piezoid.records.checks.command_range import DRIVE_VOLTAGE_NOTE
 from piezoid.records.collection import is_over_height
-from piezoid.records.conversion import Assigned
+from piezoid.records.columns import AssignedColumn, assign_columns, entry_template
 from piezoid.records.ingest import ingest_parts
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import read_table
 from piezoid.records.recording import Quantity, Recording
-from piezoid.records.refusal import lab_block
 from piezoid.records.response_columns import is_response, response_block
 from piezoid.records.response_ingest import ingest_response
 from piezoid.records.table import Column, RawTable
 from piezoid.records.units import unit_of
-from piezoid.records.which_voltage import WHICH_VOLTAGE
 
 HEAD = f"""\
 # What this laboratory knows about its rig, written by `piezoid init` from the recordings below.
@@ -38,7 +36,7 @@ HEAD = f"""\
 [rig]
 # name = "stage 42"              # heads the report
 
-{fill(WHICH_VOLTAGE, 98, initial_indent="# ", subsequent_indent="# ")}
+{fill(DRIVE_VOLTAGE_NOTE, 98, initial_indent="# ", subsequent_indent="# ")}
 
 [amplifier]                      # between the controller's output and the piezo
 # gain_V_per_V = 15
@@ -115,7 +113,7 @@ def _about(path: Path, name: str) -> tuple[str, bool]:
     except PiezoidError as error:
         asked = str(error).partition("\n")[0]
         _, found, lines = error.remedy.partition("[[recording]]")
-        block = f"{found}{lines.rstrip()}" if found else lab_block(table)
+        block = f"{found}{lines.rstrip()}" if found else entry_template(table)
         return commented(asked) + commented(_named(block, name)), False
 
 
@@ -144,7 +142,7 @@ def _named(block: str, name: str) -> str:
 
 
 def _entry(table: RawTable, recordings: Sequence[Recording], name: str) -> str:
-    found = assign(table, Lab(), RecordingEntry(file=table.name))
+    found = assign_columns(table, Lab(), RecordingEntry(file=table.name))
     clock = [("time", found.time)] if found.time is not None else []
     read = [*clock, *((_key(channel), channel) for channel in found.channels)]
     columns = ", ".join(f"{key} = {_heading(table, a.column)}" for key, a in read)
@@ -161,7 +159,7 @@ def _entry(table: RawTable, recordings: Sequence[Recording], name: str) -> str:
     return commented("\n".join(map(_summary, recordings))) + "\n".join(lines) + "\n"
 
 
-def _key(channel: Assigned) -> str:
+def _key(channel: AssignedColumn) -> str:
     assert channel.quantity is not None
     return f"{channel.quantity.name.lower()}_{channel.axis}"
 

@@ -1,9 +1,9 @@
 """Recording: one uninterrupted acquisition, several channels of several axes, in SI units."""
 
 import itertools
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,9 +12,6 @@ from piezoid.errors import RecordingError
 from piezoid.html_repr import html_table
 from piezoid.numerics.arrays import Array, frozen, same_length
 from piezoid.statement import Statement
-
-if TYPE_CHECKING:
-    pass
 
 
 class Quantity(Enum):
@@ -143,6 +140,16 @@ class Recording:
         return tuple(sorted({channel.axis for channel in self.channels}))
 
     @property
+    def complete_axes(self) -> tuple[str, ...]:
+        """Names of the axes that have both a drive and a displacement, sorted."""
+        pair = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
+        return tuple(
+            axis
+            for axis in self.axes
+            if all(self.find(quantity, axis) is not None for quantity in pair)
+        )
+
+    @property
     def counted(self) -> tuple[str, ...]:
         """What is in counts of its converter, of ``displacement`` and ``voltage``."""
         counted = {c.quantity.name.lower() for c in self.channels if c.is_counted}
@@ -219,3 +226,8 @@ class Recording:
                 remedy="Name the column in lab.toml, or leave this recording out.",
             )
         return channel.values
+
+
+def counted_in(recordings: Iterable[Recording]) -> tuple[str, ...]:
+    """Return what is in counts in any recording, of ``displacement`` and ``voltage``."""
+    return tuple(sorted({quantity for recording in recordings for quantity in recording.counted}))

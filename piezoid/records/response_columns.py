@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from piezoid.errors import LabFileError, RecordingError, UnitError
+from piezoid.records.column_roles import Role, meaning_of
 from piezoid.records.lab import Lab, RecordingEntry
-from piezoid.records.meaning import Role, meaning_of
 from piezoid.records.recording import Quantity
 from piezoid.records.response_units import Kind, bare, unit_in_heading
 from piezoid.records.table import Column, RawTable

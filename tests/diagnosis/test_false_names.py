@@ -8,7 +8,7 @@ import pytest
 
 from piezoid import diagnose, read
 from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.records.lost_readings import lost_readings
+from piezoid.records.invalid_samples import find_invalid_readings
 from tests.diagnosis.ceramic import bouc_wen_um
 from tests.records.responses import write_csv
 
@@ -40,7 +40,7 @@ def levels(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
 
 def test_equal_readings_at_the_end_of_a_hold_are_measurements() -> None:
     drive_V, reading_um = held_levels()
-    assert lost_readings(reading_um, drive_V) == ()
+    assert find_invalid_readings(reading_um, drive_V) == ()
 
 
 def test_levels_that_are_held_have_no_outliers(levels: Diagnosis) -> None:

@@ -13,7 +13,7 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.bundle import SAMPLES, SHIPPED, bundle, golden_csv, runtime_source
 from piezoid.export.c_header import c_header, plain_ascii
 from piezoid.export.parameter_file import AxisParameters, digest_of
-from piezoid.records.which_voltage import WHICH_VOLTAGE
+from piezoid.records.checks.command_range import DRIVE_VOLTAGE_NOTE
 from piezoid.runtime.controller import Status
 from piezoid.runtime.library import library
 from tests.export.stage import lateral, stage
@@ -202,5 +202,5 @@ def test_the_golden_table_visits_faults_and_stays_inside_the_limits():
 def test_the_readme_says_which_voltage_is_meant_and_counts_the_states_bytes():
     readme = bundle(stage()).files["README.md"].decode()
     assert f"{library('float').state_size} (float)" in readme
-    assert WHICH_VOLTAGE in readme.replace("\n", " ")
+    assert DRIVE_VOLTAGE_NOTE in readme.replace("\n", " ")
     assert ctypes.sizeof(ctypes.c_float) == library("float").code.pz_size_of_real()

@@ -39,5 +39,5 @@ def test_a_drive_that_hardly_moves_is_named_and_names_no_stage(tmp_path: Path) -
 
 def test_a_file_of_the_other_polarity_ends_before_the_fit(tmp_path: Path) -> None:
     recordings = read(tmp_path, sweep=lines(), turned=lines(table=columns() * [1, -1, 1]))
-    with pytest.raises(RecordingError, match=r"turned.csv moves .* the other polarity"):
+    with pytest.raises(RecordingError, match=r"turned.csv moves .* opposite polarity"):
         unfitted(recordings, Lab())

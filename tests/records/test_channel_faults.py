@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from piezoid.numerics.arrays import Array
-from piezoid.records.faults import clipped_share, noise_rms, step_size
 from piezoid.records.ingest import ingest
 from piezoid.records.recording import Recording
+from piezoid.records.sample_statistics import clipped_share, noise_rms, step_size
 
 PHASE = 2 * np.pi * np.arange(20000) / 4000
 SINE = np.sin(PHASE)

@@ -9,7 +9,7 @@ from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.numerics.arrays import Array
 from piezoid.records.inspection import inspect_file
-from piezoid.records.lost_readings import lost_readings
+from piezoid.records.invalid_samples import find_invalid_readings
 from tests.laws import LAWS, recorded, swept_um, triangles, write
 
 WRITTEN = {"zero": 0.0, "9999": 9999.0, "-1": -1.0, "full scale": 16.5}
@@ -39,7 +39,7 @@ def test_lost_readings_are_found_and_no_others(law: str, kind: str) -> None:
     for share in (0.005, 0.02, 0.05):
         reading_um = broken(clean_um, kind, share)
         found = np.zeros(len(field), dtype=bool)
-        for lost in lost_readings(reading_um, field):
+        for lost in find_invalid_readings(reading_um, field):
             found[lost.samples] = True
         away_um = np.abs(reading_um - clean_um)
         assert not found[away_um == 0.0].any()
@@ -60,7 +60,7 @@ def test_a_sensor_that_hangs_in_mid_motion_is_found_whole(law: str, level: str) 
         here = slice(int(begin * count), int((begin + share) * count))
         reading_um[here] = reading_um[here.start] if level == "last value" else 2.0
         hung[here] = True
-    (lost,) = lost_readings(reading_um, field)
+    (lost,) = find_invalid_readings(reading_um, field)
     assert lost.kind == "stuck"
     assert np.count_nonzero(np.isin(np.flatnonzero(hung), lost.samples, invert=True)) == 0
     assert len(lost.samples) == np.count_nonzero(hung)
@@ -69,9 +69,11 @@ def test_a_sensor_that_hangs_in_mid_motion_is_found_whole(law: str, level: str) 
 @pytest.mark.parametrize("law", LAWS)
 def test_healthy_readings_are_kept(law: str) -> None:
     field, reading_um = swept_um(law)
-    assert lost_readings(reading_um, field) == ()
-    assert lost_readings(np.round(reading_um / 0.05) * 0.05, field) == ()  # a coarse converter
-    assert lost_readings(10.0 * LAWS[law](field), field) == ()  # no noise at all
+    assert find_invalid_readings(reading_um, field) == ()
+    assert (
+        find_invalid_readings(np.round(reading_um / 0.05) * 0.05, field) == ()
+    )  # a coarse converter
+    assert find_invalid_readings(10.0 * LAWS[law](field), field) == ()  # no noise at all
 
 
 def test_rests_pulses_steps_and_ringing_are_no_losses() -> None:
@@ -92,7 +94,7 @@ def test_rests_pulses_steps_and_ringing_are_no_losses() -> None:
         (rested, rested + noise),
         (None, np.repeat(triangles(10, 200)[::2], 4)),  # a sensor slower than the clock
     ):
-        assert lost_readings(reading, drive) == ()
+        assert find_invalid_readings(reading, drive) == ()
 
 
 def test_a_row_of_one_number_is_lost_with_its_drive(tmp_path: Path) -> None:
@@ -149,17 +151,17 @@ def test_a_sensor_at_the_end_of_its_range_is_left_out_and_a_stage_at_its_end_is_
 ) -> None:
     field, clean_um = swept_um(law)
     top = float(np.quantile(clean_um, 0.92))
-    (clipped,) = lost_readings(np.minimum(clean_um, top), field)
+    (clipped,) = find_invalid_readings(np.minimum(clean_um, top), field)
     assert clipped.kind == "clipped"
     assert set(np.flatnonzero(clean_um > top)) >= set(clipped.samples.tolist())
     assert len(clipped.samples) > 0.9 * np.count_nonzero(clean_um > top)
     limited = np.minimum(field, 0.7)  # the amplifier ends, and the sensor goes on scattering
     noise_um = 0.008 * np.random.default_rng(2).standard_normal(len(field))
-    assert lost_readings(6.0 + 10.0 * LAWS[law](limited) + noise_um, field) == ()
-    assert lost_readings(10.0 * LAWS[law](limited), field) == ()
+    assert find_invalid_readings(6.0 + 10.0 * LAWS[law](limited) + noise_um, field) == ()
+    assert find_invalid_readings(10.0 * LAWS[law](limited), field) == ()
     (found,) = inspect_file(write(tmp_path / "a.csv", field, np.minimum(clean_um, top)))
     (told,) = [p.text for p in found.statements if p.quantity == "saturated"]
-    assert f"is clipped at {top:.6g} um while the drive moves on" in told
+    assert f"is clipped at {top:.6g} um while the drive moves" in told
     assert "left out as no measurement" in told
 
 

@@ -8,7 +8,8 @@ import pytest
 from scipy import signal
 
 from piezoid.errors import LabFileError, RecordingError
-from piezoid.records.comparison import copies, refuse_misfits
+from piezoid.records.checks.consistency import refuse_inconsistent
+from piezoid.records.checks.copies import copies
 from piezoid.records.frames import from_frame, to_frame
 from piezoid.records.ingest import ingest, ingest_all
 from piezoid.records.inspection import inspect_files
@@ -118,9 +119,15 @@ def test_a_part_in_seconds_is_counted_from_the_first_sample_of_the_file(tmp_path
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("kilovolts.csv", r"1000 times as much: the drive is in another unit.*voltage = 1000"),
-        ("monitor.csv", r"15\.0 times as much: its drive is the output of a monitor, 1/15,"),
-        ("polarity.csv", r"the other way: drive or sensor is of the other polarity"),
+        (
+            "kilovolts.csv",
+            r"1000 times larger\. Likely cause: another unit of the drive.*voltage = 1000",
+        ),
+        (
+            "monitor.csv",
+            r"15\.0 times larger\. Likely cause: the drive is the output of a monitor \(1/15\)",
+        ),
+        ("polarity.csv", r"opposite sign\. Likely cause: opposite polarity of drive or sensor"),
     ],
 )
 def test_a_file_that_does_not_fit_the_others_is_refused_with_the_likely_reason(
@@ -131,7 +138,7 @@ def test_a_file_that_does_not_fit_the_others_is_refused_with_the_likely_reason(
     text(lines())(tmp_path / "clean.csv")
     recordings = ingest_all([tmp_path / "clean.csv", tmp_path / name])
     with pytest.raises(RecordingError) as caught:
-        refuse_misfits(recordings)
+        refuse_inconsistent(recordings)
     assert re.search(reason, str(caught.value), re.DOTALL)
     assert f'file = "{name}"' in caught.value.remedy
 
@@ -141,8 +148,10 @@ def test_a_monitor_that_loops_of_other_gain_hide_is_not_guessed(tmp_path: Path) 
     text(lines(table=columns() * [1, 1 / 15, 1.17], written="{:.6f}".format))(
         tmp_path / "check.csv"
     )
-    with pytest.raises(RecordingError, match=r"a monitor, 1/15 or 1/20, or the command") as caught:
-        refuse_misfits(ingest_all([tmp_path / "clean.csv", tmp_path / "check.csv"]))
+    with pytest.raises(
+        RecordingError, match=r"a monitor \(1/15 or 1/20\) or the command"
+    ) as caught:
+        refuse_inconsistent(ingest_all([tmp_path / "clean.csv", tmp_path / "check.csv"]))
     assert "scale = { voltage = ... }" in caught.value.remedy
 
 
@@ -151,7 +160,7 @@ def test_a_displacement_in_another_unit_is_told_from_a_drive(tmp_path: Path) -> 
     text(lines(table=columns() * [1, 1, 1e3]))(tmp_path / "nm_as_um.csv")
     found = inspect_files([tmp_path / "clean.csv", tmp_path / "nm_as_um.csv"])
     (said,) = (p.text for p in found[1].statements if p.quantity == "does_not_fit")
-    assert said.endswith("the displacement is in another unit")
+    assert said.endswith("another unit of the displacement.")
 
 
 def test_a_chirp_through_a_mode_and_a_small_loop_fit_a_sweep(rng: np.random.Generator) -> None:
@@ -182,7 +191,7 @@ def test_a_chirp_through_a_mode_and_a_small_loop_fit_a_sweep(rng: np.random.Gene
                 ),
             )
         )
-    refuse_misfits(recordings)
+    refuse_inconsistent(recordings)
     assert not copies(recordings)
 
 
@@ -201,7 +210,7 @@ def test_a_part_in_which_a_feedback_holds_the_sensor_contradicts_no_gain(tmp_pat
     text([rows[0], *rows[600:]])(tmp_path / "hold.csv")
     recordings = ingest_all([tmp_path / "approach.csv", tmp_path / "hold.csv"])
     assert [p.quantity for r in recordings for p in r.statements] == ["closed_loop"]
-    refuse_misfits(recordings)
+    refuse_inconsistent(recordings)
 
 
 def test_an_entry_about_a_file_that_is_nowhere_is_named(tmp_path: Path) -> None:
@@ -218,7 +227,7 @@ def test_rows_that_run_backwards_are_refused_without_a_named_clock_too(tmp_path:
     rows = lines()
     text([rows[0], *rows[:0:-1]])(tmp_path / "run.csv")
     entry = {"columns": {"voltage": 2, "displacement": 3}, "sampling_rate_Hz": 1000.0}
-    with pytest.raises(RecordingError, match="the newest row stands first"):
+    with pytest.raises(RecordingError, match="the newest row is the first"):
         ingest(tmp_path / "run.csv", lab_with(**entry))
     turned = ingest(tmp_path / "run.csv", lab_with(**entry, reverse=True))
     np.testing.assert_allclose(turned.voltage_V(), VOLTAGE_V)
@@ -264,10 +273,10 @@ def test_counts_beside_metres_are_refused_with_the_line(tmp_path: Path) -> None:
     text(lines(names=(*NAMES[:2], "position [LSB]")))(tmp_path / "raw.csv")
     paths = [tmp_path / "known.csv", tmp_path / "raw.csv"]
     with pytest.raises(RecordingError, match=r"displacement of raw.csv is in counts") as caught:
-        refuse_misfits(ingest_all(paths))
+        refuse_inconsistent(ingest_all(paths))
     assert 'file = "raw.csv"\nscale = {' in caught.value.remedy
-    (said,) = (p.text for p in inspect_files(paths)[1].statements if p.quantity == "does_not_fit")
-    assert "how many m one count is" in said
+    kinds = [s.quantity for s in inspect_files(paths)[1].statements]
+    assert "mixed_units" in kinds
 
 
 def test_a_clock_in_counts_is_refused(tmp_path: Path) -> None:

@@ -10,9 +10,9 @@ import pytest
 
 from piezoid.errors import UnreadableFileError
 from piezoid.records import readers
+from piezoid.records.column_roles import Role, meaning_of
 from piezoid.records.ingest import ingest
 from piezoid.records.lab import Lab, RecordingEntry, Sensor
-from piezoid.records.meaning import Role, meaning_of
 from piezoid.records.readers import READERS, read_table
 from piezoid.records.readers.reader import Reader
 from tests.records.formats import SAMPLES, SPEAKING, VOLTAGE_V, DISPLACEMENT_um, RATE_Hz

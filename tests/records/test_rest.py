@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from piezoid.records.rest import answers, follows
+from piezoid.records.constant_drive import answers, follows
 
 
 def ringing(drive: np.ndarray, quality: float) -> np.ndarray:

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from piezoid.records.meaning import Role, meaning_of
+from piezoid.records.column_roles import Role, meaning_of
 from piezoid.records.recording import Quantity
 from piezoid.records.units import Dimension, heading_of, unit_of
 

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from piezoid.records.checks.command_range import DRIVE_VOLTAGE_NOTE
 from piezoid.records.ingest import ingest
 from piezoid.records.lab import read_lab
 from piezoid.records.lab_draft import draft_lab
 from piezoid.records.recording import Recording
-from piezoid.records.which_voltage import WHICH_VOLTAGE
 from tests.laws import triangles, write
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -62,6 +62,6 @@ def test_the_scale_it_names_makes_it_the_controllers_output(tmp_path: Path) -> N
 def test_the_same_sentence_stands_wherever_it_matters(tmp_path: Path) -> None:
     place = write(tmp_path / "run.csv", triangles(5, 240, 0.15), triangles(5, 240, 0.15))
     draft = draft_lab([place], tmp_path).text.replace("\n# ", " ")
-    assert WHICH_VOLTAGE in draft
+    assert DRIVE_VOLTAGE_NOTE in draft
     for name in ("README.md", "docs/guide/lab_toml.md", "docs/tutorials/five_minutes.md"):
-        assert WHICH_VOLTAGE in (ROOT / name).read_text().replace("\n", " "), name
+        assert DRIVE_VOLTAGE_NOTE in (ROOT / name).read_text().replace("\n", " "), name

@@ -26,8 +26,8 @@ from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
-from piezoid.records.faults import step_size
 from piezoid.records.recording import Recording
+from piezoid.records.sample_statistics import step_size
 
 FAR = 8.0  # times the typical distance
 LEAST = 1.5e-3  # of half the stroke

@@ -31,8 +31,8 @@ from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
-from piezoid.records.faults import step_size
 from piezoid.records.recording import Recording
+from piezoid.records.sample_statistics import step_size
 
 COARSE = 1.2e-3  # of half the stroke: rms of a twelfth of its square is 0.02 % of the stroke
 VISIBLE = 1.5  # times the noise

@@ -33,8 +33,8 @@ from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.numerics.arrays import Array
-from piezoid.records.faults import step_size
 from piezoid.records.recording import Recording
+from piezoid.records.sample_statistics import step_size
 
 FEWEST, MOST = 6.0, 420.0  # periods in the stroke
 STEP = 0.1

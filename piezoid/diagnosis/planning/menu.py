@@ -12,7 +12,7 @@ import numpy as np
 from piezoid.diagnosis.planning.bench import Bench
 from piezoid.numerics.arrays import Array
 from piezoid.records.excitation import Drive, DriveLimits
-from piezoid.records.large_drives import (
+from piezoid.records.full_range_drives import (
     between,
     decaying_loops,
     equal_cycles,

@@ -20,8 +20,8 @@ from piezoid.identification.hysteresis.pieces import Piece, Scales, widest_swing
 from piezoid.identification.hysteresis.search import Settings
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
-from piezoid.records.rest import answers
-from piezoid.records.sweep import noise_of
+from piezoid.records.constant_drive import answers
+from piezoid.records.reversals import noise_of
 
 WIDE = 0.01  # of the displacement range: a loop worth explaining
 CROSSING = 0.15  # of the widest opening: how far a loop may open the wrong way

@@ -52,7 +52,7 @@ from piezoid.identification.model import AxisModel, Lag
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import FitQuality, Limit, Order, Verdict
 from piezoid.records.recording import Recording
-from piezoid.records.sweep import noise_of, reversals_of
+from piezoid.records.reversals import noise_of, reversals_of
 
 FIRST_SHAPE = Shape(plays=8, below=2, above=2)
 CHOOSING_ROWS = 4000

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.numerics.arrays import Array, freeze
-from piezoid.records.sweep import reversals_of
+from piezoid.records.reversals import reversals_of
 
 POINTS = 41
 GAP = 0.2  # of a branch, passed between two samples: a parabola's chord is off by its square, 4 %

@@ -20,7 +20,7 @@ from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.search import Fitted, continued
 from piezoid.numerics.arrays import Array
 from piezoid.operators.chain import Samples
-from piezoid.records.sweep import noise_of, reversals_of
+from piezoid.records.reversals import noise_of, reversals_of
 
 FAR = 8.0  # times: one of 1e15 normal residuals
 WIDTH = 9  # samples of the median, of which four may be wrong

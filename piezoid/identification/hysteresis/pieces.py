@@ -12,8 +12,8 @@ from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.executor import Once
 from piezoid.operators.chain import Samples
 from piezoid.operators.play import turns_of
+from piezoid.records.constant_drive import is_at_rest
 from piezoid.records.recording import Recording
-from piezoid.records.rest import is_at_rest
 
 MINIMUM_SAMPLES = 20
 

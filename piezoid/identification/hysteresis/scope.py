@@ -13,7 +13,7 @@ from piezoid.identification.hysteresis.cycles import Cycles, told_slide
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.quality import Limit
 from piezoid.records.recording import Recording
-from piezoid.records.sweep import noise_of, reversals_of
+from piezoid.records.reversals import noise_of, reversals_of
 
 LARGE = 0.2  # of the drive's range: a branch that shows a loop
 ONE_LOOP = 3  # branches: from the middle up, down and back

@@ -23,7 +23,7 @@ from piezoid.identification.dynamics.repetition import SAME, find_repetition
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Piece
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
-from piezoid.records.faults import step_size
+from piezoid.records.sample_statistics import step_size
 
 MOST = 0.9  # of the samples that must repeat
 GROWTH = 1.1  # from one spacing to its double: between 1.01 of 1/f noise and 8 of a motion

@@ -38,9 +38,9 @@ from piezoid.identification.tunnelling.sweep_pairs import (
     decay_without_drift,
 )
 from piezoid.operators.tunnelling import decay_of_barrier
-from piezoid.records.faults import step_size
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
+from piezoid.records.sample_statistics import step_size
 from piezoid.records.table import Column, RawTable
 from piezoid.records.units import Dimension
 

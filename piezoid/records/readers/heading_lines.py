@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, replace
 
 from piezoid.errors import LabFileError
-from piezoid.records.meaning import Role, meaning_of
+from piezoid.records.column_roles import Role, meaning_of
 from piezoid.records.readers.block import Layout, cells_of, number_of, split
 from piezoid.records.readers.source import TextFormat, check_columns, unreadable
 from piezoid.records.units import heading_of, unit_of

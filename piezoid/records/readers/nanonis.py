@@ -1,6 +1,6 @@
 """Nanonis ``.dat``: pairs of key and value, then ``[DATA]``, a heading and a table behind tabs."""
 
-from piezoid.records.meaning import Role, meaning_of
+from piezoid.records.column_roles import Role, meaning_of
 from piezoid.records.readers.block import Layout, parse_block
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable

@@ -46,7 +46,7 @@ MEANINGS: tuple[Messy, ...] = (
         name="newest_first.csv",
         wrong="the newest row first",
         write=with_rows(lambda rows: [rows[0], *rows[:0:-1]]),
-        refused="the newest row stands first",
+        refused="the newest row is the first",
         lines="reverse = true\n",
     ),
     Messy(

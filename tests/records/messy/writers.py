@@ -261,7 +261,7 @@ def at(*places: int) -> np.ndarray:
 
 
 FIT = frozenset({"does_not_fit"})
-COPY = frozenset({"beside_the_others"})
+COPY = frozenset({"copy"})
 COUNTS = "scale = { displacement = 1e-10 }\n"
 UNITS = 'units = { time = "s", voltage = "V", displacement = "um" }\n'
 BY_NUMBER = "columns = { time = 1, voltage = 2, displacement = 3 }\n" + UNITS

@@ -1,0 +1,60 @@
+"""Checks of recordings: each states what is odd about the data and changes nothing.
+
+Start at gain.py. A check is a function ``check_...(recording, lab)`` or, for the recordings of a
+stage together, ``check_...(recordings)``, that returns a list of statements, empty for clean data.
+May import recordings, the laboratory and signal statistics; never the ingest that calls it.
+To add a check, add a file and its line in ``CHECKS`` or ``SET_CHECKS``;
+``tests/records/test_checks.py`` runs them all over clean recordings.
+"""
+
+from collections.abc import Callable, Sequence
+
+from piezoid.counts import record_in_counts
+from piezoid.records.checks.command_range import check_command_range
+from piezoid.records.checks.consistency import check_consistency
+from piezoid.records.checks.copies import check_copies
+from piezoid.records.checks.drive_ranges import check_drive_ranges
+from piezoid.records.checks.early_turns import check_early_turns
+from piezoid.records.checks.feedback import check_feedback, check_feedback_of_set
+from piezoid.records.checks.gain import check_gain
+from piezoid.records.checks.loop_direction import check_loop_direction
+from piezoid.records.checks.missing_channels import check_missing_channels
+from piezoid.records.checks.mixed_units import check_mixed_units
+from piezoid.records.checks.sampling_rates import check_sampling_rates
+from piezoid.records.checks.saturation import check_saturation
+from piezoid.records.lab import Lab
+from piezoid.records.recording import Recording, counted_in
+from piezoid.statement import Statement
+
+CHECKS: tuple[Callable[[Recording, Lab], list[Statement]], ...] = (
+    check_missing_channels,
+    check_gain,
+    check_loop_direction,
+    check_early_turns,
+    check_feedback,
+    check_saturation,
+    check_command_range,
+)
+SetCheck = Callable[[Sequence[Recording]], list[Statement]]
+# The last three compare recordings with each other, those that contradict the others left out.
+SET_CHECKS: tuple[SetCheck, ...] = (check_mixed_units, check_consistency, check_copies)
+SET_CHECKS_OF_CONSISTENT: tuple[SetCheck, ...] = (
+    check_drive_ranges,
+    check_sampling_rates,
+    check_feedback_of_set,
+)
+
+
+def check_recording(recording: Recording, lab: Lab) -> list[Statement]:
+    """Run every check of one recording; texts are in the units of the recording."""
+    statements = [statement for check in CHECKS for statement in check(recording, lab)]
+    return list(record_in_counts(tuple(statements), recording.counted))
+
+
+def check_set(recordings: Sequence[Recording]) -> list[Statement]:
+    """Run every check of the recordings of one stage together; statements name the recording."""
+    statements = [statement for check in SET_CHECKS for statement in check(recordings)]
+    inconsistent = {s.recording for s in statements if s.quantity != "copy"}
+    consistent = [r for r in recordings if r.name not in inconsistent]
+    statements += [s for check in SET_CHECKS_OF_CONSISTENT for s in check(consistent)]
+    return list(record_in_counts(tuple(statements), counted_in(recordings)))

@@ -1,0 +1,87 @@
+"""Report columns of a file that are empty, constant, clipped, overflowing or equal to another."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array
+from piezoid.records.recording import Quantity
+from piezoid.records.sample_statistics import clipped, clipped_share, is_dead
+from piezoid.records.table import Column, RawTable
+from piezoid.statement import Statement, finding
+
+# A counter that overflows jumps over nearly its whole range while the drive makes no step; within
+# NEIGHBOURS samples on either side it neither jumps back nor repeats one value, as a lost reading.
+MIN_JUMP, MIN_DRIVE_STEP = 0.8, 0.1  # of the range
+NEIGHBOURS = 5
+
+
+def check_columns(table: RawTable, quantities: Mapping[int, Quantity]) -> list[Statement]:
+    """Report what is wrong with single columns, those included that no recording reads.
+
+    quantities  of the columns that become channels, by number; only these can be clipped
+    """
+    statements: list[Statement] = []
+    first_of: dict[bytes, Column] = {}
+    drives = [c.values for c in table.columns if quantities.get(c.number) is Quantity.VOLTAGE]
+    for column in table.columns:
+        numbers = column.values[np.isfinite(column.values)]
+        if not len(numbers):
+            statements.append(_statement("empty", column, "holds no number"))
+            continue
+        if is_dead(numbers):
+            unit = "" if column.heading.unit is None else f" {column.heading.unit.symbol}"
+            statements.append(_statement("dead", column, f"is {numbers[0]:.6g}{unit} throughout"))
+            continue
+        quantity = quantities.get(column.number)
+        rest = 0.0 if quantity is Quantity.VOLTAGE else None
+        share = 0.0 if quantity is None else clipped_share(numbers, rest=rest)
+        if share > 0.0:
+            levels = np.unique(numbers[clipped(numbers, rest=rest)]).tolist()
+            text = (
+                f"rests on {' and '.join(f'{level:.6g}' for level in levels)} (as in the file) "
+                f"for {100 * share:.2g} % of the samples: clipped?"
+            )
+            statements.append(_statement("saturated", column, text))
+        if quantity is Quantity.DISPLACEMENT and len(numbers) == len(column.values):
+            jumps = overflows(numbers, drives)
+            if len(jumps):
+                text = (
+                    f"jumps over its whole range {len(jumps)} times while the drive makes no "
+                    f"step, first at row {jumps[0] + 1}: a counter or converter overflows. Add "
+                    "its range to the readings beyond."
+                )
+                statements.append(_statement("wrapped", column, text))
+        first = first_of.setdefault(hashlib.sha256(column.values.tobytes()).digest(), column)
+        if first is not column:
+            text = f"holds the same numbers as {first.place}"
+            statements.append(_statement("equal_columns", column, text))
+    return statements
+
+
+def overflows(values: Array, drives: Sequence[Array]) -> Array:
+    """Return the samples before which a reading jumped from one end of its range to the other.
+
+    drives  (samples,) each, of any axis, NaN where lost: near a step of a drive, or a lost sample
+            of it, a reading may jump; without a drive there is no result
+    """
+    range_ = float(np.ptp(values))
+    after = np.flatnonzero(np.abs(np.diff(values)) > MIN_JUMP * range_) + 1
+    steps = [
+        ~(np.abs(np.diff(drive)) <= MIN_DRIVE_STEP * (np.nanmax(drive) - np.nanmin(drive)))
+        for drive in drives
+    ]
+    jumps = []
+    for k in after.tolist() if drives else ():
+        first = max(k - NEIGHBOURS, 0)
+        if any(step[first : k + NEIGHBOURS - 1].any() for step in steps):
+            continue
+        sides = values[first:k], values[k : k + NEIGHBOURS]
+        if all(0.0 < np.ptp(side) < 0.5 * range_ for side in sides):
+            jumps.append(k)
+    return np.array(jumps, dtype=int)
+
+
+def _statement(quantity: str, column: Column, text: str) -> Statement:
+    return finding(quantity=quantity, place=column.place, text=f"{column.place} {text}")

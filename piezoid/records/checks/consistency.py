@@ -1,0 +1,282 @@
+"""Report recordings whose gain contradicts the others: another unit, monitor, polarity or stage.
+
+The gain of each recording is estimated at the lowest frequencies of its drive, which hold a small
+share of the drive's power: a mode lies far above them in a sweep, and above tens of hertz in a
+chirp. Recordings are compared only where drive and displacement are coherent there.
+"""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+from piezoid.counts import record_in_counts
+from piezoid.errors import RecordingError
+from piezoid.formatting import significant, with_unit
+from piezoid.numerics.arrays import Array
+from piezoid.records.checks.drive_ranges import MIN_RANGE
+from piezoid.records.checks.feedback import held_span
+from piezoid.records.checks.gain import MIN_MOTION_NOISE
+from piezoid.records.checks.mixed_units import check_mixed_units
+from piezoid.records.recording import Recording, counted_in
+from piezoid.records.sample_statistics import noise_rms
+from piezoid.statement import Statement, finding
+
+POWER_SHARE = 0.02  # of the drive, in the lowest lines
+# Above this multiple of the lowest of these frequencies a mode may have turned the sign.
+MAX_FREQUENCY_RATIO = 10.0
+SLOW_Hz = 1.0
+# A rest longer than this share of a recording is left out. A sine of one period stays within a
+# hundredth of its range for 0.06 of it, a step of a staircase mostly for less than a twentieth.
+MAX_REST = 0.1
+MIN_COHERENCE = 0.8
+# Ceramics move up to twice as far per volt over their full range as in small loops; a monitor has
+# a fifth of the drive at most.
+MAX_GAIN_RATIO = 3.0
+UNIT_TOLERANCE = 0.1  # decades over three, of a factor of a thousand
+MONITORS = (5, 10, 15, 20, 25, 30, 40, 50, 100, 200)
+# A ratio of gains is exactly that of a monitor within this (natural logarithm). Loops of other
+# size or speed differ more: by 1.17 between sweep and check of the bundled stage.
+MONITOR_TOLERANCE = 0.03
+LOOP_TOLERANCE = 0.25
+
+Range_V = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LowFrequencyGain:
+    """Gain of one recording at the lowest frequencies of its drive.
+
+    name          of the recording
+    gain_m_per_V  in phase
+    coherence     0 to 1
+    frequency_Hz  mean over the power of the drive
+    range_ratio   m/V, range of the readings over that of the drive
+    voltage_V     lowest and highest drive
+    """
+
+    name: str
+    gain_m_per_V: float
+    coherence: float
+    frequency_Hz: float
+    range_ratio: float
+    voltage_V: Range_V
+
+    @classmethod
+    def of(cls, recording: Recording, axis: str) -> Self | None:
+        """Estimate it; None where the drive rests, the sensor shows noise or is under feedback."""
+        moves = is_moving(recording.voltage_V(axis))
+        voltage_V = recording.voltage_V(axis)[moves]
+        displacement_m = recording.displacement_m(axis)[moves]
+        if len(voltage_V) < 8 or not np.ptp(voltage_V) > 0.0:
+            return None
+        range_m = float(np.ptp(displacement_m))
+        is_motion = range_m > MIN_MOTION_NOISE * noise_rms(displacement_m)
+        if not is_motion or held_span(recording, axis) is not None:
+            return None
+        # A recording is seldom whole periods: without a window the lines of a multisine leak into
+        # the lowest ones. The means are those under the window; others would leak as well.
+        window = np.hanning(len(voltage_V) + 2)[1:-1]
+        drive, response = (
+            np.fft.rfft(window * (values - np.average(values, weights=window)))[1:]
+            for values in (voltage_V, displacement_m)
+        )
+        power = np.abs(drive) ** 2
+        # Both neighbours of the last line are included: a sine is seldom whole in the recording.
+        count = int(np.searchsorted(np.cumsum(power), POWER_SHARE * power.sum())) + 2
+        drive, response, power = drive[:count], response[:count], power[:count]
+        cross = complex(np.vdot(drive, response))
+        energy = float(power.sum() * (np.abs(response) ** 2).sum())
+        lines_Hz = np.arange(1, len(power) + 1) * recording.sampling_rate_Hz / len(voltage_V)
+        return cls(
+            name=recording.name,
+            gain_m_per_V=cross.real / float(power.sum()),
+            coherence=abs(cross) / math.sqrt(energy) if energy > 0.0 else 0.0,
+            frequency_Hz=float((lines_Hz * power).sum() / power.sum()),
+            range_ratio=range_m / float(np.ptp(voltage_V)),
+            voltage_V=(float(voltage_V.min()), float(voltage_V.max())),
+        )
+
+    @property
+    def text(self) -> str:
+        """Gain and drive, for messages."""
+        low_V, high_V = (with_unit(end, "V") for end in self.voltage_V)
+        return f"{with_unit(self.gain_m_per_V, 'm')} per volt (drive {low_V} to {high_V})"
+
+
+def is_moving(voltage_V: Array) -> NDArray[np.bool_]:
+    """Return which samples lie in no long rest of the drive, (samples,).
+
+    A stage creeps while its drive rests for minutes: the lowest frequencies of the whole recording
+    would show the creep, with any sign.
+    """
+    length = max(int(MAX_REST * len(voltage_V)), 1)
+    range_V = maximum_filter1d(voltage_V, length) - minimum_filter1d(voltage_V, length)
+    is_centre = range_V <= MIN_RANGE * float(np.ptp(voltage_V))
+    return np.asarray(~maximum_filter1d(is_centre, length))
+
+
+def check_consistency(recordings: Sequence[Recording]) -> list[Statement]:
+    """Report each recording whose gain contradicts that of most others on its axis."""
+    return [statement for statement, _ in _inconsistencies(recordings)]
+
+
+def _inconsistencies(recordings: Sequence[Recording]) -> list[tuple[Statement, str]]:
+    """Return each inconsistency with the line of lab.toml that would correct it."""
+    statements = []
+    for axis in sorted({axis for r in recordings for axis in r.complete_axes}):
+        gains = [
+            gain
+            for r in recordings
+            if axis in r.complete_axes and (gain := LowFrequencyGain.of(r, axis)) is not None
+        ]
+        coherent = [gain for gain in gains if gain.coherence > MIN_COHERENCE]
+        if len(coherent) < 2:
+            continue
+        slowest_Hz = max(min(gain.frequency_Hz for gain in coherent), SLOW_Hz)
+        slow = [g for g in coherent if g.frequency_Hz <= MAX_FREQUENCY_RATIO * slowest_Hz]
+        typical = typical_gain(slow)
+        statements += [
+            inconsistency(gain, typical, axis) for gain in slow if contradicts(gain, typical)
+        ]
+    return statements
+
+
+def refuse_inconsistent(recordings: Sequence[Recording]) -> None:
+    """Refuse recordings that contradict each other: one model of them would be of no stage.
+
+    Raises ``RecordingError`` with the lines of lab.toml that would reconcile them.
+    """
+    mixed = check_mixed_units(recordings)
+    if mixed:
+        raise RecordingError(
+            "the recordings contradict each other: " + " ".join(s.text for s in mixed),
+            needed="one unit in all recordings of a stage",
+            remedy="Write into lab.toml:\n\n"
+            + "\n\n".join(_entry(s.recording, "scale = { ... }") for s in mixed)
+            + "\n",
+        )
+    inconsistencies = _inconsistencies(recordings)
+    if inconsistencies:
+        texts = record_in_counts(
+            tuple(statement.text for statement, _ in inconsistencies), counted_in(recordings)
+        )
+        raise RecordingError(
+            f"the recordings contradict each other: {' '.join(texts)}",
+            needed="recordings of one stage, in true units and with one polarity",
+            remedy="If this is the reason, write into lab.toml (or the like for the others, if "
+            "they are wrong); leave a file of another stage out:\n\n"
+            + "\n\n".join(_entry(s.recording, line) for s, line in inconsistencies)
+            + "\n",
+        )
+
+
+def _entry(name: str, line: str) -> str:
+    """Return an entry of lab.toml about the file, of which the recording may be a part."""
+    return f"[[recording]]\nfile = {json.dumps(name.partition(' (part ')[0])}\n{line}"
+
+
+def contradicts(gain: LowFrequencyGain, typical: LowFrequencyGain) -> bool:
+    """Return whether gain and range are those of another stage, unit or polarity.
+
+    Between two holds of nearly one level the lowest frequencies show hysteresis and creep more
+    than gain; the ratio of the ranges is then the better measure.
+    """
+    if gain.gain_m_per_V * typical.gain_m_per_V <= 0.0:
+        return True
+    ratios = gain.gain_m_per_V / typical.gain_m_per_V, gain.range_ratio / typical.range_ratio
+    return not any(_is_alike(ratio) for ratio in ratios)
+
+
+def typical_gain(gains: Sequence[LowFrequencyGain]) -> LowFrequencyGain:
+    """Return the gain that most others agree with; among equals a positive, then a wide one."""
+
+    def agreement(gain: LowFrequencyGain) -> tuple[int, bool, float]:
+        alike = sum(_is_alike(other.gain_m_per_V / gain.gain_m_per_V) for other in gains)
+        return alike, gain.gain_m_per_V > 0.0, gain.voltage_V[1] - gain.voltage_V[0]
+
+    return max(gains, key=agreement)
+
+
+def _is_alike(ratio: float) -> bool:
+    return 1.0 / MAX_GAIN_RATIO < ratio < MAX_GAIN_RATIO
+
+
+def inconsistency(
+    gain: LowFrequencyGain, typical: LowFrequencyGain, axis: str
+) -> tuple[Statement, str]:
+    """Return the statement about one recording, and the line of lab.toml that would correct it."""
+    ratio = gain.gain_m_per_V / typical.gain_m_per_V
+    spans_V = [g.voltage_V[1] - g.voltage_V[0] for g in (gain, typical)]
+    # The drive is off, not the displacement, where its range is off by as much as the gain.
+    is_drive = abs(math.log(abs(ratio) * spans_V[0] / spans_V[1])) < abs(
+        math.log(spans_V[0] / spans_V[1])
+    )
+    cause, line = likely_cause(ratio, is_drive=is_drive)
+    if _is_alike(abs(ratio)):
+        comparison = "opposite sign"
+    else:
+        factor = significant(max(abs(ratio), 1.0 / abs(ratio)))
+        comparison = f"{factor} times {'larger' if abs(ratio) > 1.0 else 'smaller'}"
+        comparison += ", opposite sign" if ratio < 0.0 else ""
+    text = (
+        f"{gain.name} moves {gain.text}, {typical.name} {typical.text}: {comparison}. "
+        f"Likely cause: {cause}."
+    )
+    statement = finding(
+        quantity="does_not_fit",
+        axis=axis,
+        recording=gain.name,
+        text=text,
+        value=ratio,
+        unit="1",
+    )
+    return statement, line
+
+
+def likely_cause(ratio: float, *, is_drive: bool) -> tuple[str, str]:
+    """Return what explains a ratio of gains, and the line of lab.toml that corrects it."""
+    size, sign = abs(ratio), "-" if ratio < 0.0 else ""
+    polarity = " and opposite polarity" if ratio < 0.0 else ""
+    if _is_alike(size):
+        return (
+            "opposite polarity of drive or sensor",
+            "scale = { voltage = -1 }   # or displacement = -1",
+        )
+    thousands = math.log10(size) / 3.0
+    if round(thousands) and abs(thousands - round(thousands)) < UNIT_TOLERANCE:
+        factor = 10.0 ** (3 * round(thousands))
+        if is_drive:
+            return (
+                f"another unit of the drive{polarity}",
+                f"scale = {{ voltage = {sign}{factor:g} }}",
+            )
+        line = f"scale = {{ displacement = {sign}{1.0 / factor:g} }}"
+        return f"another unit of the displacement{polarity}", line
+    monitors = monitors_near(size)
+    if is_drive and monitors:
+        exact = len(monitors) == 1 and abs(math.log(size / monitors[0])) < MONITOR_TOLERANCE
+        scale = f"{sign}{monitors[0]}" if exact else "..."
+        comment = "" if exact else f"   # volts at the stage for {sign}1 V of the monitor"
+        names = " or ".join(f"1/{monitor}" for monitor in monitors)
+        return (
+            f"the drive is the output of a monitor ({names}) or the command in front of the "
+            f"amplifier{polarity}",
+            f"scale = {{ voltage = {scale} }}{comment}",
+        )
+    return (
+        f"another axis, stage or range of the sensor{polarity}",
+        'axis = "..."   # or scale = { displacement = ... }',
+    )
+
+
+def monitors_near(size: float) -> tuple[int, ...]:
+    """Return the ratios of monitors that a ratio of gains may come from; one if it is exact."""
+    distance = {monitor: abs(math.log(size / monitor)) for monitor in MONITORS}
+    exact = tuple(m for m in MONITORS if distance[m] < MONITOR_TOLERANCE)
+    return exact or tuple(m for m in MONITORS if distance[m] < LOOP_TOLERANCE)

@@ -1,0 +1,70 @@
+"""Report recordings that hold the samples of another one: they test nothing.
+
+A copy differs by its printing or its unit alone; two recordings of one drive differ by the noise.
+"""
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array
+from piezoid.records.recording import Recording
+from piezoid.records.sample_statistics import noise_rms
+from piezoid.statement import Statement, finding
+
+MAX_DIFFERENCE = 0.3  # standard deviations of the noise; of two recordings it is 1.4
+SAME_DRIVE = 1e-3  # rms of the difference of the standardised drives
+_FIRST_SAMPLES = 1000  # compared before whole recordings are
+
+
+def check_copies(recordings: Sequence[Recording]) -> list[Statement]:
+    """Report each recording that is a copy of an earlier one."""
+    return [
+        finding(
+            quantity="copy",
+            recording=copy,
+            text=f"{copy} holds the same samples as {original} and is left out.",
+        )
+        for copy, original in copies(recordings).items()
+    ]
+
+
+def copies(recordings: Sequence[Recording]) -> dict[str, str]:
+    """Return the name of the earlier recording by the name of each copy."""
+    original_of: dict[str, str] = {}
+    for first, second in combinations(recordings, 2):
+        is_new = first.name not in original_of and first.name != second.name
+        if is_new and is_copy(first, second):
+            original_of.setdefault(second.name, first.name)
+    return original_of
+
+
+def is_copy(first: Recording, second: Recording) -> bool:
+    """Return whether two recordings have the same samples, whatever their unit."""
+    axis = first.axis
+    kinds = [{(c.quantity, c.axis) for c in r.channels} for r in (first, second)]
+    if first.samples != second.samples or kinds[0] != kinds[1] or axis not in first.complete_axes:
+        return False
+    for step in (max(first.samples // _FIRST_SAMPLES, 1), 1):
+        drives = [_standardised(r.voltage_V(axis)[::step]) for r in (first, second)]
+        if _rms(drives[0] - drives[1]) > SAME_DRIVE:
+            return False
+    displacements = [r.displacement_m(axis) for r in (first, second)]
+    spreads = [float(values.std()) for values in displacements]
+    if not min(spreads) > 0.0:
+        return False
+    decades = np.log10(spreads[0] / spreads[1])  # another unit is a whole power of ten
+    if abs(decades - np.round(decades)) > SAME_DRIVE:
+        return False
+    difference = _rms(_standardised(displacements[0]) - _standardised(displacements[1]))
+    return difference <= MAX_DIFFERENCE * noise_rms(displacements[0]) / spreads[0]
+
+
+def _standardised(values: Array) -> Array:
+    spread = float(values.std())
+    return np.asarray((values - values.mean()) / spread) if spread > 0 else values - values.mean()
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

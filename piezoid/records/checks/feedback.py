@@ -1,0 +1,107 @@
+"""Report a sensor that stands still while the drive moves: feedback, or a sensor out of order.
+
+Block means over a hundredth of the recording stay within the noise of single samples, although
+the drive moves far enough to displace the stage visibly at the gain of the rest of the recording.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from piezoid.formatting import with_unit
+from piezoid.numerics.arrays import Array
+from piezoid.records.checks.gain import MIN_MOTION_NOISE
+from piezoid.records.constant_drive import answers
+from piezoid.records.lab import Lab
+from piezoid.records.recording import Recording
+from piezoid.records.sample_statistics import noise_rms
+from piezoid.statement import Statement, finding
+
+BLOCKS = 100
+MIN_HELD_BLOCKS = 10
+MIN_MISSING_NOISE = 5.0  # standard deviations of the noise
+# Where no motion shows the gain: share of the drive's range. 0.57 in the hold of a real approach.
+MIN_DRIVE_SHARE = 0.3
+MIN_THROUGHOUT = 0.9  # of the samples; in the rest the loop settles. 0.98 in that real hold
+
+
+def check_feedback(recording: Recording, _lab: Lab) -> list[Statement]:
+    """Report the longest span in which the sensor is held constant."""
+    statements = []
+    for axis in recording.complete_axes:
+        span = held_span(recording, axis)
+        if span is None:
+            continue
+        range_V = float(np.ptp(recording.voltage_V(axis)[span]))
+        range_m = float(np.ptp(recording.displacement_m(axis)[span]))
+        begin_s, end_s = (edge / recording.sampling_rate_Hz for edge in (span.start, span.stop))
+        text = (
+            f"{axis}: from {begin_s:.4g} s to {end_s:.4g} s the sensor stays within "
+            f"{with_unit(range_m, 'm')} while the drive moves by {with_unit(range_V, 'V')}: "
+            "recorded under feedback, or the sensor does not see the motion."
+        )
+        statements.append(
+            finding(quantity="closed_loop", axis=axis, text=text, value=range_V, unit="V")
+        )
+    return statements
+
+
+def check_feedback_of_set(recordings: Sequence[Recording]) -> list[Statement]:
+    """Report recordings held by feedback throughout, if other recordings of the axis are not."""
+    statements = []
+    for axis in sorted({r.axis for r in recordings}):
+        of_axis = [r for r in recordings if r.axis == axis and axis in r.complete_axes]
+        held = [r.name for r in of_axis if is_held_throughout(r, axis)]
+        statements += [
+            finding(
+                quantity="held_throughout",
+                axis=axis,
+                recording=name,
+                text=f"{name}: the sensor of axis {axis} stands still while the drive moves "
+                "(feedback, or a sensor that does not see the motion). It is used to find creep, "
+                "not to fit loops.",
+            )
+            for name in (held if len(held) < len(of_axis) else ())
+        ]
+    return statements
+
+
+def held_span(recording: Recording, axis: str) -> slice | None:
+    """Return the samples in which the sensor is constant while the drive moves, or None."""
+    voltage_V, displacement_m = recording.voltage_V(axis), recording.displacement_m(axis)
+    size = len(voltage_V) // BLOCKS
+    if size < 4 or not np.ptp(voltage_V) > 0.0 or not np.ptp(displacement_m) > 0.0:
+        return None
+    block_V, block_m = (
+        values[: size * BLOCKS].reshape(BLOCKS, size).mean(axis=1)
+        for values in (voltage_V, displacement_m)
+    )
+    noise_m, range_m = noise_rms(displacement_m), float(np.ptp(block_m))
+    first, stop = _longest_within(block_m, noise_m)
+    # The same number throughout is a dead channel, which is reported elsewhere.
+    if stop - first < MIN_HELD_BLOCKS or not np.ptp(block_m[first:stop]) > 0.0:
+        return None
+    shows_gain = range_m > MIN_MOTION_NOISE * noise_m
+    min_share = MIN_MISSING_NOISE * noise_m / range_m if shows_gain else MIN_DRIVE_SHARE
+    if not np.ptp(block_V) > 0.0 or np.ptp(block_V[first:stop]) < min_share * np.ptp(block_V):
+        return None
+    span = slice(first * size, stop * size)
+    # Block means do not show a drive that oscillates within a block.
+    return None if answers(voltage_V[span], displacement_m[span]) else span
+
+
+def is_held_throughout(recording: Recording, axis: str) -> bool:
+    """Return whether feedback holds the sensor in the whole recording."""
+    span = held_span(recording, axis)
+    return span is not None and span.stop - span.start > MIN_THROUGHOUT * recording.samples
+
+
+def _longest_within(values: Array, limit: float) -> tuple[int, int]:
+    """Return first and stop of the longest run whose range is at most ``limit``."""
+    longest, first = (0, 0), 0
+    for stop in range(1, len(values) + 1):
+        while np.ptp(values[first:stop]) > limit:
+            first += 1
+        if stop - first > longest[1] - longest[0]:
+            longest = first, stop
+    return longest

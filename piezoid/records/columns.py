@@ -1,0 +1,397 @@
+"""Assign columns: quantity, axis and SI unit of each, from lab.toml or the headings; no guess.
+
+A file that leaves the assignment open is refused with the columns seen and the lines of lab.toml
+that decide.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+
+from piezoid.errors import LabFileError, UnitError
+from piezoid.numerics.arrays import Array
+from piezoid.records.column_roles import DIMENSION_OF, Meaning, Role, meaning_of
+from piezoid.records.lab import Lab, RecordingEntry
+from piezoid.records.recording import Quantity
+from piezoid.records.table import Column, RawTable
+from piezoid.records.time_stamps import unwrap_counter
+from piezoid.records.units import Dimension, Unit, unit_of
+from piezoid.statement import Statement, finding
+
+QUANTITIES = {quantity.name.lower(): quantity for quantity in Quantity}
+_LOOP_QUANTITIES = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
+_MAX_COLUMNS, _MAX_VALUES = 8, 3  # in a message
+
+Meanings = list[tuple[Column, Meaning]]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AssignedColumn:
+    """One column with its quantity, converted to SI units.
+
+    quantity  None for the time column
+    axis      empty for the time column
+    unit      it was converted from, of the heading or of lab.toml
+    values    (rows,)  SI units, NaN kept; counts where the unit is counted and has no scale
+    """
+
+    column: Column
+    quantity: Quantity | None
+    axis: str
+    unit: Unit
+    values: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Assignment:
+    """All columns that are read.
+
+    time        None where the table has no time column
+    channels    one per quantity and axis, in the order of the columns
+    statements  assumed units, counts, counters that begin anew
+    """
+
+    time: AssignedColumn | None
+    channels: tuple[AssignedColumn, ...]
+    statements: tuple[Statement, ...]
+
+    @property
+    def columns(self) -> tuple[AssignedColumn, ...]:
+        """Channels, then the time column if there is one."""
+        return self.channels if self.time is None else (*self.channels, self.time)
+
+
+def assign_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Assignment:
+    """Assign quantity, axis and SI unit to every column, or refuse with what to write.
+
+    Raises ``UnitError`` for a column without unit or axis, or for two that claim the same
+    quantity; ``LabFileError`` where lab.toml names a column that is not there.
+    """
+    check_entry_names(lab, entry)
+    meanings = _declared(table, lab, entry) if entry.columns else _from_headings(table)
+    clocks = [column for column, meaning in meanings if meaning.role is Role.TIME]
+    channels = _with_axes(
+        table, entry, [(c, meaning) for c, meaning in meanings if meaning.role is Role.CHANNEL]
+    )
+    if len(clocks) > 1:
+        raise ambiguous_columns(table, f"{_places(clocks)} are both a time")
+    if not channels:
+        raise ambiguous_columns(table, "no column is a drive voltage or a displacement")
+    statements: list[Statement] = []
+    converted = [
+        _converted(table, lab, entry, column, quantity, axis, statements)
+        for column, quantity, axis in [*((c, None, "") for c in clocks), *channels]
+    ]
+    time = _without_wraps(table, converted[0], statements) if clocks else None
+    return Assignment(
+        time=time, channels=tuple(converted[len(clocks) :]), statements=tuple(statements)
+    )
+
+
+def _without_wraps(
+    table: RawTable, time: AssignedColumn, statements: list[Statement]
+) -> AssignedColumn:
+    """Return a clock without the steps back of a counter that began anew."""
+    values, rows, bits = unwrap_counter(time.values, time.unit.factor)
+    if not len(rows):
+        return time
+    place = table.place_of_row(int(rows[0]))
+    text = f"The clock is a {bits}-bit counter that overflows {len(rows)} times, first at {place}."
+    statements.append(finding(quantity="wrapped_clock", place=place, text=text))
+    return replace(time, values=values)
+
+
+def _from_headings(table: RawTable) -> Meanings:
+    """Return the columns with numbers and their meaning by name and unit.
+
+    A column that only its unit makes a drive or response yields to one that is named so: in
+    ``voltage [V], position [um], Monitor [V]`` the monitor is one more column in volts.
+    """
+    meanings = [
+        (column, meaning)
+        for column in table.columns
+        if np.isfinite(column.values).any()
+        and (meaning := meaning_of(column.heading)).role is not Role.UNREAD
+    ]
+    named = {(m.quantity, m.axis) for _, m in meanings if m.by_name}
+    quantities = {quantity for quantity, _ in named}
+
+    def yields(m: Meaning) -> bool:
+        by_unit = m.role is Role.CHANNEL and not m.by_name and m.quantity in quantities
+        return by_unit and (m.axis is None or (m.quantity, m.axis) in named)
+
+    return [(column, m) for column, m in meanings if not yields(m)]
+
+
+def _declared(table: RawTable, lab: Lab, entry: RecordingEntry) -> Meanings:
+    """Return the columns that lab.toml names, and a time column that its heading names."""
+    meanings: dict[int, tuple[Column, Meaning]] = {}
+    for key, name_or_number in entry.columns.items():
+        column = table.find(name_or_number)
+        if column is None or column.number in meanings:
+            raise missing_column(table, lab, key, name_or_number)
+        name, _, axis = key.partition("_")
+        quantity = QUANTITIES.get(name)
+        role = Role.TIME if quantity is None else Role.CHANNEL
+        meaning = Meaning(role=role, quantity=quantity, axis=axis or None, by_name=True)
+        meanings[column.number] = (column, meaning)
+    if (
+        "time" not in entry.columns
+        and entry.sampling_rate_Hz is None
+        and (clocks := clocks_of(table))
+    ):
+        meanings.setdefault(clocks[0].number, (clocks[0], Meaning(role=Role.TIME)))
+    return list(meanings.values())
+
+
+def clocks_of(table: RawTable) -> list[Column]:
+    """Return the columns whose headings call them a time."""
+    return [c for c in table.columns if meaning_of(c.heading).role is Role.TIME]
+
+
+def missing_column(table: RawTable, lab: Lab, key: str, name_or_number: str | int) -> LabFileError:
+    """Return the error about a column of lab.toml that the file does not have."""
+    columns = ", ".join(f"{c.number} {c.label!r}" for c in table.columns[:20])
+    return LabFileError(
+        f"{lab.place}: {table.name} has no column {name_or_number!r} of its own for {key!r}, only "
+        f"{columns}",
+        needed="one column of the file, by heading or by number from 1, for each name",
+        remedy=f"Correct 'columns' of the entry for {table.name}.",
+    )
+
+
+def check_entry_names(lab: Lab, entry: RecordingEntry) -> None:
+    """Refuse names and units of a ``[[recording]]`` that are none of a recording over time."""
+    for key in (*entry.columns, *entry.units, *entry.scale, *entry.offset):
+        if key != "time" and key.partition("_")[0] not in QUANTITIES:
+            raise LabFileError(
+                f"{lab.place}: [[recording]] {entry.file!r} names {key!r}",
+                needed=f"one of time, {', '.join(QUANTITIES)}, with an axis as in voltage_y",
+                remedy="Correct the name.",
+            )
+    for key, symbol in entry.units.items():
+        unit = unit_of(symbol)
+        if unit is None or (unit.dimension is Dimension.OTHER and not unit.is_counted):
+            raise LabFileError(
+                f"{lab.place}: [[recording]] {entry.file!r}: the unit of {key} is {symbol!r}",
+                needed="a unit of time, voltage, length, current, temperature or humidity",
+                remedy="Write s, ms, V, mV, m, um, nm, A, nA, K, degC, %, counts or the like.",
+            )
+
+
+def _with_axes(
+    table: RawTable, entry: RecordingEntry, channels: Meanings
+) -> list[tuple[Column, Quantity, str]]:
+    """Give every channel its axis; refuse two of one quantity, and volts that may be anything."""
+    parts = [(column, m.quantity, m.axis) for column, m in channels if m.quantity]
+    has_response = any(quantity is Quantity.DISPLACEMENT for _, quantity, _ in parts)
+    in_volts = [c for c, m in channels if m.quantity is Quantity.VOLTAGE and not m.by_name]
+    if in_volts and not has_response:
+        raise ambiguous_columns(
+            table, f"{_places(in_volts)} in volts may be a drive or a sensor's output"
+        )
+    default = _default_axis(table, entry, [(quantity, axis) for _, quantity, axis in parts])
+    columns: dict[tuple[Quantity, str], Column] = {}
+    for column, quantity, axis in parts:
+        key = (quantity, axis or default)
+        if key in columns:
+            pair = _places([columns[key], column])
+            raise ambiguous_columns(
+                table, f"{pair} both claim to be the {quantity.name.lower()} of {key[1]}"
+            )
+        columns[key] = column
+    return [(column, quantity, axis) for (quantity, axis), column in columns.items()]
+
+
+def _default_axis(
+    table: RawTable, entry: RecordingEntry, parts: Sequence[tuple[Quantity, str | None]]
+) -> str:
+    """Return the axis of columns that name none: the entry's, else the file's only one, else x."""
+    if entry.axis is not None:
+        return entry.axis
+    named = sorted({axis for q, axis in parts if axis is not None and q in _LOOP_QUANTITIES})
+    unnamed = [q for q, axis in parts if axis is None and q in _LOOP_QUANTITIES]
+    with_axis = {q for q, axis in parts if axis is not None}
+    if len(named) == 1 and not with_axis & set(unnamed):
+        return named[0]
+    if len(named) > 1 and unnamed and "x" in named:
+        kinds = ", ".join(quantity.name.lower() for quantity in unnamed)
+        raise ambiguous_columns(
+            table, f"the file names the axes {', '.join(named)}, but not that of {kinds}"
+        )
+    return "x"
+
+
+def _converted(
+    table: RawTable,
+    lab: Lab,
+    entry: RecordingEntry,
+    column: Column,
+    quantity: Quantity | None,
+    axis: str,
+    statements: list[Statement],
+) -> AssignedColumn:
+    """Convert a column to SI units, volts of a sensor by the sensor's gain.
+
+    Appends what was assumed to ``statements``. Raises ``UnitError`` for a column without unit, in
+    a unit of something else, or in volts of a sensor whose gain is not known.
+    """
+    name = "time" if quantity is None else quantity.name.lower()
+    unit = _unit_of(entry, column, name, axis)
+    if quantity is Quantity.REFERENCE:
+        unit = unit or Unit(symbol="", dimension=Dimension.OTHER)  # only its shape is used
+    elif unit is None and quantity is Quantity.VOLTAGE and entry.columns:
+        unit = Unit(symbol="V", dimension=Dimension.VOLTAGE)
+        text = f"{column.place} has no unit; the voltage that lab.toml names is read as volts."
+        statements.append(finding(quantity="unit_assumed", place=column.place, text=text))
+    if unit is None:
+        raise ambiguous_columns(table, f"{column.place} is a {name} without a unit")
+    values = column.values * unit.factor + unit.offset
+    scale = _declared_for(entry.scale, name, axis)
+    if unit.is_counted and quantity is not Quantity.REFERENCE and scale is None:
+        statements.append(_in_counts(table, lab, column, quantity, axis))
+    elif quantity is Quantity.DISPLACEMENT and unit.dimension is Dimension.VOLTAGE:
+        values = values / _sensor_gain_V_per_m(table, lab, column, axis)
+    else:
+        _check_dimension(table, column, quantity, axis, unit, is_scaled=scale is not None)
+    offset = _declared_for(entry.offset, name, axis)
+    if scale is not None or offset is not None:
+        values = values * (1.0 if scale is None else scale) + (offset or 0.0)
+        if unit.is_counted and quantity in DIMENSION_OF:
+            unit = replace(unit, dimension=DIMENSION_OF[quantity])
+    return AssignedColumn(column=column, quantity=quantity, axis=axis, unit=unit, values=values)
+
+
+def _check_dimension(
+    table: RawTable,
+    column: Column,
+    quantity: Quantity | None,
+    axis: str,
+    unit: Unit,
+    *,
+    is_scaled: bool,
+) -> None:
+    """Refuse a unit of another quantity; counts with a scale and references may be in any unit."""
+    if unit.is_counted or quantity is Quantity.REFERENCE:
+        return
+    if quantity is Quantity.VOLTAGE and unit.dimension is Dimension.LENGTH:
+        if not is_scaled:
+            raise UnitError(
+                f"{table.name}: {column.place} is a drive of axis {axis} in {unit.symbol}: volts "
+                "times a sensitivity, as microscope programs write it",
+                needed="the drive in volts, or how many volts one metre of it is",
+                remedy="Write into its [[recording]] of lab.toml:\n\nscale = { voltage = ... }\n",
+            )
+    elif unit.dimension is not (Dimension.TIME if quantity is None else DIMENSION_OF[quantity]):
+        name = "time" if quantity is None else quantity.name.lower()
+        raise ambiguous_columns(table, f"{column.place} is a {name} by name but in {unit.symbol}")
+
+
+def _unit_of(entry: RecordingEntry, column: Column, name: str, axis: str) -> Unit | None:
+    symbol = _declared_for(entry.units, name, axis)
+    return column.heading.unit if symbol is None else unit_of(symbol)
+
+
+def _declared_for(by_name: Mapping[str, T], name: str, axis: str) -> T | None:
+    """Return what an entry declares of a column, by its name with or without the axis."""
+    return by_name.get(f"{name}_{axis}", by_name.get(name))
+
+
+def _sensor_gain_V_per_m(table: RawTable, lab: Lab, column: Column, axis: str) -> float:
+    gain_V_per_m = lab.sensor_of(axis).gain_V_per_m
+    if gain_V_per_m is None:
+        raise UnitError(
+            f"{table.name}: {column.place} is a displacement of axis {axis} in volts",
+            needed="the sensor's gain, to know it in metres",
+            remedy="Write into lab.toml:\n\n[sensor]\ngain_V_per_m = ...\n",
+        )
+    return gain_V_per_m
+
+
+def _in_counts(
+    table: RawTable, lab: Lab, column: Column, quantity: Quantity | None, axis: str
+) -> Statement:
+    """State that a drive or displacement stays in counts, with its scale if lab.toml has it.
+
+    Raises ``UnitError`` for any other quantity in counts.
+    """
+    name = "time" if quantity is None else quantity.name.lower()
+    if quantity not in _LOOP_QUANTITIES or quantity is None:
+        si = "s" if quantity is None else quantity.value
+        raise UnitError(
+            f"{table.name}: {column.place} is a {name} in counts",
+            needed=f"how many {si} one count is: only drive and displacement may be in counts",
+            remedy=f"Write into lab.toml:\n\n[[recording]]\nfile = {json.dumps(table.name)}\n"
+            f"scale = {{ {name} = ... }}\n",
+        )
+    size, source = _count_size(lab, quantity, axis)
+    text = (
+        f"{column.place} is a {name} in counts; results are stated in counts, and no controller "
+        f"is exported. To change this, write scale = {{ {name} = {size} }}, {quantity.value} per "
+        f"count, into its [[recording]] of lab.toml{source}."
+    )
+    return finding(quantity="counts", place=column.place, text=text)
+
+
+def _count_size(lab: Lab, quantity: Quantity, axis: str) -> tuple[str, str]:
+    """Return the size of a count if lab.toml declares the converter, and how it is computed."""
+    acquisition, range_V = lab.acquisition, lab.acquisition.input_range_V
+    is_drive = quantity is Quantity.VOLTAGE
+    bits = acquisition.dac_bits if is_drive else acquisition.adc_bits
+    gain_V_per_m = 1.0 if is_drive else lab.sensor_of(axis).gain_V_per_m
+    if range_V is None or bits is None or gain_V_per_m is None:
+        return "...", ""
+    span_V = range_V[1] - range_V[0]
+    return (
+        f"{span_V / 2**bits / gain_V_per_m:.9g}",
+        f" (if the {span_V:g} V of input_range_V are the {bits} bits of the converter); offset = "
+        f"{{ {quantity.name.lower()} = ... }} adds the {quantity.value} of count 0",
+    )
+
+
+def _places(columns: Sequence[Column]) -> str:
+    return " and ".join(column.place for column in columns)
+
+
+def ambiguous_columns(table: RawTable, found: str) -> UnitError:
+    """Return the error that shows the columns and the lines of lab.toml that would decide."""
+    seen = [
+        f"{c.place}: {', '.join(f'{value:.6g}' for value in c.values[:_MAX_VALUES])}, ..."
+        for c in table.columns[:_MAX_COLUMNS]
+    ]
+    more = len(table.columns) - _MAX_COLUMNS
+    seen += [f"and {more} more columns"] if more > 0 else []
+    return UnitError(
+        f"{table.name}: {found} (seen: {'; '.join(seen)})",
+        needed="one meaning, one axis and one unit for every column that is read",
+        remedy="Write into lab.toml, with the headings or numbers (from 1) and units of your "
+        f"columns:\n\n{entry_template(table)}\n",
+        columns=tuple(column.label for column in table.columns),
+    )
+
+
+def entry_template(table: RawTable) -> str:
+    """Return the ``[[recording]]`` entry to complete for this file, as TOML."""
+    clocks = clocks_of(table)
+    columns = [f"time = {json.dumps(clocks[0].label)}"] if clocks else []
+    columns += ['voltage = "..."', 'displacement = "..."']
+    is_counted = any(
+        c.heading.unit is not None and c.heading.unit.is_counted for c in table.columns
+    )
+    unit = "counts" if is_counted else "..."
+    lines = [
+        "[[recording]]",
+        f"file = {json.dumps(table.name)}",
+        'axis = "x"',
+        f"columns = {{ {', '.join(columns)} }}",
+        f'units = {{ voltage = "{unit}", displacement = "{unit}" }}',
+    ]
+    if is_counted:
+        lines.append("scale = { voltage = ..., displacement = ... }  # V and m of one count")
+    if not clocks and table.sampling_rate_Hz is None:
+        lines.append("sampling_rate_Hz = ...")
+    return "\n".join(lines)

@@ -1,0 +1,417 @@
+"""Find invalid samples: numbers that a sensor wrote where it measured nothing.
+
+Five kinds, found from the samples alone, without a model:
+
+* *written*: one exact value again and again, far from both neighbours (0, -1, 9999, full scale);
+* *held*: the previous value repeated while the stage moves on;
+* *stuck*: one exact value for long while the drive moves on, of a sensor whose readings scatter by
+  more than its step: a cable came off, a logger hung;
+* *spike*: one or two samples far from both neighbours, by more than a twentieth of the range;
+* *clipped*: the largest or smallest value again and again while the drive moves on, of a sensor
+  whose readings scatter. A stage that stands at the end of its own range goes on scattering.
+
+What the drive did at the same instant is motion, and no fault. Smaller spikes are left to the fit
+and the diagnosis, which know the response from which they stand out.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.noise import white_noise_rms
+from piezoid.records.recording import Quantity
+from piezoid.records.sample_statistics import clipped as clipped_samples
+from piezoid.records.sample_statistics import step_size
+from piezoid.statement import Statement, finding
+
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
+
+MIN_REPEATS = 3  # one value far from its neighbours twice may be chance
+MAX_SHARE = 0.2  # of the samples: where more are repeated, the sensor is slower than the clock
+MAX_CLIPPED = 0.5  # of the samples: beyond, what remains is no recording of the motion
+MIN_NOISE = 8.0  # standard deviations: one of 1e14 Gaussian readings
+# Change of the drive per repeated reading, over that behind it: 1 in a uniform motion, 0 in a hold
+MIN_DRIVEN = 0.25
+MIN_NOISE_COARSE = 4.0  # the same where the converter step separates written values from readings
+MIN_DEVIATION = 2.0  # times what the neighbours leave open, and what the drive moved
+MIN_SPIKE = 0.05  # of the range; a smaller spike is sized by the diagnosis, beside a model
+MIN_SPIKE_NOISE = 20.0  # standard deviations
+MIN_SPIKE_DEVIATION = 4.0  # in place of MIN_DEVIATION: a spike has no repetition to confirm it
+# Samples on either side of a spike, and the quantile of their bends: where so many bend as much,
+# it rings. Each spike bends three samples.
+SPIKE_NEIGHBOURS, RINGING_QUANTILE = 10, 0.7
+MAX_RUN = 64  # samples: longer runs of one value may be a rest
+MAX_RESPONSE = 4  # samples by which a stage may follow its drive
+MIN_SCATTER = 1e-5  # of the range: less are the digits of a number, not the noise of a sensor
+MAX_NOISE_GROWTH = 4.0  # from neighbours to every other sample: noise stays, a motion grows by 8
+MIN_DRIVE_RANGE = 0.002  # of its range: the drive of a rest scatters by less
+MAX_PASSES = 4  # an invalid neighbour hides an invalid sample until it is removed
+MAX_PLACES = 5  # in a message
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class InvalidReadings:
+    """Invalid readings of one channel and one kind.
+
+    kind     ``written``, ``held``, ``stuck``, ``spike`` or ``clipped``
+    value    what was written, of the kind ``written``
+    samples  (count,)  increasing
+    """
+
+    kind: str
+    value: float | None
+    samples: Indices
+
+
+def find_invalid_readings(
+    values: Array, drive: Array | None = None
+) -> tuple[InvalidReadings, ...]:
+    """Return the invalid readings of one channel, by kind and value.
+
+    values  (samples,)  of a sensor, any unit
+    drive   (samples,)  what moved the stage, or None
+
+    What goes wrong: a value written once or twice passes unless it is a spike; one within the
+    noise of the true reading is kept, and does no harm.
+    """
+    if len(values) < 20 or np.ptp(values) == 0.0:
+        return ()
+    step = step_size(values)
+    noise = max(white_noise_rms(values), 0.5 * step)
+    range_ = _robust_range(values)
+    driven = _driven_change(values, drive, range_)
+    # A sensor that does not scatter repeats a value whenever the stage stands.
+    scattering_drive = drive if drive is not None and _scatters(values, noise, step) else None
+    clipped = _clipped(values, scattering_drive)
+    stuck = _stuck(values, scattering_drive) & ~clipped
+    invalid: Mask = clipped | stuck
+    written: dict[float, Mask] = {}
+    for _ in range(MAX_PASSES):
+        new_values = _written(values, invalid, noise, driven, step)
+        if not new_values:
+            break
+        for value, mask in new_values.items():
+            written[value] = mask | written.get(value, False)
+            invalid |= mask
+    spikes = np.zeros_like(invalid)
+    for _ in range(MAX_PASSES):
+        new_spikes = _spikes(values, invalid, noise, driven, range_)
+        if not new_spikes.any():
+            break
+        spikes |= new_spikes
+        invalid |= new_spikes
+    held = _held(values, invalid, noise, drive) & ~(clipped | stuck)
+    if (invalid | held)[~(clipped | stuck)].mean() > MAX_SHARE:
+        return ()
+    masks: list[tuple[str, float | None, Mask]] = [
+        *(("written", value, mask) for value, mask in sorted(written.items())),
+        ("held", None, held),
+        ("stuck", None, stuck),
+        ("spike", None, spikes),
+        ("clipped", None, clipped),
+    ]
+    return tuple(
+        InvalidReadings(kind=kind, value=value, samples=np.flatnonzero(mask))
+        for kind, value, mask in masks
+        if mask.any()
+    )
+
+
+def interpolated(values: Array, invalid: Mask) -> Array:
+    """Return the values with straight lines in place of the invalid ones, (samples,)."""
+    index = np.arange(len(values))
+    return np.interp(index, index[~invalid], values[~invalid])
+
+
+def _scatters(values: Array, noise: float, step: float) -> bool:
+    """Return whether readings scatter by more than a step."""
+    if noise <= max(step, MIN_SCATTER * float(np.ptp(values))):
+        return False
+    return white_noise_rms(values, spacing=2) < MAX_NOISE_GROWTH * noise
+
+
+def _clipped(values: Array, drive: Array | None) -> Mask:
+    """Return where the sensor rests at the end of its range although the drive does not."""
+    none = np.zeros(len(values), dtype=bool)
+    if drive is None:
+        return none
+    min_range = MIN_DRIVE_RANGE * np.ptp(drive)
+    levels = [
+        float(values[start])
+        for start, stop in _runs_of(clipped_samples(values))
+        if np.ptp(drive[start:stop]) > min_range
+    ]
+    # Around such a rest single readings are cut off at the same level.
+    clipped = np.isin(values, levels)
+    return clipped if clipped.mean() < MAX_CLIPPED else none
+
+
+def _stuck(values: Array, drive: Array | None) -> Mask:
+    """Return where the sensor repeats one value for long although the drive moves."""
+    stuck = np.zeros(len(values), dtype=bool)
+    if drive is None:
+        return stuck
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1, [len(values)]])
+    extremes = (values.min(), values.max())
+    for run in np.flatnonzero(np.diff(edges) > MAX_RUN).tolist():
+        start, stop = int(edges[run]), int(edges[run + 1])
+        # At the end of the range without a jump it is clipped, or the stage stands there.
+        jump = abs(values[start] - values[max(start - 1, 0)])
+        if values[start] not in extremes or jump > MIN_SPIKE * np.ptp(values):
+            stuck[start:stop] = np.ptp(drive[start:stop]) > MIN_DRIVE_RANGE * np.ptp(drive)
+    return stuck if stuck.mean() < MAX_CLIPPED else np.zeros_like(stuck)
+
+
+def _driven_change(values: Array, drive: Array | None, range_: float) -> Array:
+    """Return how far the drive moves the stage off a straight line within a few samples."""
+    if drive is None or np.ptp(drive) == 0.0:
+        return np.zeros(len(values))
+    bend = np.abs(np.diff(drive, 2, prepend=drive[0], append=drive[-1]))
+    padded = np.pad(bend, (MAX_RESPONSE, 1), mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, MAX_RESPONSE + 2)
+    largest_bend, drive_range = windows.max(axis=1), _robust_range(drive)
+    if drive_range == 0.0:  # pulses alone do not show how far they move the stage
+        return np.where(largest_bend > 0.0, np.inf, 0.0)
+    return np.asarray(largest_bend * range_ / drive_range)
+
+
+def _robust_range(values: Array) -> float:
+    """Return the range of the motion: of medians of nine, which invalid readings do not reach."""
+    low, high = np.quantile(median_filter(values, 9)[4:-4], (0.002, 0.998))
+    return float(high - low)
+
+
+def _constant_runs(values: Array) -> tuple[Indices, Indices]:
+    """Return start and stop of runs of one value, without those at the ends and the long ones."""
+    edges = np.flatnonzero(np.diff(values)) + 1
+    starts, stops = edges[:-1], edges[1:]
+    inner = (starts >= 2) & (stops <= len(values) - 2) & (stops - starts <= MAX_RUN)
+    return starts[inner], stops[inner]
+
+
+def _deviations(values: Array, starts: Indices, stops: Indices) -> tuple[Array, Array]:
+    """Return how far runs lie from the mean of their neighbours, and how uncertain that mean is.
+
+    The uncertainty is the larger miss of the two neighbours on either side, extrapolated.
+    """
+    before, after = values[starts - 1], values[stops]
+    mean = 0.5 * (before + after)
+    distance = 0.5 * (stops - starts + 1)
+    misses = np.stack(
+        [
+            before + distance * (before - values[starts - 2]) - mean,
+            after + distance * (after - values[stops + 1]) - mean,
+        ]
+    )
+    return np.abs(values[starts] - mean), np.asarray(np.abs(misses).max(axis=0))
+
+
+def _written(
+    values: Array, invalid: Mask, noise: float, driven: Array, step: float
+) -> dict[float, Mask]:
+    """Return the samples of every value that lies far from its neighbours again and again."""
+    valid = np.flatnonzero(~invalid)
+    kept = values[valid]
+    starts, stops = _constant_runs(kept)
+    deviation, uncertainty = _deviations(kept, starts, stops)
+    limit = np.maximum(
+        MIN_NOISE * noise, MIN_DEVIATION * np.maximum(uncertainty, driven[valid[starts]])
+    )
+    repeated, counts = np.unique(kept[starts[deviation > limit]], return_counts=True)
+    # On a coarse converter a reading has the same value by itself.
+    is_coarse = (step_size(kept) if invalid.any() else step) > 0.0
+    written = {}
+    for value in repeated[counts >= MIN_REPEATS].tolist():
+        mask = (values == value) & ~invalid
+        if is_coarse:
+            expected = interpolated(values, mask | invalid)
+            mask &= np.abs(values - expected) > np.maximum(MIN_NOISE_COARSE * noise, driven)
+        for start, stop in _runs_of(mask):
+            if stop - start > MAX_RUN:  # may be a rest
+                mask[start:stop] = False
+        written[value] = mask
+    return written
+
+
+def _spikes(values: Array, invalid: Mask, noise: float, driven: Array, range_: float) -> Mask:
+    """Return one or two samples at a time that lie far from both neighbours and do not ring."""
+    valid = np.flatnonzero(~invalid)
+    kept = values[valid]
+    if invalid.any():
+        range_ = _robust_range(kept)
+    limit = max(MIN_SPIKE_NOISE * noise, MIN_SPIKE * range_)
+    spikes = np.zeros(len(values), dtype=bool)
+    bend = np.abs(np.diff(kept, 2, prepend=kept[0], append=kept[-1])) / 2.0
+    for width in (1, 2):
+        mean = 0.5 * (kept[1 : -width - 2] + kept[2 + width : -1])
+        deviation = np.abs(kept[2 : -width - 1] - mean)
+        if width == 2:  # the second sample as well, from the same mean
+            deviation = np.minimum(deviation, np.abs(kept[3:-2] - mean))
+        starts = 2 + np.flatnonzero(deviation > limit)
+        _, uncertainty = _deviations(kept, starts, starts + width)
+        is_far = deviation[starts - 2] > MIN_SPIKE_DEVIATION * np.maximum(
+            uncertainty, driven[valid[starts]]
+        )
+        for start in starts[is_far].tolist():
+            near = bend[max(start - SPIKE_NEIGHBOURS, 0) : start + SPIKE_NEIGHBOURS]
+            if deviation[start - 2] > MIN_SPIKE_DEVIATION * np.quantile(near, RINGING_QUANTILE):
+                spikes[valid[start : start + width]] = True
+    return spikes
+
+
+def _held(values: Array, invalid: Mask, noise: float, drive: Array | None) -> Mask:
+    """Return samples that repeat the previous one while the stage moves on in one direction.
+
+    A drive, if known, moves by about as much during each repeat as behind them. Equal readings at
+    the end of a hold, where it moves behind them only, are no fault.
+    """
+    held = np.zeros(len(values), dtype=bool)
+    valid = np.flatnonzero(~invalid)
+    kept = values[valid]
+    starts, stops = _constant_runs(kept)
+    is_repeated = stops - starts > 1
+    starts, stops = starts[is_repeated], stops[is_repeated]
+    before, after = kept[starts] - kept[starts - 2], kept[stops + 1] - kept[stops]
+    jump = kept[stops] - kept[starts]
+    is_held = (np.abs(jump) > MIN_NOISE * noise) & (jump * before > 0.0) & (jump * after > 0.0)
+    if np.count_nonzero(is_held) < MIN_REPEATS:
+        return held
+    if step_size(kept) == 0.0:  # a fine reading does not repeat, however slowly the stage moves
+        is_held[:] = True
+    if drive is not None:
+        during = np.abs(drive[valid[stops - 1]] - drive[valid[starts]])
+        behind = np.abs(drive[valid[stops]] - drive[valid[stops - 1]])
+        is_held &= during >= MIN_DRIVEN * behind * (stops - 1 - starts)
+    for start, stop in zip(starts[is_held].tolist(), stops[is_held].tolist(), strict=True):
+        held[valid[start + 1 : stop]] = True
+    return held
+
+
+def _runs_of(mask: Mask) -> list[tuple[int, int]]:
+    """Return start and stop of each run of a mask."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]]))).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SensorColumn:
+    """One column as the file holds it, with its part in the recording.
+
+    quantity, axis  what it measures, and of which axis
+    place           how messages call the column
+    unit            symbol of the unit in the file
+    factor          SI units for one of these
+    values          (samples,)  in the unit of the file
+    """
+
+    quantity: Quantity
+    axis: str
+    place: str
+    unit: str
+    factor: float
+    values: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class InvalidSamples:
+    """Which samples of a recording are no measurement.
+
+    by_column   (samples,) by the index of the column
+    statements  one for each column and kind
+    """
+
+    by_column: Mapping[int, Mask]
+    statements: tuple[Statement, ...]
+
+    def interpolated(self, column: int, values: Array) -> Array:
+        """Return a column's values with straight lines in place of the invalid ones."""
+        invalid = self.by_column.get(column)
+        return values if invalid is None else interpolated(values, invalid)
+
+    @property
+    def samples(self) -> tuple[int, ...]:
+        """All samples that are invalid in some column, increasing."""
+        if not self.by_column:
+            return ()
+        return tuple(np.flatnonzero(np.logical_or.reduce(list(self.by_column.values()))).tolist())
+
+
+def find_invalid_samples(
+    columns: Sequence[SensorColumn], place_of: Callable[[int], str]
+) -> InvalidSamples:
+    """Find invalid samples of all displacements, and of drives where the whole row is invalid.
+
+    place_of  how messages call a sample: its line or row
+    """
+    invalid: dict[int, Mask] = {}
+    statements: list[Statement] = []
+    for k, column in enumerate(columns):
+        if column.quantity is not Quantity.DISPLACEMENT:
+            continue
+        drives = [
+            j
+            for j, other in enumerate(columns)
+            if (other.quantity, other.axis) == (Quantity.VOLTAGE, column.axis)
+        ]
+        drive = columns[drives[0]].values if drives else None
+        rows = None if drive is None else _invalid_rows(column.values, drive)
+        if drive is not None and rows is not None:
+            invalid[drives[0]] = rows
+            drive = interpolated(drive, rows)
+        for readings in find_invalid_readings(column.values, drive):
+            mask = invalid.setdefault(k, np.zeros(len(column.values), dtype=bool))
+            mask[readings.samples] = True
+            statements.append(_statement(column, readings, mask, place_of))
+    return InvalidSamples(by_column=invalid, statements=tuple(statements))
+
+
+def _invalid_rows(values: Array, drive: Array) -> Mask | None:
+    """Return the rows in which drive and reading are one number, written again and again."""
+    is_equal = values == drive
+    if not MIN_REPEATS <= np.count_nonzero(is_equal) <= MAX_SHARE * len(is_equal):
+        return None
+    numbers, counts = np.unique(values[is_equal], return_counts=True)
+    rows = is_equal & (values == numbers[counts.argmax()])
+    runs = [(a, b) for a, b in _runs_of(rows) if a >= 2 and b <= len(rows) - 2]
+    if not runs:
+        return None
+    starts, stops = (np.array(edges, dtype=np.intp) for edges in zip(*runs, strict=True))
+    deviation, uncertainty = _deviations(drive, starts, stops)
+    is_far = deviation > MIN_DEVIATION * uncertainty
+    return rows if np.count_nonzero(is_far) >= MIN_REPEATS else None
+
+
+def _statement(
+    column: SensorColumn, readings: InvalidReadings, invalid: Mask, place_of: Callable[[int], str]
+) -> Statement:
+    samples, total = readings.samples, len(column.values)
+    levels = " and ".join(f"{x:.6g}" for x in np.unique(column.values[samples]).tolist())
+    appearance = {
+        "written": f"reads exactly {levels} {column.unit} where its neighbours do not",
+        "held": "repeats the previous reading while the stage moves",
+        "stuck": f"is stuck at {levels} {column.unit} while the drive moves",
+        "spike": "lies far from both neighbours",
+        "clipped": f"is clipped at {levels} {column.unit} while the drive moves",
+    }[readings.kind]
+    if readings.kind == "stuck":
+        mask = np.zeros(total, dtype=bool)
+        mask[samples] = True
+        places = [f"{place_of(a)} to {place_of(b - 1)}" for a, b in _runs_of(mask)]
+    else:
+        places = [place_of(int(k)) for k in samples]
+    more = f" and {len(places) - MAX_PLACES} more" if len(places) > MAX_PLACES else ""
+    deviation = np.abs(column.values - interpolated(column.values, invalid))[samples]
+    return finding(
+        quantity="saturated" if readings.kind == "clipped" else "lost_readings",
+        place=column.place,
+        text=f"{column.place} {appearance}, {len(samples)} times "
+        f"({100 * len(samples) / total:.2g} % of the samples), at "
+        f"{', '.join(places[:MAX_PLACES])}{more}: left out as invalid.",
+        value=float(deviation.max()) * abs(column.factor),
+        unit="m",
+    )

@@ -1,0 +1,140 @@
+"""Select the rows of a table that become samples, and align them with a uniform clock."""
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.errors import RecordingError
+from piezoid.numerics.arrays import Array
+from piezoid.records.columns import Assignment
+from piezoid.records.table import RawTable
+from piezoid.statement import Statement, finding
+
+Rows = NDArray[np.intp]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SampleRows:
+    """Rows in the order of their samples.
+
+    complete  (rows,)     of the table, with a number in every column that is read
+    position  (samples,)  index into ``complete``; a half lies between two rows, where one is lost
+    breaks    first sample after each break, increasing
+    bridged   samples that lie between two rows
+    """
+
+    complete: Rows
+    position: Array
+    breaks: tuple[int, ...]
+    bridged: tuple[int, ...]
+
+    @classmethod
+    def of(cls, complete: Rows, breaks: Collection[int], lost: Collection[int]) -> "SampleRows":
+        """Return all complete rows, with one more sample in front of each lost one.
+
+        breaks  indices of complete rows before which memory ends
+        lost    indices in front of which exactly one sample is missing; ignored at a break
+        """
+        inserted = np.array(sorted(set(lost) - set(breaks)), dtype=int)
+        edges = np.array(sorted(breaks), dtype=int)
+        positions = np.arange(len(complete), dtype=np.float64)
+        return cls(
+            complete=complete,
+            position=np.insert(positions, inserted, inserted - 0.5),
+            breaks=tuple((edges + np.searchsorted(inserted, edges)).tolist()),
+            bridged=tuple((inserted + np.arange(len(inserted))).tolist()),
+        )
+
+    def cut(self, part: slice) -> "SampleRows":
+        """Return a range of the samples."""
+        first, stop = part.start, part.stop
+        return replace(
+            self,
+            position=self.position[part],
+            breaks=tuple(b - first for b in self.breaks if first < b < stop),
+            bridged=tuple(b - first for b in self.bridged if first <= b < stop),
+        )
+
+    def source_place(self, table: RawTable) -> Callable[[int], str]:
+        """Return a function from a sample to the place of its row, or of the row before it."""
+        return lambda sample: table.place_of_row(int(self.complete[int(self.position[sample])]))
+
+    def values(self, column: Array) -> Array:
+        """Return the samples of a column, interpolated where a row is lost."""
+        samples = np.interp(self.position, np.arange(len(self.complete)), column[self.complete])
+        return np.asarray(samples)
+
+
+def unique_rows(table: RawTable, assignment: Assignment) -> tuple[Rows, list[Statement]]:
+    """Return the rows without repetitions: same time stamp, same numbers.
+
+    Rows count as repeated only if all other stamps are distinct: stamps of few digits are shared
+    by many samples, some of which may be equal.
+    """
+    every_row = np.arange(table.rows)
+    time_s = None if assignment.time is None else assignment.time.values
+    if time_s is None or not (np.diff(time_s[np.isfinite(time_s)]) <= 0).any():
+        return every_row, []
+    _, first, group = np.unique(time_s, return_index=True, return_inverse=True, equal_nan=False)
+    is_repeated = (first[group] != every_row) & np.isfinite(time_s)
+    for channel in assignment.channels:
+        earlier = channel.values[first[group]]
+        is_repeated &= (channel.values == earlier) | (np.isnan(channel.values) & np.isnan(earlier))
+    stamps_s = time_s[~is_repeated]
+    stamps_s = stamps_s[np.isfinite(stamps_s)]
+    if not is_repeated.any() or len(np.unique(stamps_s)) < len(stamps_s):
+        return every_row, []
+    repeated = np.flatnonzero(is_repeated)
+    place = table.place_of_row(int(repeated[0]))
+    text = (
+        f"{len(repeated)} rows are repeated (same stamp, same numbers) and read once. The first "
+        f"is {place}, t = {time_s[repeated[0]]:.6g} s."
+    )
+    return every_row[~is_repeated], [finding(quantity="repeated_rows", place=place, text=text)]
+
+
+def complete_rows(
+    table: RawTable, assignment: Assignment, rows: Rows
+) -> tuple[Rows, list[Statement]]:
+    """Return those of ``rows`` in which every column that is read holds a number."""
+    is_complete = np.ones(len(rows), dtype=bool)
+    for assigned in assignment.columns:
+        is_complete &= np.isfinite(assigned.values[rows])
+    complete = rows[is_complete]
+    if len(complete) < 2:
+        counts = ", ".join(
+            f"{a.column.place} {np.isfinite(a.values).sum()}" for a in assignment.columns
+        )
+        raise RecordingError(
+            f"{table.name}: {len(complete)} of {table.rows} rows hold a number in every column "
+            f"(numbers in {counts})",
+            needed="at least two complete rows",
+            remedy="Leave the empty column out by naming the others in lab.toml.",
+        )
+    incomplete = np.flatnonzero(~is_complete)
+    if not len(incomplete):
+        return complete, []
+    held = np.flatnonzero(is_complete)
+    at_ends = int(held[0]) + len(rows) - 1 - int(held[-1])
+    row = int(rows[incomplete[0]])
+    empty = [a.column.place for a in assignment.columns if not np.isfinite(a.values[row])]
+    place = table.place_of_row(row)
+    text = (
+        f"{len(incomplete)} rows lack a number, {at_ends} of them at the ends, "
+        f"{len(incomplete) - at_ends} inside (behind a break); the first is {place}, "
+        f"{' and '.join(empty)}"
+    )
+    return complete, [finding(quantity="missing_values", place=place, text=text)]
+
+
+def positions_in(complete: Rows, rows: Rows) -> tuple[int, ...]:
+    """Return the index of the first complete row at or after each of some rows, ends left out."""
+    indices = np.searchsorted(complete, rows)
+    return tuple(sorted({int(k) for k in indices if 0 < k < len(complete)}))
+
+
+def skips(complete: Rows, rows: Rows) -> tuple[int, ...]:
+    """Return the indices of complete rows that follow an incomplete one of ``rows``."""
+    return tuple((np.flatnonzero(np.diff(np.searchsorted(rows, complete)) > 1) + 1).tolist())

@@ -1,0 +1,89 @@
+"""Noise, converter step and clipping of a channel, estimated from its samples alone."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.numerics.arrays import Array
+
+# A clipped converter rests on its last code; noise and slope let nothing else rest this long.
+_CLIPPED_RUN = 5
+# The last code of a coarsely converted sine is held up to 2 / (sqrt(2) - 1) = 4.8 times as long as
+# the one before it, by the parabola at its top; what rests eight times as long is no sine.
+_CLIPPED_RATIO = 8
+# A drive that jumps to its extreme, in typical steps or in shares of the span, was sent there.
+_JUMP = 5.0
+_JUMP_SHARE = 0.2
+
+
+def noise_rms(values: Array) -> float:
+    """Return the white noise on a smooth signal, from its second differences.
+
+    The second difference of white noise has six times its variance; a smooth signal leaves little
+    there, and the median keeps out jumps. A median of zero means noise below the converter step,
+    whose rounding error is then the bound: step / sqrt(12).
+    """
+    if len(values) < 5:
+        return 0.0
+    second = np.diff(values, 2)
+    spread = 1.4826 * float(np.median(np.abs(second - np.median(second))))
+    return spread / math.sqrt(6.0) if spread > 0 else step_size(values) / math.sqrt(12.0)
+
+
+def step_size(values: Array) -> float:
+    """Return the smallest step all values are multiples of, 0 where there is none.
+
+    Values printed with few digits have a step as well: it is the resolution of what was written.
+    """
+    distinct = np.unique(values)
+    if len(distinct) < 3 or 2 * len(distinct) > len(values):
+        return 0.0
+    gaps = np.diff(distinct)
+    gaps = gaps[gaps > 1e-9 * max(abs(distinct[0]), abs(distinct[-1]))]
+    if not len(gaps):
+        return 0.0
+    smallest = float(np.min(gaps))
+    step = float(np.mean(gaps[gaps < 1.5 * smallest]))
+    multiples = gaps / step
+    fits = np.abs(multiples - np.round(multiples)) < 0.1
+    return step if fits.mean() > 0.9 else 0.0
+
+
+def is_dead(values: Array) -> bool:
+    """Tell whether a channel never changes."""
+    return bool(np.ptp(values) == 0)
+
+
+def clipped_share(values: Array, *, rest: float | None = None) -> float:
+    """Return the share of samples clipped at the largest or smallest value.
+
+    rest  a value the channel may hold on purpose (0 V, of a drive between two motions), or None
+
+    Clipped means: run into the extreme without a jump, stay for at least five samples, and rest
+    nowhere else an eighth as long. A staircase rests elsewhere too; a step arrives by a jump.
+    """
+    return float(clipped(values, rest=rest).mean()) if len(values) else 0.0
+
+
+def clipped(values: Array, *, rest: float | None = None) -> NDArray[np.bool_]:
+    """Return which samples are clipped, (samples,), as ``clipped_share`` counts them."""
+    here = np.zeros(len(values), dtype=bool)
+    if len(values) < 4 * _CLIPPED_RUN or is_dead(values):
+        return here
+    edges = np.flatnonzero(np.diff(values)) + 1
+    begins, ends = np.concatenate(([0], edges)), np.concatenate((edges, [len(values)]))
+    lengths, levels = ends - begins, values[begins]
+    extreme = (levels == values.max()) | (levels == values.min())
+    typical = float(np.median(np.abs(np.diff(levels))))
+    # What is held at the beginning or the end may be a rest before or after the motion.
+    inner = (begins > 0) & (ends < len(values))
+    inner &= np.ones(len(begins), dtype=bool) if rest is None else levels != rest
+    arrival = np.zeros(len(begins))
+    arrival[1:] = np.abs(np.diff(levels))
+    elsewhere = int(lengths[~extreme].max(initial=1))
+    longest = max(_CLIPPED_RUN, _CLIPPED_RATIO * elsewhere)
+    jump = np.minimum(_JUMP * typical, _JUMP_SHARE * np.ptp(values))
+    for run in np.flatnonzero(extreme & inner & (lengths >= longest) & (arrival <= jump)).tolist():
+        here[begins[run] : ends[run]] = True
+    return here
