@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from shutil import copyfile
 
 import pytest
 import typer
@@ -21,7 +22,7 @@ PAGES = sorted(
     for place in (*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"))
     if place.parent.name != "effects"  # written when the documentation is built
 )
-LONGEST = 150  # lines of the README
+LONGEST = 160  # lines of the README
 
 
 def text_of(name: str) -> str:
@@ -35,17 +36,19 @@ def test_the_readme_is_short() -> None:
     assert len(README.splitlines()) <= LONGEST
 
 
-def test_the_python_example_runs_from_the_checkout() -> None:
+def test_the_python_example_runs_in_the_folder_of_the_shell_example(tmp_path: Path) -> None:
     (example,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
-    done = subprocess.run(
+    for name in ("sweep", "check"):
+        copyfile(ROOT / f"datasets/x_{name}.csv", tmp_path / f"{name}.csv")
+    run = subprocess.run(
         [sys.executable, "-W", "error", "-c", example],
-        cwd=ROOT,
+        cwd=tmp_path,
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.returncode == 0, done.stderr
-    assert re.search(r"held-out error 0\.[0-3]\d % of the range", done.stdout)
+    assert run.returncode == 0, run.stderr
+    assert re.search(r"held-out error 0\.[0-3]\d % of the range", run.stdout)
 
 
 def test_every_piezoid_line_is_one_it_accepts() -> None:
