@@ -43,21 +43,25 @@ def report(
     from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.sealed_files import read_model
     from piezoid_cli.progress import shown
-    from piezoid_cli.stage_files import content_of
+    from piezoid_cli.stage_files import content_of, out_of_date
 
     with shown(quiet=quiet or json) as told:
         told("reading the folder")
         check_folder(stage, force=force, names=("report.html",))
         held = {name: content_of(stage / name) for name in SEALED if (stage / name).exists()}
+        stale = out_of_date(stage, held)
         content = content_of(stage / "model.json")
         model = read_model(content, str(stage / "model.json"))
         recorded = _recorded(model, files or (), stage, lab)
         told("drawing")
-        page = _page(model, recorded, held, stage, lab)
+        current = {name: content for name, content in held.items() if name not in stale}
+        page = _page(model, recorded, current, stage, lab)
         add_to_folder(stage, {"report.html": page.encode()}, force=force)
     if json:
-        hand_over_record("reported", report=str(stage / "report.html"))
+        hand_over_record("reported", report=str(stage / "report.html"), out_of_date=stale)
     elif not quiet:
+        for name, why in stale.items():
+            say(f"left out, for it is out of date: {name} ({why})")
         if model.sources and not files:
             say("without its recordings: no loops, no residuals, no score")
         say(f"report: {stage / 'report.html'}")

@@ -1,5 +1,6 @@
 """The files of one stage belong together; where they do not, somebody has to be told."""
 
+from collections.abc import Mapping
 from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -7,6 +8,7 @@ from typing import TYPE_CHECKING
 from piezoid.errors import LabFileError, ParameterFileError
 
 if TYPE_CHECKING:
+    from piezoid.export.parameter_file import ParameterFile
     from piezoid.records.lab import Lab
 
 LAB = "lab.toml"
@@ -74,6 +76,55 @@ def same_model(model_content: bytes, digest: str, place: str, verb: str) -> None
             needed="files of one and the same model",
             remedy=f"Run `{verb}` again, then everything that follows it.",
         )
+
+
+def changed_in_bundle(stage: Path, file: "ParameterFile") -> tuple[str, ...]:
+    """Return the files of bundle/ that are missing or not those of params.json."""
+    from piezoid.export.bundle import bundle
+
+    made = bundle(file).files
+    places = {name: stage / "bundle" / name for name in made}
+    return tuple(
+        name
+        for name, place in places.items()
+        if not place.is_file() or content_of(place) != made[name]
+    )
+
+
+def out_of_date(stage: Path, contents: Mapping[str, bytes]) -> dict[str, str]:
+    """Return the sealed files that were made from others than those beside them, and why.
+
+    contents  of the sealed files of a stage, by name
+    """
+    from piezoid.export.parameter_file import from_json
+
+    stale: dict[str, str] = {}
+    digests = {name: str(loads(content).get("digest")) for name, content in contents.items()}
+    if "params.json" in contents:
+        file = from_json(contents["params.json"], str(stage / "params.json"))
+        made_from = (("model.json", "model"), ("design.json", "design"))
+        others = [
+            name
+            for name, key in made_from
+            if name in digests and digests[name] != file.sources.get(key)
+        ]
+        if others:
+            stale["params.json"] = f"exported from another {others[0]}; run piezoid export {stage}"
+        elif changed := changed_in_bundle(stage, file):
+            stale["verification.json"] = (
+                f"bundle/{changed[0]} is missing or changed; run piezoid export {stage}"
+            )
+    if "verification.json" in contents:
+        run = str(loads(contents["verification.json"]).get("parameters_digest"))
+        shipped = digests.get("params.json", _digest_of_refused(stage))
+        if "params.json" in stale or run != shipped:
+            stale["verification.json"] = f"of another params.json; run piezoid export {stage}"
+    return {name: why for name, why in stale.items() if name in contents}
+
+
+def _digest_of_refused(stage: Path) -> str:
+    place = stage / "refused" / "params.json"
+    return str(loads(content_of(place)).get("digest")) if place.is_file() else ""
 
 
 def text_of(place: Path) -> str:

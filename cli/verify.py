@@ -1,6 +1,7 @@
 """`piezoid verify`: runs what ships against the identified stage, and says whether it may ship."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from piezoid.design.design import Design
     from piezoid.export.parameter_file import ParameterFile
     from piezoid.numerics.executor import Executor
+    from piezoid.verification.criteria import Verdict
     from piezoid.verification.limit_proof import LimitProof
     from piezoid.verification.proof import Proof
     from piezoid.verification.verification import ErrorBound, Verification
@@ -73,15 +75,15 @@ def verify(
     from piezoid.verification.criteria import limits_from_toml
     from piezoid.verification.verify_stage import verify_stage
     from piezoid_cli.progress import shown
-    from piezoid_cli.stage_files import content_of, lab_of, same_model, text_of
+    from piezoid_cli.stage_files import changed_in_bundle, content_of, lab_of, same_model, text_of
     from piezoid_cli.workers import usable_cores
 
     file = from_json(content_of(stage / "params.json"), str(stage / "params.json"))
     content = content_of(stage / "model.json")
     model = read_model(content, str(stage / "model.json"))
     same_model(content, file.sources.get("model", ""), "params.json", "piezoid export")
+    design = _design(stage, file) if bounds or (stage / "design.json").exists() else None
     declared = lab_of(stage, lab)
-    design = _design(stage, file) if bounds else None
     chosen = None if limits is None else limits_from_toml(text_of(limits), limits.name)
     check_folder(stage, force=force, names=("verification.json",))
     with shown(quiet=quiet or json) as told:
@@ -101,9 +103,11 @@ def verify(
             limit_proofs=proved,
             seed=seed,
             threads=usable_cores(),
-            design=design,
+            design=design if bounds else None,
             bounds=bounds,
         )
+        if changed := changed_in_bundle(stage, file):
+            found = replace(found, verdicts=(*found.verdicts, _changed(changed)))
         written = found.to_json()
         add_to_folder(stage, {"verification.json": written}, force=force)
     if json:
@@ -113,6 +117,19 @@ def verify(
         say(f"verification: {stage / 'verification.json'}")
     if not found.passed:
         raise typer.Exit(1)
+
+
+def _changed(names: Sequence[str]) -> "Verdict":
+    """Return the verdict on a bundle that is not what was run."""
+    from piezoid.verification.criteria import Verdict
+
+    return Verdict(
+        name="files of bundle/ that are missing or not those of params.json",
+        scenario=", ".join(names),
+        value=float(len(names)),
+        limit=0.0,
+        unit="1",
+    )
 
 
 def _design(stage: Path, file: "ParameterFile") -> "Design":

@@ -15,6 +15,8 @@
 #include "piezo_params.h"
 #include "piezoid_runtime.h"
 
+#define GOLDEN_SAMPLES 1000L /* of every axis in golden.csv */
+
 /* One state per axis, yours; the parameters stay in ROM. */
 static pz_state state[PIEZO_AXES];
 
@@ -32,7 +34,7 @@ static pz_real on_sample(int axis, pz_real reference, pz_real measured) {
 
 int main(void) {
     int axis;
-    int started[PIEZO_AXES] = {0};
+    long played[PIEZO_AXES] = {0};
     long samples = 0, differ = 0;
     double reference, measured, expected_V[2];
     unsigned status[2];
@@ -45,13 +47,12 @@ int main(void) {
         if (axis < 0 || axis >= PIEZO_AXES) {
             return 2;
         }
-        if (started[axis] == 0) {
+        if (played[axis]++ == 0) {
             const char *const unusable = power_up(axis, (pz_real)0, (pz_real)measured);
             if (unusable != NULL) {
                 fprintf(stderr, "unusable parameter: %s\n", unusable);
                 return 1;
             }
-            started[axis] = 1;
         }
         const double voltage_V = (double)on_sample(axis, (pz_real)reference, (pz_real)measured);
         const double difference_V = voltage_V - expected_V[precision];
@@ -66,6 +67,13 @@ int main(void) {
     if (!feof(stdin)) {
         fprintf(stderr, "line %ld of the table cannot be read\n", samples + 2);
         return 2;
+    }
+    for (axis = 0; axis < PIEZO_AXES; ++axis) {
+        if (played[axis] != GOLDEN_SAMPLES) {
+            fprintf(stderr, "axis %d: the table has %ld samples of %ld\n", axis, played[axis],
+                    GOLDEN_SAMPLES);
+            return 2;
+        }
     }
     printf("%ld samples, %ld differ\n", samples, differ);
     return samples > 0 && differ == 0 ? 0 : 1;

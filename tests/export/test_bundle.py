@@ -75,6 +75,20 @@ def test_a_table_that_cannot_be_read_to_its_end_is_noticed(tmp_path):
         run(program, stdin=broken)
 
 
+@pytest.mark.parametrize("rows", [0, 1, 257, SAMPLES, 2 * SAMPLES, 3 * SAMPLES - 1])
+@pytest.mark.parametrize("cut", [0, 7])
+def test_a_table_that_ends_early_is_noticed(rows, cut, tmp_path):
+    folder = written(tmp_path)
+    program = built(folder, *STRICT)
+    lines = (folder / "golden.csv").read_text().splitlines(keepends=True)
+    (folder / "golden.csv").write_text("".join(lines[: rows + 1]) + lines[rows + 1][:cut])
+    with (
+        (folder / "golden.csv").open() as early,
+        pytest.raises(AssertionError, match="samples of"),
+    ):
+        run(program, stdin=early)
+
+
 @pytest.mark.parametrize("precision", PRECISION)
 def test_every_bit_of_the_header_is_that_of_the_packed_parameters(precision, tmp_path):
     folder = written(tmp_path)

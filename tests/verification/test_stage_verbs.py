@@ -327,6 +327,38 @@ def test_another_design_than_the_exported_one_is_not_compared(folder, designed):
     assert called("export", folder).exit_code == 0
     other = replace(designed[1], remarks=("made again",))
     (folder / "design.json").write_bytes(other.to_json())
-    done = called("verify", folder, "--bounds")
-    assert isinstance(done.exception, ParameterFileError)
-    assert "not the design" in str(done.exception)
+    for flags in ((), ("--bounds",)):
+        done = called("verify", folder, *flags)
+        assert isinstance(done.exception, ParameterFileError)
+        assert "not the design" in str(done.exception)
+
+
+def test_a_verdict_stands_only_beside_the_bundle_it_was_reached_on(folder, designed):
+    assert called("export", folder).exit_code == 0
+
+    def reported():
+        done = called("report", folder, "--force")
+        assert done.exit_code == 0, done.output
+        page = (folder / "report.html").read_text()
+        return "not verified" not in page, " ".join(done.output.split())
+
+    assert reported()[0]
+    runtime = folder / "bundle/piezoid_runtime.c"
+    original = runtime.read_bytes()
+    for content in (original + b" ", None):
+        runtime.write_bytes(content) if content else runtime.unlink()
+        is_verified, said = reported()
+        assert not is_verified
+        assert "bundle/piezoid_runtime.c is missing or changed; run piezoid export" in said
+        done = called("verify", folder)
+        assert done.exit_code == 1
+        assert "piezoid_runtime.c" in done.output
+        assert b'"passed": false' in (folder / "verification.json").read_bytes()
+    runtime.write_bytes(original)
+    assert called("verify", folder).exit_code == 0
+    assert reported()[0]
+    other = replace(designed[1], remarks=("made again",))
+    (folder / "design.json").write_bytes(other.to_json())
+    is_verified, said = reported()
+    assert not is_verified
+    assert "params.json (exported from another design.json; run piezoid export" in said
