@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from piezoid.counts import in_counts
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.records.constant_drive import is_at_rest
@@ -297,7 +296,7 @@ def _statement(steps: Sequence[BaselineStep], recording: Recording, axis: str) -
     return finding(
         quantity="zero_jump",
         axis=axis,
-        text=in_counts(text, recording.counted),
+        text=text,
         value=max(abs(step.size) for step in steps),
         unit="m",
     )

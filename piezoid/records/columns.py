@@ -359,19 +359,24 @@ def _places(columns: Sequence[Column]) -> str:
 
 def ambiguous_columns(table: RawTable, found: str) -> UnitError:
     """Return the error that shows the columns and the lines of lab.toml that would decide."""
-    seen = [
-        f"{c.place}: {', '.join(f'{value:.6g}' for value in c.values[:_MAX_VALUES])}, ..."
-        for c in table.columns[:_MAX_COLUMNS]
-    ]
-    more = len(table.columns) - _MAX_COLUMNS
-    seen += [f"and {more} more columns"] if more > 0 else []
     return UnitError(
-        f"{table.name}: {found} (seen: {'; '.join(seen)})",
+        f"{table.name}: {found} (seen: {first_values(table)})",
         needed="one meaning, one axis and one unit for every column that is read",
         remedy="Write into lab.toml, with the headings or numbers (from 1) and units of your "
         f"columns:\n\n{entry_template(table)}\n",
         columns=tuple(column.label for column in table.columns),
     )
+
+
+def first_values(table: RawTable) -> str:
+    """Return the first columns of a table with their first values, for messages."""
+    columns = [
+        f"{c.place}: {', '.join(f'{value:.6g}' for value in c.values[:_MAX_VALUES])}, ..."
+        for c in table.columns[:_MAX_COLUMNS]
+    ]
+    remaining = len(table.columns) - _MAX_COLUMNS
+    columns += [f"and {remaining} more columns"] if remaining > 0 else []
+    return "; ".join(columns)
 
 
 def entry_template(table: RawTable) -> str:

@@ -71,9 +71,10 @@ def from_arrays(
     arrays = {} if time_s is None else {"time": _samples(time_s, f"{name}: time_s")}
     for quantity, given in quantities.items():
         by_axis = given if isinstance(given, Mapping) else {axis: given}
-        for own, values in by_axis.items():
+        for name_of_axis, values in by_axis.items():
             if values is not None:
-                arrays[f"{quantity}_{own}"] = _samples(values, f"{name}: {quantity} of {own}")
+                label = f"{quantity}_{name_of_axis}"
+                arrays[label] = _samples(values, f"{name}: {quantity} of {name_of_axis}")
     _same_length(name, arrays)
     symbols = {q.name.lower(): q.value for q in Quantity} | {"time": "s"}
     columns = tuple(
@@ -91,7 +92,7 @@ def from_arrays(
         columns={label: number for number, label in enumerate(arrays, 1)},
         sampling_rate_Hz=sampling_rate_Hz,
     )
-    return _one(_table(name, columns), entry)
+    return _single_recording(_table(name, columns), entry)
 
 
 def from_frame(
@@ -127,19 +128,24 @@ def from_frame(
     headings = [str(heading) for heading in frame.columns]
     for heading in (*(units or {}), *(columns or {}).values()):
         if headings.count(heading) != 1:
-            held = ", ".join(map(repr, headings))
+            names = ", ".join(map(repr, headings))
             raise RecordingError(
-                f"{name}: {headings.count(heading)} columns are called {heading!r}, among {held}",
+                f"{name}: {headings.count(heading)} columns are called {heading!r}, among {names}",
                 needed="the heading of one column",
                 remedy="Name the column as the frame does.",
             )
-    declared = {heading: _known_unit(name, heading, unit) for heading, unit in _said(units)}
-    found = [*_index(frame, name), *_columns(frame, headings, set(_values(columns)), name)]
+    declared = {
+        heading: _declared_unit(name, heading, unit) for heading, unit in (units or {}).items()
+    }
+    arrays = [
+        *_index(frame, name),
+        *_columns(frame, headings, set((columns or {}).values()), name),
+    ]
     table = _table(
         name,
         tuple(
             Column(number=k, label=label, declared_unit=declared.get(label, ""), values=values)
-            for k, (label, values) in enumerate(found, 1)
+            for k, (label, values) in enumerate(arrays, 1)
         ),
     )
     entry = RecordingEntry(
@@ -149,7 +155,7 @@ def from_frame(
         sampling_rate_Hz=sampling_rate_Hz,
     )
     try:
-        return _one(table, entry)
+        return _single_recording(table, entry)
     except UnitError as error:
         raise UnitError(
             error.found,
@@ -171,21 +177,21 @@ def to_frame(recording: Recording) -> "DataFrame":
     from pandas import DataFrame
 
     time_s = np.arange(recording.samples) / recording.sampling_rate_Hz
-    held = {"time_s": time_s}
+    columns = {"time_s": time_s}
     for channel in recording.channels:
         label, values = f"{channel.quantity.name.lower()}_{channel.axis}", channel.values
         if channel.quantity is Quantity.HUMIDITY:
-            held[f"{label} [%]"] = _PERCENT * values
+            columns[f"{label} [%]"] = _PERCENT * values
         elif channel.is_counted:
-            held[f"{label} [{COUNTS}]"] = values
+            columns[f"{label} [{COUNTS}]"] = values
         else:
             symbol = _SYMBOL[channel.quantity]
-            held[f"{label}_{symbol}" if symbol else label] = values
+            columns[f"{label}_{symbol}" if symbol else label] = values
     breaks = list(recording.breaks)
-    return DataFrame({label: np.insert(v, breaks, np.nan) for label, v in held.items()})
+    return DataFrame({label: np.insert(v, breaks, np.nan) for label, v in columns.items()})
 
 
-def _one(table: RawTable, entry: RecordingEntry) -> Recording:
+def _single_recording(table: RawTable, entry: RecordingEntry) -> Recording:
     """Return a table as a recording, remarks of a file included."""
     parts = parts_of(table, Lab(), entry)
     if len(parts) > 1:
@@ -249,26 +255,21 @@ def _refuse_other_than_frame(frame: object, name: str) -> None:
         )
 
 
-def _said(units: Mapping[str, str] | None) -> list[tuple[str, str]]:
-    return [] if units is None else list(units.items())
-
-
-def _values(columns: Mapping[str, str] | None) -> list[str]:
-    return [] if columns is None else list(columns.values())
-
-
-def _known_unit(name: str, heading: str, symbol: str) -> str:
+def _declared_unit(name: str, heading: str, symbol: str) -> str:
     """Return a unit somebody states, or refuse one that is none or contradicts the heading."""
-    unit, own = unit_of(symbol), heading_of(heading).unit
+    unit, in_heading = unit_of(symbol), heading_of(heading).unit
     if unit is None:
         raise UnitError(
             f"{name}: the unit of {heading!r} is stated as {symbol!r}",
             needed="a unit of time, voltage, length, current or temperature",
             remedy="Write s, ms, V, mV, m, um, nm, A, nA, K, degC or the like.",
         )
-    if own is not None and (own.dimension, own.factor) != (unit.dimension, unit.factor):
+    if in_heading is not None and (in_heading.dimension, in_heading.factor) != (
+        unit.dimension,
+        unit.factor,
+    ):
         raise UnitError(
-            f"{name}: {heading!r} names the unit {own.symbol}, and {symbol} is stated",
+            f"{name}: {heading!r} names the unit {in_heading.symbol}, and {symbol} is stated",
             needed="one unit for the column",
             remedy="Leave it out of units, or rename the column.",
         )
@@ -296,14 +297,14 @@ def _columns(
     """Return the numeric columns, or refuse one without numbers that would have been read."""
     from pandas.api.types import is_bool_dtype, is_numeric_dtype, is_timedelta64_dtype
 
-    found = []
+    arrays = []
     for place, heading in enumerate(headings):
         column: Any = frame.iloc[:, place]
         is_time = meaning_of(heading_of(heading)).role is Role.TIME
         if is_timedelta64_dtype(column.dtype) and is_time:
-            found.append((f"{heading} [s]", _samples(column.dt.total_seconds(), heading)))
+            arrays.append((f"{heading} [s]", _samples(column.dt.total_seconds(), heading)))
         elif is_numeric_dtype(column.dtype) and not is_bool_dtype(column.dtype):
-            found.append(
+            arrays.append(
                 (heading, _samples(column.to_numpy(np.float64, na_value=np.nan), heading))
             )
         elif heading in named or meaning_of(heading_of(heading)).role is not Role.UNREAD:
@@ -312,10 +313,10 @@ def _columns(
                 needed="numbers",
                 remedy="Convert it with pandas.to_numeric, or leave the column out.",
             )
-    if not found:
+    if not arrays:
         raise RecordingError(
             f"{name}: no column of {len(headings)} holds numbers",
             needed="a drive and a displacement",
             remedy="Pass the frame that holds the samples.",
         )
-    return found
+    return arrays

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from msgspec import structs
 
+from piezoid.counts import record_in_counts
 from piezoid.errors import LabFileError, RecordingError, UnitError
 from piezoid.records.baseline_steps import split_at_baseline_steps
 from piezoid.records.checks import check_recording
@@ -30,7 +31,7 @@ from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import read_table
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid.records.response_columns import is_response
-from piezoid.records.response_ingest import refused_as_recording
+from piezoid.records.response_ingest import not_a_recording_error
 from piezoid.records.row_alignment import (
     Rows,
     SampleRows,
@@ -99,14 +100,16 @@ def ingest_parts(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tup
     Raises ``RecordingError`` for a frequency response, beside what a table may lack.
     """
     if is_response(table, entry):
-        raise refused_as_recording(table)
+        raise not_a_recording_error(table)
     return tuple(with_checks(ingest_table(*part), lab) for part in parts_of(table, lab, entry))
 
 
 def with_checks(recording: Recording, lab: Lab) -> Recording:
     """Return a recording with the statements of all checks, split where a zero steps."""
-    statements = (*recording.statements, *check_recording(recording, lab))
-    return split_at_baseline_steps(replace(recording, statements=statements))
+    split = split_at_baseline_steps(recording)
+    new = (*check_recording(recording, lab), *split.statements[len(recording.statements) :])
+    statements = (*recording.statements, *record_in_counts(new, recording.counted))
+    return replace(split, statements=statements)
 
 
 def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[Part, ...]:

@@ -138,29 +138,32 @@ def _inspected(path: Path, lab: Lab) -> list[tuple[Inspection, Recording | None]
         table = read_table(path, lab.text_format_of(path))
     except PiezoidError as error:
         return [(Inspection(name=path.name, refusal=str(error)), None)]
-    found: list[tuple[Inspection, Recording | None]] = []
+    inspected: list[tuple[Inspection, Recording | None]] = []
     for entry in lab.entries_of(path) or (None,):
         if is_response(table, entry):
-            found.append((_inspect_response(table, lab, entry), None))
+            inspected.append((_inspect_response(table, lab, entry), None))
         else:
-            found += [_inspect_table(*part) for part in _parts(table, lab, entry)]
-    return found
+            inspected += [_inspect_table(*part) for part in _parts(table, lab, entry)]
+    return inspected
 
 
 def _inspect_response(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Inspection:
     try:
         response = ingest_response(table, lab, entry)
     except PiezoidError as error:
-        said = {c.number: f"{part}, by its name" for c in table.columns if (part := part_of(c))}
+        by_name = {c.number: f"{part}, by its name" for c in table.columns if (part := part_of(c))}
         refused = _refused(table, error)
         return replace(
-            refused, columns=tuple(_response_column(c, said.get(c.number)) for c in table.columns)
+            refused,
+            columns=tuple(_response_column(c, by_name.get(c.number)) for c in table.columns),
         )
     columns = response_columns(table, lab, entry or RecordingEntry(file=table.name))
     parts = {columns.frequency.number: "frequency"}
-    for (output, drive), held in columns.paths.items():
+    for (output, drive), part_columns in columns.paths.items():
         to = "" if output == drive else f" to a drive of {drive}"
-        parts |= {column.number: f"{part} of {output}{to}" for part, column in held.items()}
+        parts |= {
+            column.number: f"{part} of {output}{to}" for part, column in part_columns.items()
+        }
     return Inspection(
         name=table.name,
         digest=table.digest,
@@ -179,9 +182,9 @@ def _response_column(column: Column, part: str | None) -> ColumnSummary:
     """Summarise a column of a frequency response, the numbers as found: rows are no samples."""
     unit = unit_in_heading(column)
     meaning = part or "not read: no part of the response"
-    found = _numbers(column, column.values, meaning=meaning, unit="", si_unit="")
+    summary = _numbers(column, column.values, meaning=meaning, unit="", si_unit="")
     symbol = "" if unit is None else unit.symbol
-    return replace(found, unit=symbol, si_unit=symbol, noise_rms=None, step=0.0, clipped=0.0)
+    return replace(summary, unit=symbol, si_unit=symbol, noise_rms=None, step=0.0, clipped=0.0)
 
 
 def _parts(
@@ -200,18 +203,18 @@ def _inspect_table(
         recording = with_checks(ingest_table(table, lab, entry), lab)
     except PiezoidError as error:
         return _refused(table, error), None
-    said = RecordingEntry(file=table.name) if entry is None else entry
-    assignment = assign_columns(table, lab, said)
+    entry = RecordingEntry(file=table.name) if entry is None else entry
+    assignment = assign_columns(table, lab, entry)
     drive = recording.find(Quantity.VOLTAGE, recording.axis)
     reversals = None if drive is None else _turns(recording, drive.values)
-    found = Inspection(
+    inspection = Inspection(
         name=table.name,
         digest=table.digest,
         format=table.format,
         rows=table.rows,
         columns=tuple(_read_summary(column, assignment) for column in table.columns),
         axis=recording.axis,
-        axis_is_named=_is_axis_named(assignment, said),
+        axis_is_named=_is_axis_named(assignment, entry),
         sampling_rate_Hz=recording.sampling_rate_Hz,
         duration_s=recording.duration_s,
         breaks=len(recording.breaks),
@@ -220,7 +223,7 @@ def _inspect_table(
         counted=recording.counted,
         statements=recording.statements,
     )
-    return found, recording
+    return inspection, recording
 
 
 def _refused(table: RawTable, error: PiezoidError) -> Inspection:
@@ -284,19 +287,21 @@ def _sentence(meaning: Meaning) -> str:
 def _numbers(
     column: Column, values: Array, *, meaning: str, unit: str, si_unit: str
 ) -> ColumnSummary:
-    held = values[np.isfinite(values)]
+    numbers = values[np.isfinite(values)]
     return ColumnSummary(
         number=column.number,
         label=column.label,
         meaning=meaning,
         unit=unit,
         si_unit=si_unit,
-        minimum=float(held.min()) if len(held) else None,
-        maximum=float(held.max()) if len(held) else None,
-        noise_rms=noise_rms(held) if len(held) > 4 else None,
-        step=step_size(held) if len(held) else 0.0,
-        is_dead=bool(len(held)) and is_dead(held),
-        clipped=clipped_share(held, rest=0.0 if si_unit == "V" else None) if len(held) else 0.0,
+        minimum=float(numbers.min()) if len(numbers) else None,
+        maximum=float(numbers.max()) if len(numbers) else None,
+        noise_rms=noise_rms(numbers) if len(numbers) > 4 else None,
+        step=step_size(numbers) if len(numbers) else 0.0,
+        is_dead=bool(len(numbers)) and is_dead(numbers),
+        clipped=clipped_share(numbers, rest=0.0 if si_unit == "V" else None)
+        if len(numbers)
+        else 0.0,
         missing=int(np.count_nonzero(~np.isfinite(column.values))),
     )
 
@@ -304,17 +309,17 @@ def _numbers(
 def _turns(recording: Recording, voltage_V: Array) -> list[int]:
     """Return the reversals of the drive in all pieces, ignoring noise and small turns."""
     ignored_V = max(_TURN_SHARE * float(np.ptp(voltage_V)), noise_of(voltage_V))
-    found = []
+    turns = []
     for piece in recording.pieces:
-        found += [piece.start + k for k in reversals_of(voltage_V[piece], ignored_V)]
-    return found
+        turns += [piece.start + k for k in reversals_of(voltage_V[piece], ignored_V)]
+    return turns
 
 
 def _levels(voltage_V: Array, reversals: list[int]) -> tuple[float, ...]:
     """Return the distinct voltages the drive turns at, ascending; none where they are too many."""
     turns = np.sort(voltage_V[reversals])
-    apart = np.flatnonzero(np.diff(turns) > _LEVEL_SHARE * float(np.ptp(voltage_V))) + 1
-    groups = np.split(turns, apart)
+    edges = np.flatnonzero(np.diff(turns) > _LEVEL_SHARE * float(np.ptp(voltage_V))) + 1
+    groups = np.split(turns, edges)
     # a group many times wider than two levels are apart is no level: turns lie everywhere in it
     is_wide = any(np.ptp(g) > _WIDE * _LEVEL_SHARE * np.ptp(voltage_V) for g in groups)
     return () if is_wide or len(groups) > _MOST_LEVELS else tuple(float(g.mean()) for g in groups)

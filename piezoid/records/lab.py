@@ -68,8 +68,8 @@ __all__ = (
 )
 
 
-_MOST_bytes = 1 << 22  # entries about fifty thousand files
-_MOST_PARTS = 256  # each is read and judged by itself
+_MAX_bytes = 1 << 22  # entries about fifty thousand files
+_MAX_PARTS = 256  # each is read and judged by itself
 
 
 class _Contents(Table, frozen=True, kw_only=True):
@@ -144,8 +144,8 @@ class Lab:
         >>> piezoid.read_lab("lab.toml").amplifier_of("x").bandwidth_Hz
         4000.0
         """
-        own = self.axes.get(axis, AxisRig()).amplifier
-        return self.amplifier if own is None else own
+        of_axis = self.axes.get(axis, AxisRig()).amplifier
+        return self.amplifier if of_axis is None else of_axis
 
     def actuator_of(self, axis: str) -> Actuator:
         """Return the actuator of an axis: its own table, or else the common one.
@@ -153,8 +153,8 @@ class Lab:
         >>> piezoid.read_lab("lab.toml").actuator_of("x").bandwidth_Hz
         12000.0
         """
-        own = self.axes.get(axis, AxisRig()).actuator
-        return self.actuator if own is None else own
+        of_axis = self.axes.get(axis, AxisRig()).actuator
+        return self.actuator if of_axis is None else of_axis
 
     def sensor_of(self, axis: str) -> Sensor:
         """Return the sensor of an axis: its own table, or else the common one.
@@ -162,8 +162,8 @@ class Lab:
         >>> piezoid.read_lab("lab.toml").sensor_of("x").bandwidth_Hz
         8500.0
         """
-        own = self.axes.get(axis, AxisRig()).sensor
-        return self.sensor if own is None else own
+        of_axis = self.axes.get(axis, AxisRig()).sensor
+        return self.sensor if of_axis is None else of_axis
 
     def entries_of(self, path: Path) -> tuple[RecordingEntry, ...]:
         """Return the entries about a file: those of its path, or else those of its bare name.
@@ -173,13 +173,16 @@ class Lab:
         ()
         """
         # Other than Path.resolve, this goes through links that lead back to themselves.
-        wanted = realpath(path)
-        held = [e for e in self.recordings if realpath(self.folder / e.file) == wanted]
-        held = held or [e for e in self.recordings if Path(e.file).name == path.name]
-        if len(held) > _MOST_PARTS:
-            found, needed = f"{len(held)} entries are about {path.name}", "parts of one file"
-            raise refusal(self.folder / self.place, found, f"at most {_MOST_PARTS} {needed}")
-        return tuple(held)
+        target = realpath(path)
+        entries = [e for e in self.recordings if realpath(self.folder / e.file) == target]
+        entries = entries or [e for e in self.recordings if Path(e.file).name == path.name]
+        if len(entries) > _MAX_PARTS:
+            raise refusal(
+                self.folder / self.place,
+                f"{len(entries)} entries are about {path.name}",
+                f"at most {_MAX_PARTS} parts of one file",
+            )
+        return tuple(entries)
 
     def text_format_of(self, path: Path) -> TextFormat:
         """Return how a text table is written, which all entries about it must agree on.
@@ -187,7 +190,7 @@ class Lab:
         >>> from pathlib import Path
         >>> piezoid.read_lab("lab.toml").text_format_of(Path("sweep.csv")).decimal
         """
-        found = {
+        formats = {
             TextFormat(
                 separator="" if e.separator == " " else e.separator,
                 decimal=e.decimal,
@@ -195,14 +198,14 @@ class Lab:
             )
             for e in self.entries_of(path)
         }
-        if len(found) > 1:
+        if len(formats) > 1:
             raise refusal(
                 self.folder / self.place,
-                f"the {len(found)} entries about {path.name} differ in separator, decimal or "
+                f"the {len(formats)} entries about {path.name} differ in separator, decimal or "
                 "heading_row",
                 "one way in which the file is written, in each of its entries",
             )
-        return found.pop() if found else TextFormat()
+        return formats.pop() if formats else TextFormat()
 
     def check_files(self, paths: Iterable[Path]) -> None:
         """Refuse an entry about a file that is neither read now nor anywhere: a name misspelt.
@@ -214,19 +217,19 @@ class Lab:
         """
         if (self.folder / "model.json").exists():
             return
-        given = list(paths)
-        known = {realpath(path) for path in given} | {path.name for path in given}
+        paths = list(paths)
+        names = {realpath(path) for path in paths} | {path.name for path in paths}
         for entry in self.recordings:
-            own = self.folder / entry.file
-            if realpath(own) in known or Path(entry.file).name in known or own.exists():
+            path = self.folder / entry.file
+            if realpath(path) in names or path.name in names or path.exists():
                 continue
-            unnamed = [path.name for path in given if not self.entries_of(path)]
-            near = get_close_matches(Path(entry.file).name, unnamed, n=1)
-            meant = f"; is {near[0]!r} meant, which has no entry?" if near else ""
+            without_entry = [p.name for p in paths if not self.entries_of(p)]
+            similar = get_close_matches(path.name, without_entry, n=1)
+            hint = f"; is {similar[0]!r} meant, which has no entry?" if similar else ""
             raise refusal(
                 self.folder / self.place,
                 f"[[recording]] {entry.file!r} is about a file that is neither in the folder of "
-                f"{self.place} nor among those to be read{meant}",
+                f"{self.place} nor among those to be read{hint}",
                 "the name of a recording, from the folder of lab.toml",
             )
 
@@ -235,8 +238,8 @@ def read_lab(path: Path) -> Lab:
     """Read and check a lab.toml, refusing with the line or the table that cannot be used."""
     try:
         size = regular_size(path)
-        if size > _MOST_bytes:
-            raise refusal(path, f"it has {size} bytes", f"at most {_MOST_bytes}")
+        if size > _MAX_bytes:
+            raise refusal(path, f"it has {size} bytes", f"at most {_MAX_bytes}")
         with path.open("rb") as stream:
             content = stream.read(size)
         record = read_toml(content.decode("utf-8-sig"))

@@ -11,6 +11,7 @@ import numpy as np
 
 from piezoid.errors import LabFileError, RecordingError, UnitError
 from piezoid.records.column_roles import Role, meaning_of
+from piezoid.records.columns import first_values, missing_column
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.recording import Quantity
 from piezoid.records.response_units import Kind, bare, unit_in_heading
@@ -29,11 +30,10 @@ _WORDS = {
 # A frequency that is measured, not swept; a property of a fit; a spread.
 _FOREIGN = {"shift", "std", "stddev", "error", "fit", "model", "residual", "set", "setpoint"}
 _TOKENS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöü]+|\d+")
-_SHOWN = 8
 _LETTERS = "xyz"
-_PAIR = re.compile(r"(?<![a-zA-Z])[HGhg]?_?([xyz])_?([xyz])(?![a-zA-Z])")
-_ONE = re.compile(r"(?<![a-zA-Z])[HGhg]?_?([xyz])(?![a-zA-Z])")
-_NUMBERS = re.compile(r"\((\d),(\d)\)|(?<![a-zA-Z])[HGhg]_?([1-3])([1-3])(?!\d)")
+_AXIS_PAIR = re.compile(r"(?<![a-zA-Z])[HGhg]?_?([xyz])_?([xyz])(?![a-zA-Z])")
+_AXIS = re.compile(r"(?<![a-zA-Z])[HGhg]?_?([xyz])(?![a-zA-Z])")
+_AXIS_NUMBERS = re.compile(r"\((\d),(\d)\)|(?<![a-zA-Z])[HGhg]_?([1-3])([1-3])(?!\d)")
 
 Pair = tuple[str, str]
 
@@ -55,8 +55,8 @@ class ResponseColumns:
 
 
 @dataclass(kw_only=True, eq=False)
-class _Found:
-    """Columns while they are sorted; a pair of None is an axis that nobody names."""
+class _Parts:
+    """Columns by their part in the response; the pair is None where no axis is named."""
 
     frequency: list[Column] = field(default_factory=list)
     paths: dict[Pair | None, dict[str, Column]] = field(default_factory=dict)
@@ -70,15 +70,15 @@ def is_response(table: RawTable, entry: RecordingEntry | None) -> bool:
     swept = [c for c in table.columns if part_of(c) == "frequency"]
     if not swept:
         return False
-    found = _by_heading(table)
-    whole = any(_is_whole(parts) for parts in found.paths.values())
+    parts_of_file = _by_heading(table)
+    is_complete = any(_is_complete(parts) for parts in parts_of_file.paths.values())
     if any(meaning_of(c.heading).role is Role.TIME for c in table.columns):
         # Beside a clock a frequency is swept where it goes one way only.
-        return whole and any(_is_swept(column) for column in swept)
-    held = {
+        return is_complete and any(_is_swept(column) for column in swept)
+    quantities = {
         m.quantity for c in table.columns if (m := meaning_of(c.heading)).by_name and m.quantity
     }
-    return whole or not {Quantity.VOLTAGE, Quantity.DISPLACEMENT} <= held
+    return is_complete or not {Quantity.VOLTAGE, Quantity.DISPLACEMENT} <= quantities
 
 
 def response_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> ResponseColumns:
@@ -86,24 +86,27 @@ def response_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Respon
     check_names(lab, entry)
     if not entry.columns:
         _refuse_both(table)
-    found = _declared(table, lab, entry) if entry.columns else _by_heading(table)
-    if len(found.frequency) != 1:
-        said = " and ".join(c.place for c in found.frequency) or "no column"
-        raise refuse_response(table, f"{said} is the frequency")
-    paths, named = _with_axes(table, entry, found)
+    parts_of_file = _declared(table, lab, entry) if entry.columns else _by_heading(table)
+    if len(parts_of_file.frequency) != 1:
+        places = " and ".join(c.place for c in parts_of_file.frequency) or "no column"
+        raise refuse_response(table, f"{places} is the frequency")
+    paths, is_named = _with_axes(table, entry, parts_of_file)
     for pair, parts in paths.items():
-        if not _is_whole(parts):
-            held = ", ".join(parts) or "nothing"
+        if not _is_complete(parts):
+            names = ", ".join(parts) or "nothing"
             of = f" of {pair[0]} to a drive of {pair[1]}" if len(paths) > 1 else ""
-            raise refuse_response(table, f"{held} alone is no response{of}")
+            raise refuse_response(table, f"{names} alone is no response{of}")
     if not paths:
         raise refuse_response(table, "no column is a magnitude, a phase or a part of a response")
     return ResponseColumns(
-        frequency=found.frequency[0], paths=paths, by_number=found.by_number, is_named=named
+        frequency=parts_of_file.frequency[0],
+        paths=paths,
+        by_number=parts_of_file.by_number,
+        is_named=is_named,
     )
 
 
-def _is_whole(parts: Mapping[str, Column]) -> bool:
+def _is_complete(parts: Mapping[str, Column]) -> bool:
     return {"magnitude", "phase"} <= set(parts) or {"real", "imaginary"} <= set(parts)
 
 
@@ -152,50 +155,50 @@ _KINDS = {
 }
 
 
-def _by_heading(table: RawTable) -> _Found:
-    found = _Found()
+def _by_heading(table: RawTable) -> _Parts:
+    parts_of_file = _Parts()
     for column in table.columns:
         part = part_of(column)
         if part == "frequency":
-            found.frequency.append(column)
+            parts_of_file.frequency.append(column)
         elif part is not None:
             pair, by_number = _pair_in(column.label)
-            found.by_number |= by_number
-            parts = found.paths.setdefault(pair, {})
+            parts_of_file.by_number |= by_number
+            parts = parts_of_file.paths.setdefault(pair, {})
             if part in parts:
                 pairs = f"{parts[part].place} and {column.place}"
                 raise refuse_response(table, f"{pairs} both claim to be the {part}")
             parts[part] = column
-    return found
+    return parts_of_file
 
 
 def _pair_in(label: str) -> tuple[Pair | None, bool]:
     """Return output and drive that a heading names, and whether by number."""
-    if match := _NUMBERS.search(label):
+    if match := _AXIS_NUMBERS.search(label):
         i, j = (int(number) - 1 for number in match.groups() if number is not None)
         return ((_LETTERS[i], _LETTERS[j]) if max(i, j) < len(_LETTERS) else None), True
     stem = re.sub(r"\[.*?\]|\(.*?\)", " ", bare(label))
-    if match := _PAIR.search(stem):
+    if match := _AXIS_PAIR.search(stem):
         return (match.group(1), match.group(2)), False
-    if match := _ONE.search(stem):
+    if match := _AXIS.search(stem):
         return (match.group(1), match.group(1)), False
     return None, False
 
 
-def _declared(table: RawTable, lab: Lab, entry: RecordingEntry) -> _Found:
+def _declared(table: RawTable, lab: Lab, entry: RecordingEntry) -> _Parts:
     """Return the columns that lab.toml names."""
-    found = _Found()
+    parts_of_file = _Parts()
     for key, wanted in entry.columns.items():
         name, pair = named_part(key)
         if name == "frequency":
-            found.frequency.append(_column(table, lab, key, wanted))
+            parts_of_file.frequency.append(_column(table, lab, key, wanted))
         elif name == COMPLEX:
             pieces = (("real", f"real({wanted})"), ("imaginary", f"imag({wanted})"))
             for part, label in pieces:
-                found.paths.setdefault(pair, {})[part] = _column(table, lab, key, label)
+                parts_of_file.paths.setdefault(pair, {})[part] = _column(table, lab, key, label)
         else:
-            found.paths.setdefault(pair, {})[name] = _column(table, lab, key, wanted)
-    return found
+            parts_of_file.paths.setdefault(pair, {})[name] = _column(table, lab, key, wanted)
+    return parts_of_file
 
 
 def named_part(key: str) -> tuple[str, Pair | None]:
@@ -226,57 +229,45 @@ def check_names(lab: Lab, entry: RecordingEntry) -> None:
         "stop_s": entry.stop_s,
         "reverse": entry.reverse,
     }
-    said = [name for name, value in unusable.items() if value]
-    if said:
+    names = [name for name, value in unusable.items() if value]
+    if names:
         raise LabFileError(
-            f"{lab.place}: [[recording]] {entry.file!r} has {', '.join(said)}",
+            f"{lab.place}: [[recording]] {entry.file!r} has {', '.join(names)}",
             needed="columns of a frequency response, which has no time and no offset",
             remedy="Leave it out.",
         )
 
 
-def _column(table: RawTable, lab: Lab, key: str, wanted: str | int) -> Column:
-    column = table.find(wanted)
+def _column(table: RawTable, lab: Lab, key: str, name_or_number: str | int) -> Column:
+    column = table.find(name_or_number)
     if column is None:
-        held = ", ".join(f"{c.number} {c.label!r}" for c in table.columns[:20])
-        raise LabFileError(
-            f"{lab.place}: {table.name} has no column {wanted!r} of its own for {key!r}, only "
-            f"{held}",
-            needed="one column of the file, by heading or by number from 1, for each name",
-            remedy=f"Correct 'columns' of the entry for {table.name}.",
-        )
+        raise missing_column(table, lab, key, name_or_number)
     return column
 
 
 def _with_axes(
-    table: RawTable, entry: RecordingEntry, found: _Found
+    table: RawTable, entry: RecordingEntry, parts_of_file: _Parts
 ) -> tuple[dict[Pair, dict[str, Column]], bool]:
     """Give what names no axis that of the entry, or of the only response; else x."""
-    named = {pair: parts for pair, parts in found.paths.items() if pair is not None}
-    bare_parts = found.paths.get(None, {})
-    if not bare_parts:
-        return named, True
-    if len(named) == 1 and entry.axis is None and not _is_whole(bare_parts):
-        pair = next(iter(named))
-        if not set(bare_parts) & set(named[pair]):
-            return {pair: {**named[pair], **bare_parts}}, True
-    if named and entry.axis is None:
-        places = " and ".join(column.place for column in bare_parts.values())
+    by_pair = {pair: parts for pair, parts in parts_of_file.paths.items() if pair is not None}
+    unnamed = parts_of_file.paths.get(None, {})
+    if not unnamed:
+        return by_pair, True
+    if len(by_pair) == 1 and entry.axis is None and not _is_complete(unnamed):
+        pair = next(iter(by_pair))
+        if not set(unnamed) & set(by_pair[pair]):
+            return {pair: {**by_pair[pair], **unnamed}}, True
+    if by_pair and entry.axis is None:
+        places = " and ".join(column.place for column in unnamed.values())
         raise refuse_response(table, f"{places} names no axis, beside others that do")
     axis = entry.axis or "x"
-    return {(axis, axis): bare_parts, **named}, entry.axis is not None
+    return {(axis, axis): unnamed, **by_pair}, entry.axis is not None
 
 
 def refuse_response(table: RawTable, found: str) -> UnitError:
     """Refuse, showing the columns and the lines of lab.toml that would decide."""
-    seen = [
-        f"{c.place}: {', '.join(f'{value:.6g}' for value in c.values[:3])}, ..."
-        for c in table.columns[:_SHOWN]
-    ]
-    more = len(table.columns) - _SHOWN
-    seen += [f"and {more} more columns"] if more > 0 else []
     return UnitError(
-        f"{table.name}: a frequency response, of which {found} (seen: {'; '.join(seen)})",
+        f"{table.name}: a frequency response, of which {found} (seen: {first_values(table)})",
         needed="a frequency in Hz, kHz or rad/s; magnitude in m/V, um/V, nm/V, V/V or decibels of "
         "one of these, with phase in deg or rad; or real and imaginary part",
         remedy="Write into lab.toml, with the headings or numbers (from 1) and units of your "

@@ -30,16 +30,16 @@ from piezoid.statement import Statement, finding
 _T = TypeVar("_T")
 # A mode turns the phase by half a turn, a delay along a straight line: the phase of ten modes
 # strays from its own line by less. Degrees taken for radians stray by 180 for each mode.
-MOST_TURNED_rad = 10.0 * np.pi
+MAX_STRAY_rad = 10.0 * np.pi
 # A gain that changes so much turns the phase by tens of degrees (Bode); radians taken for degrees
 # stay within one turn's 6.3.
-TURNED_FROM_dB = 6.0
-SMALL_deg = 2.0 * np.pi
+MIN_GAIN_CHANGE_dB = 6.0
+MAX_RADIANS_deg = 2.0 * np.pi
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _File:
-    """What every step of reading one file needs, and what it noticed."""
+class _Context:
+    """The file being read, and the statements about it so far."""
 
     table: RawTable
     lab: Lab
@@ -57,21 +57,23 @@ def ingest_response(
     """
     entry = RecordingEntry(file=table.name) if entry is None else entry
     columns = response_columns(table, lab, entry)
-    # That a complex array is read in two parts is nothing to remark on here.
-    held = _File(
+    # A complex array is read in two parts, which is no finding here.
+    context = _Context(
         table=table,
         lab=lab,
         entry=entry,
         statements=[p for p in table.statements if p.quantity != "complex"],
     )
     _refuse_missing(table, columns)
-    frequency_Hz, rows = _frequency(held, columns.frequency)
+    frequency_Hz, rows = _frequency(context, columns.frequency)
     paths = tuple(
-        _path(held, pair, parts, frequency_Hz, rows) for pair, parts in columns.paths.items()
+        _path(context, pair, parts, frequency_Hz, rows) for pair, parts in columns.paths.items()
     )
     if columns.by_number:
         text = "axes are numbered: 1, 2, 3 are read as x, y, z, the one that moves first"
-        held.statements.append(finding(quantity="numbered_axes", place="its headings", text=text))
+        context.statements.append(
+            finding(quantity="numbered_axes", place="its headings", text=text)
+        )
     return FrequencyResponseRecord(
         name=table.name,
         digest=table.digest,
@@ -79,7 +81,7 @@ def ingest_response(
         paths=paths,
         axis_is_named=columns.is_named,
         includes=CHAIN if entry.includes is None else tuple(entry.includes),
-        statements=tuple(held.statements),
+        statements=tuple(context.statements),
     )
 
 
@@ -95,13 +97,13 @@ def _refuse_missing(table: RawTable, columns: ResponseColumns) -> None:
             )
 
 
-def _frequency(held: _File, column: Column) -> tuple[Array, np.ndarray]:
+def _frequency(context: _Context, column: Column) -> tuple[Array, np.ndarray]:
     """Return all frequencies, Hz, and the rows to use in increasing order."""
-    table = held.table
-    unit = _unit_for(held, "frequency", None, column)
+    table = context.table
+    unit = _unit_for(context, "frequency", None, column)
     if unit is None or unit.kind is not Kind.FREQUENCY:
-        said = "has no unit" if unit is None else f"is in {unit.symbol}"
-        raise refuse_response(table, f"{column.place} {said}")
+        state = "has no unit" if unit is None else f"is in {unit.symbol}"
+        raise refuse_response(table, f"{column.place} {state}")
     f = np.asarray(column.values * unit.factor)
     if (f < 0).any():
         row = int(np.argmax(f < 0))
@@ -115,15 +117,14 @@ def _frequency(held: _File, column: Column) -> tuple[Array, np.ndarray]:
     if (np.diff(f) < 0).all() and len(f) > 1:
         rows = rows[::-1]
         text = "frequencies fall from row to row; they are read from the last row on"
-        held.statements.append(finding(quantity="downward", place=column.place, text=text))
+        context.statements.append(finding(quantity="downward", place=column.place, text=text))
     steps = np.diff(f[rows])
     if (steps <= 0).any():
         row = int(np.argmax(steps <= 0)) + 1
-        ways = "again" if steps[row - 1] == 0 else "behind"
+        order = "repeats" if steps[row - 1] == 0 else "follows"
         raise RecordingError(
-            f"{table.name}: at {table.place_of_row(int(rows[row]))} stands {f[rows[row]]:.6g} Hz "
-            f"{ways} {f[rows[row - 1]]:.6g} Hz; {int((steps <= 0).sum())} frequencies do not "
-            "rise",
+            f"{table.name}: {f[rows[row]]:.6g} Hz at {table.place_of_row(int(rows[row]))} {order} "
+            f"{f[rows[row - 1]]:.6g} Hz; {int((steps <= 0).sum())} frequencies do not rise",
             needed="each frequency once, in order",
             remedy="Sort the rows; of several sweeps keep one, average them, or write each into a "
             "file of its own.",
@@ -131,7 +132,9 @@ def _frequency(held: _File, column: Column) -> tuple[Array, np.ndarray]:
     if not f[rows[0]] > 0:
         rows = rows[1:]
         text = "the line at 0 Hz is left out: it holds the offset, not a response"
-        held.statements.append(finding(quantity="zero_frequency", place=column.place, text=text))
+        context.statements.append(
+            finding(quantity="zero_frequency", place=column.place, text=text)
+        )
     if len(rows) < FEWEST_LINES:
         raise RecordingError(
             f"{table.name}: {len(rows)} frequencies",
@@ -142,67 +145,73 @@ def _frequency(held: _File, column: Column) -> tuple[Array, np.ndarray]:
 
 
 def _path(
-    held: _File, pair: Pair, parts: Mapping[str, Column], frequency_Hz: Array, rows: np.ndarray
+    context: _Context,
+    pair: Pair,
+    parts: Mapping[str, Column],
+    frequency_Hz: Array,
+    rows: np.ndarray,
 ) -> ResponsePath:
     column = parts.get("real") or parts["magnitude"]
     if {"real", "imaginary"} <= set(parts):
         response = (
-            _gain(held, pair, "real", parts["real"])[rows]
-            + 1j * _gain(held, pair, "imaginary", parts["imaginary"])[rows]
+            _gain(context, pair, "real", parts["real"])[rows]
+            + 1j * _gain(context, pair, "imaginary", parts["imaginary"])[rows]
         )
         if "magnitude" in parts:
             text = "real and imaginary part are read; magnitude and phase say the same again"
-            held.statements.append(finding(quantity="said_twice", place=column.place, text=text))
+            context.statements.append(
+                finding(quantity="said_twice", place=column.place, text=text)
+            )
     else:
         column = parts["magnitude"]
-        size = _gain(held, pair, "magnitude", column)[rows]
-        _refuse_below_zero(held.table, column, size, rows)
-        angle = _angle(held, pair, parts["phase"], size, frequency_Hz[rows], rows)
+        size = _gain(context, pair, "magnitude", column)[rows]
+        _refuse_below_zero(context.table, column, size, rows)
+        angle = _angle(context, pair, parts["phase"], size, frequency_Hz[rows], rows)
         response = size * np.exp(1j * angle)
-    _refuse_zero(held.table, column, response, rows)
+    _refuse_zero(context.table, column, response, rows)
     return ResponsePath(
         output=pair[0],
         drive=pair[1],
-        response_m_per_V=_per_excitation(held, pair, parts, response, rows),
-        coherence=_coherence(held, pair, parts.get("coherence"), rows),
+        response_m_per_V=_per_excitation(context, pair, parts, response, rows),
+        coherence=_coherence(context, pair, parts.get("coherence"), rows),
     )
 
 
-def _gain(held: _File, pair: Pair, part: str, column: Column) -> Array:
+def _gain(context: _Context, pair: Pair, part: str, column: Column) -> Array:
     """Return magnitude, real or imaginary part in m/V, or in m beside an excitation."""
-    unit = _unit_for(held, part, pair, column)
+    unit = _unit_for(context, part, pair, column)
     if unit is None:
-        raise refuse_response(held.table, f"{column.place} has no unit")
+        raise refuse_response(context.table, f"{column.place} has no unit")
     if unit.kind is Kind.DECIBEL:
         raise refuse_response(
-            held.table,
+            context.table,
             f"{column.place} is in dB, and nothing says of what: write 'dB re 1 um/V', or of "
             "whatever its 0 dB is",
         )
-    scale = _said(held.entry.scale, part, pair)
+    scale = _declared(context.entry.scale, part, pair)
     if unit.kind in (Kind.LENGTH, Kind.VOLTAGE):
-        if "excitation" not in {key.partition("_")[0] for key in held.entry.columns} and (
+        if "excitation" not in {key.partition("_")[0] for key in context.entry.columns} and (
             scale is None
         ):
             raise refuse_response(
-                held.table,
+                context.table,
                 f"{column.place} is in {unit.symbol}, an amplitude and not yet a response: the "
                 "drive's is needed, as a column 'excitation' or as scale = { response = 1 / volts "
                 "}",
             )
     elif unit.kind not in (Kind.GAIN, Kind.VOLTAGE_GAIN):
-        raise refuse_response(held.table, f"{column.place} is in {unit.symbol}")
+        raise refuse_response(context.table, f"{column.place} is in {unit.symbol}")
     values = 10.0 ** (column.values / 20.0) if unit.is_decibel else column.values
     if unit.kind in (Kind.VOLTAGE, Kind.VOLTAGE_GAIN):
-        values = values / _sensor_gain(held, pair[0], column, unit)
+        values = values / _sensor_gain(context, pair[0], column, unit)
     return np.asarray(values * unit.factor * (1.0 if scale is None else scale))
 
 
-def _sensor_gain(held: _File, axis: str, column: Column, unit: ResponseUnit) -> float:
-    gain_V_per_m = held.lab.sensor_of(axis).gain_V_per_m
+def _sensor_gain(context: _Context, axis: str, column: Column, unit: ResponseUnit) -> float:
+    gain_V_per_m = context.lab.sensor_of(axis).gain_V_per_m
     if gain_V_per_m is None:
         raise UnitError(
-            f"{held.table.name}: {column.place} is a response of axis {axis} in {unit.symbol}",
+            f"{context.table.name}: {column.place} is a response of axis {axis} in {unit.symbol}",
             needed="the sensor's gain, to know it in metres per volt",
             remedy="Write into lab.toml:\n\n[sensor]\ngain_V_per_m = ...\n",
         )
@@ -210,55 +219,71 @@ def _sensor_gain(held: _File, axis: str, column: Column, unit: ResponseUnit) -> 
 
 
 def _angle(
-    held: _File, pair: Pair, column: Column, size: Array, frequency_Hz: Array, rows: np.ndarray
+    context: _Context,
+    pair: Pair,
+    column: Column,
+    size: Array,
+    frequency_Hz: Array,
+    rows: np.ndarray,
 ) -> Array:
-    unit = _unit_for(held, "phase", pair, column)
+    unit = _unit_for(context, "phase", pair, column)
     if unit is None or unit.kind is not Kind.ANGLE:
-        said = "has no unit" if unit is None else f"is in {unit.symbol}"
-        raise refuse_response(held.table, f"{column.place} {said}, and not in deg or rad")
+        state = "has no unit" if unit is None else f"is in {unit.symbol}"
+        raise refuse_response(context.table, f"{column.place} {state}, and not in deg or rad")
     angle = np.asarray(column.values[rows] * unit.factor)
     changed_dB = 20.0 * float(np.log10(size.max() / size.min())) if size.min() > 0 else 0.0
     if "deg" in unit.symbol.lower() or "°" in unit.symbol:
         largest = float(np.abs(column.values[rows]).max())
-        if largest <= SMALL_deg and changed_dB > TURNED_FROM_dB:
-            raise _wrong_angle(held, column, unit, largest, "rad", changed_dB)
+        if largest <= MAX_RADIANS_deg and changed_dB > MIN_GAIN_CHANGE_dB:
+            raise _wrong_angle(context, column, unit, largest, "rad", changed_dB)
         return angle
     line = np.polynomial.Polynomial.fit(frequency_Hz, angle, 1)
-    strayed = float(np.ptp(angle - line(frequency_Hz)))
-    if strayed > MOST_TURNED_rad:
+    stray_rad = float(np.ptp(angle - line(frequency_Hz)))
+    if stray_rad > MAX_STRAY_rad:
         largest = float(np.abs(column.values[rows]).max())
-        raise _wrong_angle(held, column, unit, largest, "deg", changed_dB)
+        raise _wrong_angle(context, column, unit, largest, "deg", changed_dB)
     return angle
 
 
 def _wrong_angle(
-    held: _File, column: Column, unit: ResponseUnit, largest: float, likely: str, changed_dB: float
+    context: _Context,
+    column: Column,
+    unit: ResponseUnit,
+    largest: float,
+    likely: str,
+    changed_dB: float,
 ) -> UnitError:
     return UnitError(
-        f"{held.table.name}: {column.place} is said to be in {unit.symbol} and reaches "
+        f"{context.table.name}: {column.place} is said to be in {unit.symbol} and reaches "
         f"{largest:.4g} while the gain changes by {changed_dB:.3g} dB: obviously other units",
         needed=f"the phase in the unit it is written in; {likely} would fit",
         remedy=f"If it is, write into lab.toml:\n\n[[recording]]\n"
-        f'file = {dumps(held.table.name)}\nunits = {{ phase = "{likely}" }}\n',
+        f'file = {dumps(context.table.name)}\nunits = {{ phase = "{likely}" }}\n',
     )
 
 
 def _per_excitation(
-    held: _File, pair: Pair, parts: Mapping[str, Column], response: ComplexArray, rows: np.ndarray
+    context: _Context,
+    pair: Pair,
+    parts: Mapping[str, Column],
+    response: ComplexArray,
+    rows: np.ndarray,
 ) -> ComplexArray:
     """Return the response; of a displacement's amplitude, over that of the drive."""
     column = parts.get("excitation")
     if column is None:
         return response
-    unit = _unit_for(held, "excitation", pair, column)
+    unit = _unit_for(context, "excitation", pair, column)
     if unit is None or unit.kind is not Kind.VOLTAGE:
-        raise refuse_response(held.table, f"{column.place} is an excitation that is not in volts")
+        raise refuse_response(
+            context.table, f"{column.place} is an excitation that is not in volts"
+        )
     drive_V = column.values[rows] * unit.factor
     if not (drive_V > 0).all():
         row = int(rows[np.argmin(drive_V)])
         raise RecordingError(
-            f"{held.table.name}: {column.place} is {drive_V.min():.6g} V at "
-            f"{held.table.place_of_row(row)}",
+            f"{context.table.name}: {column.place} is {drive_V.min():.6g} V at "
+            f"{context.table.place_of_row(row)}",
             needed="an amplitude above zero: the response is divided by it",
             remedy="Take these rows out of the file, or name another column.",
         )
@@ -290,14 +315,16 @@ def _refuse_zero(
         )
 
 
-def _coherence(held: _File, pair: Pair, column: Column | None, rows: np.ndarray) -> Array | None:
+def _coherence(
+    context: _Context, pair: Pair, column: Column | None, rows: np.ndarray
+) -> Array | None:
     if column is None:
         return None
-    unit = _unit_for(held, "coherence", pair, column)
+    unit = _unit_for(context, "coherence", pair, column)
     values = np.asarray(column.values[rows] * (1.0 if unit is None else unit.factor))
     if values.min() < 0.0 or values.max() > 1.0:
         raise RecordingError(
-            f"{held.table.name}: {column.place} goes from {values.min():.4g} to "
+            f"{context.table.name}: {column.place} goes from {values.min():.4g} to "
             f"{values.max():.4g}",
             needed="a coherence (magnitude squared) from 0 to 1",
             remedy='If it is in percent, write units = { coherence = "%" } into lab.toml.',
@@ -305,7 +332,7 @@ def _coherence(held: _File, pair: Pair, column: Column | None, rows: np.ndarray)
     return values
 
 
-def _said(by_name: Mapping[str, _T], part: str, pair: Pair | None) -> _T | None:
+def _declared(by_name: Mapping[str, _T], part: str, pair: Pair | None) -> _T | None:
     """Return what an entry says of a column: of its path, of the part, of the whole response."""
     is_gain = part in ("magnitude", "real", "imaginary")
     keys = []
@@ -317,17 +344,19 @@ def _said(by_name: Mapping[str, _T], part: str, pair: Pair | None) -> _T | None:
     return next((by_name[key] for key in keys if key in by_name), None)
 
 
-def _unit_for(held: _File, part: str, pair: Pair | None, column: Column) -> ResponseUnit | None:
-    said = _said(held.entry.units, part, pair)
-    if said is None:
+def _unit_for(
+    context: _Context, part: str, pair: Pair | None, column: Column
+) -> ResponseUnit | None:
+    symbol = _declared(context.entry.units, part, pair)
+    if symbol is None:
         return unit_in_heading(column)
-    unit = response_unit(said)
+    unit = response_unit(symbol)
     if unit is None:
-        raise refuse_response(held.table, f"{part} is said to be in {said!r}")
+        raise refuse_response(context.table, f"the unit of {part} is {symbol!r}")
     return unit
 
 
-def refused_as_recording(table: RawTable) -> PiezoidError:
+def not_a_recording_error(table: RawTable) -> PiezoidError:
     """Return the refusal of a frequency response where a recording over time is asked for."""
     return RecordingError(
         f"{table.name}: a frequency response, not a recording over time",

@@ -62,7 +62,7 @@ def test_a_stage_in_counts_is_told_in_counts_everywhere(
     assert found["counted"] == counted
     assert {one["unit"] for one in found["not_detected"]} == {"counts, rms"}
     assert not (tmp_path / "stage/design.json").exists()
-    assert "how many m one count is" in " ".join(done.stdout.split())
+    assert "m per count" in " ".join(done.stdout.split())
     run("diagnose", sweep, "--out", tmp_path / "causes")
     told = (
         done.stdout,

@@ -193,8 +193,8 @@ def changed(column: int, value: float) -> list[np.ndarray]:  # type: ignore[type
 
 
 WRONG = {
-    "repeated": (changed(0, FREQUENCY_Hz[AT - 1]), "again .* frequencies do not rise"),
-    "unsorted": (changed(0, 2.0), "line 42 stands 2 Hz behind"),
+    "repeated": (changed(0, FREQUENCY_Hz[AT - 1]), "repeats .* frequencies do not rise"),
+    "unsorted": (changed(0, 2.0), "2 Hz at line 42 follows"),
     "negative": (changed(0, -5.0), "1 frequencies are negative, the first is -5 Hz at line 42"),
     "empty": (changed(1, np.nan), "hold no number, the first is line 42"),
     "zero": (changed(1, 0.0), "is zero in 1 rows, the first is line 42"),

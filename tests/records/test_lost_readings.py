@@ -162,7 +162,7 @@ def test_a_sensor_at_the_end_of_its_range_is_left_out_and_a_stage_at_its_end_is_
     (found,) = inspect_file(write(tmp_path / "a.csv", field, np.minimum(clean_um, top)))
     (told,) = [p.text for p in found.statements if p.quantity == "saturated"]
     assert f"is clipped at {top:.6g} um while the drive moves" in told
-    assert "left out as no measurement" in told
+    assert "left out as invalid" in told
 
 
 @pytest.mark.parametrize("law", ["preisach", "plays"])
