@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from piezoid.records.checks.command_range import command_range_V
+from piezoid.records.checks.command_range import command_range_V, gain_of
 from piezoid.records.lab import Lab
 
 
@@ -50,6 +50,6 @@ def _step_V(reach_V: tuple[float, float] | None, bits: int | None) -> float:
 def _slew_V_per_s(lab: Lab, axis: str) -> float | None:
     """Return the fastest command: the amplifier's own slew rate over its gain."""
     amplifier = lab.amplifier_of(axis)
-    if amplifier.slew_V_per_s is None or amplifier.gain_V_per_V is None:
+    if amplifier.slew_V_per_s is None:
         return None
-    return float(amplifier.slew_V_per_s / abs(amplifier.gain_V_per_V))
+    return float(amplifier.slew_V_per_s / abs(gain_of(amplifier)))

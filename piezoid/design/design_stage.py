@@ -1,6 +1,6 @@
 """design_stage: a model in, the controllers of its axes out."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -152,15 +152,32 @@ def design_of(
         bandwidths_Hz = [one.recommended.bandwidth_Hz for one in own]
         decoupling = decoupling_of(coupled, min(bandwidths_Hz, default=coupled.band_Hz[0]))
     remarks = () if decoupling is None else (decoupling.text,)
+    unused = _unused(lab or Lab(), [outcome.axis for outcome in outcomes])
     return Design(
         axes=designed,
         model_digest=model_digest,
         lab_digest=(lab or Lab()).digest,
         rig_digest=(lab or Lab()).rig_digest,
         decoupling=decoupling,
-        remarks=(*remarks, *map(str, obstacles)),
+        remarks=(
+            *remarks,
+            *map(str, obstacles),
+            *_unused(lab or Lab(), [o.axis for o in outcomes]),
+        ),
         refused={name: str(refusal) for name, refusal in refused.items()},
     )
+
+
+def _unused(lab: Lab, axes: Sequence[str]) -> Iterator[str]:
+    """Yield what lab.toml declares without effect on the controllers, whole sentences."""
+    for name in sorted(set(lab.axes) - set(axes)):
+        yield f"[axis.{name}] of {lab.place} is about none of the axes {', '.join(axes)}."
+    for axis in axes if lab.acquisition.adc_bits is not None else ():
+        if lab.sensor_of(axis).gain_V_per_m is None:
+            yield (
+                f"axis {axis}: adc_bits of {lab.place} has no effect, because gain_V_per_m of "
+                "[sensor] is not declared: the steps of its readings are not known in metres."
+            )
 
 
 def _edited(lab: Lab | None) -> str:

@@ -211,7 +211,7 @@ def missing_line(lab: Lab, line: str, meaning: str, table: str = "[tunnelling]")
 
 
 def _command_V(lab: Lab, converters: Converters) -> tuple[float, float]:
-    if converters.command_V is None:
+    if converters.command_V is None or not all(map(math.isfinite, converters.command_V)):
         meaning = "the voltages the height's drive may take"
         raise missing_line(lab, "input_range_V = [-10, 10]", meaning, "[acquisition]")
     low_V, high_V = converters.command_V

@@ -300,6 +300,7 @@ def _check(path: Path, lab: Lab) -> None:
             check_range(path, place, "output", table.output_min_V, table.output_max_V)
         if isinstance(table, RecordingEntry):
             _check_entry(path, place, table)
+    _check_dependent(path, lab)
     axes = lab.coupled.axes
     if len(set(axes)) != len(axes) or len(axes) == 1:
         raise refusal(path, f"[coupled] axes are {list(axes)}", "two axes or more, each once")
@@ -312,6 +313,24 @@ def _check(path: Path, lab: Lab) -> None:
         check_number(path, "[tunnelling]", "barrier_eV", low_eV)
         check_number(path, "[tunnelling]", "barrier_eV", high_eV)
         check_range(path, "[tunnelling]", "barrier_range_eV", low_eV, high_eV)
+
+
+def _check_dependent(path: Path, lab: Lab) -> None:
+    """Refuse a key that would be ignored because another one is missing."""
+    converter = lab.acquisition
+    for key in ("dac_bits", "adc_bits"):
+        if getattr(converter, key) is not None and converter.input_range_V is None:
+            found = f"[acquisition] declares {key} and no input_range_V"
+            raise refusal(path, found, "input_range_V = [low, high], the volts of all codes")
+    if lab.coupled.settling_periods != Coupled().settling_periods and not lab.coupled.axes:
+        found = "[coupled] declares settling_periods and no axes"
+        raise refusal(path, found, "the names of the axes that are coupled")
+    for name, rig in lab.axes.items():
+        for key in ("output_min_V", "output_max_V", "slew_V_per_s"):
+            common, own = getattr(lab.amplifier, key), getattr(rig.amplifier, key, None)
+            if rig.amplifier is not None and common is not None and own is None:
+                found = f"[amplifier] limits {key}, and [axis.{name}.amplifier] does not"
+                raise refusal(path, found, f"{key} of axis {name}: its table replaces [amplifier]")
 
 
 def _check_entry(path: Path, place: str, entry: RecordingEntry) -> None:

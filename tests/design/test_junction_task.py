@@ -1,5 +1,6 @@
 """From an identified junction to the design of Z: its family, its limits, what is missing."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -65,15 +66,24 @@ def test_the_command_keeps_within_converter_and_amplifier() -> None:
         vertical_task(LOOP, replace(LAB, amplifier=apart))
 
 
-@pytest.mark.parametrize("unsaid", ["gain_V_per_V", "output_min_V", "output_max_V"])
-def test_an_amplifier_of_which_a_part_is_not_declared_limits_no_command(unsaid: str) -> None:
+@pytest.mark.parametrize(
+    ("unsaid", "command_V", "alone_V"),
+    [
+        ("gain_V_per_V", (-10.0, 10.0), (-20.0, 150.0)),
+        ("output_min_V", (-10.0, 7.5), (-math.inf, 7.5)),
+        ("output_max_V", (-1.0, 10.0), (-1.0, math.inf)),
+    ],
+)
+def test_no_limit_of_an_amplifier_is_dropped_where_another_entry_is_missing(
+    unsaid: str, command_V: tuple[float, float], alone_V: tuple[float, float]
+) -> None:
     said = {"gain_V_per_V": 20.0, "output_min_V": -20.0, "output_max_V": 150.0}
     whole = replace(LAB, amplifier=Amplifier(**said))
     assert converters_of(whole, "z").command_V == (-1.0, 7.5)
     part = replace(LAB, amplifier=Amplifier(**{**said, unsaid: None}))
-    assert converters_of(part, "z").command_V == (-10.0, 10.0)
+    assert converters_of(part, "z").command_V == command_V
     alone = replace(part, acquisition=Acquisition(dac_bits=16))
-    assert converters_of(alone, "z").command_V is None
+    assert converters_of(alone, "z").command_V == alone_V
     assert converters_of(alone, "z").command_step_V == 0.0
 
 

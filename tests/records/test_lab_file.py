@@ -106,3 +106,22 @@ def test_a_missing_file_and_other_encodings_are_refused(tmp_path: Path) -> None:
     (tmp_path / "lab.toml").write_bytes(b"\xff\x00\xfe")
     with pytest.raises(LabFileError):
         read_lab(tmp_path / "lab.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "needed"),
+    [
+        ("[acquisition]\ndac_bits = 16\n", "input_range_V"),
+        ("[acquisition]\nadc_bits = 16\n", "input_range_V"),
+        ("[coupled]\nsettling_periods = 2\n", "axes"),
+        *(
+            (f"[amplifier]\n{key} = 5\n[axis.x.amplifier]\ngain_V_per_V = 2\n", key)
+            for key in ("output_min_V", "output_max_V", "slew_V_per_s")
+        ),
+    ],
+)
+def test_a_key_that_another_missing_key_would_silence_is_refused(
+    text: str, needed: str, tmp_path: Path
+) -> None:
+    with pytest.raises(LabFileError, match=needed):
+        lab_of(text, tmp_path)

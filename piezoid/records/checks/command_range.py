@@ -4,8 +4,10 @@ Between converter and ceramic stands an amplifier. A loop is designed for, ships
 the voltage in front of it; a recording of the other side is off by the gain.
 """
 
+from math import inf, isfinite
+
 from piezoid.formatting import with_unit
-from piezoid.records.lab import Lab
+from piezoid.records.lab import Amplifier, Lab
 from piezoid.records.recording import Quantity, Recording
 from piezoid.statement import Statement, finding
 
@@ -44,21 +46,30 @@ def check_command_range(recording: Recording, lab: Lab) -> list[Statement]:
 def command_range_V(lab: Lab, axis: str) -> Range_V | None:
     """Return the commands an axis may take, None where lab.toml declares neither end.
 
-    They lie within the range of the converter and within the amplifier's output over its gain.
+    They lie within the range of the converter and within the amplifier's output over its gain,
+    which is one if none is declared. An end that is not declared is infinite.
     """
     amplifier = lab.amplifier_of(axis)
-    low_V, high_V, gain = amplifier.output_min_V, amplifier.output_max_V, amplifier.gain_V_per_V
+    low_V, high_V, gain = amplifier.output_min_V, amplifier.output_max_V, gain_of(amplifier)
     ranges = [] if lab.acquisition.input_range_V is None else [lab.acquisition.input_range_V]
-    if low_V is not None and high_V is not None and gain is not None:
-        ranges.append((min(low_V / gain, high_V / gain), max(low_V / gain, high_V / gain)))
+    if low_V is not None or high_V is not None:
+        output_V = -inf if low_V is None else low_V, inf if high_V is None else high_V
+        first_V, second_V = (end_V / gain for end_V in output_V)
+        ranges.append((min(first_V, second_V), max(first_V, second_V)))
     if not ranges:
         return None
     return max(low for low, _ in ranges), min(high for _, high in ranges)
 
 
+def gain_of(amplifier: Amplifier) -> float:
+    """Return the gain of an amplifier, one if none is declared: its limits hold all the same."""
+    return 1.0 if amplifier.gain_V_per_V is None else amplifier.gain_V_per_V
+
+
 def exceeds_range(drive_V: Range_V, command_V: Range_V, *, tolerance: float = ROUNDING) -> bool:
     """Return whether a drive leaves a range of commands by more than ``tolerance`` of it."""
-    tolerance_V = tolerance * (command_V[1] - command_V[0])
+    span_V = command_V[1] - command_V[0]
+    tolerance_V = tolerance * (span_V if isfinite(span_V) else drive_V[1] - drive_V[0])
     return drive_V[0] < command_V[0] - tolerance_V or drive_V[1] > command_V[1] + tolerance_V
 
 

@@ -1,0 +1,61 @@
+"""No limit of lab.toml is dropped because another entry is missing."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from piezoid.design.converters import converters_of
+from piezoid.design.design_stage import design_stage
+from piezoid.errors import LabFileError, PiezoidError
+from piezoid.records.lab import Acquisition, Amplifier, Lab, Sensor
+from piezoid.records.lab_tables import AxisRig
+from piezoid.sealed_files import write_model
+from tests.verification.known_fit import fitted
+from tests.verification.rig import RATE_Hz
+
+LIMITS = Amplifier(slew_V_per_s=0.001, output_min_V=4.0, output_max_V=5.0)
+
+
+def designed(lab: Lab):
+    digest = json.loads(write_model(fitted()))["digest"]
+    return design_stage(
+        fitted(), model_digest=digest, sampling_rate_Hz=RATE_Hz, lab=lab, forms=("inverse",)
+    )
+
+
+def test_limits_of_an_amplifier_without_a_gain_hold_for_a_gain_of_one() -> None:
+    lab = Lab(amplifier=LIMITS)
+    stated = Lab(amplifier=replace_gain(LIMITS, 1.0))
+    assert converters_of(lab, "x") == converters_of(stated, "x")
+    assert converters_of(lab, "x").command_slew_V_per_s == 0.001
+    with pytest.raises(LabFileError, match="from 4 to 5 V"):
+        designed(lab)
+
+
+def replace_gain(amplifier: Amplifier, gain: float) -> Amplifier:
+    return Amplifier(
+        gain_V_per_V=gain,
+        slew_V_per_s=amplifier.slew_V_per_s,
+        output_min_V=amplifier.output_min_V,
+        output_max_V=amplifier.output_max_V,
+    )
+
+
+@pytest.mark.parametrize(
+    ("limits", "said"),
+    [({"output_max_V": 5.0}, "-inf to 5 V"), ({"output_min_V": 4.0}, "4 to inf V")],
+)
+def test_one_end_of_an_amplifier_is_a_limit(limits: dict[str, float], said: str) -> None:
+    with pytest.raises(PiezoidError, match=said):
+        designed(Lab(amplifier=Amplifier(**limits)))
+
+
+def test_what_has_no_effect_on_the_controllers_is_said() -> None:
+    acquisition = Acquisition(adc_bits=16, input_range_V=(-10.0, 200.0))
+    lab = Lab(acquisition=acquisition, axes={"X": AxisRig(sensor=Sensor(gain_V_per_m=1e5))})
+    remarks = " ".join(designed(lab).remarks)
+    assert "[axis.X]" in remarks
+    assert "adc_bits" in remarks
+    known = replace(lab, sensor=Sensor(gain_V_per_m=1e5), axes={})
+    assert "adc_bits" not in " ".join(designed(known).remarks)
