@@ -159,11 +159,7 @@ def design_of(
         lab_digest=(lab or Lab()).digest,
         rig_digest=(lab or Lab()).rig_digest,
         decoupling=decoupling,
-        remarks=(
-            *remarks,
-            *map(str, obstacles),
-            *_unused(lab or Lab(), [o.axis for o in outcomes]),
-        ),
+        remarks=(*remarks, *map(str, obstacles), *unused),
         refused={name: str(refusal) for name, refusal in refused.items()},
     )
 
