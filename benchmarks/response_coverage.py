@@ -14,7 +14,7 @@ from collections import Counter
 
 import numpy as np
 
-from piezoid.identification.dynamics.response_fit import ResponseFound, fit_response
+from piezoid.identification.dynamics.response_fit import FittedResponse, fit_response
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.records.frequency_response import FrequencyResponseRecord, ResponsePath
 
@@ -86,7 +86,7 @@ def measured(rng: np.random.Generator, truth: dict) -> FrequencyResponseRecord:
     )
 
 
-def held(found: ResponseFound, truth: dict) -> dict[str, bool]:
+def held(found: FittedResponse, truth: dict) -> dict[str, bool]:
     """Tell which intervals hold the truth."""
     dynamics = found.dynamics
     told: dict[str, bool] = {}
@@ -117,7 +117,9 @@ def main() -> None:
         states["not used" if not found.is_determined else "used"] += 1
         if not found.is_determined or not resolved:
             states["with another number of modes"] += found.is_determined
-            print(seed, truth, found.dynamics.mode_frequency_Hz, f"{found.left:.3f}", flush=True)
+            print(
+                seed, truth, found.dynamics.mode_frequency_Hz, f"{found.residual:.3f}", flush=True
+            )
             continue
         verdicts = held(found, truth)
         tried.update(verdicts.keys())

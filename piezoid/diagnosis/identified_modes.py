@@ -15,7 +15,7 @@ from piezoid.diagnosis.effects import effect_named
 from piezoid.formatting import with_unit
 from piezoid.identification.dynamics.axis_dynamics import quasi_static
 from piezoid.identification.dynamics.behind_hysteresis import voltage_behind_hysteresis
-from piezoid.identification.dynamics.maximum_likelihood import resolved_modes
+from piezoid.identification.dynamics.fit_dynamics import resolved_modes
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.fit import rig_of
 from piezoid.identification.model import AxisModel

@@ -4,12 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.formatting import UNKNOWN
-from piezoid.identification.dynamics.behind_hysteresis import (
-    excites_dynamics,
-    measure_behind_hysteresis,
-)
+from piezoid.identification.dynamics.behind_hysteresis import measure_behind_hysteresis
+from piezoid.identification.dynamics.excitation import excites_dynamics
+from piezoid.identification.dynamics.fit_dynamics import resolved_modes
 from piezoid.identification.dynamics.frequency_response import ComplexArray, FrequencyResponse
-from piezoid.identification.dynamics.maximum_likelihood import resolved_modes
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.records import JointFit
 from piezoid.identification.fit_statements import DYNAMICS

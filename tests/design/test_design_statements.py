@@ -12,7 +12,7 @@ from piezoid.design.design_statements import (
     error_parts_m,
     useful_bound_m,
 )
-from piezoid.identification.dynamics.bandwidth import unseen
+from piezoid.identification.dynamics.bandwidth import unmeasured
 from piezoid.identification.model import AxisModel
 from piezoid.statement import Level
 from tests.verification.known_fit import fitted
@@ -27,7 +27,7 @@ def designed(axis: AxisModel) -> tuple[AxisDesign, dict[str, Level]]:
 
 
 def test_a_loop_without_a_known_resonance_asks_for_a_chirp() -> None:
-    axis = replace(fitted()["x"], bandwidth=unseen(None, "nothing was recorded"))
+    axis = replace(fitted()["x"], bandwidth=unmeasured(None, "nothing was recorded"))
     design, levels = designed(axis)
     limit_Hz = bandwidth_limit_Hz(design, axis)
     assert limit_Hz == pytest.approx(200.0 / 60.0)  # lowest possible resonance over its peak

@@ -14,7 +14,7 @@ from piezoid.digests import seal, unseal
 from piezoid.errors import DesignError, LabFileError, ParameterFileError, TemplateError
 from piezoid.export.export_stage import export_stage
 from piezoid.identification.actuator_model import ActuatorModel
-from piezoid.identification.dynamics.bandwidth import unseen
+from piezoid.identification.dynamics.bandwidth import unmeasured
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Filter
 from piezoid.identification.hysteresis.pieces import Rig
@@ -243,7 +243,7 @@ def test_a_delay_of_more_samples_than_the_controller_has_states_is_designed_for(
 
 def test_what_is_asked_and_cannot_be_met_is_refused_with_what_could() -> None:
     asked = SpecificationText(text="[x]\nbandwidth_Hz = 4000\n")
-    known = rigged(bandwidth=unseen(12e3, "nothing was recorded"))
+    known = rigged(bandwidth=unmeasured(12e3, "nothing was recorded"))
     with pytest.raises(TemplateError, match="Ask for bandwidth_Hz"):
         design_stage(
             stage(axes={"x": known}), model_digest=DIGEST, asked=asked, forms=("inverse",)
@@ -287,7 +287,7 @@ def test_a_loop_that_damps_its_mode_is_safe_from_a_further_one_beyond_the_record
 
 
 def test_a_data_sheets_resonance_lets_the_loop_be_faster() -> None:
-    known = rigged(bandwidth=unseen(12e3, "nothing was recorded"))
+    known = rigged(bandwidth=unmeasured(12e3, "nothing was recorded"))
     slow, fast = (lateral_task(axis, RATE_Hz).specification for axis in (rigged(), known))
     assert slow.bandwidth_Hz < 5.0 < 100.0 < fast.bandwidth_Hz
 

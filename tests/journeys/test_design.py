@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from piezoid.design.design import design_from_json
 from piezoid.errors import DesignError, ParameterFileError, TemplateError
-from piezoid.identification.dynamics.bandwidth import unseen
+from piezoid.identification.dynamics.bandwidth import unmeasured
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.store import write_model
 from piezoid_cli.design import design
@@ -24,7 +24,7 @@ MODEL = replace(
         replace(
             axis_model(),
             rig=Rig(amplifier_bandwidth_Hz=4e3, sensor_bandwidth_Hz=8.5e3),
-            bandwidth=unseen(12e3, "nothing was recorded"),  # of the data sheet
+            bandwidth=unmeasured(12e3, "nothing was recorded"),  # of the data sheet
         )
     ),
     controller_rate_Hz=20e3,

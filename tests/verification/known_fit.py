@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from piezoid.identification.actuator_model import ActuatorModel
-from piezoid.identification.dynamics.bandwidth import unseen
+from piezoid.identification.dynamics.bandwidth import unmeasured
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import Lag
 from piezoid.identification.tunnelling.model import TunnellingModel
@@ -19,7 +19,7 @@ def fitted():
         axis_model(),
         lag=Lag(kind="first_order", time_s=2.5e-4),
         rig=Rig(amplifier_bandwidth_Hz=4e3, sensor_bandwidth_Hz=8.5e3),
-        bandwidth=unseen(12e3, "nothing was recorded"),  # of the data sheet
+        bandwidth=unmeasured(12e3, "nothing was recorded"),  # of the data sheet
     )
     return ActuatorModel(stage="known", axes={"x": axis}, sources=SOURCES)
 

@@ -6,11 +6,10 @@ G is the linear model of ``piezoid.fit_coupled`` and b_c are its columns (modes,
 F_t are plays and products of the drives u and of the elongations e = B G u, B the inverse of the
 gain at low frequency, and the drives themselves, which correct the residues of G. W is linear, and
 ridge regression of the residual finds it at fixed poles.
-Linear model and distortion are fitted in turn, each to what the other leaves.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -28,7 +27,6 @@ SUM_WIDTHS = (0.05, 0.2, 0.7)
 # 2.34 % at 300 mV of the mirror's first realisation.
 RIDGE = 2e-3
 FREE = 1e-9  # ridge of the drives themselves, which correct the residues of the linear part
-ROUNDS = 2  # of linear model and distortion
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,27 +67,12 @@ class DistortedStage:
 
 
 def fit_distorted(levels: Sequence[piezoid.PeriodicData], modes: int) -> DistortedStage:
-    """Fit linear part and distortion in turn to the means of the periods of all levels."""
+    """Fit the linear part, then the distortion to its residual, on the means of the periods.
+
+    Ridge regression, each realisation weighted by one over the power of its residual.
+    """
+    linear = piezoid.fit_coupled(levels, modes=modes, intervals=False)
     levels = sorted(levels, key=lambda level: float(level.voltage_V.std()))
-    data = levels
-    for _ in range(ROUNDS):
-        linear = piezoid.fit_coupled(data, modes=modes, intervals=False)
-        model = _fit_distortion(linear, levels)
-        data = [
-            replace(
-                level,
-                displacement_m=level.displacement_m
-                - model.distortion(level.voltage_V.mean(axis=3))[..., None],
-            )
-            for level in levels
-        ]
-    return model
-
-
-def _fit_distortion(
-    linear: piezoid.CoupledStage, levels: Sequence[piezoid.PeriodicData]
-) -> DistortedStage:
-    """Fit W by ridge regression of the residual, each realisation weighted by its power."""
     largest_V = float(levels[-1].voltage_V.std())
     signals = _signals(linear, levels[-1].voltage_V.mean(axis=3), largest_V)
     scale_V = np.stack([signal.std(axis=(0, 2)) for signal in signals])

@@ -10,32 +10,30 @@ from piezoid.identification.dynamics.bandwidth import (
     BandwidthVerdict,
     UNKNOWN_DELAY_s,
     decide_bandwidth,
-    unseen,
+    unmeasured,
 )
 from piezoid.identification.dynamics.behind_hysteresis import (
-    excites_dynamics,
     measure_behind_hysteresis,
     measure_from_drive,
 )
-from piezoid.identification.dynamics.fit_dynamics import Declaration, fit_dynamics
+from piezoid.identification.dynamics.excitation import excites_dynamics
+from piezoid.identification.dynamics.fit_dynamics import fit_dynamics, resolved_modes
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.joint_fit import fit_jointly
-from piezoid.identification.dynamics.maximum_likelihood import resolved_modes
 from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.modal_basis import Filter, Structure
+from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
 from piezoid.identification.dynamics.records import JointFit, ResponseFit
-from piezoid.identification.dynamics.response_judgement import ResponseJudged, judge_response
+from piezoid.identification.dynamics.response_validation import validate_response
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.recording import Recording
 
-FEWEST_LINES = 20
-MOST_LINES = 150
-MOST_COST = 4.0  # over its expected value: a fit that explains less says nothing
-TOUCHED = 0.02  # of the rms: an opening of 7 to 15 % would be wrong by a quarter
+MIN_LINES, MAX_LINES = 20, 150  # of a recording's response
+MAX_COST = 4.0  # over its expected value: a fit that explains less determines nothing
+QUASI_STATIC = 0.02  # of the rms: an opening of 7 to 15 % would be wrong by a quarter
 SAME_MODE = 0.1  # by how much of itself a mode may move in the joint fit
-AS_GOOD = 1.25  # a structure whose cost is within this of the least counts as equal
+EQUAL_COST = 1.25  # a structure whose cost is within this of the least counts as equal
 STRUCTURES = (
     Structure(modes=0, lags=1),
     Structure(modes=1),
@@ -45,51 +43,139 @@ STRUCTURES = (
 )
 
 
+@dataclass(frozen=True, kw_only=True)
+class AxisDynamics:
+    """The dynamics of an axis, from its recordings or its measured response.
+
+    dynamics  None where no recording excites them, or none could be fitted
+    remarks   one sentence for every recording that was used, or was tried in vain
+    joint     None where hysteresis and dynamics were not fitted together
+    bandwidth what limits the stage first: pole or resonance; None where nothing excites either
+              and no bandwidth is stated
+    response  where the dynamics are those of a measured frequency response
+    """
+
+    dynamics: LinearDynamics | None = None
+    remarks: tuple[str, ...] = ()
+    joint: JointFit | None = None
+    bandwidth: BandwidthVerdict | None = None
+    response: ResponseFit | None = None
+
+    def with_bandwidth(self, verdict: BandwidthVerdict) -> "AxisDynamics":
+        """Add the verdict; a remark where it decides, or where a bandwidth was stated."""
+        if verdict.kind == "undecided" and verdict.stated_Hz is None:
+            return replace(self, bandwidth=verdict)
+        return replace(self, bandwidth=verdict, remarks=(*self.remarks, verdict.text))
+
+
 def quasi_static(
     recordings: Sequence[Recording], axis: str, rig: Rig
 ) -> tuple[tuple[Recording, ...], tuple[Recording, ...]]:
-    """Split recordings into those that dynamics hardly touch, and those they shape.
+    """Split recordings into quasi-static ones and those that dynamics shape.
 
     recordings  of one axis, drive and displacement in each
-    rig         declared poles, which no recording has to tell
+    rig         declared poles, which no recording has to determine
 
-    A linear response is fitted from drive to displacement, hysteresis and all, to the recording
-    that excites it furthest. Where it has a mode, a recording belongs to the second kind if that
-    response changes it by more than ``TOUCHED`` of its rms: plays would take ringing for loops.
-    All are of the first kind where no mode is found, or where none would be left.
+    A linear response is fitted from drive to displacement, hysteresis included, to the recording
+    that excites it furthest. Where it has a mode, a recording belongs to the second kind if the
+    strongest mode that is resolved changes it by more than ``QUASI_STATIC`` of its rms: plays
+    would take ringing for loops. All are of the first kind where no mode is found, or where none
+    would be left.
     """
-    shown = _mode_shown(recordings, axis, rig)
-    if shown is None:
-        return tuple(recordings), ()
-    found = shown[1]
-    calm = tuple(r for r in recordings if _touched(r, axis, found) <= TOUCHED)
-    if not calm:
-        return tuple(recordings), ()
-    return calm, tuple(r for r in recordings if r not in calm)
-
-
-def mode_in(recordings: Sequence[Recording], axis: str, rig: Rig) -> Recording | None:
-    """Return the recording that excites an axis furthest, where a mode is resolved in it."""
-    shown = _mode_shown(recordings, axis, rig)
-    return None if shown is None else shown[0]
-
-
-def _mode_shown(
-    recordings: Sequence[Recording], axis: str, rig: Rig
-) -> tuple[Recording, LinearDynamics] | None:
     exciting = excites_dynamics(recordings, axis)
     if not exciting:
-        return None
-    furthest = max(exciting, key=lambda pair: pair[1])[0]
+        return tuple(recordings), ()
     try:
-        found = _best(measure_from_drive(furthest, axis), rig)
+        dynamics = _best_fit(measure_from_drive(_furthest(exciting), axis), rig)
     except (ExcitationError, IdentificationError):
-        return None
-    return (furthest, found) if resolved_modes(found).any() else None
+        return tuple(recordings), ()
+    if not resolved_modes(dynamics).any():
+        return tuple(recordings), ()
+    static = tuple(r for r in recordings if _mode_share(r, axis, dynamics) <= QUASI_STATIC)
+    if not static:
+        return tuple(recordings), ()
+    return static, tuple(r for r in recordings if r not in static)
 
 
-def _touched(recording: Recording, axis: str, dynamics: LinearDynamics) -> float:
-    """Return by which part of its rms the strongest mode that is resolved changes a drive.
+def with_dynamics(
+    axis: AxisModel,
+    recordings: Sequence[Recording],
+    *,
+    stated_Hz: float | None = None,
+    response: FrequencyResponseRecord | None = None,
+) -> AxisModel:
+    """Return the axis with the dynamics of its recordings, and the remarks on them.
+
+    Earlier remarks on dynamics are replaced.
+    """
+    fit = fit_axis_dynamics(axis, recordings, stated_Hz=stated_Hz, response=response)
+    others = tuple(r for r in axis.verdict.remarks if r not in axis.dynamics_remarks)
+    return replace(
+        axis,
+        dynamics=fit.dynamics,
+        dynamics_remarks=fit.remarks,
+        joint=fit.joint,
+        bandwidth=fit.bandwidth,
+        response=fit.response,
+        verdict=replace(axis.verdict, remarks=(*others, *fit.remarks)),
+    )
+
+
+def fit_axis_dynamics(
+    axis: AxisModel,
+    recordings: Sequence[Recording],
+    *,
+    stated_Hz: float | None = None,
+    response: FrequencyResponseRecord | None = None,
+) -> AxisDynamics:
+    """Fit the dynamics to the best data, and decide what limits the stage.
+
+    axis        with its hysteresis
+    recordings  any; those without both channels or with a slow drive are passed over
+    stated_Hz   bandwidth of the data sheet, where the laboratory declares one
+    response    measured with the axis' own drive: it is preferred to the recordings, unless it
+                contradicts them
+    """
+    if response is None:
+        return _fit_recordings(axis, recordings, stated_Hz)
+    declared = _declared(axis.rig)
+    validated = validate_response(axis, response, declared, _recorded_dynamics(axis, recordings))
+    if validated.dynamics is None or validated.measured is None:
+        fit = _fit_recordings(axis, recordings, stated_Hz)
+        return replace(fit, remarks=(*validated.remarks, *fit.remarks))
+    verdict = decide_bandwidth(
+        validated.measured,
+        Declaration(hold="band_limited", filters=declared),
+        delay_s=_delay_ends(validated.dynamics),
+        stated_Hz=stated_Hz,
+    )
+    return AxisDynamics(
+        dynamics=validated.dynamics, remarks=validated.remarks, response=validated.record
+    ).with_bandwidth(verdict)
+
+
+def is_determined(dynamics: LinearDynamics) -> bool:
+    """Whether the fit explains its lines, and every number in it is known.
+
+    A mode must be resolved; a lag's pole must lie within twice the band. A rich structure on a
+    response without features meets neither, however small its residual.
+    """
+    poles_known = bool((dynamics.lag_frequency_Hz < 2 * dynamics.band_Hz[1]).all())
+    explained = dynamics.cost_ratio <= MAX_COST
+    return explained and poles_known and bool(resolved_modes(dynamics).all())
+
+
+def _furthest(exciting: Sequence[tuple[Recording, float]]) -> Recording:
+    return max(exciting, key=lambda pair: pair[1])[0]
+
+
+def _delay_ends(dynamics: LinearDynamics) -> tuple[float, float]:
+    early_s, late_s = dynamics.delay_interval_s().tolist()
+    return early_s, late_s
+
+
+def _mode_share(recording: Recording, axis: str, dynamics: LinearDynamics) -> float:
+    """Return by which share of its rms the strongest mode that is resolved changes a drive.
 
     What a linear fit makes of hysteresis at low frequency is no mode, and changes nothing here.
     """
@@ -105,228 +191,109 @@ def _touched(recording: Recording, axis: str, dynamics: LinearDynamics) -> float
     return float(np.sqrt((change**2 * power).sum() / max(power.sum(), 1e-300)))
 
 
-@dataclass(frozen=True, kw_only=True)
-class DynamicsFound:
-    """What the recordings of an axis, or its measured response, say of its dynamics.
-
-    dynamics  None where no recording excites them, or none could be fitted
-    joint     None where hysteresis and dynamics were not fitted together
-    bandwidth what limits the stage first: pole or resonance; None where nothing excites either
-              and no bandwidth is stated
-    response  where the dynamics are those of a measured frequency response
-    remarks   one sentence for every recording that was used, or was tried in vain
-    """
-
-    dynamics: LinearDynamics | None
-    remarks: tuple[str, ...]
-    joint: JointFit | None = None
-    bandwidth: BandwidthVerdict | None = None
-    response: ResponseFit | None = None
-
-
-def with_dynamics(
-    axis: AxisModel,
-    recordings: Sequence[Recording],
-    *,
-    stated_Hz: float | None = None,
-    response: FrequencyResponseRecord | None = None,
-) -> AxisModel:
-    """Return the axis with the dynamics its recordings show, and what is to be said of them.
-
-    What was said before of dynamics, behind an earlier state of the hysteresis, goes.
-    """
-    found = fit_axis_dynamics(axis, recordings, stated_Hz=stated_Hz, response=response)
-    others = tuple(r for r in axis.verdict.remarks if r not in axis.dynamics_remarks)
-    return replace(
-        axis,
-        dynamics=found.dynamics,
-        dynamics_remarks=found.remarks,
-        joint=found.joint,
-        bandwidth=found.bandwidth,
-        response=found.response,
-        verdict=replace(axis.verdict, remarks=(*others, *found.remarks)),
-    )
-
-
-def fit_axis_dynamics(
-    axis: AxisModel,
-    recordings: Sequence[Recording],
-    *,
-    stated_Hz: float | None = None,
-    response: FrequencyResponseRecord | None = None,
-) -> DynamicsFound:
-    """Fit the dynamics to what tells them best, and name what limits the stage.
-
-    axis        whose hysteresis is known
-    recordings  any; those without both channels or with a slow drive are passed over
-    stated_Hz   bandwidth of the data sheet, where the laboratory declares one
-    response    measured with the axis' own drive: it goes before the recordings, unless it
-                contradicts them
-    """
-    if response is None:
-        return _of_recordings(axis, recordings, stated_Hz)
-    declared = _declared(axis.rig)
-    judged = judge_response(axis, response, declared, _shown_by_recordings(axis, recordings))
-    if judged.dynamics is None:
-        found = _of_recordings(axis, recordings, stated_Hz)
-        return replace(found, remarks=(*judged.remarks, *found.remarks))
-    return _of_response(judged, declared, stated_Hz)
-
-
-def _of_response(
-    judged: ResponseJudged, declared: tuple[Filter, ...], stated_Hz: float | None
-) -> DynamicsFound:
-    assert judged.dynamics is not None
-    assert judged.measured is not None
-    early_s, late_s = judged.dynamics.delay_interval_s().tolist()
-    verdict = decide_bandwidth(
-        judged.measured,
-        Declaration(hold="band_limited", filters=declared),
-        delay_s=(early_s, late_s),
-        stated_Hz=stated_Hz,
-    )
-    found = DynamicsFound(dynamics=judged.dynamics, remarks=judged.remarks, response=judged.record)
-    return _with_verdict(found, verdict)
-
-
-def _shown_by_recordings(
+def _recorded_dynamics(
     axis: AxisModel, recordings: Sequence[Recording]
 ) -> tuple[LinearDynamics, str] | None:
     """Return the dynamics that recordings determine, and the name of the one that does."""
     exciting = excites_dynamics(recordings, axis.axis)
     if not exciting:
         return None
-    recording = max(exciting, key=lambda pair: pair[1])[0]
+    recording = _furthest(exciting)
     try:
-        found = _best(measure_behind_hysteresis(axis, recording), axis.rig)
+        dynamics = _best_fit(measure_behind_hysteresis(axis, recording), axis.rig)
     except (ExcitationError, IdentificationError):
         return None
-    return (found, recording.name) if is_determined(found) else None
+    return (dynamics, recording.name) if is_determined(dynamics) else None
 
 
-def _of_recordings(
+def _fit_recordings(
     axis: AxisModel, recordings: Sequence[Recording], stated_Hz: float | None
-) -> DynamicsFound:
-    """Fit the dynamics to the recording that excites them furthest, and name what limits it."""
+) -> AxisDynamics:
+    """Fit the dynamics to the recording that excites them furthest, and decide what limits it."""
     exciting = excites_dynamics(recordings, axis.axis)
     if not exciting:
-        return _with_verdict(None, unseen(stated_Hz, "no recording drives fast enough"))
+        verdict = unmeasured(stated_Hz, "no recording drives fast enough")
+        return AxisDynamics() if stated_Hz is None else AxisDynamics().with_bandwidth(verdict)
     recording, highest_Hz = max(exciting, key=lambda pair: pair[1])
     try:
         measured = measure_behind_hysteresis(axis, recording)
     except ExcitationError as refusal:
-        said = DynamicsFound(dynamics=None, remarks=(f"no linear dynamics: {refusal}",))
-        return _with_verdict(said, unseen(stated_Hz, f"{recording.name} holds {refusal.found}"))
-    found = _fitted(axis, measured, (recording, highest_Hz), recordings)
-    delay_s = UNKNOWN_DELAY_s
-    if found.dynamics is not None:
-        early_s, late_s = found.dynamics.delay_interval_s().tolist()
-        delay_s = (early_s, late_s)
+        fit = AxisDynamics(remarks=(f"no linear dynamics: {refusal}",))
+        return fit.with_bandwidth(unmeasured(stated_Hz, f"{recording.name} holds {refusal.found}"))
+    drives = f"{recording.name} drives up to {highest_Hz:.0f} Hz"
+    fit = _fit_behind_hysteresis(axis, measured, recording, recordings, drives)
     verdict = decide_bandwidth(
-        measured, Declaration(filters=_declared(axis.rig)), delay_s=delay_s, stated_Hz=stated_Hz
+        measured,
+        Declaration(filters=_declared(axis.rig)),
+        delay_s=UNKNOWN_DELAY_s if fit.dynamics is None else _delay_ends(fit.dynamics),
+        stated_Hz=stated_Hz,
     )
-    return _with_verdict(found, verdict)
+    return fit.with_bandwidth(verdict)
 
 
-def _with_verdict(found: DynamicsFound | None, verdict: BandwidthVerdict) -> DynamicsFound:
-    """Add the verdict; it is a remark where it decides, or where a bandwidth was stated."""
-    if found is None and verdict.stated_Hz is None:
-        return DynamicsFound(dynamics=None, remarks=())
-    found = found or DynamicsFound(dynamics=None, remarks=())
-    is_said = verdict.kind != "undecided" or verdict.stated_Hz is not None
-    said = (verdict.text,) if is_said else ()
-    return replace(found, bandwidth=verdict, remarks=(*found.remarks, *said))
-
-
-def _fitted(
+def _fit_behind_hysteresis(
     axis: AxisModel,
     measured: FrequencyResponse,
-    exciting: tuple[Recording, float],
+    recording: Recording,
     recordings: Sequence[Recording],
-) -> DynamicsFound:
-    recording, highest_Hz = exciting
+    drives: str,
+) -> AxisDynamics:
+    """Fit the dynamics behind the hysteresis, then both together unless that moves the modes."""
     try:
-        dynamics = _best(measured, axis.rig)
+        dynamics = _best_fit(measured, axis.rig)
     except (ExcitationError, IdentificationError) as refusal:
-        return DynamicsFound(dynamics=None, remarks=(f"no linear dynamics: {refusal}",))
+        return AxisDynamics(remarks=(f"no linear dynamics: {refusal}",))
     low_Hz, high_Hz = dynamics.band_Hz
     if not is_determined(dynamics):
         text = (
-            f"{recording.name} drives up to {highest_Hz:.0f} Hz, but between {low_Hz:.3g} and "
-            f"{high_Hz:.4g} Hz it determines no mode and no pole; only the lag stands. Record "
-            "a chirp or a multisine through the first resonance"
+            f"{drives}, but between {low_Hz:.3g} and {high_Hz:.4g} Hz it determines no mode and "
+            "no pole; only the lag stands. Record a chirp or a multisine through the first "
+            "resonance"
         )
-        return DynamicsFound(dynamics=None, remarks=(text,))
+        return AxisDynamics(remarks=(text,))
     text = (
-        f"{recording.name} drives up to {highest_Hz:.0f} Hz: linear dynamics were fitted "
-        f"behind the hysteresis from {low_Hz:.3g} to {high_Hz:.4g} Hz"
+        f"{drives}: linear dynamics were fitted behind the hysteresis from {low_Hz:.3g} to "
+        f"{high_Hz:.4g} Hz"
     )
-    return _jointly(axis, dynamics, recording, recordings, text)
+    joint = fit_jointly(axis, dynamics, recording, recordings)
+    if joint is None:
+        return AxisDynamics(dynamics=dynamics, remarks=(text,))
+    change = np.abs(np.log(joint.dynamics.mode_frequency_Hz / dynamics.mode_frequency_Hz))
+    if (change >= SAME_MODE).any() or not np.isfinite(joint.dynamics.shape_covariance).all():
+        text += "; a joint fit of hysteresis and dynamics finds other modes and is not used"
+        return AxisDynamics(dynamics=dynamics, remarks=(text,))
+    return AxisDynamics(
+        dynamics=joint.dynamics, remarks=(f"{text}, then jointly with it",), joint=joint.record
+    )
 
 
-def _jointly(
-    axis: AxisModel,
-    dynamics: LinearDynamics,
-    exciting: Recording,
-    recordings: Sequence[Recording],
-    text: str,
-) -> DynamicsFound:
-    """Fit hysteresis and dynamics together; keep them apart where that finds something else."""
-    together = fit_jointly(axis, dynamics, exciting, recordings)
-    if together is None:
-        return DynamicsFound(dynamics=dynamics, remarks=(text,))
-    moved = np.abs(np.log(together.dynamics.mode_frequency_Hz / dynamics.mode_frequency_Hz))
-    if not (moved < SAME_MODE).all() or not np.isfinite(together.dynamics.shape_covariance).all():
-        apart = f"{text}; hysteresis and dynamics fitted together find other modes: kept apart"
-        return DynamicsFound(dynamics=dynamics, remarks=(apart,))
-    joint = f"{text}, then jointly with it"
-    return DynamicsFound(dynamics=together.dynamics, remarks=(joint,), joint=together.record)
+def _best_fit(measured: FrequencyResponse, rig: Rig) -> LinearDynamics:
+    """Fit every structure to some lines; return the smallest that is as good as the best.
 
-
-def is_determined(dynamics: LinearDynamics) -> bool:
-    """Tell whether the fit may be read: it explains its lines, and every number in it is known.
-
-    A mode must be resolved; a lag's pole must lie within twice the band. What a rich structure
-    makes of a response without features meets neither, however small its residual.
+    Structures have at most a quarter as many parameters as there are real values. Fits that are
+    determined come first: a richer one fits what little hysteresis is left with a term that means
+    nothing, and must not cost the modes that are known.
     """
-    poles_known = bool((dynamics.lag_frequency_Hz < 2 * dynamics.band_Hz[1]).all())
-    explained = dynamics.cost_ratio <= MOST_COST
-    return explained and poles_known and bool(resolved_modes(dynamics).all())
-
-
-def _best(measured: FrequencyResponse, rig: Rig) -> LinearDynamics:
-    """Fit every structure to some lines; keep the smallest that is as good as the best.
-
-    Those that may be read come first: a richer one fits what little hysteresis is left with a
-    term that means nothing, and must not cost the modes that are known.
-    """
-    lines = _some_lines(measured)
-    declaration = Declaration(filters=_declared(rig))
-    fits = [fit_dynamics(lines, structure, declaration) for structure in _possible(lines)]
-    fits = [fit for fit in fits if is_determined(fit)] or fits
-    least = min(fit.cost_ratio for fit in fits)
-    return next(fit for fit in fits if fit.cost_ratio <= max(1.0, AS_GOOD * least))
-
-
-def _possible(lines: FrequencyResponse) -> tuple[Structure, ...]:
-    """Structures with at most a quarter as many parameters as there are real values."""
-    values = 2 * len(lines.frequency_Hz)
-    return tuple(s for s in STRUCTURES if 4 * (s.columns + s.shapes) <= values)
-
-
-def _some_lines(measured: FrequencyResponse) -> FrequencyResponse:
-    """Return coherent lines, evenly spaced in the logarithm, few enough for a quick fit."""
     usable = np.flatnonzero(~measured.is_rejected[:, 0])
-    if len(usable) < FEWEST_LINES:
+    if len(usable) < MIN_LINES:
         raise ExcitationError(
             f"{len(usable)} of {len(measured.frequency_Hz)} lines are coherent",
-            needed=f"at least {FEWEST_LINES}",
+            needed=f"at least {MIN_LINES}",
             remedy="Record the chirp or multisine longer, or with less noise.",
         )
     frequency_Hz = measured.frequency_Hz[usable]
-    wanted_Hz = np.geomspace(frequency_Hz[0], frequency_Hz[-1], MOST_LINES)
+    wanted_Hz = np.geomspace(frequency_Hz[0], frequency_Hz[-1], MAX_LINES)
     nearest = np.abs(np.log(frequency_Hz[:, None] / wanted_Hz)).argmin(axis=0)
-    return measured.at_lines(usable[np.unique(nearest)])
+    lines = measured.at_lines(usable[np.unique(nearest)])
+    declaration = Declaration(filters=_declared(rig))
+    fits = [
+        fit_dynamics(lines, structure, declaration)
+        for structure in STRUCTURES
+        if 4 * (structure.columns + structure.shapes) <= 2 * len(lines.frequency_Hz)
+    ]
+    fits = [fit for fit in fits if is_determined(fit)] or fits
+    least = min(fit.cost_ratio for fit in fits)
+    return next(fit for fit in fits if fit.cost_ratio <= max(1.0, EQUAL_COST * least))
 
 
 def _declared(rig: Rig) -> tuple[Filter, ...]:

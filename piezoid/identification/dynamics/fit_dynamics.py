@@ -1,46 +1,41 @@
-"""fit_dynamics: a frequency response -> modes, lags and delay; start values, then likelihood."""
+"""fit_dynamics: a frequency response -> modes, lags and delay by maximum likelihood.
 
-from dataclasses import dataclass
+1. Vector fitting after several trial delays gives a start.
+2. The weighted output error is minimised over the shape, the gains eliminated.
+3. A mode that vector fitting misplaced moves to the largest residual, and 2 is repeated.
+"""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.errors import IdentificationError
 from piezoid.identification.dynamics.frequency_response import ComplexArray, FrequencyResponse
-from piezoid.identification.dynamics.maximum_likelihood import ModalFit, maximise_likelihood
 from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.modal_basis import Filter, Hold, Lines, Structure, basis
+from piezoid.identification.dynamics.modal_basis import Declaration, ModalBasis, Structure
 from piezoid.identification.dynamics.periodic_estimate import smoothed
 from piezoid.identification.dynamics.vector_fitting import (
+    stacked,
     start_poles,
     vector_fit,
     weighted_misfit,
 )
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, eliminated, minimise
 
+# Half of ``enough`` is the gain in log likelihood: a tenth of a standard deviation.
+RULE = Rule(tolerance=0.0, enough=1e-2, evaluations=40)
+STEP = 1e-5  # of the central differences: truncation 1e-10, rounding 1e-11
+MAX_LOG_STEP = 0.3
+OUT_OF_BAND = 4.0  # largest damping, and how far beyond the band a pole may lie
+MIN_DAMPING = 1e-5
 EXCHANGES = 3
-GOOD_ENOUGH = 1.05  # cost over its expected value at which nothing is looked for
-WORTH_IT = 1e-3  # relative fall of the cost below which exchanging ends
+GOOD_COST = 1.05  # cost over its expected value at which no mode is moved
+MIN_GAIN = 1e-3  # relative fall of the cost below which moving modes ends
 NEW_DAMPING = 0.015
-LOCAL = 100  # the residual is averaged over so many-th parts of the band
-
-START_LINES = 500  # delays are compared on no more lines than this
-START_ROUNDS = 6
-FULL_ROUNDS = 12
-
-
-@dataclass(frozen=True, kw_only=True)
-class Declaration:
-    """What is known of the chain and not to be fitted.
-
-    hold              ``zero_order`` when the drive column holds the numbers sent to the
-                      converter, ``band_limited`` when it was measured through a filter
-    filters           amplifier, sensor, anti-alias filter
-    longest_delay_s   delays up to here are tried as starts; None means four samples
-    """
-
-    hold: Hold = "zero_order"
-    filters: tuple[Filter, ...] = ()
-    longest_delay_s: float | None = None
+LOCAL_PARTS = 100  # of the band, over which the residual is averaged
+START_LINES = 500  # on which trial delays are compared
+START_ROUNDS, FINAL_ROUNDS = 6, 12
+TINY = float(np.finfo(float).tiny)
 
 
 def fit_dynamics(
@@ -51,30 +46,16 @@ def fit_dynamics(
         minimise sum |G_hat - G(theta)|^2 / variance                [Pintelon & Schoukens 2012]
 
     measured     with variances; rejected lines do not count
-    structure    how many modes, lags, ... ; ``choose_structure`` finds it
+    structure    how many modes, lags, ...
     declaration  hold and known filters
 
-    Start values come from vector fitting after several trial delays; modes it misplaced move to
-    the largest residual. The stated covariance takes
-    the variances of ``measured`` as they are, and widens where the residual is larger. Columns of
-    inputs are weighted independently, exact for orthogonal multisines.
+    The stated covariance takes the variances of ``measured`` as they are, and widens where the
+    residual is larger. Columns of inputs are weighted independently, exact for orthogonal
+    multisines.
+
+    Raises ``IdentificationError`` for too few lines or a singular structure.
     """
     weight = measured.weights()
-    _check_values(weight, structure)
-    lines = Lines(
-        frequency_Hz=measured.frequency_Hz,
-        sampling_rate_Hz=measured.sampling_rate_Hz,
-        hold=declaration.hold,
-        declared=declaration.filters,
-    )
-    start = _start_shape(measured, weight, structure, declaration)
-    first = maximise_likelihood(measured.response, weight, lines, structure, start)
-    expected = _expected_cost(measured, structure, first)
-    fit = exchange_modes(measured.response, weight, lines, structure, first, expected)
-    return _record(measured, structure, declaration, fit)
-
-
-def _check_values(weight: Array, structure: Structure) -> None:
     values = 2 * int((weight > 0).sum(axis=0).min())
     needed = structure.columns + structure.shapes
     if values < 2 * needed:
@@ -83,54 +64,58 @@ def _check_values(weight: Array, structure: Structure) -> None:
             needed="at least twice as many values as parameters",
             remedy="Measure more lines, or take fewer modes.",
         )
+    basis = ModalBasis(
+        structure=structure,
+        frequency_Hz=measured.frequency_Hz,
+        sampling_rate_Hz=measured.sampling_rate_Hz,
+        hold=declaration.hold,
+        declared=declaration.filters,
+    )
+    start = _start_shape(measured, weight, structure, declaration)
+    fit = _maximise_likelihood(measured.response, weight, basis, start)
+    fit = _exchange_modes(measured, weight, basis, fit)
+    return _linear_dynamics(measured, basis, weight, fit)
+
+
+def resolved_modes(dynamics: LinearDynamics) -> NDArray[np.bool_]:
+    """Return which modes the data determine, (modes,).
+
+    The others are overdamped, or known to no better than a factor: they stand for what lies
+    outside the band, and their numbers mean nothing by themselves.
+    """
+    frequency = dynamics.mode_frequency_interval_Hz()
+    damping = dynamics.mode_damping_interval()
+    known = (frequency[:, 1] < 1.1 * frequency[:, 0]) & (damping[:, 1] < 3 * damping[:, 0])
+    return np.asarray(known & (dynamics.mode_damping < 1.0), dtype=np.bool_)
 
 
 def _start_shape(
     measured: FrequencyResponse, weight: Array, structure: Structure, declaration: Declaration
 ) -> Array:
-    """Vector fitting for several trial delays; the best one again on all lines."""
-    size = len(measured.frequency_Hz)
+    """Vector fitting for several trial delays on some lines; the best one again on all lines."""
+    size, rate_Hz = len(measured.frequency_Hz), measured.sampling_rate_Hz
     scale = 2 * np.pi * measured.frequency_Hz[-1]
     s = 2j * np.pi * measured.frequency_Hz / scale
     flat, w = measured.response.reshape(size, -1), weight.reshape(size, -1)
-    chain = declared_response(measured, declaration)
-    poles = start_poles(s[0].imag, 1.0, structure.modes, structure.lags)
-    few = slice(None, None, -(-size // START_LINES))
-    trials = []
-    for delay_s in _trial_delays(measured, declaration):
-        known = (chain * np.exp(-s * scale * delay_s))[:, None]
-        data, spread = flat / known, w * np.abs(known)
-        found = vector_fit(s[few], data[few], spread[few], poles, rounds=START_ROUNDS)
-        misfit = weighted_misfit(s[few], data[few], spread[few], found)
-        trials.append((misfit, delay_s, found))
-    _, delay_s, found = min(trials, key=lambda trial: trial[0])
-    known = (chain * np.exp(-s * scale * delay_s))[:, None]
-    found = vector_fit(s, flat / known, w * np.abs(known), found, rounds=FULL_ROUNDS)
-    return np.append(_shape_of_poles(found * scale / (2 * np.pi), structure), delay_s)
-
-
-def declared_response(measured: FrequencyResponse, declaration: Declaration) -> ComplexArray:
-    """Return what is declared, (lines,); a hold is seen as the mean over its sample."""
-    f = measured.frequency_Hz
-    chain = np.ones(len(f), dtype=np.complex128)
-    if declaration.hold == "zero_order":
-        turn = f / measured.sampling_rate_Hz
-        chain *= np.sinc(turn) * np.exp(-1j * np.pi * turn)
-    for known in declaration.filters:
-        chain *= known.system().response(f)[:, 0, 0]
-    return chain
-
-
-def _trial_delays(measured: FrequencyResponse, declaration: Declaration) -> Array:
-    interval_s = 1.0 / measured.sampling_rate_Hz
+    declared = declaration.response(measured.frequency_Hz, rate_Hz)
     longest_s = declaration.longest_delay_s
-    longest_s = 4.0 * interval_s if longest_s is None else longest_s
-    count = min(round(longest_s / interval_s), 20) + 1
-    return np.linspace(0.0, longest_s, count)
+    longest_s = 4.0 / rate_Hz if longest_s is None else longest_s
+    first = start_poles(s[0].imag, 1.0, structure.modes, structure.lags)
+    some = slice(None, None, -(-size // START_LINES))
+    trials = []
+    for delay_s in np.linspace(0.0, longest_s, min(round(longest_s * rate_Hz), 20) + 1):
+        chain = (declared * np.exp(-s * scale * delay_s))[:, None]
+        data = s[some], (flat / chain)[some], (w * np.abs(chain))[some]
+        poles = vector_fit(*data, first, rounds=START_ROUNDS)
+        trials.append((weighted_misfit(*data, poles), delay_s, poles))
+    _, delay_s, poles = min(trials, key=lambda trial: trial[0])
+    chain = (declared * np.exp(-s * scale * delay_s))[:, None]
+    poles = vector_fit(s, flat / chain, w * np.abs(chain), poles, rounds=FINAL_ROUNDS)
+    return np.append(_shape_of_poles(poles * scale / (2 * np.pi), structure), delay_s)
 
 
 def _shape_of_poles(poles_Hz: ComplexArray, structure: Structure) -> Array:
-    """Sort poles into the structure: pairs are modes, real ones lags; what is left pairs up."""
+    """Sort poles into the structure: pairs are modes, real ones lags; the rest pairs up."""
     pairs = list(poles_Hz[poles_Hz.imag > 0])
     real = sorted(np.abs(poles_Hz[poles_Hz.imag == 0].real))
     lags = [real.pop(0) for _ in range(min(structure.lags, len(real)))]
@@ -148,92 +133,191 @@ def _shape_of_poles(poles_Hz: ComplexArray, structure: Structure) -> Array:
     return np.asarray(np.log(np.concatenate([frequency_Hz, damping, lags])), dtype=np.float64)
 
 
-def _record(
-    measured: FrequencyResponse, structure: Structure, declaration: Declaration, fit: ModalFit
+class _Point:
+    """A shape with its best gains, path after path, outputs first, and their residual."""
+
+    def __init__(
+        self, response: ComplexArray, weight: Array, basis: ModalBasis, shape: Array
+    ) -> None:
+        self.basis, self.shape = basis, shape
+        self.weight = weight.reshape(len(weight), -1)
+        values = response.reshape(len(response), -1)
+        columns = basis.columns(shape)
+        try:
+            self.paths = [
+                eliminated(stacked(columns * w[:, None]), stacked((g * w)[:, None])[:, 0])
+                for g, w in zip(values.T, self.weight.T, strict=True)
+            ]
+        except np.linalg.LinAlgError as error:
+            raise IdentificationError(
+                f"the modal form is singular: {error}",
+                needed="more measured values than gains, and no two terms alike",
+                remedy="Take fewer modes, leave out the direct term, or measure more lines.",
+            ) from error
+        self.cost = float(sum(float(path.residual @ path.residual) for path in self.paths))
+
+    def projected(self) -> tuple[Array, Array, list[Array]]:
+        """Return curvature, scores of each line, (lines, shapes), and d gains / d shape by path.
+
+        The scores' sum is the negative slope of half the cost, the gains eliminated.
+        """
+        lines, shapes = len(self.weight), len(self.shape)
+        derivatives = self.basis.derivatives(self.shape, STEP)
+        curvature, scores = np.zeros((shapes, shapes)), np.zeros((lines, shapes))
+        gain_slopes = []
+        for path, w in zip(self.paths, self.weight.T, strict=True):
+            weighted = stacked((derivatives @ path.coefficients).T * w[:, None])
+            tangent, slope = path.across(weighted)
+            curvature += tangent.T @ tangent
+            scores += (tangent * path.residual[:, None]).reshape(2, lines, -1).sum(axis=0)
+            gain_slopes.append(slope)
+        return curvature, scores, gain_slopes
+
+    def linearised(self) -> NormalEquations:
+        """Return the normal equations of the shape, the gains eliminated."""
+        curvature, scores, _ = self.projected()
+        return NormalEquations(gram=curvature, slope=-scores.sum(axis=0), cost=self.cost)
+
+    def mode_worth(self) -> Array:
+        """Return the rise of the cost if a mode were left out, (modes,).
+
+        g_S^T (K_S K_S^T)^-1 g_S over all paths, S the columns of a mode.
+        """
+        worth = np.zeros(self.basis.structure.modes)
+        for m in range(len(worth)):
+            chosen = self.basis.structure.mode_columns(m)
+            for path in self.paths:
+                gains, root = path.coefficients[chosen], path.root[chosen]
+                worth[m] += float(gains @ np.linalg.solve(root @ root.T, gains))
+        return worth
+
+
+def _maximise_likelihood(
+    response: ComplexArray, weight: Array, basis: ModalBasis, shape: Array
+) -> _Point:
+    """Minimise sum |weight (response - columns(shape) gains)|^2 over shape and gains.
+
+    Bounds: beyond, a term is a constant to this data, or a single line. Delays are causal, and at
+    most as long as the slowest measured period.
+    """
+    n, lags = basis.structure.modes, basis.structure.lags
+    lowest, highest = basis.frequency_Hz[[0, -1]]
+    log_f = np.log([lowest / OUT_OF_BAND, highest * OUT_OF_BAND])
+    counts = [n, n, lags, 1]
+    low = np.repeat([log_f[0], np.log(MIN_DAMPING), log_f[0], 0.0], counts)
+    high = np.repeat([log_f[1], np.log(OUT_OF_BAND), log_f[1], 1 / lowest], counts)
+    return minimise(
+        lambda shape: _Point(response, weight, basis, shape),
+        shape,
+        (low, high),
+        rule=RULE,
+        longest=np.append(np.full(len(low) - 1, MAX_LOG_STEP), high[-1] / 10),
+    ).point
+
+
+def _exchange_modes(
+    measured: FrequencyResponse, weight: Array, basis: ModalBasis, fit: _Point
+) -> _Point:
+    """Move modes while that lowers the cost, and return the best fit.
+
+    Vector fitting from noisy data may leave two modes where one is, and none where another is;
+    maximum likelihood cannot cross the valley between. The mode of the least worth is put at the
+    largest local residual, and everything is fitted again.
+    """
+    modes = basis.structure.modes
+    for _ in range(EXCHANGES if modes > 1 else 0):
+        if fit.cost <= GOOD_COST * _expected_cost(measured, weight, basis.structure):
+            break
+        power = sum(
+            (path.residual**2).reshape(2, -1).sum(axis=0)
+            for path in fit.paths
+        )  # fmt: skip
+        width = max(len(weight) // LOCAL_PARTS // 2 * 2 + 1, 3)
+        peak = int(np.argmax(smoothed(np.asarray(power)[:, None], width)[:, 0]))
+        shape, worst = np.array(fit.shape), int(np.argmin(fit.mode_worth()))
+        shape[worst] = np.log(basis.frequency_Hz[peak])
+        shape[modes + worst] = np.log(NEW_DAMPING)
+        try:
+            moved = _maximise_likelihood(measured.response, weight, basis, shape)
+        except IdentificationError:
+            break  # the new place makes two terms alike
+        if moved.cost > fit.cost * (1 - MIN_GAIN):
+            break
+        fit = moved
+    return fit
+
+
+def _expected_cost(measured: FrequencyResponse, weight: Array, structure: Structure) -> float:
+    """Values less half the real unknowns, times the mean of one over an estimated variance."""
+    freedom = measured.variance_freedom
+    inflation = freedom / (freedom - 1.0) if freedom > 2.0 else 2.0
+    unknowns = structure.shapes + structure.columns * weight[0].size
+    return float((int((weight > 0).sum()) - unknowns / 2) * inflation)
+
+
+def _covariances(fit: _Point, weight: Array, structure: Structure) -> tuple[Array, Array]:
+    """Return the covariance of the shape, and the standard deviation of the gain at rest.
+
+    The wider of the curvature and of the sandwich over lines, for each parameter. A complex value
+    of variance one has parts of variance one half, hence the halves. The sandwich counts a line
+    as one draw: distortion is shared by all outputs at that line.
+    """
+    curvature, scores, gain_slopes = fit.projected()
+    unknowns = structure.shapes + structure.columns * len(fit.paths)
+    excess = max(1.0, fit.cost / max(int((weight > 0).sum()) - unknowns / 2, 1.0))
+    scale = np.sqrt(np.maximum(np.diag(curvature), TINY))
+    inverse = np.linalg.pinv(curvature / np.outer(scale, scale), rcond=1e-14, hermitian=True)
+    inverse /= np.outer(scale, scale)
+    plain = 0.5 * excess * inverse
+    lines = int((weight > 0).any(axis=(1, 2)).sum())
+    meat = scores.T @ scores * lines / max(lines - unknowns / 2, 1.0)
+    ratio = np.diag(inverse @ meat @ inverse) / np.maximum(np.diag(plain), TINY)
+    wider = np.sqrt(np.maximum(ratio, 1.0))
+    covariance = np.asarray(plain * np.outer(wider, wider))
+    static = structure.static_columns()
+    variances = [
+        0.5 * excess * float(np.sum((static @ path.root) ** 2))
+        + float((static @ slope) @ covariance @ (static @ slope))
+        for path, slope in zip(fit.paths, gain_slopes, strict=True)
+    ]
+    return covariance, np.sqrt(np.maximum(variances, 0.0)).reshape(weight.shape[1:])
+
+
+def _linear_dynamics(
+    measured: FrequencyResponse, basis: ModalBasis, weight: Array, fit: _Point
 ) -> LinearDynamics:
+    structure = basis.structure
     n, lags = structure.modes, structure.lags
     order = np.argsort(fit.shape[:n])
     lag_order = np.argsort(fit.shape[2 * n : 2 * n + lags])
     by_shape = np.concatenate([order, n + order, 2 * n + lag_order, [structure.shapes - 1]])
     shape = fit.shape[by_shape]
-    by_column = np.moveaxis(fit.gains, 2, 0)
-    rate = np.zeros((n, *by_column.shape[1:]))
+    paths = weight.shape[1:]
+    gains = np.array([path.coefficients for path in fit.paths]).T.reshape(-1, *paths)
+    rate = np.zeros((n, *paths))
     first = n
     if structure.rate_gains:
-        rate = by_column[n : 2 * n][order] / (2 * np.pi * np.exp(shape[:n]))[:, None, None]
+        rate = gains[n : 2 * n][order] / (2 * np.pi * np.exp(shape[:n]))[:, None, None]
         first = 2 * n
-    direct = by_column[-1] if structure.direct else np.zeros(by_column.shape[1:])
+    covariance, static_std = _covariances(fit, weight, structure)
     return LinearDynamics(
         inputs=measured.inputs,
         outputs=measured.outputs,
         mode_frequency_Hz=np.exp(shape[:n]),
         mode_damping=np.exp(shape[n : 2 * n]),
-        mode_gain_m_per_V=by_column[:n][order],
+        mode_gain_m_per_V=gains[:n][order],
         mode_rate_gain_m_s_per_V=rate,
         lag_frequency_Hz=np.exp(shape[2 * n : 2 * n + lags]),
-        lag_gain_m_per_V=by_column[first : first + lags][lag_order],
-        direct_gain_m_per_V=direct,
+        lag_gain_m_per_V=gains[first : first + lags][lag_order],
+        direct_gain_m_per_V=gains[-1] if structure.direct else np.zeros(paths),
         delay_s=float(shape[-1]),
-        declared=declaration.filters,
-        shape_covariance=fit.shape_covariance[np.ix_(by_shape, by_shape)],
-        static_gain_std_m_per_V=fit.static_std,
-        hold=declaration.hold,
+        declared=basis.declared,
+        shape_covariance=covariance[np.ix_(by_shape, by_shape)],
+        static_gain_std_m_per_V=static_std,
+        hold=basis.hold,
         sampling_rate_Hz=measured.sampling_rate_Hz,
         band_Hz=(float(measured.frequency_Hz[0]), float(measured.frequency_Hz[-1])),
         drive_rms_V=measured.drive_rms_V,
         cost=fit.cost,
-        expected_cost=_expected_cost(measured, structure, fit),
+        expected_cost=_expected_cost(measured, weight, structure),
     )
-
-
-def _expected_cost(measured: FrequencyResponse, structure: Structure, fit: ModalFit) -> float:
-    """Values less half the real unknowns, times the mean of one over an estimated variance."""
-    freedom = measured.variance_freedom
-    inflation = freedom / (freedom - 1.0) if freedom > 2.0 else 2.0
-    return (fit.values - (structure.shapes + fit.gains.size) / 2) * inflation
-
-
-def exchange_modes(
-    response: ComplexArray,
-    weight: Array,
-    lines: Lines,
-    structure: Structure,
-    fit: ModalFit,
-    expected_cost: float,
-) -> ModalFit:
-    """Move modes while that lowers the cost, and return the best fit.
-
-    Vector fitting from noisy data may leave two modes where one is, and none where another is;
-    maximum likelihood cannot cross the valley between. The mode whose loss would cost least is
-    put at the largest local residual, and everything is fitted again.
-
-    response, weight, lines, structure  as for ``maximise_likelihood``
-    expected_cost                       what the cost would be if the model were true
-    """
-    for _ in range(EXCHANGES if structure.modes > 1 else 0):
-        if fit.cost <= GOOD_ENOUGH * expected_cost:
-            break
-        shape = _exchanged(response, weight, lines, structure, fit)
-        try:
-            found = maximise_likelihood(response, weight, lines, structure, shape)
-        except IdentificationError:
-            break  # the new place makes two terms alike; what we have stands
-        if found.cost > fit.cost * (1 - WORTH_IT):
-            break
-        fit = found
-    return fit
-
-
-def _exchanged(
-    response: ComplexArray, weight: Array, lines: Lines, structure: Structure, fit: ModalFit
-) -> Array:
-    columns = basis(lines, structure, fit.shape)
-    model = np.einsum("kc,oic->koi", columns, fit.gains)
-    left = (np.abs(weight * (response - model)) ** 2).sum(axis=(1, 2))
-    width = max(len(left) // LOCAL // 2 * 2 + 1, 3)
-    place = int(np.argmax(smoothed(left[:, None], width)[:, 0]))
-    least = int(np.argmin(fit.mode_worth))
-    shape = np.array(fit.shape)
-    shape[least] = np.log(lines.frequency_Hz[place])
-    shape[structure.modes + least] = np.log(NEW_DAMPING)
-    return shape

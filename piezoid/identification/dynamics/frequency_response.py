@@ -1,7 +1,6 @@
 """FrequencyResponse: what was measured at each line, how surely, and what was rejected."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,22 +103,6 @@ class FrequencyResponse:
         cut = {name: getattr(self, name)[places] for name in _BY_LINE}
         return FrequencyResponse(**{**vars(self), **cut})
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain lists and numbers that come back exactly."""
-        record = {name: _plain(value) for name, value in vars(self).items()}
-        record["response"] = complex_to_lists(self.response)
-        return record
-
-    @staticmethod
-    def from_json(record: dict[str, Any]) -> "FrequencyResponse":
-        """Return the record that ``to_json`` wrote."""
-        changed = {
-            "inputs": tuple(record["inputs"]),
-            "outputs": tuple(record["outputs"]),
-            "response": complex_from_lists(record["response"]),
-        }
-        return FrequencyResponse(**{**record, **changed})
-
 
 _BY_LINE = (
     "frequency_Hz",
@@ -130,21 +113,3 @@ _BY_LINE = (
     "is_interference",
     "is_rejected",
 )
-
-
-def complex_to_lists(values: ComplexArray) -> list[Any]:
-    """Return nested lists whose innermost pairs are real and imaginary part."""
-    pairs: list[Any] = np.stack([values.real, values.imag], axis=-1).tolist()
-    return pairs
-
-
-def complex_from_lists(pairs: list[Any]) -> ComplexArray:
-    """Return the complex array that ``complex_to_lists`` wrote."""
-    array = np.asarray(pairs, dtype=np.float64)
-    return np.asarray(array[..., 0] + 1j * array[..., 1])
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    return list(value) if isinstance(value, tuple) else value

@@ -191,10 +191,10 @@ class LinearDynamics:
     def polynomials(self, sampling_rate_Hz: float) -> tuple[Array, Array]:
         """Return B and A in q^-1 of a single path behind a zero-order hold, for the RST design.
 
-        A[0] = 1; the delay stands in B as leading zeros. Take ``path`` first if there are more.
+        A[0] = 1; the delay stands in B as leading zeros.
         """
         if (len(self.outputs), len(self.inputs)) != (1, 1):
-            raise ValueError(f"{len(self.outputs)} x {len(self.inputs)} paths; choose one by path")
+            raise ValueError(f"{len(self.outputs)} x {len(self.inputs)} paths; needed one")
         return fraction(self.realised(), sampling_rate_Hz)
 
     def to_json(self) -> dict[str, Any]:

@@ -1,5 +1,6 @@
-"""The modal form: which columns a structure has, and their values at measured lines."""
+"""The modal form: its structure, its parameters in order, and its columns at measured lines."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -42,13 +43,17 @@ class Structure:
 
     @property
     def shapes(self) -> int:
-        """Parameters all paths share: frequencies, dampings, lags, delay."""
+        """Parameters that all paths share: frequencies, dampings, lags, delay."""
         return 2 * self.modes + self.lags + 1
 
     def static_columns(self) -> Array:
         """Return 1 where a column counts at frequency zero, else 0, (columns,)."""
         counts = [self.modes, self.modes * self.rate_gains, self.lags + self.direct]
         return np.repeat([1.0, 0.0, 1.0], counts)
+
+    def mode_columns(self, mode: int) -> list[int]:
+        """Return the columns of a mode: its gain and its rate gain."""
+        return [mode, self.modes + mode] if self.rate_gains else [mode]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,117 +74,124 @@ class Filter:
         return butterworth(self.order, self.frequency_Hz)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Lines:
-    """Where and how the response is looked at.
+@dataclass(frozen=True, kw_only=True)
+class Declaration:
+    """What is known of the chain and not to be fitted.
 
+    hold              ``zero_order`` when the drive column holds the numbers sent to the
+                      converter, ``band_limited`` when it was measured through a filter
+    filters           amplifier, sensor, anti-alias filter
+    longest_delay_s   delays up to here are tried as starts; None means four samples
+    """
+
+    hold: Hold = "zero_order"
+    filters: tuple[Filter, ...] = ()
+    longest_delay_s: float | None = None
+
+    def response(self, frequency_Hz: Array, sampling_rate_Hz: float) -> ComplexArray:
+        """Return the declared chain, (lines,); a hold counts as the mean over its sample."""
+        chain = np.ones(len(frequency_Hz), dtype=np.complex128)
+        if self.hold == "zero_order":
+            turn = frequency_Hz / sampling_rate_Hz
+            chain *= np.sinc(turn) * np.exp(-1j * np.pi * turn)
+        for known in self.filters:
+            chain *= known.system().response(frequency_Hz)[:, 0, 0]
+        return chain
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModalBasis:
+    """The columns that the gains of one path multiply, at measured lines.
+
+    structure         of the model
     frequency_Hz      (lines,)
     sampling_rate_Hz  of converter and sensor
     hold              ``zero_order``: the drive is the number sent to the converter;
                       ``band_limited``: it was measured, and has no power above half the rate
     declared          filters between drive and sensor
+
+    A shape is log frequencies of modes, log dampings, log frequencies of lags, delay.
     """
 
+    structure: Structure
     frequency_Hz: Array
     sampling_rate_Hz: float
     hold: Hold
     declared: tuple[Filter, ...] = ()
 
-    def look_at(self, numerator: Array, pole: ComplexArray, delay_s: Array) -> ComplexArray:
-        """Return responses behind the declared chain, (systems, lines, outputs).
+    def columns(self, shape: Array) -> ComplexArray:
+        """Return all columns, (lines, columns)."""
+        values = np.empty((len(self.frequency_Hz), self.structure.columns), dtype=np.complex128)
+        for parameters, columns in self._terms():
+            values[:, columns] = self._term(shape[None], parameters, len(columns))[0]
+        return values
 
-        numerator, pole, delay_s  as for ``sampled_fractions``
+    def derivatives(self, shape: Array, step: float) -> ComplexArray:
+        """Return central differences by each shape parameter, (shapes, lines, columns)."""
+        n, lines = len(shape), len(self.frequency_Hz)
+        found = np.zeros((n, lines, self.structure.columns), dtype=np.complex128)
+        for parameters, columns in self._terms():
+            touched = [*parameters, n - 1]
+            steps = np.zeros((len(touched), n))
+            steps[range(len(touched)), touched] = step
+            steps[-1, -1] /= self.sampling_rate_Hz
+            both = np.concatenate([shape + steps, shape - steps])
+            both[:, -1] = np.maximum(both[:, -1], 0.0)  # at delay zero it is one-sided
+            width = (both[: len(steps)] - both[len(steps) :]).sum(axis=1)
+            up, down = np.split(self._term(both, parameters, len(columns)), 2)
+            change = (up - down) / width[:, None, None]
+            for parameter, values in zip(touched, change, strict=True):
+                found[parameter][:, columns] = values
+        return found
+
+    def _terms(self) -> Iterator[tuple[list[int], list[int]]]:
+        """Yield the shape parameters of each term, and its columns."""
+        n, lags = self.structure.modes, self.structure.lags
+        first = n * (1 + self.structure.rate_gains)
+        for m in range(n):
+            yield [m, n + m], self.structure.mode_columns(m)
+        for k in range(lags):
+            yield [2 * n + k], [first + k]
+        if self.structure.direct:
+            yield [], [first + lags]
+
+    def _term(self, shapes: Array, parameters: list[int], columns: int) -> ComplexArray:
+        """Return the columns of one term for several shapes, (shapes, lines, columns).
+
+        A mode's columns are w^2 and s w over s^2 + 2 zeta w s + w^2.
         """
-        f = self.frequency_Hz
+        values, delay_s = np.exp(shapes[:, parameters]), shapes[:, -1]
+        count = len(shapes)
+        if len(parameters) == 2:
+            w, damping = 2.0 * np.pi * values[:, 0], values[:, 1]
+            root = np.sqrt(damping**2 - 1.0 + 0j)
+            pole = (w * np.array([-damping + root, -damping - root])).T
+            zero = np.zeros(count)
+            numerator = np.moveaxis(np.array([[w**2, zero], [zero, w]]), 2, 0)[:, :columns]
+        elif parameters:
+            w = 2.0 * np.pi * values
+            numerator, pole = w[:, :, None], -w.astype(complex)
+        else:
+            numerator, pole = np.ones((count, 1, 1)), np.zeros((count, 0), dtype=complex)
         if self.hold == "zero_order":
-            before = np.broadcast_to(self._before, (len(pole), len(self._before)))
-            numerator, pole = numerator * np.prod(-self._before).real, np.hstack([pole, before])
-            return sampled_fractions(numerator, pole, delay_s, self.sampling_rate_Hz, f)
-        s = 2j * np.pi * f
+            poles = self._declared_poles
+            numerator = numerator * np.prod(-poles).real
+            pole = np.hstack([pole, np.broadcast_to(poles, (count, len(poles)))])
+            return sampled_fractions(
+                numerator, pole, delay_s, self.sampling_rate_Hz, self.frequency_Hz
+            )
+        s = 2j * np.pi * self.frequency_Hz
         powers = s[:, None] ** np.arange(numerator.shape[2])
-        factor = self._chain * np.exp(-s * delay_s[:, None])
+        factor = self._declared_response * np.exp(-s * delay_s[:, None])
         factor /= np.prod(s[:, None] - pole[:, None], axis=2)
         return np.asarray(powers @ np.swapaxes(numerator, 1, 2) * factor[:, :, None])
 
     @cached_property
-    def _before(self) -> ComplexArray:
-        """The poles of the declared filters, the same for every shape."""
+    def _declared_poles(self) -> ComplexArray:
         poles = [np.linalg.eigvals(f.system().A).astype(complex) for f in self.declared]
         return np.concatenate([np.zeros(0, dtype=complex), *poles])
 
     @cached_property
-    def _chain(self) -> ComplexArray:
-        """Response of the declared filters, the same for every shape."""
-        chain = np.ones(len(self.frequency_Hz), dtype=np.complex128)
-        for known in self.declared:
-            chain = chain * known.system().response(self.frequency_Hz)[:, 0, 0]
-        return np.asarray(chain)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Term:
-    """One mode, lag or direct term: which shape parameters it has, which columns it fills."""
-
-    kind: Literal["mode", "lag", "direct"]
-    parameters: tuple[int, ...]
-    columns: tuple[int, ...]
-
-
-def terms_of(structure: Structure) -> tuple[Term, ...]:
-    """Return the terms of a structure; the delay, last of the shape, belongs to all of them."""
-    n, lags = structure.modes, structure.lags
-    lag_column = n * (1 + structure.rate_gains)
-    found = [
-        Term(
-            kind="mode",
-            parameters=(m, n + m),
-            columns=(m, n + m) if structure.rate_gains else (m,),
-        )
-        for m in range(n)
-    ]
-    found += [
-        Term(kind="lag", parameters=(2 * n + k,), columns=(lag_column + k,)) for k in range(lags)
-    ]
-    if structure.direct:
-        found.append(Term(kind="direct", parameters=(), columns=(structure.columns - 1,)))
-    return tuple(found)
-
-
-def term_columns(lines: Lines, term: Term, shapes: Array) -> ComplexArray:
-    """Return the values of one term's columns, (shapes, lines, columns of the term).
-
-    shapes  (shapes, numbers)  log frequency of modes, log damping, log frequency of lags, delay
-
-    A mode's columns are those of its gain g and of h w.
-    """
-    numerator, pole = _FRACTIONS[term.kind](np.exp(shapes[:, list(term.parameters)]))
-    return lines.look_at(numerator[:, : len(term.columns)], pole, shapes[:, -1])
-
-
-def basis(lines: Lines, structure: Structure, shape: Array) -> ComplexArray:
-    """Return all columns in the order of ``Structure.columns``, (lines, columns)."""
-    found = np.empty((len(lines.frequency_Hz), structure.columns), dtype=np.complex128)
-    for term in terms_of(structure):
-        found[:, list(term.columns)] = term_columns(lines, term, shape[None])[0]
-    return found
-
-
-def _mode(parameters: Array) -> tuple[Array, ComplexArray]:
-    """Return w^2 and s w over s^2 + 2 zeta w s + w^2."""
-    w, damping = 2.0 * np.pi * parameters[:, 0], parameters[:, 1]
-    half = np.sqrt(damping**2 - 1.0 + 0j)
-    pole = (w * np.array([-damping + half, -damping - half])).T
-    none = np.zeros(len(w))
-    return np.moveaxis(np.array([[w**2, none], [none, w]]), 2, 0), pole
-
-
-def _lag(parameters: Array) -> tuple[Array, ComplexArray]:
-    w = 2.0 * np.pi * parameters
-    return w[:, :, None], -w.astype(complex)
-
-
-def _direct(parameters: Array) -> tuple[Array, ComplexArray]:
-    return np.ones((len(parameters), 1, 1)), np.zeros((len(parameters), 0), dtype=complex)
-
-
-_FRACTIONS = {"mode": _mode, "lag": _lag, "direct": _direct}
+    def _declared_response(self) -> ComplexArray:
+        chain = Declaration(hold="band_limited", filters=self.declared)
+        return chain.response(self.frequency_Hz, self.sampling_rate_Hz)

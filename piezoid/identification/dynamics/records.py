@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.numerics.arrays import Array, ComplexArray
+from piezoid.numerics.robust import NORMAL_95
 
 # Creep of 1 to 5 % a decade is 0.1 to 0.4 dB, loops of 15 % lag by 9 degrees: far below these.
-STEEPEST_dB = 3.0
-FURTHEST_deg = 30.0
+MAX_SLOPE_dB = 3.0
+MAX_LAG_deg = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,9 +37,33 @@ class SlowPart:
     from_Hz: float
     is_taken: bool
 
+    @staticmethod
+    def of(
+        power: float,
+        power_std: float,
+        phase: float,
+        phase_std: float,
+        band_Hz: tuple[float, float],
+        from_Hz: float,
+    ) -> "SlowPart":
+        """Return the slow part of a power of the frequency and a phase, not yet taken."""
+        slope_dB, phase_deg = 20.0 * power, float(np.degrees(phase))
+        half_dB = 20.0 * NORMAL_95 * power_std
+        half_deg = NORMAL_95 * float(np.degrees(phase_std))
+        return SlowPart(
+            slope_dB=slope_dB,
+            slope_ci95=(slope_dB - half_dB, slope_dB + half_dB),
+            phase_deg=phase_deg,
+            phase_ci95=(phase_deg - half_deg, phase_deg + half_deg),
+            low_Hz=band_Hz[0],
+            high_Hz=band_Hz[1],
+            from_Hz=from_Hz,
+            is_taken=False,
+        )
+
     @property
     def falls(self) -> bool:
-        """Whether the gain falls for certain, as creep makes it."""
+        """Whether the gain falls for certain, as with creep."""
         return self.is_taken and self.slope_ci95[1] < 0.0
 
     def response(self, frequency_Hz: Array) -> ComplexArray:

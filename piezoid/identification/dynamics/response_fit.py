@@ -1,39 +1,33 @@
 """fit_response: a measured frequency response -> modes, delay, creep slope, with intervals.
 
-    G(f) = G_slow(f) G_modes(f) F(f)
+    G(f) = F(f) G_slow(f) G_modes(f),    G_slow = (f / f1)^(slope / 20 dB) e^(j phase)
 
 F are the declared poles the response was measured through; G_modes the modal form of
-``fit_dynamics``; G_slow falls as creep does, (j f)^(-alpha), which no few poles make.
-
-How surely each line of a measured response is known, where its file tells little of that.
+``fit_dynamics``; G_slow falls as creep does, which no few poles follow. A slow part that is taken
+out first would lend its error to the delay (a thousandth of a radian is 0.16 us at 1 kHz), so all
+are fitted together at the end. The variance of each line, where its file tells little of that, is
 
     var G = a^2 + b^2 |G|^2                                    without coherence
     var G = c |G|^2 (1 - coherence) / coherence                with it        [Bendat & Piersol]
 
-a, b or c come from how the residual of neighbouring lines differs [von Neumann 1941]: what a model
-leaves that is smooth, because a mode is missing, does not count as noise.
+a, b or c come from how the residual of neighbouring lines differs [von Neumann 1941]: a residual
+that is smooth, because a mode is missing, does not count as noise.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.errors import ExcitationError, IdentificationError
-from piezoid.identification.dynamics.fit_dynamics import Declaration, fit_dynamics
+from piezoid.identification.dynamics.fit_dynamics import fit_dynamics, resolved_modes
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
-from piezoid.identification.dynamics.maximum_likelihood import resolved_modes
 from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.modal_basis import Filter, Structure
+from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
 from piezoid.identification.dynamics.periodic_estimate import smoothed
-from piezoid.identification.dynamics.records import (
-    FURTHEST_deg,
-    SlowPart,
-    STEEPEST_dB,
-)
-from piezoid.identification.dynamics.response_refinement import refined
+from piezoid.identification.dynamics.records import MAX_LAG_deg, MAX_SLOPE_dB, SlowPart
 from piezoid.numerics.arrays import Array, ComplexArray
-from piezoid.numerics.robust import NORMAL_95
 from piezoid.records.frequency_response import (
     LEAST_COHERENCE,
     FrequencyResponseRecord,
@@ -41,24 +35,22 @@ from piezoid.records.frequency_response import (
 )
 from piezoid.records.response_summary import apparent_modes
 
-RATIOS = np.concatenate([[0.0], np.geomspace(1e-8, 1e4, 61)])  # of a^2 to b^2 |G|^2 at its median
-NEIGHBOURS = 5  # lines over which a measured coherence is smoothed: each scatters by itself
-LEAST_SHARE = 0.1  # of the median of (1 - coherence) / coherence: printed 1.000 is no certainty
-ROUGH_LINES = 21
-ROUGH_FLOOR = 1e-3  # of the gain
-ALONE = 6.0  # standard deviations: one line of 10^8 by chance
-BESIDE = 3.0
-
-FEWEST_LINES = 20
-LONGEST_PERIODS = 10.0  # a delay, in periods of the highest line
+NOISE_RATIOS = np.concatenate([[0.0], np.geomspace(1e-8, 1e4, 61)])  # a^2 over median b^2 |G|^2
+COHERENCE_LINES = 5  # over which a measured coherence is smoothed: each scatters by itself
+MIN_SHARE = 0.1  # of the median of (1 - coherence) / coherence: printed 1.000 is no certainty
+ROUGH_LINES, ROUGH_FLOOR = 21, 1e-3  # of the first guess of the variance; the floor is of the gain
+OUTLIER, NEIGHBOUR = 6.0, 3.0  # standard deviations: one line of 10^8 by chance, and beside it
+MIN_LINES = 20
+MAX_DELAY_PERIODS = 10.0  # of the highest line
 FAR_BELOW = 0.2  # of the first mode: what it adds there, 4 %, is fitted beside the slope
-SLOW_DECADES = 0.5
-SLOW_LINES = 8
-AS_GOOD = 1.25  # a cost within this of the least, or of that of noise, counts as equal
-ROUNDS = 2  # of noise from residual, residual from fit
+SLOW_DECADES, SLOW_LINES = 0.5, 8
+EQUAL_COST = 1.25  # a cost within this of the least, or of that of noise, counts as equal
+NOISE_ROUNDS = 2  # of variance from residual, residual from fit
 # A modulus margin of 0.5 bears half the gain at any frequency; the fit may take half of that.
-MOST_LEFT = 0.25
-MEDIAN_OF = 3  # lines: a single one is noise
+MAX_RESIDUAL = 0.25
+RESIDUAL_LINES = 3  # of the running median: a single line is noise
+STEP = 1e-6  # of central differences, of parameters that are all about one
+TINY = float(np.finfo(np.float64).tiny)
 STRUCTURES = (
     Structure(modes=0, lags=1),
     Structure(modes=1),
@@ -74,39 +66,40 @@ STRUCTURES = (
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ResponseFound:
-    """The dynamics in a measured response, and what they were read from.
+class FittedResponse:
+    """The dynamics in a measured response, and the lines they were fitted to.
 
     dynamics   of one path
     measured   the lines, slow part taken out, with variances and what was rejected
     slow       None where too few lines lie far below the first mode
-    left, left_Hz  the largest part of the response that the model leaves, and where
+    residual, residual_Hz  largest residual, relative to the response, and where
     noise      of one line far below the first mode, relative
     """
 
     dynamics: LinearDynamics
     measured: FrequencyResponse
     slow: SlowPart | None
-    left: float
-    left_Hz: float
+    residual: float
+    residual_Hz: float
     noise: float
 
     @property
     def is_determined(self) -> bool:
-        """Whether the numbers may be read: all known, and little of the response left."""
+        """Whether every number is known and the residual small."""
         lags_Hz = self.dynamics.lag_frequency_Hz
         poles_known = bool((lags_Hz < 2.0 * self.dynamics.band_Hz[1]).all())
-        return self.left <= MOST_LEFT and poles_known and bool(resolved_modes(self.dynamics).all())
+        modes_known = bool(resolved_modes(self.dynamics).all())
+        return self.residual <= MAX_RESIDUAL and poles_known and modes_known
 
 
 def measured_response(
     record: FrequencyResponseRecord, axis: str, declared: tuple[Filter, ...]
 ) -> ComplexArray:
-    """Return an axis' own response with all declared poles in it, (lines,) m/V.
+    """Return the response of an axis to its own drive behind all declared poles, (lines,) m/V.
 
     declared  those of the rig; what the measurement did not go through is put into it
     """
-    response = np.array(_own(record, axis).response_m_per_V)
+    response = np.array(_path(record, axis).response_m_per_V)
     for pole in declared:
         if pole.name not in record.includes:
             response *= pole.system().response(record.frequency_Hz)[:, 0, 0]
@@ -115,7 +108,7 @@ def measured_response(
 
 def fit_response(
     record: FrequencyResponseRecord, axis: str, declared: tuple[Filter, ...]
-) -> ResponseFound:
+) -> FittedResponse:
     """Fit modes, delay and creep slope to the response of an axis to its own drive.
 
     record    of one file
@@ -124,39 +117,55 @@ def fit_response(
     Raises ``ExcitationError`` for too few coherent lines, ``IdentificationError`` where no
     structure can be fitted.
     """
-    path, f = _own(record, axis), record.frequency_Hz
+    path, f = _path(record, axis), record.frequency_Hz
     response = measured_response(record, axis, declared)
-    kept = path.is_coherent
-    if kept.sum() < FEWEST_LINES:
+    is_coherent = path.is_coherent
+    if is_coherent.sum() < MIN_LINES:
         raise ExcitationError(
-            f"{record.name}: {int(kept.sum())} of {len(kept)} lines of axis {axis} are coherent "
-            f"({LEAST_COHERENCE:g} or more)",
-            needed=f"at least {FEWEST_LINES}",
+            f"{record.name}: {int(is_coherent.sum())} of {len(f)} lines of axis {axis} are "
+            f"coherent ({LEAST_COHERENCE:g} or more)",
+            needed=f"at least {MIN_LINES}",
             remedy="Measure with a larger drive, longer, or at more frequencies.",
         )
     slow = slow_part(f, response, path)
-    quick = response if slow is None else response / slow.response(f)
-    alone = np.zeros(len(kept), dtype=np.bool_)
-    variance = np.ones(len(kept))
-    variance[kept] = rough_variance(quick[kept])
-    for _ in range(ROUNDS):
-        used = kept & ~alone
-        lines = _lines(record, axis, quick, variance, alone)
-        model = _best(lines, declared).response(f)[:, 0, 0]
+    fast = response if slow is None else response / slow.response(f)
+    is_outlier = np.zeros(len(f), dtype=np.bool_)
+    variance = np.ones(len(f))
+    variance[is_coherent] = _rough_variance(fast[is_coherent])
+    for _ in range(NOISE_ROUNDS):
+        used = is_coherent & ~is_outlier
+        lines = _lines(record, axis, fast, variance, is_outlier)
+        residual = fast - _best_fit(lines, declared).response(f)[:, 0, 0]
         coherence = None if path.coherence is None else path.coherence[used]
-        variance[used] = variance_of(quick[used], (quick - model)[used], coherence)
-        if not alone.any():
-            alone[kept] = standing_alone((quick - model)[kept], variance[kept])
-    lines = _lines(record, axis, quick, variance, alone)
-    dynamics = _best(lines, declared)
+        variance[used] = _variance(fast[used], residual[used], coherence)
+        if not is_outlier.any():
+            is_outlier[is_coherent] = _outliers(residual[is_coherent], variance[is_coherent])
+    lines = _lines(record, axis, fast, variance, is_outlier)
+    dynamics = _best_fit(lines, declared)
     if slow is not None and slow.is_taken:
-        used = kept & ~alone
-        dynamics, slow = refined(_used(lines), response[used], dynamics, slow)
-        lines = _lines(record, axis, response / slow.response(f), variance, alone)
-    return _found(lines, dynamics, slow)
+        whole = response[is_coherent & ~is_outlier]
+        dynamics, slow = _fit_with_slow_part(_used(lines), whole, dynamics, slow)
+        lines = _lines(record, axis, response / slow.response(f), variance, is_outlier)
+    used_lines = _used(lines)
+    f, values = used_lines.frequency_Hz, used_lines.response[:, 0, 0]
+    at_rest = abs(float(dynamics.static_gain_m_per_V[0, 0]))
+    relative = np.abs(values - dynamics.response(f)[:, 0, 0])
+    relative /= np.maximum(np.abs(values), at_rest)
+    padded = np.pad(relative, RESIDUAL_LINES // 2, mode="edge")
+    typical = np.median(np.lib.stride_tricks.sliding_window_view(padded, RESIDUAL_LINES), axis=1)
+    worst = int(np.argmax(typical))
+    spread = np.sqrt(used_lines.variance[:, 0, 0]) / np.abs(values)
+    return FittedResponse(
+        dynamics=dynamics,
+        measured=lines,
+        slow=slow,
+        residual=float(typical[worst]),
+        residual_Hz=float(f[worst]),
+        noise=float(np.median(spread[: max(len(spread) // 4, 1)])),
+    )
 
 
-def _own(record: FrequencyResponseRecord, axis: str) -> ResponsePath:
+def _path(record: FrequencyResponseRecord, axis: str) -> ResponsePath:
     path = record.path(axis, axis)
     if path is None:
         raise ExcitationError(
@@ -170,27 +179,26 @@ def _own(record: FrequencyResponseRecord, axis: str) -> ResponsePath:
 def _lines(
     record: FrequencyResponseRecord,
     axis: str,
-    quick: ComplexArray,
+    response: ComplexArray,
     variance: Array,
-    alone: NDArray[np.bool_],
+    is_outlier: NDArray[np.bool_],
 ) -> FrequencyResponse:
     """Return the response as the modal fit takes it; the drive's level is not in such files."""
-    path = _own(record, axis)
-    shape = (len(quick), 1, 1)
-    coherence = np.ones(len(quick)) if path.coherence is None else path.coherence
+    path, shape = _path(record, axis), (len(response), 1, 1)
+    coherence = np.ones(len(response)) if path.coherence is None else path.coherence
     return FrequencyResponse(
         inputs=(axis,),
         outputs=(axis,),
         sampling_rate_Hz=2.0 * float(record.frequency_Hz[-1]),
         frequency_Hz=record.frequency_Hz,
-        response=quick.reshape(shape),
+        response=response.reshape(shape),
         noise_variance=variance.reshape(shape),
         distortion_variance=np.zeros(shape),
         coherence=coherence[:, None],
-        is_interference=alone[:, None],
-        is_rejected=(~path.is_coherent | alone)[:, None],
+        is_interference=is_outlier[:, None],
+        is_rejected=(~path.is_coherent | is_outlier)[:, None],
         least_coherence=LEAST_COHERENCE,
-        variance_freedom=float(len(quick)),
+        variance_freedom=float(len(response)),
         drive_rms_V=np.zeros(1),
         realisations=1,
         periods=1,
@@ -201,17 +209,16 @@ def _used(lines: FrequencyResponse) -> FrequencyResponse:
     return lines.at_lines(np.flatnonzero(~lines.is_rejected[:, 0]))
 
 
-def _best(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearDynamics:
-    """Fit structures to the lines in use, and keep the smallest that leaves nothing smooth.
+def _best_fit(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearDynamics:
+    """Return the smallest structure whose residual is noise, else the smallest good one.
 
-    Where all leave something, the smallest that is as good as the best; one with a term that
-    means nothing fits a little better, and does not count where there are others.
+    A structure with a mode that is not resolved counts only where there is no other.
     """
     used = _used(lines)
     declaration = Declaration(
         hold="band_limited",
         filters=declared,
-        longest_delay_s=LONGEST_PERIODS / float(used.frequency_Hz[-1]),
+        longest_delay_s=MAX_DELAY_PERIODS / float(used.frequency_Hz[-1]),
     )
     fits, refusal = [], None
     for structure in STRUCTURES:
@@ -233,38 +240,15 @@ def _best(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearDynam
         )
     fits = [fit for fit in fits if resolved_modes(fit).all()] or fits
     least = min(fit.cost for fit in fits)
-    return next(fit for fit in fits if fit.cost <= AS_GOOD * least)
+    return next(fit for fit in fits if fit.cost <= EQUAL_COST * least)
 
 
 def _leaves_noise(lines: FrequencyResponse, fit: LinearDynamics) -> bool:
-    """Whether what is left differs from line to line as much as it is large [von Neumann 1941]."""
-    left = (lines.response - fit.response(lines.frequency_Hz))[:, 0, 0]
-    left = left / np.sqrt(lines.variance[:, 0, 0])
-    differs = 0.5 * float(np.mean(np.abs(np.diff(left)) ** 2))
-    return float(np.mean(np.abs(left) ** 2)) <= AS_GOOD * differs
-
-
-def _found(
-    lines: FrequencyResponse, dynamics: LinearDynamics, slow: SlowPart | None
-) -> ResponseFound:
-    used = _used(lines)
-    f, response = used.frequency_Hz, used.response[:, 0, 0]
-    at_rest = abs(float(dynamics.static_gain_m_per_V[0, 0]))
-    left = np.abs(response - dynamics.response(f)[:, 0, 0])
-    left /= np.maximum(np.abs(response), at_rest)
-    half = MEDIAN_OF // 2
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(left, half, mode="edge"), MEDIAN_OF)
-    typical = np.median(windows, axis=1)
-    place = int(np.argmax(typical))
-    spread = np.sqrt(used.variance[:, 0, 0]) / np.abs(response)
-    return ResponseFound(
-        dynamics=dynamics,
-        measured=lines,
-        slow=slow,
-        left=float(typical[place]),
-        left_Hz=float(f[place]),
-        noise=float(np.median(spread[: max(len(spread) // 4, 1)])),
-    )
+    """Whether the residual differs from line to line as much as it is large [von Neumann 1941]."""
+    residual = (lines.response - fit.response(lines.frequency_Hz))[:, 0, 0]
+    residual = residual / np.sqrt(lines.variance[:, 0, 0])
+    difference = 0.5 * float(np.mean(np.abs(np.diff(residual)) ** 2))
+    return float(np.mean(np.abs(residual) ** 2)) <= EQUAL_COST * difference
 
 
 def slow_part(frequency_Hz: Array, response: ComplexArray, path: ResponsePath) -> SlowPart | None:
@@ -272,55 +256,130 @@ def slow_part(frequency_Hz: Array, response: ComplexArray, path: ResponsePath) -
 
         ln |G| = g + (slope / 20 dB) ln f + c f^2,   arg G = phase + d f
 
-    c stands for what modes and poles add, d for their lag and the delay.
+    c stands for what modes and poles add, d for their lag and the delay. The first mode is the
+    first peak, without one the frequency at which the gain has fallen by 3 dB.
     """
-    first_Hz = first_limit_Hz(frequency_Hz, response, path)
+    peaks = apparent_modes(frequency_Hz, replace(path, response_m_per_V=response))
+    gain = np.abs(response)
+    fallen = np.flatnonzero((gain < np.median(gain[:3]) / np.sqrt(2.0)) & path.is_coherent)
+    first_Hz = float(frequency_Hz[fallen[0] if len(fallen) else -1])
+    first_Hz = peaks[0].frequency_Hz if peaks else first_Hz
     low = path.is_coherent & (frequency_Hz < FAR_BELOW * first_Hz)
     f = frequency_Hz[low]
     if len(f) < SLOW_LINES or f[-1] < 10.0**SLOW_DECADES * f[0]:
         return None
-    x, turned = f / f[-1], response[low] / response[low][0]
-    log, one = np.log(x), np.ones(len(x))
-    slope, slope_std = _regressed(np.stack([log, one, x**2], axis=1), np.log(np.abs(turned)))
+    x, relative, one = f / f[-1], response[low] / response[low][0], np.ones(len(f))
+    by_log = np.stack([np.log(x), one, x**2], axis=1)
+    slope, slope_std = _regression(by_log, np.log(np.abs(relative)))
     angle = np.unwrap(np.angle(response[low]))
-    phase, phase_std = _regressed(np.stack([one, x], axis=1), angle)
+    phase, phase_std = _regression(np.stack([one, x], axis=1), angle)
     phase -= np.pi * round(phase / np.pi)  # the sign of the response is the polarity's
-    slope_dB, half_dB = 20.0 * slope, 20.0 * NORMAL_95 * slope_std  # a power of one: 20 dB
-    phase_deg, half_deg = float(np.degrees(phase)), NORMAL_95 * float(np.degrees(phase_std))
-    is_creep = slope_dB - half_dB <= 0.0 and slope_dB > -STEEPEST_dB
-    is_lag = phase_deg - half_deg <= 0.0 and phase_deg > -FURTHEST_deg
-    return SlowPart(
-        slope_dB=slope_dB,
-        slope_ci95=(slope_dB - half_dB, slope_dB + half_dB),
-        phase_deg=phase_deg,
-        phase_ci95=(phase_deg - half_deg, phase_deg + half_deg),
-        low_Hz=float(f[0]),
-        high_Hz=float(f[-1]),
-        from_Hz=first_Hz,
-        is_taken=is_creep and is_lag,
-    )
+    part = SlowPart.of(slope, slope_std, phase, phase_std, (float(f[0]), float(f[-1])), first_Hz)
+    is_creep = part.slope_ci95[0] <= 0.0 and part.slope_dB > -MAX_SLOPE_dB
+    is_lag = part.phase_ci95[0] <= 0.0 and part.phase_deg > -MAX_LAG_deg
+    return replace(part, is_taken=is_creep and is_lag)
 
 
-def first_limit_Hz(frequency_Hz: Array, response: ComplexArray, path: ResponsePath) -> float:
-    """Return the first peak; without one where the gain has fallen by 3 dB, or the last line."""
-    peaks = apparent_modes(frequency_Hz, replace(path, response_m_per_V=response))
-    if peaks:
-        return peaks[0].frequency_Hz
-    gain = np.abs(response)
-    fallen = np.flatnonzero((gain < np.median(gain[:3]) / np.sqrt(2.0)) & path.is_coherent)
-    return float(frequency_Hz[fallen[0] if len(fallen) else -1])
-
-
-def _regressed(columns: Array, values: Array) -> tuple[float, float]:
+def _regression(columns: Array, values: Array) -> tuple[float, float]:
     """Return the first coefficient of least squares, and its standard deviation."""
-    found = np.linalg.lstsq(columns, values, rcond=None)[0]
-    left = values - columns @ found
+    coefficients = np.linalg.lstsq(columns, values, rcond=None)[0]
+    residual = values - columns @ coefficients
     spare = max(len(values) - columns.shape[1], 1)
     inverse = np.linalg.inv(columns.T @ columns)
-    return float(found[0]), float(np.sqrt(inverse[0, 0] * (left @ left) / spare))
+    return float(coefficients[0]), float(np.sqrt(inverse[0, 0] * (residual @ residual) / spare))
 
 
-def rough_variance(response: ComplexArray) -> Array:
+def _fit_with_slow_part(
+    lines: FrequencyResponse, whole: ComplexArray, dynamics: LinearDynamics, slow: SlowPart
+) -> tuple[LinearDynamics, SlowPart]:
+    """Fit modes and slow part together from a separate fit of each, and return both.
+
+        G = F e^(-j 2 pi f delay) (f / f1)^power e^(j phase) [ modes + lags + D ]
+
+    lines     in use, with their variances; of one path
+    whole     (lines,)  the measured response, slow part included
+    """
+    from scipy.optimize import least_squares
+
+    f, d = lines.frequency_Hz, dynamics
+    n, m = len(d.mode_frequency_Hz), len(d.lag_frequency_Hz)
+    shapes, has_direct = 2 * n + m + 1, bool(d.direct_gain_m_per_V.any())
+    declared = Declaration(hold="band_limited", filters=d.declared)
+    chain = declared.response(f, lines.sampling_rate_Hz)
+    delay_unit_s = 1.0 / (2.0 * np.pi * float(f[-1]))
+    gain_unit = abs(float(d.static_gain_m_per_V[0, 0]))
+    weight = 1.0 / np.sqrt(lines.variance[:, 0, 0])
+
+    def error(x: Array) -> Array:
+        gains, ratio = x[shapes:], f[:, None] / np.exp(x[:n])
+        inner = (1.0 / (1.0 - ratio**2 + 2j * np.exp(x[n : 2 * n]) * ratio)) @ gains[:n]
+        inner = (
+            inner
+            + (1.0 / (1.0 + 1j * f[:, None] / np.exp(x[2 * n : 2 * n + m]))) @ (gains[n : n + m])
+        )
+        inner = inner + (gains[n + m] if has_direct else 0.0)
+        creep = (f / slow.from_Hz) ** x[-2] * np.exp(1j * x[-1])
+        late = np.exp(-2j * np.pi * f * x[shapes - 1] * delay_unit_s)
+        residual = weight * (whole - gain_unit * chain * late * creep * inner)
+        return np.concatenate([residual.real, residual.imag])
+
+    gains = np.concatenate([d.mode_gain_m_per_V, d.lag_gain_m_per_V])[:, 0, 0]
+    start = np.concatenate(
+        [
+            np.log(np.concatenate([d.mode_frequency_Hz, d.mode_damping, d.lag_frequency_Hz])),
+            [max(d.delay_s / delay_unit_s, STEP)],
+            np.append(gains, d.direct_gain_m_per_V[0, 0])[: n + m + has_direct] / gain_unit,
+            [slow.slope_dB / 20.0, np.radians(slow.phase_deg)],
+        ]
+    )
+    low = np.full(len(start), -np.inf)
+    low[shapes - 1] = 0.0
+    x = least_squares(error, start, bounds=(low, np.inf), x_scale="jac", max_nfev=60).x
+    covariance, cost = _covariance(error, x, len(f))
+    gains = x[shapes:] * gain_unit
+    units = np.append(np.ones(shapes - 1), delay_unit_s)
+    static = covariance[shapes:-2, shapes:-2].sum() * gain_unit**2
+    freedom = lines.variance_freedom
+    refined = replace(
+        d,
+        mode_frequency_Hz=np.exp(x[:n]),
+        mode_damping=np.exp(x[n : 2 * n]),
+        lag_frequency_Hz=np.exp(x[2 * n : 2 * n + m]),
+        delay_s=float(x[shapes - 1] * delay_unit_s),
+        mode_gain_m_per_V=gains[:n].reshape(n, 1, 1),
+        lag_gain_m_per_V=gains[n : n + m].reshape(m, 1, 1),
+        direct_gain_m_per_V=np.full((1, 1), gains[n + m] if has_direct else 0.0),
+        shape_covariance=covariance[:shapes, :shapes] * np.outer(units, units),
+        static_gain_std_m_per_V=np.full((1, 1), np.sqrt(static)),
+        cost=cost,
+        expected_cost=(len(f) - len(x) / 2.0) * freedom / (freedom - 1.0),
+    )
+    power_std, phase_std = np.sqrt(np.diag(covariance)[-2:]).tolist()
+    band_Hz = slow.low_Hz, slow.high_Hz
+    part = SlowPart.of(float(x[-2]), power_std, float(x[-1]), phase_std, band_Hz, slow.from_Hz)
+    return refined, replace(part, is_taken=slow.is_taken)
+
+
+def _covariance(error: Callable[[Array], Array], x: Array, lines: int) -> tuple[Array, float]:
+    """Return the covariance of parameters, and the cost there.
+
+    The wider of the curvature and of the sandwich over lines, as in ``fit_dynamics``.
+    """
+    steps = STEP * np.eye(len(x))
+    slopes = np.stack([(error(x + e) - error(x - e)) / (2.0 * STEP) for e in steps], axis=1)
+    residual = error(x)
+    cost, spare = float(residual @ residual), max(lines - len(x) / 2.0, 1.0)
+    scale = np.maximum(np.linalg.norm(slopes, axis=0), TINY)
+    inverse = np.linalg.pinv((slopes / scale).T @ (slopes / scale), rcond=1e-14, hermitian=True)
+    inverse /= np.outer(scale, scale)
+    plain = 0.5 * max(1.0, cost / spare) * inverse
+    scores = (slopes * residual[:, None]).reshape(2, lines, -1).sum(axis=0)
+    sandwich = inverse @ (scores.T @ scores * lines / spare) @ inverse
+    wider = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(plain), TINY), 1.0))
+    return np.asarray(plain * np.outer(wider, wider)), cost
+
+
+def _rough_variance(response: ComplexArray) -> Array:
     """Return a first guess from how the logarithm of the response bends from line to line."""
     log = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response))
     bend = np.abs(np.diff(log, 2)) ** 2 / 6.0 * 2.0
@@ -331,45 +390,39 @@ def rough_variance(response: ComplexArray) -> Array:
     return np.asarray(np.abs(response) ** 2 * (np.median(windows, axis=1) + ROUGH_FLOOR**2))
 
 
-def variance_of(response: ComplexArray, residual: ComplexArray, coherence: Array | None) -> Array:
-    """Return the variance of each line, (lines,) m2/V2.
+def _variance(response: ComplexArray, residual: ComplexArray, coherence: Array | None) -> Array:
+    """Return the variance of each line, (lines,) m2/V2, from differences of the residual.
 
-    residual   what a model leaves of the response
     coherence  where it was measured
     """
-    shown = 0.5 * np.abs(np.diff(residual)) ** 2
+    difference = 0.5 * np.abs(np.diff(residual)) ** 2
+    power = np.abs(response) ** 2
+
+    def scale(shape: Array) -> float:
+        return max(float(np.mean(difference / (0.5 * (shape[1:] + shape[:-1])))), TINY)
+
+    def minus_log_likelihood(shape: Array) -> float:
+        """Minus the mean log likelihood of the squared differences, the scale eliminated."""
+        log_shape = np.log(0.5 * (shape[1:] + shape[:-1]))
+        return float(np.mean(log_shape)) + float(np.log(scale(shape)))
+
     if coherence is not None:
         share = (1.0 - coherence) / coherence
-        width = min(NEIGHBOURS, (len(share) - 1) // 2 * 2 + 1)
+        width = min(COHERENCE_LINES, (len(share) - 1) // 2 * 2 + 1)
         smooth = smoothed(share[:, None], width)[:, 0]
-        floor = LEAST_SHARE * float(np.median(smooth))
-        shape = np.abs(response) ** 2 * np.maximum(smooth, floor if floor > 0.0 else 1.0)
-        return np.asarray(shape * _scale(shown, shape))
-    power = np.abs(response) ** 2
-    shapes = [ratio * float(np.median(power)) + power for ratio in RATIOS]
-    shapes.append(np.full(len(power), float(np.median(power))))
-    found = [(_surprise(shown, shape), k) for k, shape in enumerate(shapes)]
-    best = shapes[min(found)[1]]
-    return np.asarray(best * _scale(shown, best))
+        floor = MIN_SHARE * float(np.median(smooth))
+        shapes = [power * np.maximum(smooth, floor if floor > 0.0 else 1.0)]
+    else:
+        level = float(np.median(power))
+        shapes = [*(ratio * level + power for ratio in NOISE_RATIOS), np.full(len(power), level)]
+    best = min(shapes, key=minus_log_likelihood)
+    return np.asarray(best * scale(best))
 
 
-def _pairs(shape: Array) -> Array:
-    return np.asarray(0.5 * (shape[1:] + shape[:-1]))
-
-
-def _scale(shown: Array, shape: Array) -> float:
-    return max(float(np.mean(shown / _pairs(shape))), float(np.finfo(np.float64).tiny))
-
-
-def _surprise(shown: Array, shape: Array) -> float:
-    """Minus twice the mean log likelihood of squared complex differences, the scale eliminated."""
-    return float(np.mean(np.log(_pairs(shape)))) + float(np.log(_scale(shown, shape)))
-
-
-def standing_alone(residual: ComplexArray, variance: Array) -> NDArray[np.bool_]:
-    """Tell the single lines that stand out from a model and from both of their neighbours."""
+def _outliers(residual: ComplexArray, variance: Array) -> NDArray[np.bool_]:
+    """Return the single lines that stand out from the model and from both of their neighbours."""
     size = np.abs(residual) / np.sqrt(variance)
-    size = size / max(float(np.median(size)) / np.sqrt(np.log(2.0)), 1e-300)
-    beside = np.pad(size, 1, mode="reflect")
-    calm = (beside[:-2] < BESIDE) & (beside[2:] < BESIDE)
-    return np.asarray((size > ALONE) & calm)
+    size = size / max(float(np.median(size)) / np.sqrt(np.log(2.0)), TINY)
+    padded = np.pad(size, 1, mode="reflect")
+    is_alone = (padded[:-2] < NEIGHBOUR) & (padded[2:] < NEIGHBOUR)
+    return np.asarray((size > OUTLIER) & is_alone)

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from piezoid.identification.dynamics.fit_dynamics import Declaration
 from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.modal_basis import Filter, Structure
+from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
 from piezoid.identification.dynamics.periodic_estimate import PeriodicData
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns

@@ -7,7 +7,7 @@ import pytest
 
 import piezoid_datasets
 from piezoid.identification.dynamics.axis_dynamics import fit_axis_dynamics, with_dynamics
-from piezoid.identification.dynamics.behind_hysteresis import excites_dynamics
+from piezoid.identification.dynamics.excitation import excites_dynamics
 from piezoid.identification.fit import rig_of
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.model import AxisModel

@@ -7,19 +7,9 @@ import numpy as np
 import pytest
 
 from piezoid.errors import IdentificationError
-from piezoid.identification.dynamics.fit_dynamics import (
-    Declaration,
-    _start_shape,
-    _trial_delays,
-    exchange_modes,
-    fit_dynamics,
-)
-from piezoid.identification.dynamics.maximum_likelihood import (
-    maximise_likelihood,
-    resolved_modes,
-)
+from piezoid.identification.dynamics.fit_dynamics import fit_dynamics, resolved_modes
 from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.modal_basis import Filter, Lines, Structure
+from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
 from piezoid.identification.dynamics.periodic_estimate import estimate_response
 from tests.identification.dynamics.stage import (
     DAMPING,
@@ -41,16 +31,6 @@ def test_without_noise_the_truth_comes_back(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(model.mode_damping, DAMPING, rtol=100 * EXACT)
     assert model.delay_s == pytest.approx(DELAY_S, rel=100 * EXACT)
     np.testing.assert_allclose(model.mode_gain_m_per_V, truth().mode_gain_m_per_V, rtol=1e-4)
-
-
-def test_the_search_begins_at_the_trial_delay_nearest_the_truth(rng: np.random.Generator) -> None:
-    measured = estimate_response(record(rng, noise_m=0.0))
-    start = _start_shape(measured, measured.weights(), STRUCTURE, DECLARATION)
-    trials_s = _trial_delays(measured, DECLARATION)
-    assert len(trials_s) > 2
-    assert start[-1] == trials_s[np.argmin(np.abs(trials_s - DELAY_S))]
-    found_Hz = np.exp(np.sort(start[: len(FREQUENCY_HZ)]))
-    np.testing.assert_allclose(found_Hz, FREQUENCY_HZ, rtol=0.1)
 
 
 def test_a_mode_that_is_not_there_is_not_called_resolved(rng: np.random.Generator) -> None:
@@ -156,25 +136,6 @@ def test_more_parameters_than_values_are_refused(rng: np.random.Generator) -> No
     narrow = estimate_response(record(rng)).band(600, 700)
     with pytest.raises(IdentificationError, match="usable real values"):
         fit_dynamics(narrow, Structure(modes=6, direct=True), DECLARATION)
-
-
-def test_two_modes_started_in_one_place_find_theirs(rng: np.random.Generator) -> None:
-    """Likelihood alone stays where it was put; the exchange moves the mode that is of no use."""
-    measured = estimate_response(record(rng, noise_m=5e-9))
-    lines = Lines(
-        frequency_Hz=measured.frequency_Hz,
-        sampling_rate_Hz=RATE_HZ,
-        hold="zero_order",
-        declared=DECLARATION.filters,
-    )
-    setting = (measured.response, measured.weights(), lines, STRUCTURE)
-    start = np.array([*np.log([600, 660, 0.03, 0.03]), DELAY_S])
-    stuck = maximise_likelihood(*setting, start)
-    expected = float(stuck.values)
-    moved = exchange_modes(*setting, stuck, expected)
-    assert stuck.cost > 100 * expected
-    assert moved.cost < 1.5 * expected
-    np.testing.assert_allclose(np.exp(np.sort(moved.shape[:2])), FREQUENCY_HZ, rtol=1e-4)
 
 
 def test_a_declared_filter_is_not_blamed_on_the_delay(rng: np.random.Generator) -> None:

@@ -1,6 +1,5 @@
 """The measured response: true on average, honest about noise, distortion and interference."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +9,6 @@ from scipy.signal import chirp
 from piezoid.errors import ExcitationError
 from piezoid.identification.dynamics import periodic_estimate
 from piezoid.identification.dynamics.behind_hysteresis import estimate_response_by_coherence
-from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.periodic_estimate import estimate_response
 from piezoid.operators.linear import sample
 from tests.identification.dynamics.stage import PERIOD, RATE_HZ, record, truth
@@ -130,13 +128,6 @@ def test_variances_rest_on_thirty_degrees_of_freedom_and_no_more_lines_than_that
 def test_one_realisation_of_one_period_is_refused(rng: np.random.Generator) -> None:
     with pytest.raises(ExcitationError, match="1 realisations of 1 periods for 1 inputs"):
         estimate_response(record(rng, realisations=1, periods=1))
-
-
-def test_the_record_survives_json(rng: np.random.Generator) -> None:
-    before = estimate_response(record(rng, inputs=("x", "y"), cubic=0.01))
-    after = FrequencyResponse.from_json(json.loads(json.dumps(before.to_json())))
-    for name, value in vars(before).items():
-        np.testing.assert_array_equal(getattr(after, name), value)
 
 
 def test_sampling_faster_than_the_stage_leaves_the_continuous_response() -> None:

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from piezoid.identification.dynamics.fit_dynamics import Declaration, fit_dynamics
+from piezoid.identification.dynamics.fit_dynamics import fit_dynamics
 from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.modal_basis import Structure
+from piezoid.identification.dynamics.modal_basis import Declaration, Structure
 from piezoid.identification.dynamics.periodic_estimate import PeriodicData, estimate_response
 
 BAND_HZ = (850.0, 1150.0)  # three modes; the whole band is the benchmark's

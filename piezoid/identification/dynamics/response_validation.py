@@ -1,0 +1,226 @@
+"""Validate a measured response against an axis, and put its dynamics into the axis' gain.
+
+A response is measured with small fast drives; the hysteresis is that of large slow ones. Their
+gains differ, and neither overrides the other; but a wrong unit, axis or sign makes them differ by
+more than ceramics do.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezoid.errors import ExcitationError, IdentificationError
+from piezoid.formatting import significant, with_unit
+from piezoid.identification.dynamics.behind_hysteresis import middle_slope_m_per_V
+from piezoid.identification.dynamics.frequency_response import FrequencyResponse
+from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.dynamics.modal_basis import Filter
+from piezoid.identification.dynamics.records import ResponseFit
+from piezoid.identification.dynamics.response_fit import FittedResponse, fit_response
+from piezoid.identification.model import AxisModel
+from piezoid.records.frequency_response import FrequencyResponseRecord
+
+# Small drives move soft ceramics by 0.5 to 1 of what large ones do, and the least slope of a large
+# loop is about theirs: a gain beyond twice the ends of the slopes has another reason.
+MAX_GAIN_RATIO = 2.0
+SAME_MODE = 0.1  # of itself: by so much amplitude and load move a mode between two measurements
+BELOW_MODE, ABOVE_BAND = 1.0 / 3.0, 2.0  # of a mode, of the lowest line: where gains compare
+MIN_MODE_SHARE = 0.1  # of the gain: a recording may not show a mode with less
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ValidatedResponse:
+    """A measured response as an axis uses it.
+
+    dynamics, measured, record  None where it is not used
+    remarks   sentences, the first with the result or the reason why it is not used
+    """
+
+    remarks: tuple[str, ...]
+    dynamics: LinearDynamics | None = None
+    measured: FrequencyResponse | None = None
+    record: ResponseFit | None = None
+
+
+def validate_response(
+    axis: AxisModel,
+    response: FrequencyResponseRecord,
+    declared: tuple[Filter, ...],
+    recorded: tuple[LinearDynamics, str] | None,
+) -> ValidatedResponse:
+    """Fit a measured response, and use it where it agrees with the axis.
+
+    axis      with its hysteresis
+    declared  poles of the rig
+    recorded  dynamics that a recording determines, and its name: where modes agree, the gain is
+              that of the recording; where they do not, the response is not used
+    """
+    try:
+        fit = fit_response(response, axis.axis, declared)
+    except (ExcitationError, IdentificationError) as refusal:
+        return ValidatedResponse(remarks=(f"{response.name} is not used: {refusal}",))
+    reason = _disagreement(axis, fit, recorded)
+    if reason:
+        return ValidatedResponse(remarks=(f"{response.name} is not used: {reason}",))
+    gain = float(fit.dynamics.static_gain_m_per_V[0, 0])
+    sign = 1 if gain * axis.polarity > 0.0 else -1
+    outliers = fit.measured.is_interference[:, 0]
+    record = ResponseFit(
+        name=response.name,
+        lines=len(outliers),
+        used=int((~fit.measured.is_rejected[:, 0]).sum()),
+        left_out_Hz=tuple(response.frequency_Hz[outliers].tolist()),
+        gain_m_per_V=abs(gain),
+        gain_ratio=abs(gain) / middle_slope_m_per_V(axis),
+        factor=float(sign),
+        noise_relative=fit.noise,
+        left_relative=fit.residual,
+        left_Hz=fit.residual_Hz,
+        slow=fit.slow,
+    )
+    least, greatest = axis.hysteresis.slope_sector_m_per_V
+    gains = (
+        f"Small quick drives move it by {with_unit(record.gain_m_per_V, 'm')}/V, "
+        f"{significant(record.gain_ratio)} times the middle of the hysteresis' slopes "
+        f"({with_unit(least, 'm')}/V to {with_unit(greatest, 'm')}/V): the hysteresis keeps its "
+        "own gain, and a controller is designed for both"
+    )
+    if recorded is not None:
+        factor = _gain_ratio(recorded[0], fit.dynamics)
+        record = record.scaled(factor)
+        gains += (
+            f"; {recorded[1]} shows the same mode, and the gain is its, "
+            f"{significant(factor)} times that of the response"
+        )
+    turned = "; its sign is turned to that of the recordings" if sign < 0 else ""
+    d = fit.dynamics
+    return ValidatedResponse(
+        remarks=(f"{response.name}, {_words(fit, record)}. {gains}{turned}",),
+        dynamics=replace(
+            d,
+            mode_gain_m_per_V=record.factor * d.mode_gain_m_per_V,
+            mode_rate_gain_m_s_per_V=record.factor * d.mode_rate_gain_m_s_per_V,
+            lag_gain_m_per_V=record.factor * d.lag_gain_m_per_V,
+            direct_gain_m_per_V=record.factor * d.direct_gain_m_per_V,
+            static_gain_std_m_per_V=abs(record.factor) * d.static_gain_std_m_per_V,
+        ),
+        measured=replace(fit.measured, response=sign * fit.measured.response),
+        record=record,
+    )
+
+
+def _disagreement(
+    axis: AxisModel, fit: FittedResponse, recorded: tuple[LinearDynamics, str] | None
+) -> str:
+    """Return why a response is not used, empty where it is."""
+    if not fit.is_determined:
+        return (
+            f"no few modes follow it: {significant(100.0 * fit.residual, 2)} % of it are left at "
+            f"{with_unit(fit.residual_Hz, 'Hz')}, or the numbers of a mode are not known. "
+            "Measure more finely about each peak, or up to a lower frequency"
+        )
+    gain = abs(float(fit.dynamics.static_gain_m_per_V[0, 0]))
+    least, greatest = axis.hysteresis.slope_sector_m_per_V
+    if not least / MAX_GAIN_RATIO <= gain <= MAX_GAIN_RATIO * greatest:
+        return (
+            f"its gain is {with_unit(gain, 'm')}/V, the hysteresis' slopes are "
+            f"{with_unit(least, 'm')}/V to {with_unit(greatest, 'm')}/V: "
+            f"{significant(gain / middle_slope_m_per_V(axis))} times their middle. Another unit, "
+            "another axis, or volts in front of the amplifier: name them in lab.toml, a factor as "
+            "scale = { response = ... }"
+        )
+    if recorded is None:
+        return ""
+    mode_Hz, modes_Hz = _strongest_Hz(recorded[0]), fit.dynamics.mode_frequency_Hz
+    is_same = len(modes_Hz) and float(np.abs(np.log(modes_Hz / mode_Hz)).min()) < SAME_MODE
+    if mode_Hz and mode_Hz < fit.dynamics.band_Hz[1] and not is_same:
+        listed = ", ".join(with_unit(float(f), "Hz") for f in modes_Hz) or "none"
+        return (
+            f"{recorded[1]} has a mode at {with_unit(mode_Hz, 'Hz')}, where the response has none "
+            f"(its modes: {listed}). Another axis, load or stage"
+        )
+    return ""
+
+
+def _gain_ratio(recorded: LinearDynamics, measured: LinearDynamics) -> float:
+    """Return the gain of a recording over that of a response, where both were measured.
+
+    Not at rest: that lies below the band of a recording, where a lag may make anything of it.
+    """
+    low_Hz = max(
+        BELOW_MODE * _strongest_Hz(recorded),
+        ABOVE_BAND * recorded.band_Hz[0],
+        measured.band_Hz[0],
+    )
+    gains = [np.abs(dynamics.response([low_Hz])[0, 0, 0]) for dynamics in (recorded, measured)]
+    return float(gains[0] / gains[1])
+
+
+def _strongest_Hz(dynamics: LinearDynamics) -> float:
+    """Return the mode with the largest share of the gain; 0 where there is none."""
+    share = np.abs(dynamics.mode_gain_m_per_V[:, 0, 0])
+    gain = abs(float(dynamics.static_gain_m_per_V[0, 0]))
+    if not len(share) or share.max() < MIN_MODE_SHARE * gain:
+        return 0.0
+    return float(dynamics.mode_frequency_Hz[int(np.argmax(share))])
+
+
+def _words(fit: FittedResponse, record: ResponseFit) -> str:
+    """Return band, modes, delay and slope, with their 95 % intervals."""
+    dynamics = fit.dynamics
+    low_Hz, high_Hz = dynamics.band_Hz
+    rest = float(dynamics.static_gain_m_per_V[0, 0])
+    quality = 0.5 / dynamics.mode_damping_interval()[:, ::-1]
+    modes = [
+        f"a mode at {with_unit(f, 'Hz', 4)} ({_ends(ends, 'Hz', 5)}), quality "
+        f"{significant(0.5 / damping)} ({_ends(between, '')}), residue {with_unit(share, 'm')}/V "
+        f"({significant(100.0 * share / rest)} % of the gain at rest)"
+        for f, ends, damping, between, share in zip(
+            dynamics.mode_frequency_Hz.tolist(),
+            dynamics.mode_frequency_interval_Hz().tolist(),
+            dynamics.mode_damping.tolist(),
+            quality.tolist(),
+            dynamics.mode_gain_m_per_V[:, 0, 0].tolist(),
+            strict=True,
+        )
+    ]
+    lags = [
+        f"a pole at {with_unit(f, 'Hz')} ({_ends(ends, 'Hz')})"
+        for f, ends in zip(
+            dynamics.lag_frequency_Hz.tolist(),
+            dynamics.lag_frequency_interval_Hz().tolist(),
+            strict=True,
+        )
+    ]
+    left_out = f"{record.used} of {record.lines} lines used"
+    if record.left_out_Hz:
+        left_out += f", {len(record.left_out_Hz)} that stand alone among those left out"
+    return (
+        f"{with_unit(low_Hz, 'Hz')} to {with_unit(high_Hz, 'Hz')} ({left_out}): "
+        f"{', '.join(modes + lags)}; delay {with_unit(dynamics.delay_s, 's')} "
+        f"({_ends(dynamics.delay_interval_s(), 's')}); {_slope_words(fit)}"
+    )
+
+
+def _slope_words(fit: FittedResponse) -> str:
+    """Describe the response far below the first mode."""
+    slow = fit.slow
+    if slow is None:
+        return "too few lines lie far below the first mode to tell creep"
+    low, high = slow.slope_ci95
+    below = f"below {with_unit(slow.high_Hz, 'Hz')}"
+    if slow.falls:
+        return (
+            f"{below} the gain falls by {significant(-slow.slope_dB, 2)} dB per decade "
+            f"({_ends((-high, -low), '', 2)}), as of creep"
+        )
+    slope = f"{significant(slow.slope_dB, 2)} dB per decade ({_ends((low, high), '', 2)}) {below}"
+    if low <= 0.0 <= high:
+        return f"no creep is seen, {slope}"
+    return f"the gain changes by {slope}, which is no creep and was not taken out"
+
+
+def _ends(interval: Iterable[float], unit: str, digits: int = 3) -> str:
+    low, high = (with_unit(float(end), unit, digits) for end in interval)
+    return f"{low} to {high}"
