@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from piezoid.numerics.executor import Executor
     from piezoid.verification.criteria import Verdict
     from piezoid.verification.limit_proof import LimitProof
-    from piezoid.verification.proof import Proof
+    from piezoid.verification.rebuild import Proof
     from piezoid.verification.verification import ErrorBound, Verification
 
 CORE_Hz = 168e6  # a usual Cortex-M4F, to compare instructions with

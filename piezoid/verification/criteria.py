@@ -81,6 +81,15 @@ class Verdict:
         return self.value <= self.limit
 
 
+def worst_by_name(verdicts: Sequence[Verdict]) -> list[Verdict]:
+    """Return the verdict with the largest value of each name, in order of first appearance."""
+    worst: dict[str, Verdict] = {}
+    for verdict in verdicts:
+        if verdict.name not in worst or verdict.value > worst[verdict.name].value:
+            worst[verdict.name] = verdict
+    return list(worst.values())
+
+
 def describe_failure(verdict: Verdict) -> str:
     """Return what was found and what is allowed, in units that are read at a glance."""
 

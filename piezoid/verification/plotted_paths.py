@@ -1,4 +1,4 @@
-"""What a spiral looked like: a few hundred places with the error there, for a picture."""
+"""Paths as the report plots them: spirals, rasters and steps, thinned to a few hundred points."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,17 +12,21 @@ from piezoid.verification.scenarios import Path
 from piezoid.verification.tracking import Tracking, shape_error
 
 MOTION_POINTS = 1000  # of 0.8 s of steps: a loop of 350 Hz settles within three of them
-SHOWN = ("raster", "steps")  # kinds of scenarios; spirals are kept as ``SpiralTrace``
+MOTION_KINDS = ("raster", "steps")  # of scenarios plotted over time
+SPIRAL_POINTS = 300
+SPIRALS_Hz = (10.0, 100.0)  # compared spirals that are plotted
+UNCOMPENSATED = "none"  # method plotted beside the one that ships
+_DECIMALS = 12  # a picometre
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """One axis along one path, about the path's middle.
+    """One axis along one path, about the path's centre.
 
     scenario         its name
-    duration_s       from the first place to one step after the last
+    duration_s       of the path
     reference_m      (points,)
-    shipped_m        (points,)  position under what ships
+    shipped_m        (points,)  position under the controller that ships
     uncompensated_m  (points,)  under a static gain; empty where it was not run
     """
 
@@ -34,18 +38,12 @@ class Motion:
     uncompensated_m: tuple[float, ...]
 
 
-POINTS = 300
-TRACED_Hz = (10.0, 100.0)  # spirals of these frequencies are kept
-TRACED_BESIDE = "none"  # the method that is kept beside what ships
-_DECIMALS = 12  # a picometre
-
-
 @dataclass(frozen=True, kw_only=True)
 class SpiralTrace:
-    """Where a spiral went, about its middle, and how far its shape was wrong there.
+    """Positions on a spiral about its centre, and the shape error there.
 
     method, frequency_Hz   as in the comparison
-    axes                   that moved; with one only, y is where a second one should have been
+    axes                   that moved; with a single axis, y is the path of the missing one
     x_m, y_m               (points,)
     shape_error_m          (points,)  distance from the path after the best common delay, rms from
                            this point to the next
@@ -59,36 +57,32 @@ class SpiralTrace:
     shape_error_m: tuple[float, ...]
 
 
-def is_traced(method: str, shipped: str, frequency_Hz: float) -> bool:
-    """Return whether this run is kept for a picture."""
-    return method in (shipped, TRACED_BESIDE) and frequency_Hz in TRACED_Hz
-
-
-def trace_of(
+def spiral_trace(
     method: str,
-    found: Tracking,
-    reference: Mapping[str, Array],
-    position: Mapping[str, Array],
+    tracking: Tracking,
+    records: Mapping[str, LoopRecord],
     *,
     path: Path,
+    centre_m: Mapping[str, float],
     radius_m: float,
     frequency_Hz: float,
-    sampling_rate_Hz: float,
 ) -> SpiralTrace:
-    """Thin one run, (samples,) by axis about the path's middle, to ``POINTS`` places."""
-    axes = tuple(reference)
-    wanted = np.stack([reference[axis] for axis in axes])
-    moved = np.stack([position[axis] for axis in axes])
-    error = shape_error(wanted, moved, sampling_rate_Hz, found.delay_s)
-    starts = np.unique(np.linspace(0, len(error), POINTS, endpoint=False).astype(np.intp))
-    second = moved[1] if len(axes) > 1 else radius_m * path.y
+    """Thin the run of one spiral, records by axis, to ``SPIRAL_POINTS`` positions."""
+    reference, position = (
+        np.stack([getattr(record, name) - centre_m[axis] for axis, record in records.items()])
+        for name in ("reference", "position")
+    )
+    rate_Hz = next(iter(records.values())).sampling_rate_Hz
+    error_m = shape_error(reference, position, rate_Hz, tracking.delay_s)
+    starts = _evenly(len(error_m), SPIRAL_POINTS)
+    second = position[1] if len(records) > 1 else radius_m * path.y
     return SpiralTrace(
         method=method,
         frequency_Hz=frequency_Hz,
-        axes=axes,
-        x_m=_rounded(moved[0][starts]),
+        axes=tuple(records),
+        x_m=_rounded(position[0][starts]),
         y_m=_rounded(second[starts]),
-        shape_error_m=_rounded(rms_from(starts, error)),
+        shape_error_m=_rounded(rms_from(starts, error_m)),
     )
 
 
@@ -98,37 +92,34 @@ def rms_from(starts: NDArray[np.intp], values: Array) -> Array:
     return np.asarray(np.sqrt(np.add.reduceat(values**2, starts) / counts))
 
 
-def _rounded(values: Array) -> tuple[float, ...]:
-    return tuple(np.round(values, _DECIMALS).tolist())
-
-
 def motions_of(
     scenario: str,
     shipped: Mapping[str, LoopRecord],
-    beside: Mapping[str, LoopRecord],
+    uncompensated: Mapping[str, LoopRecord],
     centre_m: Mapping[str, float],
-    rate_Hz: float,
 ) -> tuple[Motion, ...]:
-    """Thin the runs of one scenario to ``POINTS`` places, axis by axis."""
-    found = []
+    """Thin the runs of one scenario, by axis, to ``MOTION_POINTS`` positions."""
+    motions = []
     for axis, record in shipped.items():
-        count = len(record.reference)
-        at = np.unique(np.linspace(0, count, MOTION_POINTS, endpoint=False).astype(np.intp))
-        other = beside.get(axis)
-        found.append(
+        count, centre = len(record.reference), centre_m[axis]
+        at = _evenly(count, MOTION_POINTS)
+        other = uncompensated.get(axis)
+        motions.append(
             Motion(
                 scenario=scenario,
                 axis=axis,
-                duration_s=count / rate_Hz,
-                reference_m=_about(record.reference[at], centre_m[axis]),
-                shipped_m=_about(record.position[at], centre_m[axis]),
-                uncompensated_m=()
-                if other is None
-                else _about(other.position[at], centre_m[axis]),
+                duration_s=count / record.sampling_rate_Hz,
+                reference_m=_rounded(record.reference[at] - centre),
+                shipped_m=_rounded(record.position[at] - centre),
+                uncompensated_m=() if other is None else _rounded(other.position[at] - centre),
             )
         )
-    return tuple(found)
+    return tuple(motions)
 
 
-def _about(values_m: Array, centre_m: float) -> tuple[float, ...]:
-    return tuple(np.round(values_m - centre_m, _DECIMALS).tolist())
+def _evenly(count: int, points: int) -> NDArray[np.intp]:
+    return np.unique(np.linspace(0, count, points, endpoint=False).astype(np.intp))
+
+
+def _rounded(values: Array) -> tuple[float, ...]:
+    return tuple(np.round(values, _DECIMALS).tolist())

@@ -16,7 +16,6 @@ from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Controller
 from piezoid.runtime.library import PRECISIONS
-from piezoid.verification.proof import Proof
 
 SAMPLES = 6000  # of each axis, the first 1000 of them an ordinary day's
 _HOSTILE = (np.nan, np.inf, -np.inf, 0.0, -0.0, 1e30, -1e30, 1e-42)
@@ -39,6 +38,35 @@ _EMULATED = (
     *("-display", "none", "-serial", "none", "-monitor", "none"),
     *("-semihosting-config", "enable=on,target=native", "-kernel", "replay.elf"),
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proof:
+    """One build of the bundle, stepped through the same inputs as the packaged library.
+
+    build                    compiler, flags and precision, or why nothing was built
+    is_built                 False: no compiler or emulator here, nothing is said
+    samples                  steps compared, of all axes together
+    differing                steps whose voltage or status was not the same in every bit
+    instructions_per_sample  by axis, mean; empty where they were not counted
+    most_instructions        of any sample, by axis, hostile ones included; likewise
+    stack_bytes              deepest stack of a step, None where it was not measured
+    state_bytes              of one axis, None likewise
+    """
+
+    build: str
+    is_built: bool
+    samples: int = 0
+    differing: int = 0
+    instructions_per_sample: dict[str, float] | None = None
+    most_instructions: dict[str, int] | None = None
+    stack_bytes: int | None = None
+    state_bytes: int | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing differed; a build that was not made is no failure."""
+        return not self.is_built or (self.samples > 0 and self.differing == 0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""What may happen to a tip: the tuple TIP_TRIALS, run on the junction with a surface in metres.
+"""Faults of a tunnelling tip: the tuple TIP_TRIALS, run on the junction above a surface.
 
 The tip's extension z and the surface's height h are followed beside the current, so that a tip in
 the surface is seen even where the amplifier is full. A tip is
@@ -21,22 +21,22 @@ from piezoid.verification import criteria
 from piezoid.verification.closed_loop import Fault, LoopRecord
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.plant import AxisPlant, Junction
-from piezoid.verification.scenario_runner import Run, ScenarioRunner
+from piezoid.verification.scenario_runner import AxisRun, ScenarioRunner
 from piezoid.verification.scenarios import Path, Scenario
 from piezoid.verification.verification import CurrentRow
 
 _WAVES = 40
 
 _ROUGHNESS_m = 0.1e-9
-_WAVELENGTH = 0.5  # of the radius, the surface's shortest
-_WITHOUT_PATH_m = 1e-6  # radius a tip is given that has no lateral axes
+_WAVELENGTH = 0.5  # shortest of the surface, as a part of the radius
+_DEFAULT_RADIUS_m = 1e-6  # of the path of a tip without lateral axes
 
-_AT_s = 0.1  # when it happens; before, the loop settles
-_SEEN_s = 1e-4  # a fault of the sensor begins so much after the surface moved: two samples see it
-_FULL = 1.1  # of the ceiling: where an amplifier is full, if the converter does not end before
-_OFFSET_A = 3e-12  # what a good transimpedance amplifier shows without a current
-_LATCHED_AFTER_s = 1.0  # a fault that stays has latched by then
-_WAY = 0.9  # of the drive's range, the most an approach is begun from
+_EVENT_s = 0.1  # when the trial begins; before, the loop settles
+_SEEN_s = 1e-4  # from a step of the surface to the fault of the sensor: two samples see the step
+_SATURATION = 1.1  # of the ceiling: where the amplifier saturates, unless the converter does first
+_OFFSET_A = 3e-12  # of a good transimpedance amplifier
+_LATCHED_AFTER_s = 1.0  # a permanent fault has latched by then
+_MAX_APPROACH = 0.9  # of the drive's range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,48 +64,49 @@ class RoughSurface:
 
 
 def judge_tips(
-    bench: ScenarioRunner, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
+    runner: ScenarioRunner, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
 ) -> None:
     """Judge every tip while the stage moves it over a rough surface."""
-    for name, record in run_tips(bench, path, records, bench.plants).items():
-        response = _junction(bench.plants[name])
-        verdicts = criteria.current_verdicts(scenario.name, record, bench.limits)
-        bench.currents.append(
+    for name, record in run_tips(runner, path, records, runner.plants).items():
+        junction = _junction(runner.plants[name])
+        verdicts = criteria.current_verdicts(scenario.name, record, runner.limits)
+        runner.currents.append(
             CurrentRow(
                 scenario=scenario.name,
                 ln_current_std=verdicts[0].value,
-                height_rms_m=verdicts[0].value / response.decay_per_m,
-                largest_ratio=float(record.position.max()) / response.current_A,
+                height_rms_m=verdicts[0].value / junction.decay_per_m,
+                largest_ratio=float(record.position.max()) / junction.current_A,
                 retracted_samples=int(verdicts[1].value),
             )
         )
-        if scenario.frequency_Hz <= bench.limits.judged_Hz:
-            bench.verdicts.extend(verdicts)
+        if scenario.frequency_Hz <= runner.limits.judged_Hz:
+            runner.verdicts.extend(verdicts)
 
 
 def run_tips(
-    bench: ScenarioRunner,
+    runner: ScenarioRunner,
     path: Path,
     records: Mapping[str, LoopRecord],
     plants: Mapping[str, AxisPlant],
 ) -> dict[str, LoopRecord]:
-    """Let every tip regulate its current where the lateral axes took it."""
-    radius_m = bench.radius_m or _WITHOUT_PATH_m
-    ways = [r.position - bench.centre_m[name] for name, r in records.items()]
-    ideal = [radius_m * path.x, radius_m * path.y]
+    """Run every tip above a rough surface, along the positions of the lateral axes."""
+    radius_m = runner.radius_m or _DEFAULT_RADIUS_m
+    positions_m = [r.position - runner.centre_m[name] for name, r in records.items()]
+    ideal_m = [radius_m * path.x, radius_m * path.y]
     surface = RoughSurface(rms_m=_ROUGHNESS_m, shortest_m=_WAVELENGTH * radius_m)
-    height_m = surface.height(*(*ways, *ideal[len(ways) :])[:2])
-    return bench.run([_over(bench, name, plants[name], height_m) for name in bench.tunnelling])
-
-
-def _over(bench: ScenarioRunner, name: str, plant: AxisPlant, height_m: Array) -> Run:
-    response = _junction(plant)
-    return Run(
-        axis=bench.file.axis(name),
-        plant=plant,
-        reference=np.full(len(height_m), response.current_A),
-        disturbance=response.decay_per_m * height_m,
-    )
+    height_m = surface.height(*(*positions_m, *ideal_m[len(positions_m) :])[:2])
+    runs = []
+    for name in runner.tunnelling:
+        junction = _junction(plants[name])
+        runs.append(
+            AxisRun(
+                axis=runner.file.axis(name),
+                plant=plants[name],
+                reference=np.full(len(height_m), junction.current_A),
+                disturbance=junction.decay_per_m * height_m,
+            )
+        )
+    return runner.run(runs)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,65 +176,65 @@ TIP_TRIALS: tuple[TipTrial, ...] = (
 )
 
 
-def judge_trials(bench: ScenarioRunner, trials: Sequence[TipTrial]) -> None:
-    """Run every trial on every tip; the worst of its runs is judged."""
-    for name in bench.tunnelling:
+def judge_trials(runner: ScenarioRunner, trials: Sequence[TipTrial]) -> None:
+    """Run every trial on every tip, and judge the worst of its runs."""
+    for name in runner.tunnelling:
         for trial in trials:
-            found = [
+            verdicts = [
                 verdict
                 for step_m in trial.steps_m
-                for verdict in _verdicts(bench, name, trial, step_m)
+                for verdict in _trial_verdicts(runner, name, trial, step_m)
             ]
-            for kind in dict.fromkeys(verdict.name for verdict in found):
-                same = [verdict for verdict in found if verdict.name == kind]
-                bench.verdicts.append(max(same, key=lambda verdict: verdict.value))
+            runner.verdicts.extend(criteria.worst_by_name(verdicts))
 
 
-def _verdicts(bench: ScenarioRunner, name: str, trial: TipTrial, step_m: float) -> list[Verdict]:
-    axis = bench.file.axis(name)
-    plant = _plant(bench.plants[name], axis, trial)
-    cause = trial.cause or _beyond_search(axis, plant, step_m)
-    reset_s = None if trial.cause or not cause else _AT_s + _LATCHED_AFTER_s
-    is_far = trial.away_m > 0.0 or reset_s is not None
-    allowed_s = bench.limits.approach_s if is_far else bench.limits.recovery_s
-    ends_s = 0.0 if trial.away_m else _AT_s + (0.0 if math.isinf(trial.fault_s) else trial.fault_s)
-    since_s = ends_s if reset_s is None else reset_s
-    seconds = since_s + (1.5 * _LATCHED_AFTER_s if trial.cause else 1.1 * allowed_s)
-    samples = round(seconds * bench.rate_Hz)
-    height_m = _height(bench, axis, plant, trial, step_m, samples)
+def _trial_verdicts(
+    runner: ScenarioRunner, name: str, trial: TipTrial, step_m: float
+) -> list[Verdict]:
+    axis, rate_Hz, limits = runner.file.axis(name), runner.rate_Hz, runner.limits
+    plant = _plant(runner.plants[name], axis, trial)
     junction = _junction(plant)
-    record = bench.run(
-        [
-            Run(
-                axis=axis,
-                plant=plant,
-                reference=np.full(samples, junction.current_A),
-                disturbance=-junction.decay_per_m * height_m,
-                fault=_fault(bench, trial, samples),
-                reset_at=None if reset_s is None else round(reset_s * bench.rate_Hz),
-            )
-        ]
-    )[name]
-    beyond_m = _beyond_m(record, junction, height_m, step_m)
-    found = [criteria.tip_distance_verdict(trial.name, beyond_m, bench.limits)]
+    cause = trial.cause or _lost_surface(axis, junction, step_m)
+    reset_s = None if trial.cause or not cause else _EVENT_s + _LATCHED_AFTER_s
+    is_far = trial.away_m > 0.0 or reset_s is not None
+    allowed_s = limits.approach_s if is_far else limits.recovery_s
+    fault_s = 0.0 if math.isinf(trial.fault_s) else trial.fault_s
+    ends_s = 0.0 if trial.away_m else _EVENT_s + fault_s
+    recovers_from_s = ends_s if reset_s is None else reset_s
+    duration_s = recovers_from_s + (1.5 * _LATCHED_AFTER_s if trial.cause else 1.1 * allowed_s)
+    samples = round(duration_s * rate_Hz)
+    height_m = _height(axis, junction, trial, step_m, np.arange(samples) / rate_Hz)
+    run = AxisRun(
+        axis=axis,
+        plant=plant,
+        reference=np.full(samples, junction.current_A),
+        disturbance=-junction.decay_per_m * height_m,
+        fault=_fault(trial, samples, rate_Hz),
+        reset_at=None if reset_s is None else round(reset_s * rate_Hz),
+    )
+    record = runner.run([run])[name]
+    extension_m = record.driven / junction.decay_per_m
+    closer_m = float(np.max(extension_m - extension_m[0] + height_m)) - max(step_m, 0.0)
+    verdicts = [criteria.tip_distance_verdict(trial.name, closer_m, limits)]
     if cause:
-        at_s = seconds if reset_s is None else reset_s
-        last = slice(round((at_s - 0.1) * bench.rate_Hz), round(at_s * bench.rate_Hz) - 1)
-        found.append(criteria.latch_verdict(trial.name, record.status[last], cause))
+        at_s = duration_s if reset_s is None else reset_s
+        last = slice(round((at_s - 0.1) * rate_Hz), round(at_s * rate_Hz) - 1)
+        verdicts.append(criteria.latch_verdict(trial.name, record.status[last], cause))
     if not trial.cause and trial.gain == 1.0:
-        after = np.log(record.position[round(since_s * bench.rate_Hz) :] / junction.current_A)
-        found.append(
-            criteria.recovery_verdict(trial.name, after, bench.rate_Hz, allowed_s, far=is_far)
+        nepers = np.log(record.position[round(recovers_from_s * rate_Hz) :] / junction.current_A)
+        verdicts.append(
+            criteria.recovery_verdict(trial.name, nepers, rate_Hz, allowed_s, far=is_far)
         )
-    return found
+    return verdicts
 
 
 def _plant(plant: AxisPlant, axis: AxisParameters, trial: TipTrial) -> AxisPlant:
-    """Return the junction behind an amplifier that fills up and has an offset."""
-    values, junction = axis.values, _junction(plant)
+    """Return the junction with an amplifier that saturates and has an offset."""
+    junction = _junction(plant)
+    saturation_A = _SATURATION * float(axis.values["current_ceiling_A"])
     low_A, high_A = plant.reading_range
-    full_A = _FULL * float(values["current_ceiling_A"])
-    high_A, low_A = min(high_A, full_A), max(low_A, -full_A)
+    low_A, high_A = max(low_A, -saturation_A), min(high_A, saturation_A)
+    far_V = float(axis.values["voltage_minimum_V"])
     return replace(
         plant,
         response=replace(
@@ -241,55 +242,38 @@ def _plant(plant: AxisPlant, axis: AxisParameters, trial: TipTrial) -> AxisPlant
         ),
         reading_range=(low_A, high_A),
         reading_zero=_OFFSET_A,
-        rest_voltage_V=_start_V(plant, axis, trial),
+        rest_voltage_V=far_V if trial.away_m else plant.rest_voltage_V,
     )
 
 
-def _start_V(plant: AxisPlant, axis: AxisParameters, trial: TipTrial) -> float:
-    return float(axis.values["voltage_minimum_V"]) if trial.away_m else plant.rest_voltage_V
-
-
-def _beyond_search(axis: AxisParameters, plant: AxisPlant, step_m: float) -> Status | None:
-    """Return the status a surface leaves that stepped away farther than it is searched for."""
-    search_V, junction = float(axis.values["search_voltage_V"]), _junction(plant)
-    found_m = float(axis.values["contact_log"]) / junction.decay_per_m
-    reach_m = search_V * junction.gain_nepers_per_V / junction.decay_per_m
-    is_beyond = search_V > 0.0 and -step_m - found_m > reach_m
-    return Status.NO_CURRENT if is_beyond else None
+def _lost_surface(axis: AxisParameters, junction: Junction, step_m: float) -> Status | None:
+    """Return the status after a step of the surface that exceeds the search range."""
+    search_V = float(axis.values["search_voltage_V"])
+    contact_m = float(axis.values["contact_log"]) / junction.decay_per_m
+    search_m = search_V * junction.gain_nepers_per_V / junction.decay_per_m
+    is_lost = search_V > 0.0 and -step_m - contact_m > search_m
+    return Status.NO_CURRENT if is_lost else None
 
 
 def _height(
-    bench: ScenarioRunner,
-    axis: AxisParameters,
-    plant: AxisPlant,
-    trial: TipTrial,
-    step_m: float,
-    count: int,
+    axis: AxisParameters, junction: Junction, trial: TipTrial, step_m: float, time_s: Array
 ) -> Array:
-    """Return the surface's height in every sample, m."""
-    time_s = np.arange(count) / bench.rate_Hz
+    """Return the height of the surface, (samples,) m."""
     height_m = trial.drift_m_per_s * time_s
-    height_m[round(_AT_s * bench.rate_Hz) :] += step_m
+    height_m[round(_EVENT_s / (time_s[1] - time_s[0])) :] += step_m
     if trial.away_m:
-        values, junction = axis.values, _junction(plant)
-        range_V = float(values["voltage_maximum_V"]) - float(values["voltage_minimum_V"])
-        range_m = range_V * junction.gain_nepers_per_V / junction.decay_per_m
-        height_m -= min(trial.away_m, _WAY * range_m)
+        low_V, high_V = (float(axis.values[f"voltage_{e}_V"]) for e in ("minimum", "maximum"))
+        range_m = (high_V - low_V) * junction.gain_nepers_per_V / junction.decay_per_m
+        height_m -= min(trial.away_m, _MAX_APPROACH * range_m)
     return height_m
 
 
-def _fault(bench: ScenarioRunner, trial: TipTrial, count: int) -> Array:
-    found = np.zeros(count)
-    begins = round((_AT_s + (_SEEN_s if any(trial.steps_m) else 0.0)) * bench.rate_Hz)
-    lasts = count if math.isinf(trial.fault_s) else round(trial.fault_s * bench.rate_Hz)
-    found[begins : begins + lasts] = trial.fault
-    return found
-
-
-def _beyond_m(record: LoopRecord, junction: Junction, height_m: Array, step_m: float) -> float:
-    """Return the largest c of a run, m; see the head of this file."""
-    extended_m = record.driven / junction.decay_per_m
-    return float(np.max(extended_m - extended_m[0] + height_m)) - max(step_m, 0.0)
+def _fault(trial: TipTrial, samples: int, rate_Hz: float) -> Array:
+    fault = np.zeros(samples)
+    begins = round((_EVENT_s + (_SEEN_s if any(trial.steps_m) else 0.0)) * rate_Hz)
+    lasts = samples if math.isinf(trial.fault_s) else round(trial.fault_s * rate_Hz)
+    fault[begins : begins + lasts] = trial.fault
+    return fault
 
 
 def _junction(plant: AxisPlant) -> Junction:

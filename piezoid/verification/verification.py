@@ -17,7 +17,7 @@ from piezoid.runtime.schema import METHODS
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.plotted_paths import Motion, SpiralTrace
-from piezoid.verification.proof import Proof
+from piezoid.verification.rebuild import Proof
 
 if TYPE_CHECKING:
     pass

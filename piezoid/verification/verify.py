@@ -1,13 +1,12 @@
-"""ParameterFile and plants in, Verification out."""
+"""Verify a parameter file: run every scenario on the plants, and judge the results."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from piezoid.export.bundle import source_digest
 from piezoid.export.parameter_file import ParameterFile, digest_of
 from piezoid.identification.coupled.coupled_stage import CoupledStage
-from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
 from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
@@ -15,17 +14,17 @@ from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.coupled_loop import coupling_rows, coupling_verdict
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.limit_proof import LimitProof
-from piezoid.verification.plant import AxisPlant, with_histories
+from piezoid.verification.plant import AxisPlant
 from piezoid.verification.plotted_paths import (
-    SHOWN,
-    TRACED_BESIDE,
+    MOTION_KINDS,
+    UNCOMPENSATED,
     Motion,
-    is_traced,
+    SPIRALS_Hz,
     motions_of,
-    trace_of,
+    spiral_trace,
 )
-from piezoid.verification.proof import Proof
-from piezoid.verification.scenario_runner import Run, ScenarioRunner, scenario_runner
+from piezoid.verification.rebuild import Proof
+from piezoid.verification.scenario_runner import ScenarioRunner, scenario_runner
 from piezoid.verification.scenarios import SCENARIOS, Path, Scenario
 from piezoid.verification.tip_trials import (
     TIP_TRIALS,
@@ -34,7 +33,7 @@ from piezoid.verification.tip_trials import (
     judge_trials,
     run_tips,
 )
-from piezoid.verification.tracking import Tracking, track
+from piezoid.verification.tracking import Tracking
 from piezoid.verification.verification import ComparisonRow, SpiralRow, Verification
 
 
@@ -53,49 +52,51 @@ def verify(
     lab_digest: str = "",
     coupled: CoupledStage | None = None,
 ) -> Verification:
-    """Run what ships against plants, scenario by scenario, and judge it.
+    """Run the exported controllers on plants, scenario by scenario, and judge the results.
 
-    file        what ships; alternatives it carries are compared
-    plants      one for every axis of the file
-    variations  further sets of plants, one of each axis, which the uncertainty allows as well
-    limits      by default those of ``Limits``
-    trials      what happens to every tip
-    proofs      builds that were compared, to stand in the same record
-    limit_proofs  what was proved of every input, likewise
-    seed        of every noise
-    threads     so many axes of a path run at once; what is found does not depend on it
+    Args:
+        file: exported parameters; alternatives it carries are compared
+        plants: one for every axis of the file
+        variations: further sets of plants, one of each axis, which the uncertainty allows
+        limits: by default those of ``Limits``
+        scenarios: what lateral axes, and tips above a surface, are made to do
+        trials: what happens to every tip
+        proofs: builds that were compared, for the record
+        limit_proofs: proofs over every input, for the record
+        seed: of every noise
+        threads: axes of a path that run at once; the result does not depend on it
+        lab_digest: of the lab.toml that declared plants and limits, for the record
+        coupled: coupling of the axes beyond what their plants contain; None: none
 
-    coupled     how the axes move each other, beside what their plants know; None: not at all
-    lab_digest  of the lab.toml that declared plants and limits, to stand in the record
-
-    Raises ``ParameterFileError`` for an axis without a plant.
+    Raises:
+        ParameterFileError: an axis has no plant
     """
-    bench = scenario_runner(file, plants, limits or Limits(), seed, Executor(threads=threads))
+    runner = scenario_runner(file, plants, limits or Limits(), seed, Executor(threads=threads))
     for scenario in scenarios:
+        path = scenario.path(runner.rate_Hz)
         if scenario.is_varied:
-            _run_varied(bench, scenario, variations)
-        elif scenario.fault is not None:
-            if bench.lateral:
-                _run_fault(bench, scenario)
-        else:
-            _run(bench, scenario)
-    judge_trials(bench, trials)
-    coupling = coupling_rows(bench, coupled)
+            _run_variations(runner, scenario, path, variations)
+        elif scenario.fault is None:
+            _run_scenario(runner, scenario, path)
+        elif runner.lateral:
+            _run_fault(runner, scenario, path)
+    judge_trials(runner, trials)
+    coupling = coupling_rows(runner, coupled)
     if coupling:
-        bench.verdicts.append(coupling_verdict(coupling, bench.limits.coupling_percent))
-    drawn = [plant for chosen in variations for plant in chosen]
-    shipped = {axis.axis: axis for axis in file.axes}
-    drive = criteria.voltage_range_verdict(bench.records, shipped)
+        runner.verdicts.append(coupling_verdict(coupling, runner.limits.coupling_percent))
+    axes = {axis.axis: axis for axis in file.axes}
+    voltage_range = criteria.voltage_range_verdict(runner.records, axes)
+    drawn = [plant for plants_of_set in variations for plant in plants_of_set]
     return Verification(
         name=file.name,
         methods={axis.axis: axis.method for axis in file.axes},
-        radius_m=bench.radius_m,
-        comparison=tuple(bench.comparison),
-        spirals=tuple(bench.spirals),
-        currents=tuple(bench.currents),
-        traces=tuple(bench.traces),
-        motions=tuple(_motions(bench, scenarios)),
-        verdicts=(drive, *bench.verdicts),
+        radius_m=runner.radius_m,
+        comparison=tuple(runner.comparison),
+        spirals=tuple(runner.spirals),
+        currents=tuple(runner.currents),
+        traces=tuple(runner.traces),
+        motions=_motions(runner, scenarios),
+        verdicts=(voltage_range, *runner.verdicts),
         proofs=tuple(proofs),
         limit_proofs=tuple(limit_proofs),
         plants=tuple(f"{plant.label}, axis {plant.axis}" for plant in (*plants, *drawn)),
@@ -106,235 +107,154 @@ def verify(
     )
 
 
-def references_of(bench: ScenarioRunner, path: Path) -> dict[str, Array]:
-    """Return where each lateral axis is to be: the first follows x, the next y."""
-    ways = (path.x, path.y)
-    return {
-        name: bench.centre_m[name] + bench.radius_m * ways[place % 2]
-        for place, name in enumerate(bench.lateral)
-    }
-
-
-def _lateral_runs(
-    bench: ScenarioRunner,
-    path: Path,
-    method: str | None = None,
-    plants: Mapping[str, AxisPlant] | None = None,
-    fault: Array | None = None,
-) -> dict[str, LoopRecord]:
-    """Run all lateral axes along a path, with what ships or one of its methods."""
-    runs = []
-    others = (path.y, path.x)  # what another axis is driven by, for motion that follows it
-    for place, (name, reference) in enumerate(references_of(bench, path).items()):
-        axis = bench.file.axis(name)
-        chosen = axis if method is None else axis.for_method(method)
-        plant = (plants or bench.plants)[name]
-        moved_m = plant.motion_m(len(reference), others[place % 2]) if plant.motions else None
-        run = Run(
-            axis=chosen,
-            plant=plant,
-            reference=reference,
-            disturbance=moved_m,
-            fault=fault,
-        )
-        runs.append(run)
-    return bench.run(runs)
-
-
-def _centred(
-    bench: ScenarioRunner, records: Mapping[str, LoopRecord]
-) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Return references and positions about the path's middle."""
-    return (
-        {name: r.reference - bench.centre_m[name] for name, r in records.items()},
-        {name: r.position - bench.centre_m[name] for name, r in records.items()},
-    )
-
-
-def _tracked(
-    bench: ScenarioRunner, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
-) -> Tracking:
-    """Compare what was run with the path."""
-    return track(
-        *_centred(bench, records),
-        path=path,
-        radius_m=bench.radius_m,
-        frequency_Hz=scenario.frequency_Hz,
-        sampling_rate_Hz=bench.rate_Hz,
-    )
-
-
-def _run(bench: ScenarioRunner, scenario: Scenario) -> None:
-    """Run what ships, the other methods where they are compared, and the tip over a surface."""
-    path = scenario.path(bench.rate_Hz)
+def _run_scenario(runner: ScenarioRunner, scenario: Scenario, path: Path) -> None:
+    """Run the lateral axes, all methods where they are compared, and the tip above a surface."""
     records: dict[str, LoopRecord] = {}
-    if scenario.is_compared and bench.lateral:
-        records = _compare(bench, scenario, path)
-    elif bench.lateral:
-        records = _lateral_runs(bench, path)
-        bench.shown[scenario.name] = records
-        _judge(bench, scenario, records, _tracked(bench, scenario, path, records))
+    if scenario.is_compared and runner.lateral:
+        records = _compare_methods(runner, scenario, path)
+    elif runner.lateral:
+        records = runner.run_path(path)
+        runner.single_runs[scenario.name] = records
+        _judge(runner, scenario, records, runner.track(scenario, path, records))
     if scenario.kind == "spiral":
-        judge_tips(bench, scenario, path, records)
+        judge_tips(runner, scenario, path, records)
 
 
-def _judge(
-    bench: ScenarioRunner,
-    scenario: Scenario,
-    records: Mapping[str, LoopRecord],
-    found: Tracking,
-) -> None:
-    if scenario.kind == "steps":  # which may use all the drive there is
-        for record in records.values():
-            bench.verdicts.extend(criteria.step_verdicts(scenario.name, record, bench.limits))
-        return
-    bench.verdicts.append(criteria.saturation_verdict(scenario.name, list(records.values())))
-    if scenario.frequency_Hz <= bench.limits.judged_Hz:
-        limit = bench.limits.aligned_percent
-        bench.verdicts.append(criteria.shape_verdict(scenario.name, found, bench.radius_m, limit))
-
-
-def _compare(bench: ScenarioRunner, scenario: Scenario, path: Path) -> dict[str, LoopRecord]:
-    """Run every method from every past, and keep the worst: what ships is judged by it too.
-
-    Returns the records of what ships.
-    """
-    pasts = _all_pasts(bench)
-    found: dict[str, Tracking] = {}
+def _compare_methods(
+    runner: ScenarioRunner, scenario: Scenario, path: Path
+) -> dict[str, LoopRecord]:
+    """Run every method from every history and judge the worst; return the runs of what ships."""
+    shipped_method, *_ = runner.methods()
     shipped: dict[str, LoopRecord] = {}
-    for method in bench.methods():
-        runs = [_lateral_runs(bench, path, method, plants) for plants in pasts]
-        each = [_tracked(bench, scenario, path, records) for records in runs]
-        worst = max(range(len(runs)), key=lambda k: each[k].rms_m)
-        found[method] = each[worst]
-        _trace(bench, scenario, path, runs[worst], method, found[method])
-        if not shipped:
-            shipped = runs[worst]
-            _judge(bench, scenario, shipped, found[method])
-    for method, numbers in found.items():
-        bench.comparison.append(
+    worst: dict[str, Tracking] = {}
+    for method in runner.methods():
+        runs = [runner.run_path(path, method, plants) for plants in runner.histories()]
+        tracked = [runner.track(scenario, path, records) for records in runs]
+        index = max(range(len(runs)), key=lambda k: tracked[k].rms_m)
+        worst[method] = tracked[index]
+        if scenario.frequency_Hz in SPIRALS_Hz and method in (shipped_method, UNCOMPENSATED):
+            runner.traces.append(
+                spiral_trace(
+                    method,
+                    tracked[index],
+                    runs[index],
+                    path=path,
+                    centre_m=runner.centre_m,
+                    radius_m=runner.radius_m,
+                    frequency_Hz=scenario.frequency_Hz,
+                )
+            )
+        if method == shipped_method:
+            shipped = runs[index]
+            _judge(runner, scenario, shipped, tracked[index])
+    for method, tracking in worst.items():
+        runner.comparison.append(
             ComparisonRow(
                 method=method,
                 frequency_Hz=scenario.frequency_Hz,
-                rms_m=numbers.rms_m,
-                rms_percent=numbers.rms_percent,
-                max_m=numbers.max_m,
-                aligned_rms_m=numbers.aligned_rms_m,
-                delay_s=numbers.delay_s,
+                rms_m=tracking.rms_m,
+                rms_percent=tracking.rms_percent,
+                max_m=tracking.max_m,
+                aligned_rms_m=tracking.aligned_rms_m,
+                delay_s=tracking.delay_s,
             )
         )
-        bench.spirals.append(
+        runner.spirals.append(
             SpiralRow(
                 method=method,
                 frequency_Hz=scenario.frequency_Hz,
-                radial_rms_m=numbers.radial_rms_m,
-                pitch_error=numbers.pitch_error,
+                radial_rms_m=tracking.radial_rms_m,
+                pitch_error=tracking.pitch_error,
             )
         )
-    first = bench.methods()[0]
-    if "none" in found and first != "none":
-        bench.verdicts.append(
-            criteria.improvement_verdict(scenario.name, found[first], found["none"])
+    if UNCOMPENSATED in worst and shipped_method != UNCOMPENSATED:
+        improvement = criteria.improvement_verdict(
+            scenario.name, worst[shipped_method], worst[UNCOMPENSATED]
         )
+        runner.verdicts.append(improvement)
     return shipped
 
 
-def _all_pasts(bench: ScenarioRunner) -> list[dict[str, AxisPlant]]:
-    """Return all plants by axis, as each past left them; each axis has as many as the most."""
-    by_axis = {name: with_histories(plant) for name, plant in bench.plants.items()}
-    count = max(len(pasts) for pasts in by_axis.values())
-    return [{name: p[k % len(p)] for name, p in by_axis.items()} for k in range(count)]
+def _judge(
+    runner: ScenarioRunner,
+    scenario: Scenario,
+    records: Mapping[str, LoopRecord],
+    tracking: Tracking,
+) -> None:
+    limits = runner.limits
+    if scenario.kind == "steps":  # which may use the whole range of the drive
+        for record in records.values():
+            runner.verdicts.extend(criteria.step_verdicts(scenario.name, record, limits))
+        return
+    runner.verdicts.append(criteria.saturation_verdict(scenario.name, list(records.values())))
+    if scenario.frequency_Hz <= limits.judged_Hz:
+        runner.verdicts.append(
+            criteria.shape_verdict(
+                scenario.name, tracking, runner.radius_m, limits.aligned_percent
+            )
+        )
 
 
-def _trace(
-    bench: ScenarioRunner,
+def _run_variations(
+    runner: ScenarioRunner,
     scenario: Scenario,
     path: Path,
-    records: Mapping[str, LoopRecord],
-    method: str,
-    found: Tracking,
+    variations: Sequence[Sequence[AxisPlant]],
 ) -> None:
-    """Keep what a picture of this run needs, if it is one of those shown."""
-    if not is_traced(method, bench.methods()[0], scenario.frequency_Hz):
-        return
-    kept = trace_of(
-        method,
-        found,
-        *_centred(bench, records),
-        path=path,
-        radius_m=bench.radius_m,
-        frequency_Hz=scenario.frequency_Hz,
-        sampling_rate_Hz=bench.rate_Hz,
-    )
-    bench.traces.append(kept)
-
-
-def _motions(bench: ScenarioRunner, scenarios: Sequence[Scenario]) -> Iterator[Motion]:
-    """Keep what pictures in time need; the static gain is run last and judges nothing."""
-    for scenario in scenarios:
-        if scenario.kind not in SHOWN or scenario.name not in bench.shown:
-            continue
-        beside = {}
-        if TRACED_BESIDE in bench.methods()[1:]:
-            beside = _lateral_runs(bench, scenario.path(bench.rate_Hz), TRACED_BESIDE)
-        shown = bench.shown[scenario.name]
-        yield from motions_of(scenario.name, shown, beside, bench.centre_m, bench.rate_Hz)
-
-
-def _run_varied(
-    bench: ScenarioRunner, scenario: Scenario, variations: Sequence[Sequence[AxisPlant]]
-) -> None:
-    """Judge the worst of the plants the uncertainty allows."""
-    path = scenario.path(bench.rate_Hz)
-    found: list[Verdict] = []
-    for chosen in variations:
-        plants = {**bench.plants, **{plant.axis: plant for plant in chosen}}
-        records = _lateral_runs(bench, path, plants=plants)
+    """Judge the worst of the plants that the uncertainty allows."""
+    verdicts: list[Verdict] = []
+    for drawn in variations:
+        plants = {**runner.plants, **{plant.axis: plant for plant in drawn}}
+        records = runner.run_path(path, plants=plants)
         if records:
-            numbers = _tracked(bench, scenario, path, records)
-            limit = bench.limits.varied_percent
-            found.append(criteria.shape_verdict(scenario.name, numbers, bench.radius_m, limit))
-        for record in run_tips(bench, path, records, plants).values():
-            found.extend(criteria.current_verdicts(scenario.name, record, bench.limits))
-    for name in dict.fromkeys(verdict.name for verdict in found):
-        same = [verdict for verdict in found if verdict.name == name]
-        bench.verdicts.append(max(same, key=lambda verdict: verdict.value))
+            tracking = runner.track(scenario, path, records)
+            limit = runner.limits.varied_percent
+            verdicts.append(
+                criteria.shape_verdict(scenario.name, tracking, runner.radius_m, limit)
+            )
+        for record in run_tips(runner, path, records, plants).values():
+            verdicts.extend(criteria.current_verdicts(scenario.name, record, runner.limits))
+    runner.verdicts.extend(criteria.worst_by_name(verdicts))
 
 
-def _run_fault(bench: ScenarioRunner, scenario: Scenario) -> None:
-    path = scenario.path(bench.rate_Hz)
+def _run_fault(runner: ScenarioRunner, scenario: Scenario, path: Path) -> None:
+    """Judge the axes while their sensors fail, for a time or for good."""
+    name, fault = scenario.name, scenario.fault_of(len(path.x), runner.rate_Hz)
     if np.isinf(scenario.fault_s):
-        _run_blind(bench, scenario, path)
+        records = runner.run_path(path, fault=fault)
+        verdicts = [
+            verdict
+            for record in _with_feedback(runner, records)
+            for verdict in criteria.hold_verdicts(name, record, len(path.x) // 2, runner.limits)
+        ]
+        runner.verdicts.extend(criteria.worst_by_name(verdicts))
         return
-    healthy = _tracked(bench, scenario, path, _lateral_runs(bench, path))
-    fault = scenario.fault_of(len(path.x), bench.rate_Hz)
-    records = _lateral_runs(bench, path, fault=fault)
+    healthy = runner.track(scenario, path, runner.run_path(path))
+    records = runner.run_path(path, fault=fault)
     error_m = np.sqrt(sum((r.position - r.reference) ** 2 for r in records.values()))
-    bench.verdicts.extend(
-        criteria.fault_verdicts(scenario.name, error_m, healthy, bench.radius_m, bench.limits)
+    runner.verdicts.extend(
+        criteria.fault_verdicts(name, error_m, healthy, runner.radius_m, runner.limits)
     )
     is_lost = scenario.fault is not None and np.isnan(scenario.fault)
     flag = Status.BAD_MEASUREMENT if is_lost else Status.STUCK_SENSOR
-    watching = [r for r in records.values() if _has_feedback(bench, r.axis)]
-    bench.verdicts.append(criteria.fault_reported_verdict(scenario.name, watching, flag))
+    watching = _with_feedback(runner, records)
+    runner.verdicts.append(criteria.fault_reported_verdict(name, watching, flag))
 
 
-def _run_blind(bench: ScenarioRunner, scenario: Scenario, path: Path) -> None:
-    """Judge the worst axis of a stage whose sensors never come back."""
-    fault = scenario.fault_of(len(path.x), bench.rate_Hz)
-    records = _lateral_runs(bench, path, fault=fault).values()
-    found = [
-        verdict
-        for record in records
-        if _has_feedback(bench, record.axis)
-        for verdict in criteria.hold_verdicts(
-            scenario.name, record, len(path.x) // 2, bench.limits
-        )
-    ]
-    for name in dict.fromkeys(verdict.name for verdict in found):
-        same = [verdict for verdict in found if verdict.name == name]
-        bench.verdicts.append(max(same, key=lambda verdict: verdict.value))
+def _with_feedback(runner: ScenarioRunner, records: Mapping[str, LoopRecord]) -> list[LoopRecord]:
+    methods = ("dob", "mpi_dob", "rst")
+    return [r for r in records.values() if runner.file.axis(r.axis).method in methods]
 
 
-def _has_feedback(bench: ScenarioRunner, axis: str) -> bool:
-    return bench.file.axis(axis).method in ("dob", "mpi_dob", "rst")
+def _motions(runner: ScenarioRunner, scenarios: Sequence[Scenario]) -> tuple[Motion, ...]:
+    """Return the motions that are plotted; the static gain is simulated for comparison only."""
+    motions: list[Motion] = []
+    for scenario in scenarios:
+        if scenario.kind not in MOTION_KINDS or scenario.name not in runner.single_runs:
+            continue
+        uncompensated = {}
+        if UNCOMPENSATED in runner.methods()[1:]:
+            uncompensated = runner.run_path(scenario.path(runner.rate_Hz), UNCOMPENSATED)
+        shipped = runner.single_runs[scenario.name]
+        motions += motions_of(scenario.name, shipped, uncompensated, runner.centre_m)
+    return tuple(motions)

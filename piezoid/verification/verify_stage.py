@@ -28,7 +28,7 @@ from piezoid.verification.plant import (
     lateral_plant,
     with_gain,
 )
-from piezoid.verification.proof import Proof
+from piezoid.verification.rebuild import Proof
 from piezoid.verification.verification import Verification
 from piezoid.verification.verify import verify
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.limit_proof import LimitProof
-from piezoid.verification.proof import Proof
+from piezoid.verification.rebuild import Proof
 from piezoid.verification.scenarios import spiral_speed_m_per_s
 from piezoid.verification.verification import ComparisonRow, ErrorBound, Verification
 from piezoid_reports.chart import Canvas, decades_over

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.verification.plotted_paths import POINTS, SpiralTrace
-from piezoid.verification.proof import Proof
+from piezoid.verification.plotted_paths import SPIRAL_POINTS, SpiralTrace
+from piezoid.verification.rebuild import Proof
 from piezoid.verification.scenarios import SCENARIOS
 from piezoid.verification.verification import (
     ErrorBound,
@@ -99,7 +99,7 @@ def test_what_failed_is_said_first(found: Verification) -> None:
 
 def test_spirals_are_kept_place_by_place_and_come_back(found: Verification) -> None:
     assert {trace.method for trace in found.traces} == {"mpi_dob", "none"}
-    assert all(len(trace.x_m) == POINTS for trace in found.traces)
+    assert all(len(trace.x_m) == SPIRAL_POINTS for trace in found.traces)
     assert verification_from_json(found.to_json()).traces == found.traces
     shipped = {row.method: row.aligned_rms_m for row in found.comparison}
     for trace in found.traces:

@@ -5,9 +5,9 @@ import pytest
 
 from piezoid.errors import ParameterFileError, RuntimeLibraryError
 from piezoid.export.bundle import bundle
-from piezoid.verification.proof import Proof
 from piezoid.verification.rebuild import (
     SAMPLES,
+    Proof,
     compare,
     emulate,
     expected_answers,

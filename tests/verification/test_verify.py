@@ -13,7 +13,7 @@ from piezoid.export.parameter_file import ParameterFile, digest_of
 from piezoid.runtime.controller import Status
 from piezoid.verification.criteria import Limits, fault_verdicts
 from piezoid.verification.plant import CustomResponse, with_gain
-from piezoid.verification.proof import Proof
+from piezoid.verification.rebuild import Proof
 from piezoid.verification.scenarios import SCENARIOS, Path
 from piezoid.verification.tip_trials import TIP_TRIALS
 from piezoid.verification.tracking import track
