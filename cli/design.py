@@ -59,7 +59,7 @@ def design(
 
     content = content_of(stage / "model.json")
     model = read_model(content, str(stage / "model.json"))
-    asked = None if spec is None else SpecificationText(text=text_of(spec), place=spec.name)
+    asked = None if spec is None else SpecificationText(text=text_of(spec), source=spec.name)
     check_folder(stage, force=force, names=("design.json", "design.html"))
     with shown(quiet=quiet or json) as told:
         found = design_stage(

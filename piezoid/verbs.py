@@ -215,7 +215,7 @@ def design(
     [('x', 'mpi_dob')]
     """
     place = None if specification is None else path_of(specification)
-    asked = None if place is None else SpecificationText(text=_text(place), place=place.name)
+    asked = None if place is None else SpecificationText(text=_text(place), source=place.name)
     return design_stage(
         model,
         model_digest=digest_of(model),

@@ -100,8 +100,8 @@ class Certificate:
         """
         if slew_m_per_s > self.reference_slew_m_per_s:
             return float(np.inf)
-        found_m = max((one.at(slew_m_per_s) for one in self.speed_bounds), default=np.inf)
-        return min(found_m, self.guaranteed_error_m)
+        bound_m = max((one.at(slew_m_per_s) for one in self.speed_bounds), default=np.inf)
+        return min(bound_m, self.guaranteed_error_m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,9 +168,9 @@ def certify(
         _speed_bound(m, R, S, filtered, path.preview_samples, bounds, operation) for m in members
     )
     slew_m_per_s = operation.reference_slew_m_per_s
-    place = max(range(len(members)), key=lambda k: speeds[k].at(slew_m_per_s))
-    worst = speeds[place]
-    converter_m = _converter_m(members[place], R, S, operation)
+    index = max(range(len(members)), key=lambda k: speeds[k].at(slew_m_per_s))
+    worst = speeds[index]
+    converter_m = _converter_m(members[index], R, S, operation)
     return Certificate(
         form=bounds.form,
         increment_gain=eps,
@@ -196,8 +196,8 @@ def impulse_response(numerator: ArrayLike, denominator: ArrayLike) -> Array:
     returned  (samples,); the length follows from the largest root, 1e-12 of it remains
     """
     radius = spectral_radius(np.asarray(denominator))
-    wanted = np.log(_TAIL) / np.log(radius) if 0.0 < radius < 1.0 else 0.0
-    count = int(min(max(2.0 * wanted, 500.0), _LONGEST))
+    samples = np.log(_TAIL) / np.log(radius) if 0.0 < radius < 1.0 else 0.0
+    count = int(min(max(2.0 * samples, 500.0), _LONGEST))
     impulse = np.zeros(count)
     impulse[0] = 1.0
     return recursive_filter(numerator, denominator, impulse)
@@ -224,7 +224,7 @@ def _speed_bound(
     operation: Operation,
 ) -> SpeedBound:
     P = closed_loop_polynomial(member, R, S)
-    late = total(delayed(P, preview), -product(filtered, member.B_position))
+    mismatch = total(delayed(P, preview), -product(filtered, member.B_position))
     by_size_m = peak_gain(product(member.B_position, S), P) * bounds.error_m / bounds.gain_m_per_V
     converter_m = _converter_m(member, R, S, operation)
     return SpeedBound(
@@ -232,7 +232,7 @@ def _speed_bound(
         steady_m=converter_m + _disturbed_m(member, R, S, P, operation.disturbances),
         hysteresis_m=by_size_m,
         hysteresis_s=_by_increments_s(member, R, S, filtered, P, bounds),
-        reference_s=peak_gain(without_difference(late), P) / member.sampling_rate_Hz,
+        reference_s=peak_gain(without_difference(mismatch), P) / member.sampling_rate_Hz,
     )
 
 

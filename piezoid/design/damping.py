@@ -67,11 +67,12 @@ def describe_obstacle(family: PlantFamily, bandwidth_Hz: float) -> str:
     if not must_damp(plant, bandwidth_Hz):
         return ""
     modes = [mode for mode in map(ringing_mode, family.members) if mode is not None]
-    found = [mode.frequency_Hz for mode in modes]
+    frequencies_Hz = [mode.frequency_Hz for mode in modes]
     return (
-        f"To get there the loop must damp the mode at {found[0]:.4g} Hz, damping "
-        f"{modes[0].damping:.3g}. It lies anywhere from {min(found):.4g} to {max(found):.4g} Hz, "
-        f"and {describe_delay(plant, modes[0])}, which the feedback must lead"
+        f"To get there the loop must damp the mode at {frequencies_Hz[0]:.4g} Hz, damping "
+        f"{modes[0].damping:.3g}. It lies anywhere from {min(frequencies_Hz):.4g} to "
+        f"{max(frequencies_Hz):.4g} Hz, and {describe_delay(plant, modes[0])}, which the feedback "
+        "must lead"
     )
 
 
@@ -118,8 +119,8 @@ def damped_mode(loop: LoopDesign) -> float | None:
         return None
     closed = np.linalg.eigvals(gains.A - np.outer(gains.B, gains.feedback_gain))
     s = np.log(closed[np.abs(closed) > _PAST]) * nominal.sampling_rate_Hz
-    near = s[np.abs(s) <= 1.5 * 2.0 * np.pi * mode.frequency_Hz]
-    return float((-near.real / np.abs(near)).min(initial=1.0))
+    nearby = s[np.abs(s) <= 1.5 * 2.0 * np.pi * mode.frequency_Hz]
+    return float((-nearby.real / np.abs(nearby)).min(initial=1.0))
 
 
 def raise_bandwidth(
@@ -152,24 +153,24 @@ def raise_bandwidth(
         default, templates=(*default.templates, _small_gain(family, certificate.increment_gain))
     )
 
-    def asked(bandwidth_Hz: float) -> Specification:
+    def at_bandwidth(bandwidth_Hz: float) -> Specification:
         return replace(guarded, bandwidth_Hz=bandwidth_Hz, scan_frequency_Hz=bandwidth_Hz / 10.0)
 
     low_Hz = base.recommended.bandwidth_Hz
     least_Hz = _WORTH * max(low_Hz, MODE_SHARE * mode.frequency_Hz)
-    nearest_Hz = _largest_Hz(family, asked, least_Hz, mode.frequency_Hz, form)
+    nearest_Hz = _largest_Hz(family, at_bandwidth, least_Hz, mode.frequency_Hz, form)
     for _ in range(_STEPS_DOWN):
         if nearest_Hz is None or nearest_Hz < least_Hz:
             break
         try:
-            found = design(asked(nearest_Hz))
+            candidate = design(at_bandwidth(nearest_Hz))
         except TemplateError:
             nearest_Hz *= _STEP_DOWN
             continue
-        proven = found.recommended.certificate
+        proven = candidate.recommended.certificate
         if proven is None or not proven.is_guaranteed:
             return base
-        return replace(found, loops=(found.recommended, *base.loops[1:]))
+        return replace(candidate, loops=(candidate.recommended, *base.loops[1:]))
     return base
 
 

@@ -62,8 +62,8 @@ def decoupling_of(coupled: CoupledStage, bandwidth_Hz: float) -> Decoupling:
     Raises ``DesignError`` where a drive does not move the displacement of its own axis.
     """
     gain = coupled.coupling_m_per_V
-    own = np.abs(np.diag(gain)) / np.linalg.norm(gain, axis=0)
-    for axis, share in zip(coupled.inputs, own, strict=True):
+    own_share = np.abs(np.diag(gain)) / np.linalg.norm(gain, axis=0)
+    for axis, share in zip(coupled.inputs, own_share, strict=True):
         if share < LEAST_OWN:
             raise DesignError(
                 f"axis {axis}: its drive moves its own displacement by {100 * share:.2g} % of "
@@ -88,7 +88,7 @@ def decoupling_of(coupled: CoupledStage, bandwidth_Hz: float) -> Decoupling:
 
 def _transmitted(response: ComplexArray) -> Array:
     """Return the largest |G_ij / G_jj| over frequencies, (outputs, inputs), 0 on the diagonal."""
-    own = np.abs(np.einsum("fjj->fj", response))
-    found = (np.abs(response) / own[:, None, :]).max(axis=0)
-    np.fill_diagonal(found, 0.0)
-    return np.asarray(found)
+    diagonal = np.abs(np.einsum("fjj->fj", response))
+    ratio = (np.abs(response) / diagonal[:, None, :]).max(axis=0)
+    np.fill_diagonal(ratio, 0.0)
+    return np.asarray(ratio)

@@ -136,8 +136,8 @@ class LoopDesign:
     @property
     def worst_delay_margin_s(self) -> float | None:
         """The smallest of the family; None if no delay destabilises any member."""
-        known = [m.delay_margin_s for m in self.margins if m.delay_margin_s is not None]
-        return min(known) if known else None
+        margins_s = [m.delay_margin_s for m in self.margins if m.delay_margin_s is not None]
+        return min(margins_s) if margins_s else None
 
     def to_scipy(self, part: str = "controller") -> "TransferFunction":
         """Return a part of the nominal loop S u = T r' - R y as ``scipy.signal.TransferFunction``.
@@ -264,10 +264,10 @@ LAYOUTS = (
 )
 
 
-def design_from_json(content: bytes, place: str = "design.json") -> Design:
+def design_from_json(content: bytes, source: str = "design.json") -> Design:
     """Read ``design.json`` back, exactly; a changed bit or another schema is refused."""
     remedy = "Design the controllers again with this version."
-    return read_sealed(Design, content, SCHEMA, place, remedy=remedy)
+    return read_sealed(Design, content, SCHEMA, source, remedy=remedy)
 
 
 def members_of(family: PlantFamily) -> tuple[Member, ...]:
@@ -294,13 +294,13 @@ def rejections(
 ) -> tuple[Rejection, ...]:
     """Return |Syp| at frequencies, nominal and worst of the family."""
     grid = np.array(frequency_Hz)
-    left = np.stack([np.abs(sensitivities(m, R, S, grid).Syp) for m in members])
-    worst = left.argmax(axis=0)
+    remaining = np.stack([np.abs(sensitivities(m, R, S, grid).Syp) for m in members])
+    worst = remaining.argmax(axis=0)
     return tuple(
         Rejection(
             frequency_Hz=f,
-            nominal=float(left[0, k]),
-            worst=float(left[worst[k], k]),
+            nominal=float(remaining[0, k]),
+            worst=float(remaining[worst[k], k]),
             worst_member=members[int(worst[k])].label,
         )
         for k, f in enumerate(frequency_Hz)
@@ -352,5 +352,5 @@ def to_control(loop: LoopDesign, part: str) -> Any:
 def _in_z(numerator: Array, denominator: Array) -> tuple[Array, Array]:
     """Bring coefficients in q^-1 to powers of z: both padded behind to one length."""
     length = max(len(numerator), len(denominator))
-    made = [np.pad(p, (0, length - len(p))) for p in (numerator, denominator)]
-    return made[0], made[1]
+    padded = [np.pad(p, (0, length - len(p))) for p in (numerator, denominator)]
+    return padded[0], padded[1]

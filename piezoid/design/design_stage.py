@@ -27,7 +27,7 @@ class SpecificationText:
     """What somebody asks for, over the defaults; the text and the name of ``design.toml``."""
 
     text: str = ""
-    place: str = "design.toml"
+    source: str = "design.toml"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,10 +95,10 @@ def design_stage(
     )
     if not outcomes:
         raise nothing_to_design(model)
-    found = design_of(outcomes, model_digest=model_digest, lab=lab, coupled=model.coupled)
+    design = design_of(outcomes, model_digest=model_digest, lab=lab, coupled=model.coupled)
     if (lab or Lab()).digest == (model.lab or ""):
-        return found
-    return replace(found, remarks=(*found.remarks, _edited(lab)))
+        return design
+    return replace(design, remarks=(*design.remarks, _edited(lab)))
 
 
 def design_axes(
@@ -119,8 +119,8 @@ def design_axes(
     if not tasks:
         return hindered
     defaults = {name: task.specification for name, task in tasks.items()}
-    wanted = asked or SpecificationText()
-    specifications = specifications_from_toml(wanted.text, defaults, place=wanted.place)
+    request = asked or SpecificationText()
+    specifications = specifications_from_toml(request.text, defaults, source=request.source)
     designed = []
     for name, task in tasks.items():
         progress(f"axis {name}: designing")
@@ -148,8 +148,10 @@ def design_of(
         raise next(iter([*refused.values(), *obstacles]))
     decoupling = None
     if coupled is not None:
-        own = [one for one in designed if one.axis in coupled.outputs]
-        bandwidths_Hz = [one.recommended.bandwidth_Hz for one in own]
+        coupled_axes = [
+            axis_design for axis_design in designed if axis_design.axis in coupled.outputs
+        ]
+        bandwidths_Hz = [axis_design.recommended.bandwidth_Hz for axis_design in coupled_axes]
         decoupling = decoupling_of(coupled, min(bandwidths_Hz, default=coupled.band_Hz[0]))
     remarks = () if decoupling is None else (decoupling.text,)
     unused = _unused(lab or Lab(), [outcome.axis for outcome in outcomes])
@@ -199,18 +201,18 @@ def without_damping(
     )
 
 
-def _outcome(name: str, task: _Task, wanted: Specification) -> AxisDesignResult:
+def _outcome(name: str, task: _Task, specification: Specification) -> AxisDesignResult:
     """Design exactly what somebody asks for; a default may give way in its bandwidth,
     and goes beyond it where damping a mode allows that.
     """
     try:
-        if wanted is not task.specification:
-            return AxisDesignResult(axis=name, design=task.design(wanted))
-        base = at_feasible_bandwidth(task.design, wanted)
-        found = task.raised(base, wanted)
+        if specification is not task.specification:
+            return AxisDesignResult(axis=name, design=task.design(specification))
+        base = at_feasible_bandwidth(task.design, specification)
+        design = task.raised(base, specification)
     except TemplateError as refusal:
         return AxisDesignResult(axis=name, refusal=refusal)
-    return AxisDesignResult(axis=name, design=found, slower=None if found is base else base)
+    return AxisDesignResult(axis=name, design=design, slower=None if design is base else base)
 
 
 def _tasks(
@@ -257,9 +259,9 @@ def _lateral_task(
 def _raised(name: str, task: LateralTask, base: AxisDesign, default: Specification) -> AxisDesign:
     """Return the axis with its recommended loop beyond a mode; loops to compare it with stay."""
     form = next(form for form in FORMS if form in task.families)
-    alone = replace(task, families={form: task.families[form]})
+    single_form = replace(task, families={form: task.families[form]})
     return raise_bandwidth(
-        base, task.families[form], default, partial(_lateral, name, alone), form=form
+        base, task.families[form], default, partial(_lateral, name, single_form), form=form
     )
 
 

@@ -148,7 +148,7 @@ def unmet(
     members: Sequence[Fraction], R: ArrayLike, S: ArrayLike, specification: Specification
 ) -> tuple[Violation, ...]:
     """Return everything the specification asks and some member does not reach, worst first."""
-    found = list(
+    violations_of_all = list(
         violations(
             members,
             R,
@@ -160,17 +160,17 @@ def unmet(
     )
     limit = specification.noise_limit_rms
     if limit is not None:
-        found += [
+        violations_of_all += [
             violation
             for violation in (_noise(member, R, S, specification, limit) for member in members)
             if violation.excess_dB > 0.0
         ]
-    return tuple(sorted(found, key=lambda violation: -violation.excess_dB))
+    return tuple(sorted(violations_of_all, key=lambda violation: -violation.excess_dB))
 
 
-def severity(found: tuple[Violation, ...]) -> float:
+def severity(violations: tuple[Violation, ...]) -> float:
     """Return by how many dB the worst limit is missed; 0 if none is."""
-    return found[0].excess_dB if found else 0.0
+    return violations[0].excess_dB if violations else 0.0
 
 
 def noise_rms(member: Fraction, R: ArrayLike, S: ArrayLike, specification: Specification) -> float:
@@ -193,13 +193,13 @@ def _noise(
     member: Fraction, R: ArrayLike, S: ArrayLike, specification: Specification, limit: float
 ) -> Violation:
     reached = margins(member, R, S)
-    found = noise_rms(member, R, S, specification) if reached.is_stable else 1e3 * limit
+    rms = noise_rms(member, R, S, specification) if reached.is_stable else 1e3 * limit
     return Violation(
         template="noise budget",
         member=member.label,
         frequency_Hz=0.5 * member.sampling_rate_Hz,
-        found=found,
+        found=rms,
         limit=limit,
         unit="rms",
-        excess_dB=float(decibel(found / limit)),
+        excess_dB=float(decibel(rms / limit)),
     )

@@ -236,13 +236,13 @@ def _refuse_instantaneous(plant: JunctionPlant, axis: str) -> None:
         )
 
 
-def _chain(plant: JunctionPlant, place: int) -> Chain:
-    said = (
+def _chain(plant: JunctionPlant, index: int) -> Chain:
+    description = (
         f"{plant.gain_nepers_per_V:.4g} nepers/V, sensor {1e-3 * plant.sensor_pole_Hz:.3g} kHz, "
         f"delay {1e6 * plant.delay_s:.3g} us"
     )
     return Chain(
-        label=said if place else f"nominal: {said}",
+        label=description if index else f"nominal: {description}",
         sampling_rate_Hz=plant.sampling_rate_Hz,
         gain=plant.gain_nepers_per_V,
         output_unit="1",
@@ -266,10 +266,10 @@ def design_vertical(
     ``TemplateError`` where neither meets it.
     """
     stopped, convex = _both(family, specification, taps)
-    found = _candidates(family, specification, stopped, convex)
-    feasible = [candidate for candidate in found if candidate.is_feasible]
+    candidates = _candidates(family, specification, stopped, convex)
+    feasible = [candidate for candidate in candidates if candidate.is_feasible]
     if not feasible:
-        _refuse(axis, family, specification, taps, found)
+        _refuse(axis, family, specification, taps, candidates)
     chosen = min(feasible, key=lambda candidate: candidate.figure)
     members, R, S = members_of(family), chosen.R, chosen.S
     T = np.array([R.sum()])
@@ -285,7 +285,7 @@ def design_vertical(
         margins=reached_margins(members, R, S),
         rejections=rejections(members, R, S, (*REPORTED_Hz, specification.bandwidth_Hz)),
         certificate=None,
-        candidates=_with_choice(found, chosen),
+        candidates=_with_choice(candidates, chosen),
         members=members,
     )
     return AxisDesign(

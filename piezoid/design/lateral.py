@@ -98,7 +98,7 @@ def design_lateral(
 def with_sector(family: PlantFamily, bounds: HysteresisBounds) -> PlantFamily:
     """Return the family with the nominal gain at both ends of the hysteresis' slope sector."""
     nominal = family.nominal
-    ends = [
+    members = [
         replace(
             nominal,
             label=f"slope x{slope:.3g}",
@@ -107,21 +107,21 @@ def with_sector(family: PlantFamily, bounds: HysteresisBounds) -> PlantFamily:
         )
         for slope in (bounds.slope_min, bounds.slope_max)
     ]
-    return PlantFamily(members=(*family.members, *ends))
+    return PlantFamily(members=(*family.members, *members))
 
 
 def _with_room(axis: str, plant: Plant, specification: Specification) -> Plant:
     """Return the plant with no more states than the runtime holds beside its oscillators."""
-    most = MAX_ORDER - 2 * len(specification.oscillation_Hz)
-    excess = len(plant.realised()[0]) - most
+    max_states = MAX_ORDER - 2 * len(specification.oscillation_Hz)
+    excess = len(plant.realised()[0]) - max_states
     if excess <= 0:
         return plant
     if excess < plant.delay_samples:
         return plant.with_late_pole(excess + 1)
     raise DesignError(
-        f"axis {axis}: at {plant.sampling_rate_Hz:g} Hz the plant has {most + excess} states, of "
-        f"which {plant.delay_samples} are delay",
-        needed=f"at most {most}, as many as the controller holds, a delay counted as one",
+        f"axis {axis}: at {plant.sampling_rate_Hz:g} Hz the plant has {max_states + excess} "
+        f"states, of which {plant.delay_samples} are delay",
+        needed=f"at most {max_states}, as many as the controller holds, a delay counted as one",
         remedy="Design with fewer resonant_harmonics, or fit fewer modes.",
     )
 
@@ -139,20 +139,20 @@ class _Request:
 
 def _lateral_loop(request: _Request, specification: Specification) -> LoopDesign:
     members = members_of(request.family)
-    found = [_tuned(request, specification, method) for method in _methods(request, specification)]
-    missed = [_missed(members, t, specification) for t in found]
+    tuned = [_tuned(request, specification, method) for method in _methods(request, specification)]
+    missed = [_missed(members, t, specification) for t in tuned]
     if all(missed):
         _refuse(request, members, specification, min(missed, key=severity))
-    chosen = min(
-        (k for k in range(len(found)) if not missed[k]),
-        key=lambda k: found[k].judgement.predicted_error,
+    best = min(
+        (k for k in range(len(tuned)) if not missed[k]),
+        key=lambda k: tuned[k].judgement.predicted_error,
     )
-    controller = linear_controller(found[chosen].observer)
+    controller = linear_controller(tuned[best].observer)
     R, S, T = controller.R, controller.S, controller.T
     path = fit_reference_path(members, R, S, T, band_Hz=specification.bandwidth_Hz)
     return LoopDesign(
         method=_LOOP_OF_FORM[request.form],
-        observer=found[chosen].observer,
+        observer=tuned[best].observer,
         bandwidth_Hz=specification.bandwidth_Hz,
         R=R,
         S=S,
@@ -163,8 +163,8 @@ def _lateral_loop(request: _Request, specification: Specification) -> LoopDesign
         rejections=rejections(members, R, S, (*REPORTED_Hz, specification.bandwidth_Hz)),
         certificate=_certified(request, controller, path, specification),
         candidates=tuple(
-            _candidate(t, is_chosen=k == chosen, is_feasible=not missed[k])
-            for k, t in enumerate(found)
+            _candidate(t, is_chosen=k == best, is_feasible=not missed[k])
+            for k, t in enumerate(tuned)
         ),
         members=members,
     )

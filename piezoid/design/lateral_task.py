@@ -132,9 +132,9 @@ class Unseen:
 def unseen(axis: AxisModel) -> Unseen:
     """Return from where on a mode of the axis would not be known."""
     modes_Hz = [e.frequency_Hz for e in axis.extensions if isinstance(e, LinearMode)]
-    found = axis.bandwidth
+    bandwidth = axis.bandwidth
     if axis.dynamics is not None or modes_Hz:
-        seen_Hz = 0.0 if found is None else found.highest_Hz
+        seen_Hz = 0.0 if bandwidth is None else bandwidth.highest_Hz
         if axis.dynamics is not None:
             seen_Hz = axis.dynamics.band_Hz[1]
         from_Hz = max(seen_Hz, *modes_Hz) if modes_Hz else seen_Hz
@@ -144,11 +144,11 @@ def unseen(axis: AxisModel) -> Unseen:
             known=f"above {from_Hz:.4g} Hz, where recordings no longer show the response, no mode "
             f"adds more to it than {FURTHER_MODE:g} times the gain at rest",
         )
-    if found is not None and found.stated_Hz is not None:
+    if bandwidth is not None and bandwidth.stated_Hz is not None:
         return Unseen(
-            from_Hz=found.stated_Hz / (1.0 + DECLARED_SPREAD),
+            from_Hz=bandwidth.stated_Hz / (1.0 + DECLARED_SPREAD),
             peak=FIRST_MODE,
-            known=f"the first mode lies at the {found.stated_Hz:.4g} Hz of the data sheet or "
+            known=f"the first mode lies at the {bandwidth.stated_Hz:.4g} Hz of the data sheet or "
             f"above, with at most {FIRST_MODE:g} times the gain at rest; no recording shows it",
         )
     return Unseen(
@@ -161,7 +161,7 @@ def unseen(axis: AxisModel) -> Unseen:
     )
 
 
-def _careful(axis: AxisModel, family: PlantFamily, asked: Specification) -> Specification:
+def _careful(axis: AxisModel, family: PlantFamily, default: Specification) -> Specification:
     """Return the default with a limit of the control effort beyond what is known.
 
     Small gain: where |Sup| stays below 1 / (peak gain), a mode that adds at most so many times
@@ -169,7 +169,7 @@ def _careful(axis: AxisModel, family: PlantFamily, asked: Specification) -> Spec
     """
     beyond, nyquist_Hz = unseen(axis), 0.5 * family.nominal.sampling_rate_Hz
     if not beyond.from_Hz < nyquist_Hz:
-        return asked
+        return default
     least_gain = min(abs(member.gain) for member in family.members)
     level_dB = -float(decibel(beyond.peak * least_gain))
     limit = Template(
@@ -178,12 +178,12 @@ def _careful(axis: AxisModel, family: PlantFamily, asked: Specification) -> Spec
         frequency_Hz=np.array([beyond.from_Hz, nyquist_Hz]),
         upper_dB=np.array([level_dB, level_dB]),
     )
-    bandwidth_Hz = min(asked.bandwidth_Hz, beyond.fastest_Hz or np.inf)
+    bandwidth_Hz = min(default.bandwidth_Hz, beyond.fastest_Hz or np.inf)
     return replace(
-        asked,
-        templates=(*asked.templates, limit),
+        default,
+        templates=(*default.templates, limit),
         bandwidth_Hz=bandwidth_Hz,
-        scan_frequency_Hz=min(asked.scan_frequency_Hz, bandwidth_Hz / 10.0),
+        scan_frequency_Hz=min(default.scan_frequency_Hz, bandwidth_Hz / 10.0),
     )
 
 
@@ -202,11 +202,11 @@ def plant_family(axis: AxisModel, rate_Hz: float) -> PlantFamily:
     gain = _middle_gain(axis)
     low, high = _gain_interval(axis, nominal)
     members = [_plant("nominal", nominal, gain * nominal.gain, rate_Hz)]
-    for label, slower, sharper, ends in _corners(axis):
-        moved = loop_model(at_corner(axis, slower, sharper), rate_Hz)
-        for way, factor in (("low", low), ("high", high))[-ends:]:
-            label_of = f"{way} gain, {label}"
-            members.append(_plant(label_of, moved, gain * moved.gain * factor, rate_Hz))
+    for label, slower, sharper, n_gains in _corners(axis):
+        corner = loop_model(at_corner(axis, slower, sharper), rate_Hz)
+        for end, factor in (("low", low), ("high", high))[-n_gains:]:
+            label_of = f"{end} gain, {label}"
+            members.append(_plant(label_of, corner, gain * corner.gain * factor, rate_Hz))
     return PlantFamily(members=tuple(members))
 
 
@@ -232,11 +232,11 @@ def _plant(label: str, loop: LoopModel, gain_m_per_V: float, rate_Hz: float) -> 
         # delay keeps already: neither could be moved without the other.
         quick = INSTANTANEOUS if loop.delay_s == 0.0 else _QUICK
         stage = cascade(stage, first_order(quick * rate_Hz))
-    whole = cascade(stage, loop.sensor)
-    system = sample(whole.A, whole.B[:, 0] * gain_m_per_V, whole.C[0], 1.0 / rate_Hz, loop.delay_s)
+    chain = cascade(stage, loop.sensor)
+    system = sample(chain.A, chain.B[:, 0] * gain_m_per_V, chain.C[0], 1.0 / rate_Hz, loop.delay_s)
     numerator, denominator = fraction(system)
-    shown = np.concatenate([stage.C[0], np.zeros(len(loop.sensor.A))])
-    position, _ = fraction(replace(system, C=shown))
+    position_row = np.concatenate([stage.C[0], np.zeros(len(loop.sensor.A))])
+    position, _ = fraction(replace(system, C=position_row))
     return Plant(
         label=label,
         sampling_rate_Hz=rate_Hz,
@@ -264,8 +264,8 @@ def _refuse_without_poles(axis: AxisModel, loop: LoopModel, rate_Hz: float) -> N
 
 
 def _middle_gain(axis: AxisModel) -> float:
-    least, greatest = axis.operator.slope_sector_m_per_V
-    return axis.polarity * 0.5 * (least + greatest)
+    lowest, greatest = axis.operator.slope_sector_m_per_V
+    return axis.polarity * 0.5 * (lowest + greatest)
 
 
 def _gain_interval(axis: AxisModel, loop: LoopModel) -> tuple[float, float]:
@@ -277,17 +277,17 @@ def _gain_interval(axis: AxisModel, loop: LoopModel) -> tuple[float, float]:
     reversible slope alone.
     """
     half = relative_gain_half(axis)
-    least, greatest = axis.operator.slope_sector_m_per_V
-    middle = 0.5 * (least + greatest)
-    reversible = least / middle if loop.activation[0] > 0.0 else 1.0
-    low = max(1.0 - half, least / middle) * min(reversible, loop.quick_gain, 1.0)
+    lowest, greatest = axis.operator.slope_sector_m_per_V
+    middle = 0.5 * (lowest + greatest)
+    reversible = lowest / middle if loop.activation[0] > 0.0 else 1.0
+    low = max(1.0 - half, lowest / middle) * min(reversible, loop.quick_gain, 1.0)
     return low, min(1.0 + half, greatest / middle) * max(loop.slow_gain, loop.quick_gain)
 
 
 def relative_gain_half(axis: AxisModel) -> float:
     """Return half the 95 % interval of the loading curve's end, relative to it."""
-    found = axis.uncertainty
-    return float(found.loading_half_m[-1] / abs(found.loading_m[-1]))
+    uncertainty = axis.uncertainty
+    return float(uncertainty.loading_half_m[-1] / abs(uncertainty.loading_m[-1]))
 
 
 def _bounds(axis: AxisModel, seed: int) -> dict[str, HysteresisBounds]:
@@ -301,12 +301,12 @@ def _bounds(axis: AxisModel, seed: int) -> dict[str, HysteresisBounds]:
         remainder_m=axis.certificate.bound_m,
         remainder_m_per_V=steepest_m_per_V,
     )
-    drawn = draw_replicates(axis, np.random.default_rng(seed))
+    replicates = draw_replicates(axis, np.random.default_rng(seed))
     bounds = {"affine": affine}
-    if len(drawn) >= FEWEST_REPLICATES:
+    if len(replicates) >= FEWEST_REPLICATES:
         bounds["inverse"] = inverse_bounds(
             axis.operator,
-            drawn,
+            replicates,
             reach_V,
             gain_m_per_V=affine.gain_m_per_V,
             remainder_m=axis.certificate.remainder_m,
@@ -319,9 +319,9 @@ def assumptions_of(axis: AxisModel) -> tuple[str, ...]:
     """Return what the family takes for granted, beside what the recordings showed."""
     declared = [axis.rig.amplifier_bandwidth_Hz, axis.rig.sensor_bandwidth_Hz]
     poles = ", ".join(f"{pole_Hz:g} Hz" for pole_Hz in declared if pole_Hz is not None)
-    known = (f"the declared poles ({poles}) are right to {100 * DECLARED_SPREAD:.0f} %",)
+    declared_poles = (f"the declared poles ({poles}) are right to {100 * DECLARED_SPREAD:.0f} %",)
     return (
-        *(known if poles else ()),
+        *(declared_poles if poles else ()),
         unseen(axis).known,
         f"the drive stays within {axis.voltage_V[0]:.4g} to {axis.voltage_V[1]:.4g} V, as in the "
         "recordings",

@@ -91,9 +91,9 @@ def _reached(
     steps: int,
 ) -> _Reached:
     voltage_V = np.linspace(-reach_V, reach_V, steps + 1)
-    own, low_m, high_m = _branches(model, voltage_V)
-    found = [_branches(truth, voltage_V) for truth in truths]
-    others = np.array([one[0] for one in found])
+    model_branches, low_m, high_m = _branches(model, voltage_V)
+    truth_branches = [_branches(truth, voltage_V) for truth in truths]
+    truth_rises = np.array([one[0] for one in truth_branches])
     tilted, none = 1.0 + _TILT, np.zeros(2)
     of_truth = np.concatenate([np.ones_like(tilted), -np.ones_like(tilted), none])
     of_model = np.concatenate([-tilted, tilted, [1.0, -1.0]])
@@ -104,11 +104,15 @@ def _reached(
     # the best of all histories so far that came to a voltage by rising, and by falling
     rising = np.full((len(truths), len(of_truth), steps + 1), -np.inf)
     falling = rising.copy()
-    falling[:, :, :1] = combined(np.array([[one[1]] for one in found]), np.array([low_m]))
-    rising[:, :, -1:] = combined(np.array([[one[2]] for one in found]), np.array([high_m]))
+    falling[:, :, :1] = combined(
+        np.array([[low] for _, low, _ in truth_branches]), np.array([low_m])
+    )
+    rising[:, :, -1:] = combined(
+        np.array([[high] for _, _, high in truth_branches]), np.array([high_m])
+    )
     for width in range(steps, 0, -1):
         below, above = slice(0, steps + 1 - width), slice(width, steps + 1)
-        branch = combined(others[:, width, below], own[width, below])
+        branch = combined(truth_rises[:, width, below], model_branches[width, below])
         up, down = falling[:, :, below] + branch, rising[:, :, above] - branch
         np.maximum(falling[:, :, below], down, out=falling[:, :, below])
         np.maximum(rising[:, :, above], up, out=rising[:, :, above])
@@ -150,14 +154,14 @@ def _errors(
         reached.most_m, share
     )
     y_m, slope = _through(model.dead_zones, h_m), (1.0 + _TILT)[:, None, None]
-    found = []
+    errors_m = []
     for k, truth in enumerate(truths):
         most_m = (reached.above_m[k][:, :, None] + slope * h_m).min(axis=0)
         least_m = (slope * h_m - reached.below_m[k][:, :, None]).max(axis=0)
         above = _through(truth.dead_zones, most_m) - y_m
         below = y_m - _through(truth.dead_zones, least_m)
-        found.append(max(float(above.max()), float(below.max())))
-    return np.array(found)
+        errors_m.append(max(float(above.max()), float(below.max())))
+    return np.array(errors_m)
 
 
 def _through(zones: DeadZones, h: Array) -> Array:

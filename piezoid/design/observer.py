@@ -215,8 +215,8 @@ class ObserverFrame:
         """Return the observer with this correction gain; see ``observer_with_gain``."""
         order = len(self.plant.state_matrix)
         A, B, C = self._realised
-        late = np.zeros(len(A) - order)
-        poles = np.concatenate([np.asarray(feedback_poles, dtype=np.complex128), late])
+        delay_poles = np.zeros(len(A) - order)
+        poles = np.concatenate([np.asarray(feedback_poles, dtype=np.complex128), delay_poles])
         K = self._feedback.gain(poles)
         state_gain, disturbance_gain = gain[:order], gain[order:]
         return DisturbanceObserver(
@@ -237,8 +237,8 @@ class ObserverFrame:
 
     @cached_property
     def _past(self) -> Array:
-        late = len(self._realised[0]) - len(self.plant.state_matrix)
-        return _past_outputs(self.disturbance, late)
+        delays = len(self._realised[0]) - len(self.plant.state_matrix)
+        return _past_outputs(self.disturbance, delays)
 
     @cached_property
     def _feedback(self) -> PlacementForm:

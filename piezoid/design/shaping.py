@@ -152,12 +152,12 @@ def _with_one_more(plant: Plant, grid: FamilyGrid, best: ShapedController) -> Sh
     return _best_placement(plant, grid, (*best.band_stops, stop))
 
 
-def _is_worth_its_order(better: ShapedController, best: ShapedController) -> bool:
+def _is_worth_its_order(extended: ShapedController, best: ShapedController) -> bool:
     """Two more coefficients in R, S and P must buy something."""
-    tightened_dB = max(best.excess_dB, 0.0) - max(better.excess_dB, 0.0)
+    tightened_dB = max(best.excess_dB, 0.0) - max(extended.excess_dB, 0.0)
     if abs(tightened_dB) > _LEAST_TIGHTENING_dB:
         return tightened_dB > 0.0
-    return better.rejection < _LEAST_GAIN * best.rejection
+    return extended.rejection < _LEAST_GAIN * best.rejection
 
 
 def _best_placement(
@@ -178,15 +178,15 @@ def _best_placement(
         worst = worst_place(grid, controller.R, controller.S)
         return float(np.log(worst.rejection)), worst.excess_dB
 
-    found = search(cost, lower, upper, starts)
-    controller = build(found.parameters)
+    result = search(cost, lower, upper, starts)
+    controller = build(result.parameters)
     worst = worst_place(grid, controller.R, controller.S)
     return ShapedController(
         controller=controller,
         dominant=Section(
-            frequency_Hz=float(np.exp(found.parameters[0])), damping=float(found.parameters[1])
+            frequency_Hz=float(np.exp(result.parameters[0])), damping=float(result.parameters[1])
         ),
-        auxiliary_root=float(found.parameters[2]),
+        auxiliary_root=float(result.parameters[2]),
         band_stops=band_stops,
         rejection=worst.rejection,
         excess_dB=worst.excess_dB,

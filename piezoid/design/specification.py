@@ -146,12 +146,12 @@ def slowest_Hz(plant: Plant) -> float:
 
 def rest_delay_s(plant: Plant) -> float:
     """Return the phase delay as the frequency goes to zero, B'(1)/B(1) - A'(1)/A(1)."""
-    late = [float(p @ np.arange(len(p)) / p.sum()) for p in (plant.B, plant.A)]
-    return (late[0] - late[1]) * plant.period_s
+    delays = [float(p @ np.arange(len(p)) / p.sum()) for p in (plant.B, plant.A)]
+    return (delays[0] - delays[1]) * plant.period_s
 
 
 def specifications_from_toml(
-    text: str, defaults: Mapping[str, Specification], *, place: str = "design.toml"
+    text: str, defaults: Mapping[str, Specification], *, source: str = "design.toml"
 ) -> dict[str, Specification]:
     """Read what ``design.toml`` asks for, one table per axis, over the defaults of the model.
 
@@ -168,39 +168,39 @@ def specifications_from_toml(
     try:
         tables = read_toml(text)
     except ValueError as fault:
-        raise _unusable(place, f"not TOML: {fault}", "correct TOML") from fault
+        raise _unusable(source, f"not TOML: {fault}", "correct TOML") from fault
     result = dict(defaults)
     for axis, table in tables.items():
         if axis not in defaults or not isinstance(table, dict):
-            known = ", ".join(sorted(defaults))
-            raise _unusable(place, f"[{axis}] is not an axis of this model", f"one of {known}")
+            names = ", ".join(sorted(defaults))
+            raise _unusable(source, f"[{axis}] is not an axis of this model", f"one of {names}")
         try:
-            result[axis] = _asked(defaults[axis], table, f"{place} [{axis}]")
+            result[axis] = _asked(defaults[axis], table, f"{source} [{axis}]")
         except (TypeError, OverflowError) as fault:
-            raise _unusable(place, f"[{axis}]: {fault}", "values of the right kind") from fault
+            raise _unusable(source, f"[{axis}]: {fault}", "values of the right kind") from fault
     return result
 
 
-def _asked(default: Specification, table: dict[str, Any], place: str) -> Specification:
+def _asked(default: Specification, table: dict[str, Any], source: str) -> Specification:
     values = dict(table)
-    further = tuple(_template(t, place) for t in values.pop("template", ()))
-    known = {f.name for f in fields(Specification)} - {"templates"}
+    further = tuple(_template(t, source) for t in values.pop("template", ()))
+    known_keys = {f.name for f in fields(Specification)} - {"templates"}
     for key, value in values.items():
-        if key not in known:
-            names = ", ".join(sorted(known))
-            raise _unusable(place, f"unknown key {short(key)}", f"one of {names}")
+        if key not in known_keys:
+            names = ", ".join(sorted(known_keys))
+            raise _unusable(source, f"unknown key {short(key)}", f"one of {names}")
         if key == "resonant_harmonics":
-            values[key] = _harmonics(value, place)
+            values[key] = _harmonics(value, source)
         elif not _is_number(value):
-            raise _unusable(place, f"{key} is {short(value)}", "a number in SI units")
+            raise _unusable(source, f"{key} is {short(value)}", "a number in SI units")
         elif key in ("bandwidth_Hz", "scan_frequency_Hz") and value > _FASTEST_Hz:
-            raise _unusable(place, f"{key} is {short(value)}", f"at most {_FASTEST_Hz:.0e} Hz")
+            raise _unusable(source, f"{key} is {short(value)}", f"at most {_FASTEST_Hz:.0e} Hz")
         elif key.endswith("_rms") and value > _LARGEST_rms:
-            raise _unusable(place, f"{key} is {short(value)}", f"at most {_LARGEST_rms:.0f}")
+            raise _unusable(source, f"{key} is {short(value)}", f"at most {_LARGEST_rms:.0f}")
     try:
         return replace(default, **values, templates=default.templates + further)
     except ValueError as fault:
-        raise _unusable(place, str(fault), "a value in its range") from fault
+        raise _unusable(source, str(fault), "a value in its range") from fault
 
 
 def _is_number(value: object) -> bool:
@@ -210,32 +210,34 @@ def _is_number(value: object) -> bool:
     return value == 0 or _SMALLEST <= abs(value) <= _LARGEST
 
 
-def _harmonics(value: object, place: str) -> tuple[int, ...]:
+def _harmonics(value: object, source: str) -> tuple[int, ...]:
     harmonics = value if isinstance(value, list) else [value]
     if not all(type(h) is int and 0 < h <= _LAST_HARMONIC for h in harmonics):
         found = f"resonant_harmonics is {short(value)}"
-        raise _unusable(place, found, f"a list of whole numbers from 1 to {_LAST_HARMONIC}")
+        raise _unusable(source, found, f"a list of whole numbers from 1 to {_LAST_HARMONIC}")
     if len(harmonics) > _MOST_HARMONICS:
         found = f"resonant_harmonics holds {len(harmonics)} numbers"
-        raise _unusable(place, found, f"at most {_MOST_HARMONICS}: an observer has no more states")
+        raise _unusable(
+            source, found, f"at most {_MOST_HARMONICS}: an observer has no more states"
+        )
     return tuple(harmonics)
 
 
-def _template(table: Any, place: str) -> Template:
+def _template(table: Any, source: str) -> Template:
     try:
-        found = Template(**table)
+        template = Template(**table)
     except (TypeError, ValueError) as fault:
         needed = f"name, function (one of {', '.join(FUNCTIONS)}), frequency_Hz, upper_dB"
-        raise _unusable(place, f"template: {fault}", needed) from fault
-    if not isinstance(found.name, str):
-        raise _unusable(place, f"template: name is {short(found.name)}", "a text")
-    if np.abs(found.upper_dB).max() > _LARGEST_dB or found.frequency_Hz[-1] > _LARGEST:
+        raise _unusable(source, f"template: {fault}", needed) from fault
+    if not isinstance(template.name, str):
+        raise _unusable(source, f"template: name is {short(template.name)}", "a text")
+    if np.abs(template.upper_dB).max() > _LARGEST_dB or template.frequency_Hz[-1] > _LARGEST:
         needed = f"within {_LARGEST_dB:.0f} dB and below {_LARGEST:.0e} Hz"
-        raise _unusable(place, f"template {short(found.name)} leaves what can be met", needed)
-    return found
+        raise _unusable(source, f"template {short(template.name)} leaves what can be met", needed)
+    return template
 
 
-def _unusable(place: str, found: str, needed: str) -> LabFileError:
+def _unusable(source: str, found: str, needed: str) -> LabFileError:
     return LabFileError(
-        f"{place}: {found}", needed=needed, remedy=f"Correct {place} and design again."
+        f"{source}: {found}", needed=needed, remedy=f"Correct {source} and design again."
     )

@@ -105,9 +105,9 @@ def _doubled(A: Array, G: Array, Q: Array) -> Array:
     for _ in range(_DOUBLINGS):
         inner = np.linalg.solve(np.eye(len(A)) + G @ P, np.hstack([A, G]))
         ahead, across = np.hsplit(inner, 2)
-        more = A.T @ P @ ahead
-        G, A, P = G + A @ across @ A.T, A @ ahead, P + more
-        if np.abs(more).max() <= _LAST_DIGIT * np.abs(P).max():
+        increment = A.T @ P @ ahead
+        G, A, P = G + A @ across @ A.T, A @ ahead, P + increment
+        if np.abs(increment).max() <= _LAST_DIGIT * np.abs(P).max():
             return np.asarray(P)
     raise np.linalg.LinAlgError(f"after {_DOUBLINGS} doublings it is still changing")
 
@@ -178,21 +178,21 @@ def tune_observer(
         chosen = dict(zip(names, np.exp(logarithms).tolist(), strict=True))
         return _observer(frame, specification, chosen, method)
 
-    found = search(
+    result = search(
         lambda x: _cost(grid, build, x),
         np.log([choice.lowest for choice in choices]),
         np.log([choice.highest for choice in choices]),
         [np.log(start) for start in zip(*(c.starts for c in choices), strict=True)],
         until_met=until_met,
     )
-    observer = build(found.parameters)
+    observer = build(result.parameters)
     R, S = feedback_polynomials(observer)
     return TunedObserver(
         method=method,
         observer=observer,
-        parameters=dict(zip(names, np.exp(found.parameters).tolist(), strict=True)),
+        parameters=dict(zip(names, np.exp(result.parameters).tolist(), strict=True)),
         judgement=judge(grid, R, S),
-        evaluations=found.evaluations,
+        evaluations=result.evaluations,
     )
 
 
@@ -213,15 +213,15 @@ def _placed_choices(plant: Plant) -> tuple[Choice, ...]:
     with a lightly damped mode. With such a mode a fourth leaves it nearly as it is.
     """
     f, highest = slowest_Hz(plant), 0.2 * plant.sampling_rate_Hz
-    least = _least_damping(plant)
-    gentle = 1 if least < LIGHT else 0
-    light = 3.0 * least
-    own, none = (1.0,) * gentle, (light,) * gentle
+    min_damping = _least_damping(plant)
+    gentle = 1 if min_damping < LIGHT else 0
+    light = 3.0 * min_damping
+    unchanged, none = (1.0,) * gentle, (light,) * gentle
     return (
-        _frequency("feedback_Hz", f, 0.5 * highest, (1.0, 1.0, 0.6, *own)),
-        _damping("feedback_damping", least, (0.9, 0.9, 1.0, *none)),
-        _frequency("observer_Hz", f, highest, (1.9, 1.2, 0.9, *own)),
-        _damping("observer_damping", least, (0.8, 0.8, 1.0, *none)),
+        _frequency("feedback_Hz", f, 0.5 * highest, (1.0, 1.0, 0.6, *unchanged)),
+        _damping("feedback_damping", min_damping, (0.9, 0.9, 1.0, *none)),
+        _frequency("observer_Hz", f, highest, (1.9, 1.2, 0.9, *unchanged)),
+        _damping("observer_damping", min_damping, (0.8, 0.8, 1.0, *none)),
         _frequency("disturbance_Hz", f, highest, (1.27, 0.5, 0.3, *(0.2,) * gentle)),
         *_mode_choices(plant, ("mode_damping", "mode_observer_damping"), 3 + gentle),
     )
@@ -254,11 +254,11 @@ def _damping_choices(plant: Plant) -> tuple[Choice, ...]:
 
 def _kalman_choices(plant: Plant) -> tuple[Choice, ...]:
     f, highest = slowest_Hz(plant), 0.2 * plant.sampling_rate_Hz
-    least = _least_damping(plant)
-    gentle = 1 if least < LIGHT else 0
+    min_damping = _least_damping(plant)
+    gentle = 1 if min_damping < LIGHT else 0
     return (
         _frequency("feedback_Hz", f, 0.5 * highest, (1.0, 0.6, *(1.0,) * gentle)),
-        _damping("feedback_damping", least, (0.9, 1.0, *(3.0 * least,) * gentle)),
+        _damping("feedback_damping", min_damping, (0.9, 1.0, *(3.0 * min_damping,) * gentle)),
         _variance("drift_ratio", (0.1, 1e-3, *(1e-4,) * gentle)),
         _variance("input_ratio", (1.0, 0.1, *(1e-3,) * gentle)),
         *_mode_choices(plant, ("mode_damping",), 2 + gentle),
@@ -277,8 +277,8 @@ def _least_damping(plant: Plant) -> float:
     return min(slowest_damping(plant), LIGHT)
 
 
-def _damping(name: str, least: float, starts: tuple[float, ...]) -> Choice:
-    return Choice(name=name, lowest=least, highest=1.6, starts=starts)
+def _damping(name: str, lowest: float, starts: tuple[float, ...]) -> Choice:
+    return Choice(name=name, lowest=lowest, highest=1.6, starts=starts)
 
 
 def _variance(name: str, starts: tuple[float, ...]) -> Choice:
@@ -292,34 +292,38 @@ def _frequency(name: str, f: float, highest: float, multiples: tuple[float, ...]
 
 
 def _observer(
-    frame: ObserverFrame, specification: Specification, chosen: dict[str, float], method: str
+    frame: ObserverFrame, specification: Specification, parameters: dict[str, float], method: str
 ) -> DisturbanceObserver:
     """Build one candidate from named parameters."""
     plant = frame.plant
-    feedback = Section(frequency_Hz=chosen["feedback_Hz"], damping=chosen["feedback_damping"])
+    feedback = Section(
+        frequency_Hz=parameters["feedback_Hz"], damping=parameters["feedback_damping"]
+    )
     choice = PoleChoice(
         feedback=feedback,
         observer=feedback,
         disturbance_Hz=feedback.frequency_Hz,
-        mode_damping=chosen.get("mode_damping", 0.0),
+        mode_damping=parameters.get("mode_damping", 0.0),
     )
     poles = feedback_poles(plant, choice)
     if method != "kalman":
-        observer = Section(frequency_Hz=chosen["observer_Hz"], damping=chosen["observer_damping"])
+        observer = Section(
+            frequency_Hz=parameters["observer_Hz"], damping=parameters["observer_damping"]
+        )
         choice = replace(
             choice,
             observer=observer,
-            disturbance_Hz=chosen["disturbance_Hz"],
-            mode_observer_damping=chosen.get("mode_observer_damping", 0.0),
+            disturbance_Hz=parameters["disturbance_Hz"],
+            mode_observer_damping=parameters.get("mode_observer_damping", 0.0),
         )
-        wanted = observer_poles(plant, choice, specification.oscillation_Hz)
-        return frame.placed(feedback_poles=poles, observer_poles=wanted)
+        poles_of_observer = observer_poles(plant, choice, specification.oscillation_Hz)
+        return frame.placed(feedback_poles=poles, observer_poles=poles_of_observer)
     unit = max(specification.sensor_noise_rms, 1e-12 * abs(plant.gain)) ** 2
     gain = kalman_gain(
         plant,
         frame.disturbance,
-        input_variance=chosen["input_ratio"] * unit / plant.gain**2,
-        drift_variance=chosen["drift_ratio"] * unit / plant.gain**2,
+        input_variance=parameters["input_ratio"] * unit / plant.gain**2,
+        drift_variance=parameters["drift_ratio"] * unit / plant.gain**2,
         sensor_variance=unit,
     )
     return frame.with_gain(gain.gain, feedback_poles=poles)

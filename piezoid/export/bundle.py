@@ -100,7 +100,7 @@ def source_digest() -> str:
 def bundle(file: ParameterFile) -> Bundle:
     """Return everything firmware needs for this parameter file; the same input, the same bytes."""
     digest = digest_of(file)
-    made = {
+    texts = {
         "piezo_params.h": c_header(file, digest),
         "golden.csv": golden_csv(file),
         "README.md": _README.format(
@@ -115,7 +115,7 @@ def bundle(file: ParameterFile) -> Bundle:
         ),
     }
     content = {name: runtime_source(name) for name in SHIPPED}
-    content.update({name: text.encode() for name, text in made.items()})
+    content.update({name: text.encode() for name, text in texts.items()})
     return Bundle(files=MappingProxyType(content), source_digest=source_digest())
 
 
@@ -143,26 +143,26 @@ are of the controllers, behind the matrix.
 
 def _decoupled(file: ParameterFile) -> str:
     """Say what stands in front of the controllers, if anything does."""
-    found = file.decoupled
-    if found is None:
+    decoupled = file.decoupled
+    if decoupled is None:
         return ""
-    names = [plain_ascii(axis) for axis in found.axes]
+    names = [plain_ascii(axis) for axis in decoupled.axes]
     return _DECOUPLED.format(
         names=", ".join(names),
         heads=" | ".join(names),
         rules=" | ".join("---" for _ in names),
         rows="\n".join(
             f"| {name} | {' | '.join(f'{value:.6g}' for value in row)} |"
-            for name, row in zip(names, found.matrix, strict=True)
+            for name, row in zip(names, decoupled.matrix, strict=True)
         ),
     )
 
 
-def _row(place: int, axis: AxisParameters) -> str:
+def _row(index: int, axis: AxisParameters) -> str:
     values = axis.values
     counts = [int(values[f"{name}_count"]) for name in ("play", "knot")]
     cells = (
-        *(axis.axis, place, axis.method, f"{float(values['sampling_rate_Hz']):g}"),
+        *(axis.axis, index, axis.method, f"{float(values['sampling_rate_Hz']):g}"),
         *(*counts, int(values["observer_order"])),
         " / ".join(f"{library(p).state_size} ({p})" for p in ("float", "double")),
     )
@@ -176,11 +176,11 @@ def golden_csv(file: ParameterFile) -> str:
     follows it late and with noise; some of either are no numbers.
     """
     lines = [",".join(COLUMNS)]
-    for place, axis in enumerate(file.axes):
-        reference, measured = golden_inputs(axis, np.random.default_rng(place))
+    for index, axis in enumerate(file.axes):
+        reference, measured = golden_inputs(axis, np.random.default_rng(index))
         answers = [_answers(axis, precision, reference, measured) for precision in PRECISIONS]
         rows = zip(reference, measured, *answers, strict=True)
-        lines.extend(f"{place},{_golden_row(row)}" for row in rows)
+        lines.extend(f"{index},{_golden_row(row)}" for row in rows)
     return "\n".join(lines) + "\n"
 
 
@@ -190,15 +190,15 @@ def golden_inputs(axis: AxisParameters, rng: np.random.Generator) -> tuple[Array
     returned  (SAMPLES,) and (SAMPLES,)  m, or A where the axis regulates a current
     """
     swing = np.sin(np.linspace(0, 8 * np.pi, SAMPLES)) * np.linspace(0.1, 1.0, SAMPLES)
-    late = np.r_[np.zeros(20), swing[:-20]] + rng.normal(0, 0.01, SAMPLES)
+    delayed = np.r_[np.zeros(20), swing[:-20]] + rng.normal(0, 0.01, SAMPLES)
     values = axis.values
     if axis.method == "rst":
         setpoint_A = float(values["current_reference_A"])
-        reference, measured = setpoint_A * np.exp(0.1 * swing), setpoint_A * np.exp(0.2 * late)
+        reference, measured = setpoint_A * np.exp(0.1 * swing), setpoint_A * np.exp(0.2 * delayed)
     else:
         low, high = float(values["reference_minimum_m"]), float(values["reference_maximum_m"])
         centre, half = (low + high) / 2, 0.45 * (high - low)
-        reference, measured = centre + half * swing, centre + half * late
+        reference, measured = centre + half * swing, centre + half * delayed
     reference[_LOST_REFERENCE] = np.nan
     measured[_LOST_MEASUREMENT] = np.nan
     return reference, measured

@@ -105,14 +105,14 @@ def export_stage(
 
 def _decoupled(design: Design, shipped: list[AxisParameters]) -> Decoupled | None:
     """Return the matrix in front of the controllers, where one of its axes ships."""
-    found = design.decoupling
-    if found is None or not {axis.axis for axis in shipped} & set(found.axes):
+    decoupling = design.decoupling
+    if decoupling is None or not {axis.axis for axis in shipped} & set(decoupling.axes):
         return None
-    return Decoupled(axes=found.axes, matrix=found.matrix)
+    return Decoupled(axes=decoupling.axes, matrix=decoupling.matrix)
 
 
 def _axis(model: ActuatorModel, design: AxisDesign, lab: Lab) -> AxisParameters:
-    asked = design.specification
+    specification = design.specification
     rate_Hz = design.recommended.members[0].sampling_rate_Hz
     if design.output_unit != "m":
         if model.tunnelling is None:
@@ -122,21 +122,22 @@ def _axis(model: ActuatorModel, design: AxisDesign, lab: Lab) -> AxisParameters:
                 remedy="Fit again with the recordings of the tip.",
             )
         loop = loop_plant_of(model.tunnelling)
-        return tunnelling_axis(design, tip_guards(lab, asked, rate_Hz, loop))
+        return tunnelling_axis(design, tip_guards(lab, specification, rate_Hz, loop))
     watch = {
         "blind_samples": max(round(_BLIND_s * rate_Hz), 1),
         "stuck_samples": max(round(_STUCK_s * rate_Hz), 1),
-        "stuck_voltage_V": _STUCK_SHARE * (asked.voltage_max_V - asked.voltage_min_V),
+        "stuck_voltage_V": _STUCK_SHARE
+        * (specification.voltage_max_V - specification.voltage_min_V),
     }
     return lateral_axis(model[design.axis], design, watch)
 
 
 def tip_guards(
-    lab: Lab, asked: Specification, rate_Hz: float, loop: LoopPlant
+    lab: Lab, specification: Specification, rate_Hz: float, loop: LoopPlant
 ) -> TunnellingGuards:
     """Return the guards of the tunnelling axis.
 
-    asked    its voltage limits
+    specification    its voltage limits
     rate_Hz  of the controller
     loop     the junction as it was identified: its gain, poles and delay bound the approach
 
@@ -148,12 +149,12 @@ def tip_guards(
     """
     reference_A, floor_A, ceiling_A = _currents(lab, loop)
     declared = lab.tunnelling
-    retract_V = asked.voltage_min_V if declared.retract_V is None else declared.retract_V
-    if not asked.voltage_min_V <= retract_V <= asked.voltage_max_V:
+    retract_V = specification.voltage_min_V if declared.retract_V is None else declared.retract_V
+    if not specification.voltage_min_V <= retract_V <= specification.voltage_max_V:
         raise _useless(
             lab,
             f"retract_V is {retract_V:g}",
-            f"a voltage from {asked.voltage_min_V:g} to {asked.voltage_max_V:g} V",
+            f"a voltage from {specification.voltage_min_V:g} to {specification.voltage_max_V:g} V",
         )
     room = min(math.log(reference_A / floor_A), math.log(ceiling_A / reference_A), _MOST_ROOM)
     bound = _MARGIN * room / reaction_samples(loop, rate_Hz)

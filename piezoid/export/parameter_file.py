@@ -182,16 +182,16 @@ def digest_of(file: ParameterFile) -> str:
     return str(json.loads(to_json(file))["digest"])
 
 
-def from_json(content: bytes, place: str) -> ParameterFile:
+def from_json(content: bytes, source: str) -> ParameterFile:
     """Read ``params.json`` back, bit for bit, or say why not.
 
     content  the file's bytes
-    place    its name, for the message
+    source    its name, for the message
 
     Raises ``ParameterFileError``: another schema version, one changed bit, a missing or unknown
     parameter, another unit, numbers the runtime cannot use.
     """
-    record = unseal(content, SCHEMA, place)
+    record = unseal(content, SCHEMA, source)
     try:
         axes = [
             (a["axis"], a["parameters"], [other["parameters"] for other in a["alternatives"]])
@@ -199,18 +199,18 @@ def from_json(content: bytes, place: str) -> ParameterFile:
         ]
         name, sources = str(record["name"]), _texts(record["sources"])
         unshipped = _texts(record.get("unshipped", {}))
-        held = record.get("decoupled")
-        decoupled = None if held is None else records_from_json(Decoupled, held)
+        decoupling = record.get("decoupled")
+        decoupled = None if decoupling is None else records_from_json(Decoupled, decoupling)
     except (KeyError, TypeError, ValueError) as error:
-        raise _incomplete(place, f"no {error}") from error
+        raise _incomplete(source, f"no {error}") from error
     try:
         return ParameterFile(
             name=name,
             axes=tuple(
                 AxisParameters(
                     axis=axis,
-                    values=_values(entries, place),
-                    alternatives=tuple(_values(other, place) for other in others),
+                    values=_values(entries, source),
+                    alternatives=tuple(_values(other, source) for other in others),
                 )
                 for axis, entries, others in axes
             ),
@@ -219,14 +219,14 @@ def from_json(content: bytes, place: str) -> ParameterFile:
             decoupled=decoupled,
         )
     except (ArithmeticError, TypeError, ValueError, AttributeError) as error:
-        raise _incomplete(place, f"{type(error).__name__}: {error}") from error
+        raise _incomplete(source, f"{type(error).__name__}: {error}") from error
 
 
 def _texts(table: Any) -> dict[str, str]:
-    held = dict(table)
-    if not all(isinstance(value, str) for value in held.values()):
+    texts = dict(table)
+    if not all(isinstance(value, str) for value in texts.values()):
         raise TypeError("text beside every name")
-    return held
+    return texts
 
 
 def _shipped() -> list[Parameter]:
@@ -249,27 +249,27 @@ def _entries(values: Values) -> dict[str, Any]:
 
 def used_values(parameter: Parameter, value: Array) -> Any:
     """Return the first places of an array up to the last that is not 0, or the number itself."""
-    whole = value.astype(np.int64) if parameter.kind == "integer" else value
+    numbers = value.astype(np.int64) if parameter.kind == "integer" else value
     if not parameter.shape:
-        return whole
-    places = np.argwhere(value != 0.0)
-    extent = places.max(axis=0) + 1 if len(places) else np.zeros(value.ndim, dtype=np.int64)
-    return whole[tuple(slice(int(n)) for n in extent)]
+        return numbers
+    nonzero = np.argwhere(value != 0.0)
+    extent = nonzero.max(axis=0) + 1 if len(nonzero) else np.zeros(value.ndim, dtype=np.int64)
+    return numbers[tuple(slice(int(n)) for n in extent)]
 
 
-def _values(entries: Mapping[str, Any], place: str) -> Values:
+def _values(entries: Mapping[str, Any], source: str) -> Values:
     expected = {p.name: p.unit for p in _shipped()}
     try:
-        found = {name: entry["unit"] for name, entry in entries.items()}
-        given = {name: entry["value"] for name, entry in entries.items()}
+        units = {name: entry["unit"] for name, entry in entries.items()}
+        values = {name: entry["value"] for name, entry in entries.items()}
     except (KeyError, TypeError, AttributeError) as error:
-        raise _incomplete(place, f"an entry without {error}") from error
-    if not found.keys() & FUNCTIONS:
+        raise _incomplete(source, f"an entry without {error}") from error
+    if not units.keys() & FUNCTIONS:
         expected = {name: unit for name, unit in expected.items() if name not in FUNCTIONS}
-    if found != expected:
-        differing = sorted(set(found.items()) ^ set(expected.items()))
-        raise _incomplete(place, f"{differing[0][0]} in {differing[0][1]!r} is not the schema's")
-    arrays = {p.name: _array(p, given[p.name]) for p in _shipped() if p.name in expected}
+    if units != expected:
+        differing = sorted(set(units.items()) ^ set(expected.items()))
+        raise _incomplete(source, f"{differing[0][0]} in {differing[0][1]!r} is not the schema's")
+    arrays = {p.name: _array(p, values[p.name]) for p in _shipped() if p.name in expected}
     return complete({name: array for name, array in arrays.items() if array.size})
 
 
@@ -281,9 +281,9 @@ def _array(parameter: Parameter, value: Any) -> Array:
     return array.reshape((0,) * len(parameter.shape)) if array.size == 0 else array
 
 
-def _incomplete(place: str, found: str) -> ParameterFileError:
+def _incomplete(source: str, found: str) -> ParameterFileError:
     return ParameterFileError(
-        f"{place}: {found}",
+        f"{source}: {found}",
         needed=f"the entries of schema {SCHEMA}, each with its unit",
         remedy="Export the parameters again with this version of piezoid.",
     )

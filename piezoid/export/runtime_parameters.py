@@ -87,9 +87,9 @@ class TunnellingGuards:
     @property
     def values(self) -> Given:
         """The same under the runtime's names."""
-        named = asdict(self)
-        currents = {f"current_{name}": named.pop(name) for name in _CURRENTS}
-        return {**currents, **named}
+        fields = asdict(self)
+        currents = {f"current_{name}": fields.pop(name) for name in _CURRENTS}
+        return {**currents, **fields}
 
 
 def lateral_axis(
@@ -162,10 +162,10 @@ def _loop_values(loop: LoopDesign) -> Given:
 
 def _certified_step_m(loop: LoopDesign) -> float:
     """Return the reference's fastest change in a sample for which the error is bounded, or 0."""
-    found = loop.certificate
-    if found is None or not found.is_guaranteed:
+    certificate = loop.certificate
+    if certificate is None or not certificate.is_guaranteed:
         return 0.0
-    return found.reference_slew_m_per_s / loop.members[0].sampling_rate_Hz
+    return certificate.reference_slew_m_per_s / loop.members[0].sampling_rate_Hz
 
 
 def _same_direction(model: AxisModel, design: AxisDesign) -> None:
@@ -181,31 +181,35 @@ def _same_direction(model: AxisModel, design: AxisDesign) -> None:
 
 
 def _limits(design: AxisDesign) -> Given:
-    asked = design.specification
+    specification = design.specification
     rate_Hz = design.recommended.members[0].sampling_rate_Hz
-    slew_V_per_s = asked.voltage_slew_V_per_s or 0.0
+    slew_V_per_s = specification.voltage_slew_V_per_s or 0.0
     return {
         "sampling_rate_Hz": rate_Hz,
         "voltage_step_V": slew_V_per_s / rate_Hz,
-        "voltage_minimum_V": asked.voltage_min_V,
-        "voltage_maximum_V": asked.voltage_max_V,
-        "lsb_V": asked.voltage_step_V,
+        "voltage_minimum_V": specification.voltage_min_V,
+        "voltage_maximum_V": specification.voltage_max_V,
+        "lsb_V": specification.voltage_step_V,
     }
 
 
 def _range(model: AxisModel, design: AxisDesign) -> Given:
     """Return what the model reaches between the voltage limits, and what to believe."""
-    asked, operator = design.specification, model.operator
-    ends = np.array([asked.voltage_min_V, asked.voltage_max_V, asked.voltage_min_V])
-    moved, _ = operator.run(ends, operator.virgin_memory())
+    specification, operator = design.specification, model.operator
+    extremes_V = np.array(
+        [specification.voltage_min_V, specification.voltage_max_V, specification.voltage_min_V]
+    )
+    displacement_m, _ = operator.run(extremes_V, operator.virgin_memory())
     offset = operator.displacement_offset_m
-    reached = offset + model.polarity * (moved - offset)
+    reached = offset + model.polarity * (displacement_m - offset)
     low, high = float(reached.min()), float(reached.max())
     margin = _DISBELIEF * (high - low)
     rate_Hz = design.recommended.members[0].sampling_rate_Hz
     fastest_m_per_s = (high - low) / _ramp_s(design.recommended.members[0])
-    if asked.voltage_slew_V_per_s is not None:
-        followed_m_per_s = (high - low) * asked.voltage_slew_V_per_s / float(np.ptp(ends))
+    if specification.voltage_slew_V_per_s is not None:
+        followed_m_per_s = (
+            (high - low) * specification.voltage_slew_V_per_s / float(np.ptp(extremes_V))
+        )
         fastest_m_per_s = min(fastest_m_per_s, followed_m_per_s)
     return {
         "reference_step_m": fastest_m_per_s / rate_Hz,
@@ -231,7 +235,7 @@ def hysteresis_values(model: AxisModel) -> Given:
     operator = model.operator
     if isinstance(operator, PreisachPlays):
         return {"polarity": model.polarity, **function_values(operator)}
-    given: Given = {
+    values: Given = {
         "polarity": model.polarity,
         "voltage_offset_V": operator.voltage_offset_V,
         "displacement_offset_m": operator.displacement_offset_m,
@@ -246,12 +250,12 @@ def hysteresis_values(model: AxisModel) -> Given:
         ("envelope", "V", operator.envelope),
     ):
         stem = "knot" if name == "knot" else "envelope_knot"
-        given |= {
+        values |= {
             f"{name}_count": len(zones.threshold),
             f"{stem}_{unit}": zones.threshold,
             f"{name}_weight": zones.weight,
         }
-    return given
+    return values
 
 
 def function_values(operator: PreisachPlays) -> Given:
@@ -285,10 +289,10 @@ def creep_values(model: AxisModel, sampling_rate_Hz: float) -> Given:
     ]
     if not rungs:
         return {}
-    kept = sorted(sorted(rungs, reverse=True)[:MAX_RELAXATIONS], key=lambda rung: rung[1])
-    share, time_s = np.array(kept).T
+    selected = sorted(sorted(rungs, reverse=True)[:MAX_RELAXATIONS], key=lambda rung: rung[1])
+    share, time_s = np.array(selected).T
     return {
-        "relaxation_count": len(kept),
+        "relaxation_count": len(selected),
         "relaxation_share": share,
         "relaxation_rate": -np.expm1(-1.0 / (time_s * sampling_rate_Hz)),
     }
@@ -307,8 +311,8 @@ def observer_values(observer: DisturbanceObserver) -> Given:
             remedy="Design with piezoid.design.observer.disturbance_model.",
         )
     inner = with_oscillators_as_states(observer)
-    rest = np.linalg.solve(np.eye(len(inner.A)) - inner.A, inner.B)
-    gain = float(inner.C @ rest)
+    rest_state = np.linalg.solve(np.eye(len(inner.A)) - inner.A, inner.B)
+    gain = float(inner.C @ rest_state)
     sign = float(np.sign(gain))
     return {
         "observer_order": len(inner.A),
@@ -317,7 +321,7 @@ def observer_values(observer: DisturbanceObserver) -> Given:
         "observer_C": sign * inner.C,
         "observer_L": sign * inner.state_gain,
         "observer_disturbance_L_V_per_m": sign * float(inner.disturbance_gain[0]),
-        "observer_rest": rest,
+        "observer_rest": rest_state,
         "feedback_K_V": inner.feedback_gain,
         "feedback_N_V_per_m": sign * inner.reference_gain,
         "gain_m_per_V": sign * gain,

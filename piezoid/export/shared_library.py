@@ -63,15 +63,17 @@ def shared_library(
     compiler = system.compiler()
     if compiler is None:
         return None
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
+    with tempfile.TemporaryDirectory() as directory:
+        folder = Path(directory)
         for name, content in sources.items():
             (folder / name).write_bytes(content)
         command = [compiler, *_FLAGS, *system.flags, *flags, main, "-o", "built.bin"]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        if done.returncode:
+        completed = subprocess.run(
+            command, cwd=folder, capture_output=True, text=True, check=False
+        )
+        if completed.returncode:
             raise RuntimeLibraryError(
-                f"{compiler} does not compile {main}: {done.stderr.strip()[:400]}",
+                f"{compiler} does not compile {main}: {completed.stderr.strip()[:400]}",
                 needed=f"a C99 compiler for {system.name}",
                 remedy=f"Install {system.package}, or compile the exported sources yourself.",
             )
@@ -151,9 +153,9 @@ def shared_library_files(file: ParameterFile) -> tuple[Mapping[str, bytes], tupl
     sources = {name: runtime_source(name) for name in _SOURCES}
     sources["piezo_params.h"] = c_header(file, digest).encode()
     axes = "\n".join(
-        f"| {axis.axis} | {place} | {float(axis.values['sampling_rate_Hz']):g} "
+        f"| {axis.axis} | {index} | {float(axis.values['sampling_rate_Hz']):g} "
         f"| {'A' if axis.method == 'rst' else 'm'} |"
-        for place, axis in enumerate(file.axes)
+        for index, axis in enumerate(file.axes)
     )
     files = {
         **sources,

@@ -107,7 +107,7 @@ def learning_filter(
     members, sector = task.families[form].members, task.bounds["affine"].increment_gain
     harmonic_Hz = sampling_rate_Hz / points * np.arange(points // 2 + 1, dtype=np.float64)
     q = unit_circle(harmonic_Hz, sampling_rate_Hz)
-    responses = np.stack([table_response(one, values, q) for one in members])
+    responses = np.stack([table_response(member, values, q) for member in members])
     nominal = members[0]
     sensed = polynomial_response(nominal.B, q) / polynomial_response(nominal.B_position, q)
     known_Hz = unseen(model).from_Hz
@@ -117,11 +117,15 @@ def learning_filter(
     of_model = np.zeros(len(q), dtype=complex)
     of_model[answers] = _OF_MODEL / responses[0][answers]
     relative = responses / np.where(responses[0] == 0.0, 1.0, responses[0])
-    share, left = _best_shares(relative, sector)
+    share, remaining = _best_shares(relative, sector)
     applied = gain * share * relative
-    left = (np.abs(1.0 - applied) + sector * np.abs(applied)).max(axis=0) if gain != 1.0 else left
+    remaining = (
+        (np.abs(1.0 - applied) + sector * np.abs(applied)).max(axis=0)
+        if gain != 1.0
+        else remaining
+    )
     learns = max(
-        (_widest(applied, sector, usable & (left <= limit)) for limit in _LIMITS),
+        (_widest(applied, sector, usable & (remaining <= limit)) for limit in _LIMITS),
         key=np.count_nonzero,
     )
     if learns[1]:
@@ -182,11 +186,11 @@ def table_response(member: Plant, values: Values | None, q: Response) -> Respons
 
 def _best_shares(relative: Response, sector: float) -> tuple[Array, Array]:
     """Return the share of the nominal inverse that leaves least, and what it leaves."""
-    tried = np.stack(
+    remaining = np.stack(
         [(np.abs(1.0 - c * relative) + sector * c * np.abs(relative)).max(axis=0) for c in _SHARES]
     )
-    best = np.argmin(tried, axis=0)
-    return _SHARES[best], np.asarray(tried.min(axis=0))
+    best = np.argmin(remaining, axis=0)
+    return _SHARES[best], np.asarray(remaining.min(axis=0))
 
 
 def _probes(
@@ -196,20 +200,20 @@ def _probes(
     wanted: NDArray[np.bool_],
 ) -> Response:
     """Return the largest step that no plant of the family answers with more than ``_PROBED``."""
-    left = np.stack(
+    remaining = np.stack(
         [(np.abs(1.0 - c * relative) + sector * c * np.abs(relative)).max(axis=0) for c in _STEPS]
     )
-    share = _STEPS[np.argmin(np.where(left <= _PROBED, -_STEPS[:, None], 0.0), axis=0)]
-    share = np.where(left.min(axis=0) <= _PROBED, share, 0.0)
-    found = np.zeros(responses.shape[1], dtype=complex)
-    found[wanted] = share[wanted] / responses[0][wanted]
-    return found
+    share = _STEPS[np.argmin(np.where(remaining <= _PROBED, -_STEPS[:, None], 0.0), axis=0)]
+    share = np.where(remaining.min(axis=0) <= _PROBED, share, 0.0)
+    probe = np.zeros(responses.shape[1], dtype=complex)
+    probe[wanted] = share[wanted] / responses[0][wanted]
+    return probe
 
 
 def _contractions(applied: Response, sector: float) -> Array:
     """Return what a period leaves on each member, over these harmonics together."""
-    left, driven = np.abs(1.0 - applied).max(axis=1), np.abs(applied).max(axis=1)
-    return np.asarray(left + sector * driven)
+    remaining, driven = np.abs(1.0 - applied).max(axis=1), np.abs(applied).max(axis=1)
+    return np.asarray(remaining + sector * driven)
 
 
 def _widest(applied: Response, sector: float, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:

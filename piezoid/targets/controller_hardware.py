@@ -124,15 +124,15 @@ def read_hardware(path: Path) -> ControllerHardware:
         if name not in _TABLES or not isinstance(table, Mapping):
             raise _wrong(path, f"[{name}] is no table of box.toml", f"one of {names}")
         for key, value in table.items():
-            known = _TABLES[name].get(key)
-            if known is None:
+            spec = _TABLES[name].get(key)
+            if spec is None:
                 keys = ", ".join(_TABLES[name])
                 raise _wrong(path, f"{key} is no key of [{name}]", f"one of {keys}")
             try:
-                values[key] = known.convert(value)
+                values[key] = spec.convert(value)
             except ValueError:
-                found = f"{key} of [{name}] is {value!r}"
-                raise _wrong(path, found, known.needed) from None
+                description = f"{key} of [{name}] is {value!r}"
+                raise _wrong(path, description, spec.needed) from None
     return ControllerHardware(**values)
 
 

@@ -45,12 +45,12 @@ def plant_units(name: str, plants: Sequence[AxisPlant]) -> Mapping[str, Unit]:
 def _unit(name: str, plant: AxisPlant) -> Unit:
     is_tip = isinstance(plant.response, Junction)
     unit = "A" if is_tip else "m"
-    place = files("piezoid.verification")
-    sources = {source: place.joinpath(source).read_bytes() for source in _SOURCES}
+    package = files("piezoid.verification")
+    sources = {source: package.joinpath(source).read_bytes() for source in _SOURCES}
     sources["plant_of_axis.h"] = plant_header(plant).encode()
-    moved, what = "disturbance_m", "What moves the stage beside its drive"
+    input_name, what = "disturbance_m", "What moves the stage beside its drive"
     if is_tip:
-        moved, what = "withdrawn_m", "How far the surface is below where it was at rest"
+        input_name, what = "withdrawn_m", "How far the surface is below where it was at rest"
     path = f"{what}, at the end of the period; reached in a straight line."
     reading = "What the sensor shows at the sampling instant, noise and rounding in it."
     noise = "Of the identified noise and lines in the reading; 0: none."
@@ -62,7 +62,7 @@ def _unit(name: str, plant: AxisPlant) -> Unit:
         macros="",
         variables=variables(
             ("voltage_V", "input", "V", plant.rest_voltage_V, "The command, held for a period."),
-            (moved, "input", "m", 0.0, path),
+            (input_name, "input", "m", 0.0, path),
             (f"measured_{unit}", "output", unit, None, reading),
             (f"position_{unit}", "output", unit, None, "In front of the sensor at that instant."),
             ("noise_factor", "parameter", "1", 1.0, noise),
@@ -76,18 +76,18 @@ def _unit(name: str, plant: AxisPlant) -> Unit:
 
 def plant_header(plant: AxisPlant) -> str:
     """Return the text of plant_of_axis.h; ``ParameterFileError`` where the loop has no room."""
-    kept = ArrayOwner()
-    begun = initial_plant(plant, kept, 0.0)
+    arrays_of_plant = ArrayOwner()
+    initial = initial_plant(plant, arrays_of_plant, 0.0)
     lines = ["/* The identified plant of an axis at rest, written by piezoid. SI units. */"]
-    lines += _macros(plant, begun)
-    arrays = dict(_arrays(begun)) | dict(_hums(plant))
+    lines += _macros(plant, initial)
+    arrays = dict(_arrays(initial)) | dict(_hums(plant))
     lines += [_array(name, values) for name, values in arrays.items()]
-    members = [f".{name} = {_number(getattr(begun, name))}" for name in _SCALARS]
+    members = [f".{name} = {_number(getattr(initial, name))}" for name in _SCALARS]
     members += [
-        f".before = {_linear('before', begun.before)}",
-        f".after = {_linear('after', begun.after)}",
-        f".envelope = {_map('envelope', begun.envelope)}",
-        f".zones = {_map('zones', begun.zones)}",
+        f".before = {_linear('before', initial.before)}",
+        f".after = {_linear('after', initial.after)}",
+        f".envelope = {_map('envelope', initial.envelope)}",
+        f".zones = {_map('zones', initial.zones)}",
     ]
     shared = (
         *("threshold_V", "weight", "edge_V", "value_m", "second_threshold_V", "second_weight_m"),
@@ -98,7 +98,7 @@ def plant_header(plant: AxisPlant) -> str:
     return "\n".join([*lines, f"static const pl_plant plant_at_rest = {{\n{inside}}};", ""])
 
 
-def _macros(plant: AxisPlant, begun: LoopPlant) -> Iterator[str]:
+def _macros(plant: AxisPlant, initial: LoopPlant) -> Iterator[str]:
     response, rate_Hz = plant.response, plant.sampling_rate_Hz
     decay, offset = 1.0, 0.0
     if isinstance(response, Junction):
@@ -106,7 +106,7 @@ def _macros(plant: AxisPlant, begun: LoopPlant) -> Iterator[str]:
     pole = 0.0
     if plant.noise_bandwidth_Hz is not None:
         pole = float(np.exp(-2.0 * np.pi * plant.noise_bandwidth_Hz / rate_Hz))
-    given = {
+    values = {
         "RATE_Hz": rate_Hz,
         "REST_V": plant.rest_voltage_V,
         "DISTURBANCE_FACTOR": decay,
@@ -114,44 +114,47 @@ def _macros(plant: AxisPlant, begun: LoopPlant) -> Iterator[str]:
         "NOISE_RMS": plant.noise_rms,
         "NOISE_POLE": pole,
         "NOISE_KICK": float(np.sqrt(1.0 - pole**2)),
-        "LATE": max(begun.late, 1),
-        "BEFORE_STATES": begun.before.states,
-        "AFTER_STATES": max(begun.after.states, 1),
-        "PLAYS": max(begun.plays, 1),
-        "SECOND_PLAYS": max(begun.second_plays, 1),
+        "LATE": max(initial.late, 1),
+        "BEFORE_STATES": initial.before.states,
+        "AFTER_STATES": max(initial.after.states, 1),
+        "PLAYS": max(initial.plays, 1),
+        "SECOND_PLAYS": max(initial.second_plays, 1),
         "HUMS": max(len(plant.hums), 1),
     }
-    for name, value in given.items():
+    for name, value in values.items():
         yield f"#define PLANT_{name} {_number(value)}"
 
 
-def _arrays(begun: LoopPlant) -> Iterator[tuple[str, Array]]:
+def _arrays(initial: LoopPlant) -> Iterator[tuple[str, Array]]:
     for name in ("before", "after"):
-        block: Linear = getattr(begun, name)
+        block: Linear = getattr(initial, name)
         n = block.states
         yield f"{name}_A", _at(block.A, n * n)
         for vector in ("B_old", "B_new", "x"):
             yield f"{name}_{vector}", _at(getattr(block, vector), n)
         yield f"{name}_C", _at(block.C, 2 * n)
-    n = begun.after.states
-    moved = np.eye(n) - _at(begun.after.A, n * n).reshape(n, n)
-    driven = _at(begun.after.B_old, n) + _at(begun.after.B_new, n)
-    yield "after_settled", np.asarray(np.linalg.solve(moved, driven), dtype=np.float64)
+    n = initial.after.states
+    transition = np.eye(n) - _at(initial.after.A, n * n).reshape(n, n)
+    driven = _at(initial.after.B_old, n) + _at(initial.after.B_new, n)
+    yield "after_settled", np.asarray(np.linalg.solve(transition, driven), dtype=np.float64)
     for name in ("envelope", "zones"):
-        part: Map = getattr(begun, name)
+        part: Map = getattr(initial, name)
         yield f"{name}_knot", _at(part.knot, part.knots)
         yield f"{name}_slope", _at(part.slope, part.knots + 1 if part.slope else 0)
     for name in ("threshold_V", "play_V"):
-        yield name, _at(getattr(begun, name), begun.plays)
-    yield "weight", _at(begun.weight, 0 if begun.edges else begun.plays)
-    yield "edge_V", _at(begun.edge_V, begun.edges)
-    yield "value_m", _at(begun.value_m, begun.edges * begun.plays)
+        yield name, _at(getattr(initial, name), initial.plays)
+    yield "weight", _at(initial.weight, 0 if initial.edges else initial.plays)
+    yield "edge_V", _at(initial.edge_V, initial.edges)
+    yield "value_m", _at(initial.value_m, initial.edges * initial.plays)
     for name in ("second_threshold_V", "second_play_V"):
-        yield name, _at(getattr(begun, name), begun.second_plays)
-    yield "second_weight_m", _at(begun.second_weight_m, begun.second_plays * begun.second_powers)
+        yield name, _at(getattr(initial, name), initial.second_plays)
+    yield (
+        "second_weight_m",
+        _at(initial.second_weight_m, initial.second_plays * initial.second_powers),
+    )
     for name in ("cyclic_cosine_m", "cyclic_sine_m"):
-        yield name, _at(getattr(begun, name), begun.cyclic_orders)
-    yield "late_V", _at(begun.late_V, begun.late)
+        yield name, _at(getattr(initial, name), initial.cyclic_orders)
+    yield "late_V", _at(initial.late_V, initial.late)
 
 
 def _hums(plant: AxisPlant) -> Iterator[tuple[str, Array]]:

@@ -226,7 +226,7 @@ def line_errors_m(
     inputs: TargetInputs, axis: AxisParameters, table: Table
 ) -> dict[str, dict[str, float]]:
     """Return by plant what is left on lines: rms in m, ``COLUMNS``."""
-    found = {}
+    errors_m = {}
     for plant in inputs.family(axis.axis):
         rate_Hz = plant.sampling_rate_Hz
         unit = raster(rate_Hz, _LINE_Hz, 1.0).x
@@ -236,28 +236,30 @@ def line_errors_m(
         sign = np.where(rising, 1.0, -1.0)
         straight_V = table.middle_V + (wanted_m - table.centre_m) / table.sensitivity_m_per_V
         path_m = np.tile(wanted_m, 3)
-        moved = {
+        positions_m = {
             "straight": last_period(plant, straight_V),
             "table": last_period(plant, table.voltage_V(wanted_m)),
             "mirrored": last_period(plant, table.voltage_V(wanted_m, sign)),
             "exported": exported_position_m(axis, plant, path_m)[-len(wanted_m) :],
         }
         # A table that is not mirrored bends both branches alike; the loop it leaves is wider
-        moved["back"] = moved["table"]
-        found[plant.label] = {
+        positions_m["back"] = positions_m["table"]
+        errors_m[plant.label] = {
             name: float(
-                np.std((moved[name] - wanted_m)[backward if name in COLUMNS[3:] else forward])
+                np.std(
+                    (positions_m[name] - wanted_m)[backward if name in COLUMNS[3:] else forward]
+                )
             )
             for name in COLUMNS
         }
-    return found
+    return errors_m
 
 
 def settings_json(inputs: TargetInputs, tables: list[Table]) -> str:
     """Return what the controller is told, by the names of its published interface."""
     by_place: list[Table | None] = [*tables[:2], *([None] * (2 - len(tables[:2])))]
     gains = [inputs.amplifier_V_per_V.get(table.axis) for table in tables]
-    known = {
+    amplifier_gains = {
         table.axis: gain if all(gains) and gain else 1.0
         for table, gain in zip(tables, gains, strict=True)
     }
@@ -265,17 +267,17 @@ def settings_json(inputs: TargetInputs, tables: list[Table]) -> str:
     limits: dict[str, float | int | None] = {"Enable_limits": 1}
     for place, table in zip(_PLACES, [*by_place, None], strict=True):
         axis = None if table is None else _parameters(inputs, table.axis)
-        gain = 1.0 if table is None else known[table.axis]
+        gain = 1.0 if table is None else amplifier_gains[table.axis]
         sensitivities[f"Calibration_{place}_mPerV"] = (
             None if table is None else _single(table.sensitivity_m_per_V / gain)
         )
-        ends = [
+        limits_V = [
             None if axis is None else gain * float(axis.values[f"voltage_{end}_V"])
             for end in ("minimum", "maximum")
         ]
-        if None not in ends:
-            ends.sort(key=lambda volts: volts or 0.0)
-        for end, volts in zip(("low", "high"), ends, strict=True):
+        if None not in limits_V:
+            limits_V.sort(key=lambda volts: volts or 0.0)
+        for end, volts in zip(("low", "high"), limits_V, strict=True):
             limits[f"Limit_{place}_{end}_V"] = None if volts is None else _single(volts)
     points: dict[str, int | list[float]] = {}
     for speed, table in zip(("Fast", "Slow"), by_place, strict=True):

@@ -73,13 +73,13 @@ def tuned_pid(
     Raises:
         DesignError: no settings reach a loop of 1 Hz
     """
-    efforts = tuple(one for one in specification.templates if one.function == "Sup")
+    efforts = tuple(template for template in specification.templates if template.function == "Sup")
     grid = _grid(family, efforts)
     sign = float(np.sign(family.nominal.gain))
     best: Pid | None = None
     for candidate in _candidates(family.nominal, blank, notches, sign):
-        known = 0.0 if best is None else abs(best.integral_V_per_m_s)
-        best = _largest_gain(grid, candidate, known, specification) or best
+        best_gain = 0.0 if best is None else abs(best.integral_V_per_m_s)
+        best = _largest_gain(grid, candidate, best_gain, specification) or best
     min_integral = 2.0 * np.pi * _MIN_LOOP_Hz / abs(family.nominal.gain)
     while best is not None and abs(best.integral_V_per_m_s) >= min_integral:
         R, S = best.polynomials()
@@ -159,7 +159,7 @@ def _candidates(nominal: Plant, blank: Pid, notches: int, sign: float) -> Iterat
 
 
 def _largest_gain(
-    grid: _Grid, candidate: Pid, known: float, specification: Specification
+    grid: _Grid, candidate: Pid, best_gain: float, specification: Specification
 ) -> Pid | None:
     """Return a candidate at its largest gain, None where that is not above a known one."""
     R, S = candidate.polynomials()
@@ -184,7 +184,7 @@ def _largest_gain(
         )
 
     slowest = 2.0 * np.pi * _MIN_LOOP_Hz / abs(grid.members[0].gain)
-    low, high = max(known * 1.001, slowest), slowest * _GAIN_RANGE
+    low, high = max(best_gain * 1.001, slowest), slowest * _GAIN_RANGE
     if not is_allowed(low):
         return None
     for _ in range(_BISECTIONS):

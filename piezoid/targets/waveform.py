@@ -163,9 +163,9 @@ def waveform_of(inputs: TargetInputs, axis: AxisParameters) -> Waveform:
     response = polynomial_response(nominal.B_position, q) / polynomial_response(nominal.A, q)
     response[np.abs(response) < _BAND * abs(response[0])] = np.inf
     voltage_V = inverse_V(plant, wanted_m)
-    quiet = replace(plant, noise_rms=0.0, hums=())
+    noiseless = replace(plant, noise_rms=0.0, hums=())
     for _ in range(_ROUNDS):
-        position_m = last_period(quiet, voltage_V, hold)
+        position_m = last_period(noiseless, voltage_V, hold)
         missing = np.fft.rfft(wanted_m - position_m)
         voltage_V = voltage_V + _LEARNT * np.fft.irfft(missing / response, points)
     own_V = (float(axis.values["voltage_minimum_V"]), float(axis.values["voltage_maximum_V"]))
@@ -195,24 +195,24 @@ _COLUMNS = ("straight", "waveform", "exported", "offset")
 
 
 def scan_errors_m(
-    inputs: TargetInputs, axis: AxisParameters, one: Waveform
+    inputs: TargetInputs, axis: AxisParameters, waveform: Waveform
 ) -> dict[str, dict[str, float]]:
     """Return by plant what is left: rms in m of a straight drive, the waveform, the controller."""
-    found = {}
+    errors_m = {}
     plants = inputs.family(axis.axis)
     gain = plant_family(inputs.models[axis.axis], plants[0].sampling_rate_Hz).nominal.gain
-    middle_V = 0.5 * float(one.voltage_V.max() + one.voltage_V.min())
-    straight_V = middle_V + (one.wanted_m - reference_range(axis).centre_m) / gain
-    path_m = np.tile(np.repeat(one.wanted_m, one.hold), _PERIODS)
+    middle_V = 0.5 * float(waveform.voltage_V.max() + waveform.voltage_V.min())
+    straight_V = middle_V + (waveform.wanted_m - reference_range(axis).centre_m) / gain
+    path_m = np.tile(np.repeat(waveform.wanted_m, waveform.hold), _PERIODS)
     for plant in plants:
-        waveform_m = last_period(plant, one.voltage_V, one.hold) - one.wanted_m
-        straight_m = last_period(plant, straight_V, one.hold) - one.wanted_m
+        waveform_m = last_period(plant, waveform.voltage_V, waveform.hold) - waveform.wanted_m
+        straight_m = last_period(plant, straight_V, waveform.hold) - waveform.wanted_m
         moved_m = exported_position_m(axis, plant, path_m)
-        shipped_m = moved_m[:: one.hold][-len(one.wanted_m) :] - one.wanted_m
+        shipped_m = moved_m[:: waveform.hold][-len(waveform.wanted_m) :] - waveform.wanted_m
         spreads = (float(np.std(error)) for error in (straight_m, waveform_m, shipped_m))
         values = (*spreads, float(np.mean(waveform_m)))
-        found[plant.label] = dict(zip(_COLUMNS, values, strict=True))
-    return found
+        errors_m[plant.label] = dict(zip(_COLUMNS, values, strict=True))
+    return errors_m
 
 
 def _hold(axis: str, own_Hz: float, rate_Hz: float) -> int:
@@ -249,10 +249,10 @@ def _points(hardware: ControllerHardware, rate_Hz: float) -> int:
     return points
 
 
-def _converter(one: Waveform) -> str:
-    if one.code is None:
+def _converter(waveform: Waveform) -> str:
+    if waveform.code is None:
         return f"voltages alone, not rounded. {_NO_RANGE[0].upper()}{_NO_RANGE[1:]}."
-    return f"voltage = {one.middle_V!r} V + code x {one.step_V!r} V."
+    return f"voltage = {waveform.middle_V!r} V + code x {waveform.step_V!r} V."
 
 
 def check_range(
@@ -297,32 +297,36 @@ def last_period(plant: AxisPlant, voltage_V: Array, hold: int = 1) -> Array:
     """Return where a plant is at each point of the last period, (points,)."""
     table_V = iter(np.tile(np.repeat(voltage_V, hold), _PERIODS).tolist())
     samples = _PERIODS * hold * len(voltage_V)
-    moved = run_law(
+    record = run_law(
         plant,
         lambda _reference, _measured: next(table_V),
         np.zeros(samples),
         rng=np.random.default_rng(SEED),
     )
-    return np.asarray(moved.position[::hold][-len(voltage_V) :])
+    return np.asarray(record.position[::hold][-len(voltage_V) :])
 
 
-def waveform_csv(one: Waveform) -> str:
+def waveform_csv(waveform: Waveform) -> str:
     """Return the text of `AXIS.csv`."""
-    lines = ["point,time_s,voltage_V,wanted_m" + ("" if one.code is None else ",code")]
-    codes = [""] * len(one.wanted_m) if one.code is None else [f",{int(c)}" for c in one.code]
-    rows = zip(one.voltage_V.tolist(), one.wanted_m.tolist(), codes, strict=True)
+    lines = ["point,time_s,voltage_V,wanted_m" + ("" if waveform.code is None else ",code")]
+    codes = (
+        [""] * len(waveform.wanted_m)
+        if waveform.code is None
+        else [f",{int(c)}" for c in waveform.code]
+    )
+    rows = zip(waveform.voltage_V.tolist(), waveform.wanted_m.tolist(), codes, strict=True)
     for k, (voltage_V, wanted_m, code) in enumerate(rows):
-        lines.append(f"{k},{k / one.rate_Hz!r},{voltage_V!r},{wanted_m:.6e}{code}")
+        lines.append(f"{k},{k / waveform.rate_Hz!r},{voltage_V!r},{wanted_m:.6e}{code}")
     return "\n".join([*lines, ""])
 
 
-def _section(one: Waveform, rows: Mapping[str, Mapping[str, float]]) -> str:
+def _section(waveform: Waveform, rows: Mapping[str, Mapping[str, float]]) -> str:
     return _AXIS.format(
-        axis=one.axis,
-        half=with_unit(0.5 * float(np.ptp(one.wanted_m)), "m"),
-        centre=with_unit(0.5 * float(one.wanted_m.max() + one.wanted_m.min()), "m"),
-        low=float(one.voltage_V.min()),
-        high=float(one.voltage_V.max()),
+        axis=waveform.axis,
+        half=with_unit(0.5 * float(np.ptp(waveform.wanted_m)), "m"),
+        centre=with_unit(0.5 * float(waveform.wanted_m.max() + waveform.wanted_m.min()), "m"),
+        low=float(waveform.voltage_V.min()),
+        high=float(waveform.voltage_V.max()),
         rows="\n".join(
             f"| {label} | {' | '.join(with_unit(row[name], 'm') for name in _COLUMNS)} |"
             for label, row in rows.items()

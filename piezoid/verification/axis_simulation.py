@@ -83,16 +83,16 @@ def simulate_axis(
     Raises ``ParameterFileError`` for an axis without a controller. What goes wrong: a reference
     outside the range the controller keeps is limited there, which ``status`` says.
     """
-    own = axis_parameters(controller, model, lab, axis)
+    parameters = axis_parameters(controller, model, lab, axis)
     reference = np.asarray(reference_m, dtype=np.float64)
     if reference.ndim != 1 or not len(reference) or not np.isfinite(reference).all():
         raise ParameterFileError(
-            f"axis {own.axis}: a reference of shape {reference.shape}, "
+            f"axis {parameters.axis}: a reference of shape {reference.shape}, "
             f"{int(np.sum(~np.isfinite(reference)))} of its numbers not finite",
             needed="one finite number for each sample, shape (samples,)",
             remedy="Pass the reference of one axis, in metres.",
         )
-    plant = plant_of(own, model, lab or Lab())
+    plant = plant_of(parameters, model, lab or Lab())
     return run_axis(
-        plant, replace(own, alternatives=()), reference, rng=np.random.default_rng(seed)
+        plant, replace(parameters, alternatives=()), reference, rng=np.random.default_rng(seed)
     )

@@ -94,20 +94,24 @@ def error_bounds(
     threads     so many runs at once; what is found does not depend on it
     """
     executor = Executor(threads=threads)
-    found: list[ErrorBound] = []
-    for place, (axis, plant) in enumerate(zip(file.axes, plants, strict=True)):
-        loop = next(one for one in design.axis(axis.axis).loops if one.method == axis.method)
+    rows: list[ErrorBound] = []
+    for index, (axis, plant) in enumerate(zip(file.axes, plants, strict=True)):
+        loop = next(
+            candidate
+            for candidate in design.axis(axis.axis).loops
+            if candidate.method == axis.method
+        )
         if isinstance(plant.response, Junction):
-            asked = design.axis(axis.axis).specification
-            noise_ln = max(noise_rms(m, loop.R, loop.S, asked) for m in loop.members)
-            task: _Task = _TipTask(axis, plant, loop, variations[place], _SIGMAS * noise_ln)
+            specification = design.axis(axis.axis).specification
+            noise_ln = max(noise_rms(m, loop.R, loop.S, specification) for m in loop.members)
+            task: _Task = _TipTask(axis, plant, loop, variations[index], _SIGMAS * noise_ln)
         else:
             scan_Hz = design.axis(axis.axis).specification.scan_frequency_Hz
             task = _LateralTask(axis, plant, model[axis.axis], loop.certificate, scan_Hz)
         for number, share in enumerate(SPEEDS):
-            rng = np.random.default_rng([seed, place, number])
-            found.extend(_at_speed(axis.axis, task, share * task.fastest_m_per_s, rng, executor))
-    return tuple(found)
+            rng = np.random.default_rng([seed, index, number])
+            rows.extend(_at_speed(axis.axis, task, share * task.fastest_m_per_s, rng, executor))
+    return tuple(rows)
 
 
 def conformal_quantile(largest_m: Sequence[float], probability: float = PROBABILITY) -> float:
@@ -116,8 +120,8 @@ def conformal_quantile(largest_m: Sequence[float], probability: float = PROBABIL
     >>> conformal_quantile(np.arange(1.0, 20.0), 0.95)
     19.0
     """
-    place = int(np.ceil((len(largest_m) + 1) * probability - 1e-9))
-    return float(np.sort(largest_m)[place - 1]) if place <= len(largest_m) else float(np.inf)
+    rank = int(np.ceil((len(largest_m) + 1) * probability - 1e-9))
+    return float(np.sort(largest_m)[rank - 1]) if rank <= len(largest_m) else float(np.inf)
 
 
 def _at_speed(
@@ -132,34 +136,36 @@ def _at_speed(
     def path() -> Array:
         return _path(rng, slew, task.reach_m, task.nominal.sampling_rate_Hz)
 
-    def seeded(pairs: Sequence[tuple[AxisPlant, Array]]) -> list[tuple[AxisPlant, Array, int]]:
-        return [(plant, way, int(rng.integers(2**31))) for plant, way in pairs]
+    def seeded(runs: Sequence[tuple[AxisPlant, Array]]) -> list[tuple[AxisPlant, Array, int]]:
+        return [(plant, reference, int(rng.integers(2**31))) for plant, reference in runs]
 
     cases = seeded([(task.draw(rng, False), path()) for _ in range(DRAWN)])
     errors = executor.map(run, cases)
-    kept = [(e, case) for e, case in zip(errors, cases, strict=True) if e is not None]
-    if not kept:
+    completed = [(e, case) for e, case in zip(errors, cases, strict=True) if e is not None]
+    if not completed:
         return
-    usual = executor.map(run, [(task.nominal, way, noise) for _, way, noise in cases[:USUAL]])
-    worst_m, worst = max(kept, key=lambda one: one[0])
+    usual = executor.map(
+        run, [(task.nominal, reference, noise) for _, reference, noise in cases[:USUAL]]
+    )
+    worst_m, worst = max(completed, key=lambda case_error: case_error[0])
     for _ in range(ROUNDS):
-        for others in (
+        for pairs in (
             [(worst[0], path()) for _ in range(SOUGHT)],
             [(task.draw(rng, True), worst[1]) for _ in range(SOUGHT)],
         ):
-            tried = seeded(others)
-            for error, case in zip(executor.map(run, tried), tried, strict=True):
+            neighbours = seeded(pairs)
+            for error, case in zip(executor.map(run, neighbours), neighbours, strict=True):
                 if error is not None and error > worst_m:
                     worst_m, worst = error, case
     yield ErrorBound(
         axis=name,
         slew_m_per_s=slew,
         bound_m=task.bound(slew),
-        probable_m=conformal_quantile([error for error, _ in kept]),
+        probable_m=conformal_quantile([error for error, _ in completed]),
         probability=PROBABILITY,
         worst_found_m=worst_m,
         simulated_m=float(np.median([error for error in usual if error is not None])),
-        runs=len(kept),
+        runs=len(completed),
     )
 
 

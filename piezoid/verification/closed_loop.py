@@ -106,7 +106,7 @@ def run_axis(
     *,
     rng: np.random.Generator,
     disturbance: Array | None = None,
-    beside: Array | None = None,
+    added_m: Array | None = None,
     fault: Array | None = None,
     reset_at: int | None = None,
     precision: str = "double",
@@ -115,7 +115,7 @@ def run_axis(
 
     reference    (samples,)  m (junction: A); given to the runtime as much ahead as it previews
     disturbance  (samples,)  m at the response's output (junction: nepers, taken from ln i)
-    beside       (samples,)  m added to the position behind everything else that moves the axis
+    added_m       (samples,)  m added to the position behind everything else that moves the axis
     fault        (samples,)  a ``Fault`` in every sample; NaN: the reading is NaN
     reset_at     before this sample an operator resets the controller; None: never
     precision    of the runtime, ``double`` or ``float``
@@ -124,13 +124,13 @@ def run_axis(
     """
     _same_rate(plant, parameters)
     samples = len(reference)
-    kept = ArrayOwner()
-    begun = initial_plant(plant, kept, 0.0 if disturbance is None else float(disturbance[0]))
+    arrays = ArrayOwner()
+    initial = initial_plant(plant, arrays, 0.0 if disturbance is None else float(disturbance[0]))
     preview = int(parameters.values["preview_samples"])
     ahead = np.minimum(np.arange(samples) + preview, samples - 1)
     controller = Controller(parameters.values, precision=precision)
-    controller.start(plant.rest_voltage_V, _reading(plant, rest_position(plant, begun)))
-    added = np.zeros(samples) if beside is None else beside
+    controller.start(plant.rest_voltage_V, _reading(plant, rest_position(plant, initial)))
+    added = np.zeros(samples) if added_m is None else added_m
     step, state, values = controller.addresses
     run = LoopRun(state=state, parameters=values, samples=samples)
     run.reset, run.reset_at = controller.reset_address, samples if reset_at is None else reset_at
@@ -141,7 +141,7 @@ def run_axis(
         "noise": plant.noise(samples, rng) + added,
         "fault": np.zeros(samples) if fault is None else np.ascontiguousarray(fault),
     }
-    record = _run(plant, begun, run, kept, inputs)
+    record = _run(plant, initial, run, arrays, inputs)
     return replace(
         record, reference=np.asarray(reference, float), position=record.position + added
     )
@@ -162,9 +162,9 @@ def run_law(
     disturbance  (samples,)  m at the response's output; None: none
     """
     samples = len(reference)
-    kept = ArrayOwner()
-    begun = initial_plant(plant, kept, 0.0 if disturbance is None else float(disturbance[0]))
-    step = _STEP(lambda _state, _parameters, wanted, measured: law(wanted, measured))
+    arrays = ArrayOwner()
+    initial = initial_plant(plant, arrays, 0.0 if disturbance is None else float(disturbance[0]))
+    step = _STEP(lambda _state, _parameters, reference_m, measured: law(reference_m, measured))
     state = np.zeros(2, dtype=np.uint32)  # the loop reads the status from the second word
     run = LoopRun(state=state.ctypes.data, samples=samples, reset_at=samples)
     run.step_double = ctypes.cast(step, ctypes.c_void_p).value
@@ -174,19 +174,23 @@ def run_law(
         "noise": plant.noise(samples, rng),
         "fault": np.zeros(samples),
     }
-    return _run(plant, begun, run, kept, inputs)
+    return _run(plant, initial, run, arrays, inputs)
 
 
 def _run(
-    plant: AxisPlant, begun: LoopPlant, run: LoopRun, kept: ArrayOwner, inputs: dict[str, Array]
+    plant: AxisPlant,
+    initial: LoopPlant,
+    run: LoopRun,
+    arrays: ArrayOwner,
+    inputs: dict[str, Array],
 ) -> LoopRecord:
     samples = run.samples
     outputs = {name: np.empty(samples) for name in ("driven", "position", "measured", "voltage_V")}
     status = np.empty(samples, dtype=np.uint32)
     run.status = status.ctypes.data
     for name, array in {**inputs, **outputs}.items():
-        setattr(run, name, kept.address(array))
-    loop_library().pl_loop(ctypes.addressof(begun), ctypes.addressof(run))
+        setattr(run, name, arrays.address(array))
+    loop_library().pl_loop(ctypes.addressof(initial), ctypes.addressof(run))
     return LoopRecord(
         axis=plant.axis,
         sampling_rate_Hz=plant.sampling_rate_Hz,
@@ -209,15 +213,15 @@ def _same_rate(plant: AxisPlant, parameters: AxisParameters) -> None:
 
 
 def _reading(plant: AxisPlant, sensed: float) -> float:
-    kept = float(np.clip(sensed, *plant.reading_range))
+    limited = float(np.clip(sensed, *plant.reading_range))
     step = plant.reading_step
-    return step * round(kept / step) if step > 0 else kept
+    return step * round(limited / step) if step > 0 else limited
 
 
-def _disturbance(plant: AxisPlant, given: Array | None, samples: int) -> Array:
-    found = np.zeros(samples + 1)
-    if given is not None:
-        found[:-1], found[-1] = given, given[-1]
+def _disturbance(plant: AxisPlant, disturbance: Array | None, samples: int) -> Array:
+    padded = np.zeros(samples + 1)
+    if disturbance is not None:
+        padded[:-1], padded[-1] = disturbance, disturbance[-1]
     if isinstance(plant.response, Junction):
-        found += plant.response.gain_nepers_per_V * plant.rest_voltage_V
-    return found
+        padded += plant.response.gain_nepers_per_V * plant.rest_voltage_V
+    return padded

@@ -119,6 +119,6 @@ def _driven(runner: ScenarioRunner, axis: str, reference_m: Array, coupled_m: Ar
         runner.file.axis(axis),
         np.concatenate([approach, reference_m]),
         rng=np.random.default_rng(runner.seed),
-        beside=np.concatenate([np.full(len(approach), coupled_m[0]), coupled_m]),
+        added_m=np.concatenate([np.full(len(approach), coupled_m[0]), coupled_m]),
     )
     return np.asarray(record.after(len(approach)).position - coupled_m - runner.centre_m[axis])

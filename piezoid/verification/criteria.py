@@ -93,23 +93,23 @@ def worst_by_name(verdicts: Sequence[Verdict]) -> list[Verdict]:
 def describe_failure(verdict: Verdict) -> str:
     """Return what was found and what is allowed, in units that are read at a glance."""
 
-    def shown(value: float) -> str:
+    def formatted(number: float) -> str:
         if verdict.unit in ("s", "m"):
-            return with_unit(value, verdict.unit)
-        return f"{significant(value)}{'' if verdict.unit == '1' else ' ' + verdict.unit}"
+            return with_unit(number, verdict.unit)
+        return f"{significant(number)}{'' if verdict.unit == '1' else ' ' + verdict.unit}"
 
-    found, allowed = shown(verdict.value), shown(verdict.limit)
-    return f"{verdict.name} ({verdict.scenario}): {found}, allowed {allowed}"
+    value, limit = formatted(verdict.value), formatted(verdict.limit)
+    return f"{verdict.name} ({verdict.scenario}): {value}, allowed {limit}"
 
 
 def shape_verdict(
-    scenario: str, found: Tracking, radius_m: float, limit_percent: float
+    scenario: str, tracking: Tracking, radius_m: float, limit_percent: float
 ) -> Verdict:
     """Judge the error that remains after the best common delay."""
     return Verdict(
         name=SHAPE_ERROR,
         scenario=scenario,
-        value=100.0 * found.aligned_rms_m / (2.0 * radius_m),
+        value=100.0 * tracking.aligned_rms_m / (2.0 * radius_m),
         limit=limit_percent,
         unit="% of the diameter",
     )
@@ -135,8 +135,10 @@ def voltage_range_verdict(
         values = axes[axis].values
         low, high = (float(values[f"voltage_{end}_V"]) for end in ("minimum", "maximum"))
         for run in runs:
-            good = np.isfinite(run.voltage_V) & (run.voltage_V >= low) & (run.voltage_V <= high)
-            outside += int(np.sum(~good))
+            is_valid = (
+                np.isfinite(run.voltage_V) & (run.voltage_V >= low) & (run.voltage_V <= high)
+            )
+            outside += int(np.sum(~is_valid))
     return _count("voltages not finite or outside the limits", "all", outside)
 
 
@@ -186,7 +188,7 @@ def fault_verdicts(
     healthy  the same path with a sound sensor; what may ship with one is not asked to be less
     """
     usual_m = max(healthy.max_m, limits.aligned_percent / 100.0 * 2.0 * radius_m)
-    rest = error_m[-int(_AFTERWARDS * len(error_m)) :]
+    afterwards_m = error_m[-int(_AFTERWARDS * len(error_m)) :]
     return (
         Verdict(
             name="furthest from the path",
@@ -198,7 +200,7 @@ def fault_verdicts(
         Verdict(
             name="largest error after the fault, against none",
             scenario=scenario,
-            value=float(rest.max()) / usual_m,
+            value=float(afterwards_m.max()) / usual_m,
             limit=1.5,
             unit="1",
         ),
@@ -229,9 +231,11 @@ def hold_verdicts(
     scenario: str, record: LoopRecord, lost_at: int, limits: Limits
 ) -> tuple[Verdict, ...]:
     """Judge that a stage whose sensor is gone for good is held soon, and then does not move."""
-    says = (record.status & np.uint32(Status.BLIND | Status.LATCHED)) > Status.LATCHED
-    at = int(np.argmax(says)) if says.any() else len(says)
-    moved = int(np.count_nonzero(np.diff(record.voltage_V[at:])) + np.count_nonzero(~says[at:]))
+    reports_blind = (record.status & np.uint32(Status.BLIND | Status.LATCHED)) > Status.LATCHED
+    at = int(np.argmax(reports_blind)) if reports_blind.any() else len(reports_blind)
+    changes = int(
+        np.count_nonzero(np.diff(record.voltage_V[at:])) + np.count_nonzero(~reports_blind[at:])
+    )
     return (
         Verdict(
             name="without a sensor until held",
@@ -240,7 +244,7 @@ def hold_verdicts(
             limit=limits.blind_s,
             unit="s",
         ),
-        _count("samples that moved while held", scenario, moved),
+        _count("samples that moved while held", scenario, changes),
     )
 
 
@@ -274,8 +278,8 @@ def recovery_verdict(
 
 def latch_verdict(scenario: str, status: NDArray[np.uint32], cause: Status) -> Verdict:
     """Judge that a tip waits for an operator and says why, (samples,) of its status."""
-    asked = np.uint32(Status.LATCHED | Status.RETRACTED | cause)
-    silent = int(np.sum((status & asked) != asked))
+    expected = np.uint32(Status.LATCHED | Status.RETRACTED | cause)
+    silent = int(np.sum((status & expected) != expected))
     return _count("samples not latched with their cause", scenario, silent)
 
 
@@ -285,11 +289,11 @@ def _samples_with(
     return _count(name, scenario, sum(int(np.sum((r.status & flag) != 0)) for r in records))
 
 
-def _count(name: str, scenario: str, found: int) -> Verdict:
-    return Verdict(name=name, scenario=scenario, value=float(found), limit=0.0, unit="1")
+def _count(name: str, scenario: str, count: int) -> Verdict:
+    return Verdict(name=name, scenario=scenario, value=float(count), limit=0.0, unit="1")
 
 
-def limits_from_toml(text: str, place: str = "limits.toml") -> Limits:
+def limits_from_toml(text: str, source: str = "limits.toml") -> Limits:
     """Return the default limits with those of a TOML text in their place.
 
         aligned_percent = 0.5
@@ -300,32 +304,32 @@ def limits_from_toml(text: str, place: str = "limits.toml") -> Limits:
     try:
         table = read_toml(text)
     except ValueError as fault:
-        raise _unusable(place, f"not TOML: {fault}", "correct TOML") from fault
-    return limits_from(table, place)
+        raise _unusable(source, f"not TOML: {fault}", "correct TOML") from fault
+    return limits_from(table, source)
 
 
-def limits_from(table: Mapping[str, object], place: str) -> Limits:
+def limits_from(table: Mapping[str, object], source: str) -> Limits:
     """Return the default limits with those of a table in their place.
 
     table  by the names of ``Limits``
-    place  where it was read, for the message
+    source  where it was read, for the message
 
     Raises ``LabFileError`` for an unknown name and for anything but a positive number.
     """
-    known = [field.name for field in fields(Limits)]
-    given: dict[str, float] = {}
+    names = [field.name for field in fields(Limits)]
+    values: dict[str, float] = {}
     for name, value in table.items():
-        if name not in known:
-            raise _unusable(place, f"unknown limit {short(name)}", "one of " + ", ".join(known))
+        if name not in names:
+            raise _unusable(source, f"unknown limit {short(name)}", "one of " + ", ".join(names))
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise _unusable(place, f"{name} is {short(value)}", "a number")
+            raise _unusable(source, f"{name} is {short(value)}", "a number")
         if not 0 < value <= sys.float_info.max:
-            raise _unusable(place, f"{name} is {short(value)}", "a finite number above zero")
-        given[name] = float(value)
-    return replace(Limits(), **given)
+            raise _unusable(source, f"{name} is {short(value)}", "a finite number above zero")
+        values[name] = float(value)
+    return replace(Limits(), **values)
 
 
-def _unusable(place: str, found: str, needed: str) -> LabFileError:
+def _unusable(source: str, found: str, needed: str) -> LabFileError:
     return LabFileError(
-        f"{place}: {found}", needed=needed, remedy=f"Correct {place} and verify again."
+        f"{source}: {found}", needed=needed, remedy=f"Correct {source} and verify again."
     )

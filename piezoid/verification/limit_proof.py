@@ -94,17 +94,17 @@ def prove(
 
     Raises ``ParameterFileError`` for a bundle that is not this parameter file's.
     """
-    held = check_bundle(file, contents)
-    wanted = [(place, real) for place in range(len(file.axes)) for real in PRECISIONS]
+    bundle_files = check_bundle(file, contents)
+    jobs = [(index, real) for index in range(len(file.axes)) for real in PRECISIONS]
     return tuple(
-        executor.map(lambda one: prove_axis(held, file.axes[one[0]], one[0], one[1]), wanted)
+        executor.map(lambda job: prove_axis(bundle_files, file.axes[job[0]], job[0], job[1]), jobs)
     )
 
 
 def prove_axis(
     contents: Mapping[str, bytes],
     axis: AxisParameters,
-    place: int,
+    index: int,
     precision: str,
     *,
     limit_s: float = LIMIT_s,
@@ -112,7 +112,7 @@ def prove_axis(
     """Prove these sources, whatever they are, with the parameters of one axis.
 
     contents  at least ``piezoid_runtime.h``, ``piezoid_runtime.c`` and ``piezo_params.h``
-    place     of the axis in ``piezo_params``
+    index     of the axis in ``piezo_params``
     limit_s   after which the tool is stopped, and nothing is proved
     """
     if which(TOOL) is None:
@@ -120,20 +120,20 @@ def prove_axis(
     claims = _claims(axis)
     with TemporaryDirectory(prefix="piezoid-") as name:
         folder = Path(name)
-        for own, content in contents.items():
-            (folder / own).write_bytes(content)
+        for file_name, content in contents.items():
+            (folder / file_name).write_bytes(content)
         lines = _harness(claims)
         (folder / "harness.c").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        flags = f"-DAXIS={place} {PRECISIONS[precision]}".strip()
+        flags = f"-DAXIS={index} {PRECISIONS[precision]}".strip()
         alarms, why_not = _analysed(folder, flags, lines, limit_s)
         seconds = _seconds(folder / "time.txt")
-        done = run(
+        version = run(
             (TOOL, "-version"), cwd=folder, capture_output=True, text=True, timeout=60, check=False
         )
         return LimitProof(
             axis=axis.axis,
             precision=precision,
-            tool=f"Frama-C {done.stdout.strip() or 'of unknown version'}, EVA",
+            tool=f"Frama-C {version.stdout.strip() or 'of unknown version'}, EVA",
             claims=("no operation of the C fails", *claims),
             alarms=alarms,
             why_not=why_not,
@@ -153,19 +153,21 @@ def _analysed(
         *("-time", str(folder / "time.txt"), *sources, "-then", "-report-csv", str(table)),
     )
     try:
-        done = run(
+        completed = run(
             command, cwd=folder, capture_output=True, text=True, timeout=limit_s, check=False
         )
     except TimeoutExpired:
         return (), f"stopped after {limit_s:g} s"
-    if done.returncode != 0 or not table.is_file():
-        said = [line for line in (done.stdout + done.stderr).splitlines() if "rror" in line]
-        return (), f"{TOOL} ended with {done.returncode}: {' '.join(said[:2])[:300]}"
-    found = {name for pair in _SAID.findall(done.stdout) for name in pair if name}
-    unread = sorted(found - _KNOWN)
+    if completed.returncode != 0 or not table.is_file():
+        errors = [
+            line for line in (completed.stdout + completed.stderr).splitlines() if "rror" in line
+        ]
+        return (), f"{TOOL} ended with {completed.returncode}: {' '.join(errors[:2])[:300]}"
+    functions = {name for pair in _SAID.findall(completed.stdout) for name in pair if name}
+    unread = sorted(functions - _KNOWN)
     if unread:
         return (), f"no body of {', '.join(unread)}"
-    if "done for function main" not in done.stdout:
+    if "done for function main" not in completed.stdout:
         return (), "the analysis did not come to its end"
     return _alarms(table, harness)
 

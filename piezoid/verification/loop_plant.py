@@ -48,102 +48,102 @@ class _Block:
         self.x[:] = np.linalg.solve(np.eye(len(self.A)) - self.A, self.B * w)
 
 
-def rest_position(plant: AxisPlant, begun: LoopPlant | None = None) -> float:
+def rest_position(plant: AxisPlant, initial: LoopPlant | None = None) -> float:
     """Return where the axis stands at rest: m, or A of a junction.
 
-    begun  the plant where it has begun already, with what disturbs it at the first sample
+    initial  the plant where it has begun already, with what disturbs it at the first sample
     """
-    begun = begun or initial_plant(plant, ArrayOwner(), 0.0)
-    return float(begun.w) * (1.0 if plant.measured is None else plant.measured_gain)
+    initial = initial or initial_plant(plant, ArrayOwner(), 0.0)
+    return float(initial.w) * (1.0 if plant.measured is None else plant.measured_gain)
 
 
-def initial_plant(plant: AxisPlant, kept: ArrayOwner, disturbance: float) -> LoopPlant:
+def initial_plant(plant: AxisPlant, arrays: ArrayOwner, disturbance: float) -> LoopPlant:
     """Return the plant as the loop takes it, settled at its rest voltage.
 
-    kept         holds the arrays it points to; it must live as long as the plant
+    arrays         holds the arrays it points to; it must live as long as the plant
     disturbance  at the first sample
     """
     rate_Hz = plant.sampling_rate_Hz * SUBSTEPS
     response, rest_V = plant.response, plant.rest_voltage_V
     gain = response.gain_nepers_per_V if isinstance(response, Junction) else 1.0
-    begun = LoopPlant(substeps=SUBSTEPS)
-    begun.reading_zero, begun.reading_lsb = plant.reading_zero, plant.reading_step
-    begun.reading_least, begun.reading_most = plant.reading_range
-    begun.late = int(plant.delay_s * plant.sampling_rate_Hz)
-    begun.late_V = kept.address(np.full(begun.late, rest_V))
-    before, after = _before(plant, rate_Hz, gain, kept), _after(plant, rate_Hz, kept)
-    begun.before, begun.after = before.linear, after.linear
+    initial = LoopPlant(substeps=SUBSTEPS)
+    initial.reading_zero, initial.reading_lsb = plant.reading_zero, plant.reading_step
+    initial.reading_least, initial.reading_most = plant.reading_range
+    initial.late = int(plant.delay_s * plant.sampling_rate_Hz)
+    initial.late_V = arrays.address(np.full(initial.late, rest_V))
+    before, after = _before(plant, rate_Hz, gain, arrays), _after(plant, rate_Hz, arrays)
+    initial.before, initial.after = before.linear, after.linear
     if isinstance(response, Junction):
-        begun.kind, begun.current_A = _EXPONENTIAL, response.current_A
-        begun.current_most = response.most_A or 0.0
+        initial.kind, initial.current_A = _EXPONENTIAL, response.current_A
+        initial.current_most = response.most_A or 0.0
         disturbance += gain * rest_V
     elif isinstance(response, Hysteresis):
-        begun.kind = _PLAYS
-        _fill_hysteresis(begun, response, kept, plant)
+        initial.kind = _PLAYS
+        _fill_hysteresis(initial, response, arrays, plant)
     else:
-        begun.kind, begun.respond = _PLUGGED, RESPOND(response.begin(rest_V))
-        kept.arrays.append(begun.respond)
-    begun.slew_step = (plant.slew_V_per_s or 0.0) * gain / rate_Hz
-    begun.driven = gain * rest_V
-    address = ctypes.addressof(begun)
-    begun.w = loop_library().pl_response(address, gain * rest_V, disturbance)
+        initial.kind, initial.respond = _PLUGGED, RESPOND(response.begin(rest_V))
+        arrays.arrays.append(initial.respond)
+    initial.slew_step = (plant.slew_V_per_s or 0.0) * gain / rate_Hz
+    initial.driven = gain * rest_V
+    address = ctypes.addressof(initial)
+    initial.w = loop_library().pl_response(address, gain * rest_V, disturbance)
     before.settle(rest_V)
-    after.settle(begun.w)
-    return begun
+    after.settle(initial.w)
+    return initial
 
 
 def _fill_hysteresis(
-    begun: LoopPlant, response: Hysteresis, kept: ArrayOwner, plant: AxisPlant
+    initial: LoopPlant, response: Hysteresis, arrays: ArrayOwner, plant: AxisPlant
 ) -> None:
     operator = response.operator
-    begun.polarity = response.polarity
-    begun.voltage_offset_V = operator.voltage_offset_V
-    begun.displacement_offset_m = operator.displacement_offset_m / plant.measured_gain
-    begun.low_V, begun.high_V = response.low_V, response.high_V
+    initial.polarity = response.polarity
+    initial.voltage_offset_V = operator.voltage_offset_V
+    initial.displacement_offset_m = operator.displacement_offset_m / plant.measured_gain
+    initial.low_V, initial.high_V = response.low_V, response.high_V
     past_V = np.array([*response.history_V, plant.rest_voltage_V])
     past_V = np.clip(past_V, response.low_V, response.high_V)
     _, states_V = operator.run(past_V, operator.virgin_memory())
-    begun.play_V = kept.address(np.array(states_V))
+    initial.play_V = arrays.address(np.array(states_V))
     if isinstance(operator, PreisachPlays):
-        irreversible_m = _fill_functions(begun, operator, states_V, kept)
+        irreversible_m = _fill_functions(initial, operator, states_V, arrays)
     else:
-        irreversible_m = _fill_plays(begun, operator, states_V, kept)
+        irreversible_m = _fill_plays(initial, operator, states_V, arrays)
     if response.activation_s > 0.0:
-        begun.irreversible_m = irreversible_m
+        initial.irreversible_m = irreversible_m
         instants_per_s = plant.sampling_rate_Hz * SUBSTEPS
-        begun.activation_step = float(np.exp(-1.0 / (response.activation_s * instants_per_s)))
-        begun.activation_m = response.activation_m
+        initial.activation_step = float(np.exp(-1.0 / (response.activation_s * instants_per_s)))
+        initial.activation_m = response.activation_m
     if response.discrepancy is not None:
-        _fill_discrepancy(begun, response.discrepancy, past_V, kept)
+        _fill_discrepancy(initial, response.discrepancy, past_V, arrays)
     if plant.cyclic is not None:
-        begun.cyclic_orders = len(plant.cyclic.cosine_m)
-        begun.cyclic_per_m = 2.0 * np.pi / plant.cyclic.wavelength_m
-        begun.cyclic_cosine_m = kept.address(np.array(plant.cyclic.cosine_m))
-        begun.cyclic_sine_m = kept.address(np.array(plant.cyclic.sine_m))
+        initial.cyclic_orders = len(plant.cyclic.cosine_m)
+        initial.cyclic_per_m = 2.0 * np.pi / plant.cyclic.wavelength_m
+        initial.cyclic_cosine_m = arrays.address(np.array(plant.cyclic.cosine_m))
+        initial.cyclic_sine_m = arrays.address(np.array(plant.cyclic.sine_m))
 
 
 def _fill_plays(
-    begun: LoopPlant, operator: ModifiedPrandtlIshlinskii, states_V: Array, kept: ArrayOwner
+    initial: LoopPlant, operator: ModifiedPrandtlIshlinskii, states_V: Array, arrays: ArrayOwner
 ) -> float:
     """Return where the irreversible part is, m."""
-    begun.plays = len(operator.plays.threshold)
-    begun.threshold_V = kept.address(operator.plays.threshold)
-    begun.weight = kept.address(operator.plays.weight)
-    begun.envelope, begun.zones = (
-        _map(part, kept) for part in (operator.envelope, operator.dead_zones)
+    initial.plays = len(operator.plays.threshold)
+    initial.threshold_V = arrays.address(operator.plays.threshold)
+    initial.weight = arrays.address(operator.plays.weight)
+    initial.envelope, initial.zones = (
+        _map(part, arrays) for part in (operator.envelope, operator.dead_zones)
     )
     return float(operator.plays.weight[1:] @ states_V[1:])
 
 
 def _fill_functions(
-    begun: LoopPlant, operator: PreisachPlays, states_V: Array, kept: ArrayOwner
+    initial: LoopPlant, operator: PreisachPlays, states_V: Array, arrays: ArrayOwner
 ) -> float:
     """Return where the irreversible part is, m."""
-    begun.plays, begun.edges = operator.value_m.shape
-    begun.threshold_V = kept.address(operator.threshold_V)
-    begun.edge_V = kept.address(operator.edge_V)
-    begun.value_m = kept.address(np.ascontiguousarray(operator.value_m))
-    begun.envelope, begun.zones = _map(LINEAR, kept), _map(LINEAR, kept)
+    initial.plays, initial.edges = operator.value_m.shape
+    initial.threshold_V = arrays.address(operator.threshold_V)
+    initial.edge_V = arrays.address(operator.edge_V)
+    initial.value_m = arrays.address(np.ascontiguousarray(operator.value_m))
+    initial.envelope, initial.zones = _map(LINEAR, arrays), _map(LINEAR, arrays)
     return sum(
         float(straight_between(state_V, operator.edge_V, value_m)[0])
         for state_V, value_m in zip(states_V[1:, None], operator.value_m[1:], strict=True)
@@ -151,23 +151,23 @@ def _fill_functions(
 
 
 def _fill_discrepancy(
-    begun: LoopPlant, second: Discrepancy, past_V: Array, kept: ArrayOwner
+    initial: LoopPlant, second: Discrepancy, past_V: Array, arrays: ArrayOwner
 ) -> None:
-    begun.second_powers, begun.second_plays = second.weight_m.shape
-    begun.second_threshold_V = kept.address(second.threshold_V)
-    begun.second_weight_m = kept.address(np.ascontiguousarray(second.weight_m))
+    initial.second_powers, initial.second_plays = second.weight_m.shape
+    initial.second_threshold_V = arrays.address(second.threshold_V)
+    initial.second_weight_m = arrays.address(np.ascontiguousarray(second.weight_m))
     away_V = past_V - second.centre_V
     _, states_V = play_columns(away_V, second.threshold_V, np.zeros(len(second.threshold_V)))
-    begun.second_play_V = kept.address(np.array(states_V))
-    begun.second_centre_V, begun.second_reach_V = second.centre_V, second.reach_V
+    initial.second_play_V = arrays.address(np.array(states_V))
+    initial.second_centre_V, initial.second_reach_V = second.centre_V, second.reach_V
 
 
-def _map(zones: DeadZones, kept: ArrayOwner) -> Map:
+def _map(zones: DeadZones, arrays: ArrayOwner) -> Map:
     slope = np.ascontiguousarray(zones.slope)
     return Map(
         knots=len(zones.threshold),
-        knot=kept.address(zones.threshold),
-        slope=kept.address(slope),
+        knot=arrays.address(zones.threshold),
+        slope=arrays.address(slope),
         zero=zones.zero,
     )
 
@@ -180,25 +180,25 @@ def cascade(sections: Sequence[Section]) -> tuple[Array, Array, list[int]]:
     orders = [1 if section.damping is None else 2 for section in sections]
     A, B = np.zeros((sum(orders), sum(orders))), np.zeros(sum(orders))
     outputs: list[int] = []
-    place = 0
+    index = 0
     for section, order in zip(sections, orders, strict=True):
         w = 2.0 * np.pi * section.frequency_Hz
-        driven = place + order - 1
+        driven = index + order - 1
         if section.damping is None:
-            A[place, place] = -w
+            A[index, index] = -w
         else:
-            A[place, driven] = w
-            A[driven, place], A[driven, driven] = -w, -2.0 * section.damping * w
+            A[index, driven] = w
+            A[driven, index], A[driven, driven] = -w, -2.0 * section.damping * w
         if outputs:
             A[driven, outputs[-1]] = w
         else:
             B[driven] = w
-        outputs.append(place)
-        place += order
+        outputs.append(index)
+        index += order
     return A, B, outputs
 
 
-def _before(plant: AxisPlant, rate_Hz: float, gain: float, kept: ArrayOwner) -> _Block:
+def _before(plant: AxisPlant, rate_Hz: float, gain: float, arrays: ArrayOwner) -> _Block:
     """Return amplifier and what the delay has beside whole samples, behind a held command."""
     whole_s = int(plant.delay_s * plant.sampling_rate_Hz) / plant.sampling_rate_Hz
     sections = plant.amplifier or (Section(frequency_Hz=_QUICK * rate_Hz / (2.0 * np.pi)),)
@@ -210,12 +210,12 @@ def _before(plant: AxisPlant, rate_Hz: float, gain: float, kept: ArrayOwner) -> 
         D=np.zeros((1, 1)),
         delay_s=max(plant.delay_s - whole_s, 0.0),
     )
-    held = sample(in_series(system, *plant.drive_modes), rate_Hz)
-    rows = np.vstack([gain * held.C, np.zeros_like(held.C)])
-    return _block(held.A, (held.B[:, 0], np.zeros(len(held.A))), rows, (0.0, 0.0), kept)
+    sampled = sample(in_series(system, *plant.drive_modes), rate_Hz)
+    rows = np.vstack([gain * sampled.C, np.zeros_like(sampled.C)])
+    return _block(sampled.A, (sampled.B[:, 0], np.zeros(len(sampled.A))), rows, (0.0, 0.0), arrays)
 
 
-def _after(plant: AxisPlant, rate_Hz: float, kept: ArrayOwner) -> _Block:
+def _after(plant: AxisPlant, rate_Hz: float, arrays: ArrayOwner) -> _Block:
     """Return mechanics and sensor behind a signal that is straight between substeps.
 
     x[k+1] = e^(A h) x[k] + G_1 w[k] + G_2 (w[k+1] - w[k])
@@ -225,9 +225,9 @@ def _after(plant: AxisPlant, rate_Hz: float, kept: ArrayOwner) -> _Block:
     line = np.zeros((states + 2, states + 2))
     line[:states, :states], line[:states, states] = A / rate_Hz, B / rate_Hz
     line[states, states + 1] = 1.0
-    moved = expm(line)[:states]
-    held, ramp = moved[:, states], moved[:, states + 1]
-    return _block(moved[:, :states], (held - ramp, ramp), C, D, kept)
+    transition = expm(line)[:states]
+    constant, ramp = transition[:, states], transition[:, states + 1]
+    return _block(transition[:, :states], (constant - ramp, ramp), C, D, arrays)
 
 
 def _behind(plant: AxisPlant) -> tuple[Array, Array, Array, tuple[float, float]]:
@@ -235,11 +235,11 @@ def _behind(plant: AxisPlant) -> tuple[Array, Array, Array, tuple[float, float]]
     if plant.measured is not None:
         scale = plant.measured_gain / rest_gain(plant.measured)
         sensor = [first_order(section.frequency_Hz) for section in plant.sensor]
-        whole = in_series(plant.measured, *sensor)
-        inner = len(whole.A) - len(plant.measured.A)
+        chain = in_series(plant.measured, *sensor)
+        inner = len(chain.A) - len(plant.measured.A)
         row = np.concatenate([plant.measured.C[0], np.zeros(inner)])
-        direct = (scale * float(plant.measured.D[0, 0]), scale * float(whole.D[0, 0]))
-        return whole.A, whole.B[:, 0], scale * np.stack([row, whole.C[0]]), direct
+        direct = (scale * float(plant.measured.D[0, 0]), scale * float(chain.D[0, 0]))
+        return chain.A, chain.B[:, 0], scale * np.stack([row, chain.C[0]]), direct
     A, B, outputs = cascade((*plant.mechanics, *plant.sensor))
     C, D = np.zeros((2, len(A))), [0.0, 0.0]
     for row_of, sections in enumerate((len(plant.mechanics), len(outputs))):
@@ -251,7 +251,7 @@ def _behind(plant: AxisPlant) -> tuple[Array, Array, Array, tuple[float, float]]
 
 
 def _block(
-    A: Array, drive: tuple[Array, Array], C: Array, D: tuple[float, float], kept: ArrayOwner
+    A: Array, drive: tuple[Array, Array], C: Array, D: tuple[float, float], arrays: ArrayOwner
 ) -> _Block:
     """Build a block; ``drive`` holds B_old and B_new."""
     old, new = drive
@@ -262,8 +262,8 @@ def _block(
             remedy="Fit a model with fewer modes, or give the controller a higher rate.",
         )
     x = np.zeros(len(A))
-    linear = Linear(states=len(A), x=kept.address(x))
+    linear = Linear(states=len(A), x=arrays.address(x))
     for name, array in {"A": A, "B_old": old, "B_new": new, "C": C}.items():
-        setattr(linear, name, kept.address(np.ascontiguousarray(array, dtype=np.float64)))
+        setattr(linear, name, arrays.address(np.ascontiguousarray(array, dtype=np.float64)))
     linear.D[:] = D
     return _Block(linear=linear, A=A, B=old + new, x=x)

@@ -170,10 +170,10 @@ class AxisPlant:
         kicks[:1] = white[:1]
         return np.asarray(self.noise_rms * recursive_filter([1.0], [1.0, -pole], kicks) + hum)
 
-    def motion_m(self, samples: int, others: Array) -> Array:
+    def motion_m(self, samples: int, other_drive: Array) -> Array:
         """Return what moves the stage beside its drive, (samples,).
 
-        others  (samples,)  how another axis is driven, -1 to 1: what has no speed of its own
+        other_drive  (samples,)  how another axis is driven, -1 to 1: what has no speed of its own
                             follows it
         """
         time_s = np.arange(samples) / self.sampling_rate_Hz
@@ -184,7 +184,7 @@ class AxisPlant:
                 turn = motion.fastest_m_per_s / far_m * time_s
                 moved_m += far_m * np.sin(turn)
             else:
-                moved_m += far_m * others
+                moved_m += far_m * other_drive
         return moved_m
 
 

@@ -104,7 +104,7 @@ def write_build_files(
     for name, content in contents.items():
         (folder / name).write_bytes(content)
     (folder / "replay.c").write_bytes(target_source("replay.c"))
-    pairs = [replay_inputs(axis, place) for place, axis in enumerate(file.axes)]
+    pairs = [replay_inputs(axis, index) for index, axis in enumerate(file.axes)]
     ordinary = len(golden_inputs(file.axes[0], np.random.default_rng(0))[0])
     counts = np.array([SAMPLES, ordinary], dtype="<u4").tobytes()
     dtype = "<f8" if real == "double" else "<f4"
@@ -114,22 +114,22 @@ def write_build_files(
     return ordinary
 
 
-def replay_inputs(axis: AxisParameters, place: int) -> tuple[Array, Array]:
+def replay_inputs(axis: AxisParameters, seed: int) -> tuple[Array, Array]:
     """Return references and measurements: an ordinary day, then hostile ones.
 
     One in five of the hostile samples is no number, infinite, enormous or the smallest there is;
     the rest jumps anywhere within twice the range.
     """
-    rng = np.random.default_rng([place, SAMPLES])
-    found = []
-    for usual in golden_inputs(axis, np.random.default_rng(place)):
-        good = usual[np.isfinite(usual)]
-        centre, half = (good.max() + good.min()) / 2, good.max() - good.min()
+    rng = np.random.default_rng([seed, SAMPLES])
+    signals = []
+    for usual in golden_inputs(axis, np.random.default_rng(seed)):
+        finite = usual[np.isfinite(usual)]
+        centre, half = (finite.max() + finite.min()) / 2, finite.max() - finite.min()
         wild = centre + half * rng.uniform(-1.0, 1.0, SAMPLES - len(usual))
         bad = rng.random(len(wild)) < 0.2
         wild[bad] = rng.choice(_HOSTILE, int(bad.sum()))
-        found.append(np.concatenate([usual, wild]))
-    return found[0], found[1]
+        signals.append(np.concatenate([usual, wild]))
+    return signals[0], signals[1]
 
 
 def expected_answers(file: ParameterFile, real: str) -> bytes:
@@ -137,14 +137,14 @@ def expected_answers(file: ParameterFile, real: str) -> bytes:
     number = PRECISIONS[real][1]
     record = np.dtype([("voltage_V", np.dtype(number)), ("status", "<u4")])
     answers = []
-    for place, axis in enumerate(file.axes):
-        reference, measured = replay_inputs(axis, place)
+    for index, axis in enumerate(file.axes):
+        reference, measured = replay_inputs(axis, index)
         controller = Controller(axis.values, precision=real)
         with np.errstate(over="ignore"):
             controller.start(0.0, float(measured[0]))
-            done = controller.run(reference, measured)
+            outputs = controller.run(reference, measured)
         rows = np.empty(len(reference), dtype=record)
-        rows["voltage_V"], rows["status"] = done.voltage_V, done.status
+        rows["voltage_V"], rows["status"] = outputs.voltage_V, outputs.status
         answers.append(rows.tobytes())
     return b"".join(answers)
 
@@ -156,24 +156,26 @@ def compare(
 
     Raises ``RuntimeLibraryError`` where it fails or answers another number of samples.
     """
-    said = run_program(command, folder)
-    found = (folder / "answers.bin").read_bytes()
-    wanted = expected_answers(file, real)
-    if len(found) != len(wanted):
+    printed = run_program(command, folder)
+    answers = (folder / "answers.bin").read_bytes()
+    expected = expected_answers(file, real)
+    if len(answers) != len(expected):
         raise RuntimeLibraryError(
-            f"{command[0]} wrote {len(found)} bytes of answers",
-            needed=f"{len(wanted)}, one for every sample",
+            f"{command[0]} wrote {len(answers)} bytes of answers",
+            needed=f"{len(expected)}, one for every sample",
             remedy="Run it by hand in a folder with the bundle's files.",
         )
     samples = SAMPLES * len(file.axes)
-    shape = (samples, len(wanted) // samples)
-    rows = [np.frombuffer(content, dtype=np.uint8).reshape(shape) for content in (found, wanted)]
-    numbers = [[int(word) for word in line.split()] for line in said.splitlines()]
+    shape = (samples, len(expected) // samples)
+    rows = [
+        np.frombuffer(content, dtype=np.uint8).reshape(shape) for content in (answers, expected)
+    ]
+    numbers = [[int(word) for word in line.split()] for line in printed.splitlines()]
     return Answers(
         differing=int(np.any(rows[0] != rows[1], axis=1).sum()),
         samples=samples,
         instructions={file.axes[axis].axis: n / ordinary for axis, n, *_ in numbers if n},
-        most={file.axes[axis].axis: most for axis, n, most, *_ in numbers if n},
+        most={file.axes[axis].axis: largest for axis, n, largest, *_ in numbers if n},
         stack_bytes=max(stack for *_, stack, _ in numbers),
         state_bytes=numbers[0][4],
     )
@@ -184,15 +186,17 @@ def run_program(command: Sequence[str], folder: Path) -> str:
 
     Raises ``RuntimeLibraryError`` with the program's own words where it fails.
     """
-    done = run(command, cwd=folder, capture_output=True, text=True, timeout=_SECONDS, check=False)
-    if done.returncode != 0:
-        words = (done.stderr or done.stdout)[:800]
+    completed = run(
+        command, cwd=folder, capture_output=True, text=True, timeout=_SECONDS, check=False
+    )
+    if completed.returncode != 0:
+        words = (completed.stderr or completed.stdout)[:800]
         raise RuntimeLibraryError(
-            f"{' '.join(command)} ended with {done.returncode}: {words}",
+            f"{' '.join(command)} ended with {completed.returncode}: {words}",
             needed="a build that compiles and runs",
             remedy="Compare the bundle with a fresh export, and the compiler with C99.",
         )
-    return done.stdout
+    return completed.stdout
 
 
 def rebuild(file: ParameterFile, contents: Mapping[str, bytes] | None = None) -> tuple[Proof, ...]:
@@ -203,12 +207,12 @@ def rebuild(file: ParameterFile, contents: Mapping[str, bytes] | None = None) ->
     Raises ``ParameterFileError`` for a bundle that is not this parameter file's, and
     ``RuntimeLibraryError`` for one that does not compile or run.
     """
-    held = check_bundle(file, contents)
-    compiler = next((found for name in _HOST if (found := which(name))), None)
+    bundle_files = check_bundle(file, contents)
+    compiler = next((path for name in _HOST if (path := which(name))), None)
     if compiler is None:
-        said = f"host: none of {', '.join(_HOST)} is on this machine"
-        return (Proof(build=said, is_built=False),)
-    return tuple(_on_host(file, held, compiler, real) for real in ("double", "float"))
+        reason = f"host: none of {', '.join(_HOST)} is on this machine"
+        return (Proof(build=reason, is_built=False),)
+    return tuple(_on_host(file, bundle_files, compiler, real) for real in ("double", "float"))
 
 
 def emulate(file: ParameterFile, contents: Mapping[str, bytes] | None = None) -> Proof:
@@ -216,24 +220,24 @@ def emulate(file: ParameterFile, contents: Mapping[str, bytes] | None = None) ->
 
     Raises as ``rebuild`` does.
     """
-    held = check_bundle(file, contents)
+    bundle_files = check_bundle(file, contents)
     missing = _missing_for_target()
     if missing:
-        said = f"Cortex-M4F: no {' and no '.join(missing)} on this machine"
-        return Proof(build=said, is_built=False)
+        reason = f"Cortex-M4F: no {' and no '.join(missing)} on this machine"
+        return Proof(build=reason, is_built=False)
     with TemporaryDirectory(prefix="piezoid-") as name:
         folder = Path(name)
-        ordinary = build_for_cortex_m4(folder, held, file)
-        found = compare(folder, (_EMULATOR, *_EMULATED), file, "float", ordinary)
+        ordinary = build_for_cortex_m4(folder, bundle_files, file)
+        answers = compare(folder, (_EMULATOR, *_EMULATED), file, "float", ordinary)
     return Proof(
         build=f"{_TARGET} {' '.join(_FLAGS)}, Cortex-M4F emulated (mps2-an386), float",
         is_built=True,
-        samples=found.samples,
-        differing=found.differing,
-        instructions_per_sample=found.instructions,
-        most_instructions=found.most,
-        stack_bytes=found.stack_bytes,
-        state_bytes=found.state_bytes,
+        samples=answers.samples,
+        differing=answers.differing,
+        instructions_per_sample=answers.instructions,
+        most_instructions=answers.most,
+        stack_bytes=answers.stack_bytes,
+        state_bytes=answers.state_bytes,
     )
 
 
@@ -252,37 +256,40 @@ def _missing_for_target() -> list[str]:
     """Return what of compiler, its C library and emulator is not here."""
     missing = [name for name in (_TARGET, _EMULATOR) if which(name) is None]
     if not missing:
-        place = run_program((_TARGET, f"-print-file-name={_LIBRARY}"), Path.cwd()).strip()
-        missing += [_LIBRARY] if place == _LIBRARY else []  # a path where there is one
+        library_path = run_program((_TARGET, f"-print-file-name={_LIBRARY}"), Path.cwd()).strip()
+        missing += [_LIBRARY] if library_path == _LIBRARY else []  # a path where there is one
     return missing
 
 
-def _on_host(file: ParameterFile, held: Mapping[str, bytes], compiler: str, real: str) -> Proof:
-    chosen = ("-DPZ_REAL_FLOAT",) if real == "float" else ()
+def _on_host(
+    file: ParameterFile, bundle_files: Mapping[str, bytes], compiler: str, real: str
+) -> Proof:
+    precision_flags = ("-DPZ_REAL_FLOAT",) if real == "float" else ()
     with TemporaryDirectory(prefix="piezoid-") as name:
         folder = Path(name)
-        ordinary = write_build_files(folder, held, file, real)
+        ordinary = write_build_files(folder, bundle_files, file, real)
         run_program(
-            (compiler, *_FLAGS, *chosen, "replay.c", "piezoid_runtime.c", "-o", "replay"), folder
+            (compiler, *_FLAGS, *precision_flags, "replay.c", "piezoid_runtime.c", "-o", "replay"),
+            folder,
         )
-        found = compare(folder, (str(folder / "replay"),), file, real, ordinary)
+        answers = compare(folder, (str(folder / "replay"),), file, real, ordinary)
     return Proof(
         build=f"{Path(compiler).name} {' '.join(_FLAGS)}, this machine, {real}",
         is_built=True,
-        samples=found.samples,
-        differing=found.differing,
-        state_bytes=found.state_bytes,
+        samples=answers.samples,
+        differing=answers.differing,
+        state_bytes=answers.state_bytes,
     )
 
 
 def check_bundle(file: ParameterFile, contents: Mapping[str, bytes] | None) -> Mapping[str, bytes]:
     """Return the bundle's files, after comparing those found with what this file makes."""
-    made = bundle(file).files
-    for name, content in made.items():
+    expected = bundle(file).files
+    for name, content in expected.items():
         if contents is not None and contents.get(name) != content:
             raise ParameterFileError(
                 f"bundle/{name} is not what this parameter file and this version make",
                 needed="a bundle nobody edited, of the same parameters and runtime",
                 remedy="Export again; change params.json's sources, never the bundle.",
             )
-    return made
+    return expected

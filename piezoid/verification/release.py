@@ -38,44 +38,46 @@ def release(
     Where the whole file fails, every axis is run by itself: one that fails alone is refused, and
     what is left must pass together.
     """
-    found = verify_stage(file, model, lab=lab, threads=threads)
-    if found.passed:
-        return Shipping(verification=found, parameters=file)
-    alone = {
+    verification = verify_stage(file, model, lab=lab, threads=threads)
+    if verification.passed:
+        return Shipping(verification=verification, parameters=file)
+    by_axis = {
         axis.axis: verify_stage(replace(file, axes=(axis,)), model, lab=lab, threads=threads)
         for axis in (file.axes if len(file.axes) > 1 else ())
     }
-    kept = tuple(axis for axis in file.axes if axis.axis in alone and alone[axis.axis].passed)
-    if kept and len(kept) < len(file.axes):
-        lost = tuple(axis for axis in file.axes if axis not in kept)
-        reasons = {axis.axis: _reason(alone[axis.axis]) for axis in lost}
-        rest = replace(file, axes=kept, unshipped={**file.unshipped, **reasons})
-        together = verify_stage(rest, model, lab=lab, threads=threads)
+    passed = tuple(
+        axis for axis in file.axes if axis.axis in by_axis and by_axis[axis.axis].passed
+    )
+    if passed and len(passed) < len(file.axes):
+        failed = tuple(axis for axis in file.axes if axis not in passed)
+        reasons = {axis.axis: _reason(by_axis[axis.axis]) for axis in failed}
+        remaining = replace(file, axes=passed, unshipped={**file.unshipped, **reasons})
+        together = verify_stage(remaining, model, lab=lab, threads=threads)
         if together.passed:
             return Shipping(
                 verification=together,
-                parameters=rest,
-                refused=replace(file, axes=lost),
-                refused_verification=found,
+                parameters=remaining,
+                refused=replace(file, axes=failed),
+                refused_verification=verification,
                 reasons=reasons,
             )
     return Shipping(
-        verification=found,
+        verification=verification,
         refused=file,
-        refused_verification=found,
-        reasons={axis.axis: _reason(alone.get(axis.axis, found)) for axis in file.axes},
+        refused_verification=verification,
+        reasons={axis.axis: _reason(by_axis.get(axis.axis, verification)) for axis in file.axes},
     )
 
 
-def _reason(found: Verification) -> str:
-    failed = [describe_failure(verdict) for verdict in found.verdicts if not verdict.passed]
-    told = "; ".join(failed[:_TOLD])
-    more = f"; and {len(failed) - _TOLD} more" if len(failed) > _TOLD else ""
+def _reason(verification: Verification) -> str:
+    failed = [describe_failure(verdict) for verdict in verification.verdicts if not verdict.passed]
+    described = "; ".join(failed[:_TOLD])
+    omitted = f"; and {len(failed) - _TOLD} more" if len(failed) > _TOLD else ""
     if not failed:
         return "it passes alone, and not together with the other axes"
     return (
-        f"its own verification failed, {len(failed)} of {len(found.verdicts)} verdicts: "
-        f"{told}{more}. Figures for study are in refused/; read there which scenario fails, "
-        "record what the model lacks (a chirp or multisine through the first resonance, at the "
-        "controller's rate, and slow full loops), and fit again"
+        f"its own verification failed, {len(failed)} of {len(verification.verdicts)} verdicts: "
+        f"{described}{omitted}. Figures for study are in refused/; read there which scenario "
+        "fails, record what the model lacks (a chirp or multisine through the first resonance, at "
+        "the controller's rate, and slow full loops), and fit again"
     )

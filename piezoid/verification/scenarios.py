@@ -81,12 +81,12 @@ def _rounded_triangle(phase: Array) -> Array:
     """Return a triangle of period 1 from 0 upwards, its corners parabolas, its peaks at 1."""
     folded = np.abs((phase + 0.25) % 1.0 - 0.5)  # 1/4 at the start, 0 at the upper corner
     width = 0.5 * _ROUNDED
-    ends = np.minimum(folded, 0.5 - folded)
-    straight = np.sign(0.25 - folded) * (0.25 - ends)
-    cut = np.maximum(width - ends, 0.0) ** 2 / (2.0 * width)
-    bent = np.sign(0.25 - folded) * (0.25 - ends - cut)
-    found = np.where(ends < width, bent, straight)
-    return np.asarray(found / (0.25 - 0.5 * width))
+    corner_distance = np.minimum(folded, 0.5 - folded)
+    straight = np.sign(0.25 - folded) * (0.25 - corner_distance)
+    cut = np.maximum(width - corner_distance, 0.0) ** 2 / (2.0 * width)
+    bent = np.sign(0.25 - folded) * (0.25 - corner_distance - cut)
+    wave = np.where(corner_distance < width, bent, straight)
+    return np.asarray(wave / (0.25 - 0.5 * width))
 
 
 def steps(rate_Hz: float, hold_s: float) -> Path:
@@ -125,10 +125,10 @@ class Scenario:
         """Return the sensor's fault, (samples,), or None."""
         if self.fault is None:
             return None
-        found = np.zeros(samples)
+        fault = np.zeros(samples)
         lasts = samples if np.isinf(self.fault_s) else round(self.fault_s * rate_Hz)
-        found[samples // 2 : samples // 2 + lasts] = self.fault
-        return found
+        fault[samples // 2 : samples // 2 + lasts] = self.fault
+        return fault
 
 
 def spiral_speed_m_per_s(frequency_Hz: float, radius_m: float) -> float:

@@ -57,10 +57,10 @@ class RoughSurface:
         rng = np.random.default_rng(self.seed)
         wavelength = self.shortest_m * 10.0 ** rng.uniform(0.0, 1.0, _WAVES)
         direction, phase = rng.uniform(0.0, 2.0 * np.pi, (2, _WAVES))
-        found = np.zeros_like(x_m)
+        height_m = np.zeros_like(x_m)
         for w, d, p in zip(2.0 * np.pi / wavelength, direction, phase, strict=True):
-            found += np.cos(w * (x_m * np.cos(d) + y_m * np.sin(d)) + p) - np.cos(p)
-        return np.asarray(self.rms_m * np.sqrt(2.0 / _WAVES) * found)
+            height_m += np.cos(w * (x_m * np.cos(d) + y_m * np.sin(d)) + p) - np.cos(p)
+        return np.asarray(self.rms_m * np.sqrt(2.0 / _WAVES) * height_m)
 
 
 def judge_tips(

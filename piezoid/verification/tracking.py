@@ -47,13 +47,13 @@ def track(
     sampling_rate_Hz: float,
 ) -> Tracking:
     """Compare positions with references, (samples,) by axis, both about the path's middle."""
-    wanted = np.stack([reference[axis] for axis in reference])
-    moved = np.stack([position[axis] for axis in reference])
-    error = np.sqrt(np.sum((moved - wanted) ** 2, axis=0))
+    references = np.stack([reference[axis] for axis in reference])
+    positions = np.stack([position[axis] for axis in reference])
+    error = np.sqrt(np.sum((positions - references) ** 2, axis=0))
     longest_s = min(_LONGEST_DELAY_s, _QUARTER / frequency_Hz)
-    aligned, delay_s = align(wanted, moved, sampling_rate_Hz, longest_s)
+    aligned, delay_s = align(references, positions, sampling_rate_Hz, longest_s)
     rms = float(np.sqrt(np.mean(error**2)))
-    radial = np.sqrt(np.sum(moved**2, axis=0)) - np.sqrt(np.sum(wanted**2, axis=0))
+    radial = np.sqrt(np.sum(positions**2, axis=0)) - np.sqrt(np.sum(references**2, axis=0))
     return Tracking(
         rms_m=rms,
         rms_percent=100.0 * rms / (2.0 * radius_m),
@@ -61,37 +61,37 @@ def track(
         aligned_rms_m=aligned,
         delay_s=delay_s,
         radial_rms_m=float(np.sqrt(np.mean(radial**2))),
-        pitch_error=_pitch_error(moved, path, radius_m) if len(moved) == 2 else None,
+        pitch_error=_pitch_error(positions, path, radius_m) if len(positions) == 2 else None,
     )
 
 
 def align(
-    wanted: Array, moved: Array, sampling_rate_Hz: float, longest_s: float
+    reference: Array, position: Array, sampling_rate_Hz: float, longest_s: float
 ) -> tuple[float, float]:
     """Return the rms after the best common delay, and the delay.
 
         minimise over tau  sum_axes sum_k |y(t_k) - r(t_k - tau)|^2     by Gauss-Newton from 0
 
-    wanted, moved  (axes, samples)  four samples or more
+    reference, moved  (axes, samples)  four samples or more
     longest_s      the delay stays within +- this; as much is left out at both ends, and of a
                    short record two samples are left
     """
-    samples = wanted.shape[1]
+    samples = reference.shape[1]
     longest = min(longest_s * sampling_rate_Hz, (samples - 2) // 2)
     out = int(np.ceil(longest))
-    kept, pieces = moved[:, out : samples - out], _cubic_pieces(wanted)
+    inner, pieces = position[:, out : samples - out], _cubic_pieces(reference)
     delay = 0.0  # in samples
     for _ in range(_ITERATIONS):
-        late, rate = _earlier(pieces, out, kept.shape[1], delay)
+        delayed, rate = _earlier(pieces, out, inner.shape[1], delay)
         power = float(np.sum(rate**2))
         if power == 0.0:
             break
-        change = float(np.sum((kept - late) * rate)) / power
-        before, delay = delay, float(np.clip(delay - change, -longest, longest))
-        if delay == before:
+        change = float(np.sum((inner - delayed) * rate)) / power
+        previous, delay = delay, float(np.clip(delay - change, -longest, longest))
+        if delay == previous:
             break
-    late, _ = _earlier(pieces, out, kept.shape[1], delay)
-    rms = float(np.sqrt(np.sum((kept - late) ** 2) / kept.shape[1]))
+    delayed, _ = _earlier(pieces, out, inner.shape[1], delay)
+    rms = float(np.sqrt(np.sum((inner - delayed) ** 2) / inner.shape[1]))
     return rms, delay / sampling_rate_Hz
 
 
@@ -111,36 +111,38 @@ def _earlier(pieces: Array, first: int, count: int, delay: float) -> tuple[Array
 
     All look at the same share of their intervals, which nobody has to search for one by one.
     """
-    whole = int(np.ceil(delay))
-    begin = min(max(first - whole, 0), pieces.shape[2] - count)
+    samples = int(np.ceil(delay))
+    begin = min(max(first - samples, 0), pieces.shape[2] - count)
     t = first - delay - begin
     c3, c2, c1, c0 = pieces[:, :, begin : begin + count]
     return ((c3 * t + c2) * t + c1) * t + c0, (3.0 * c3 * t + 2.0 * c2) * t + c1
 
 
-def shape_error(wanted: Array, moved: Array, sampling_rate_Hz: float, delay_s: float) -> Array:
+def shape_error(
+    reference: Array, position: Array, sampling_rate_Hz: float, delay_s: float
+) -> Array:
     """Return the distance from the path that a common delay leaves, sample by sample.
 
-    wanted, moved  (axes, samples)
+    reference, moved  (axes, samples)
     returned       (samples,); outside the record the path stands still
     """
     from scipy.interpolate import CubicSpline
 
-    time_s = np.arange(wanted.shape[1]) / sampling_rate_Hz
-    late = CubicSpline(time_s, wanted, axis=1)(np.clip(time_s - delay_s, 0.0, time_s[-1]))
-    return np.asarray(np.sqrt(np.sum((moved - late) ** 2, axis=0)))
+    time_s = np.arange(reference.shape[1]) / sampling_rate_Hz
+    delayed = CubicSpline(time_s, reference, axis=1)(np.clip(time_s - delay_s, 0.0, time_s[-1]))
+    return np.asarray(np.sqrt(np.sum((position - delayed) ** 2, axis=0)))
 
 
-def _pitch_error(moved: Array, path: Path, radius_m: float) -> float | None:
+def _pitch_error(position: Array, path: Path, radius_m: float) -> float | None:
     """Return how unequal the distances between neighbouring turns are, relative to the pitch."""
-    angle = np.maximum.accumulate(np.unwrap(np.arctan2(moved[1], moved[0])))
-    r = np.hypot(moved[0], moved[1])
-    whole = int((angle[-1] - angle[0]) / (2.0 * np.pi)) - 1
-    if path.turns == 0 or whole < 2:
+    angle = np.maximum.accumulate(np.unwrap(np.arctan2(position[1], position[0])))
+    r = np.hypot(position[0], position[1])
+    turns = int((angle[-1] - angle[0]) / (2.0 * np.pi)) - 1
+    if path.turns == 0 or turns < 2:
         return None
     spacings = []
     for k in range(_ANGLES):
         first = angle[0] + 2.0 * np.pi * (1.0 + k / _ANGLES)  # the first turn has no direction
-        at = first + 2.0 * np.pi * np.arange(whole)
+        at = first + 2.0 * np.pi * np.arange(turns)
         spacings.append(np.diff(np.interp(at[at <= angle[-1]], angle, r)))
     return float(np.std(np.concatenate(spacings)) / (radius_m / path.turns))

@@ -163,15 +163,17 @@ class Verification:
 
         What a machine without compiler, emulator or analyser cannot tell is no failure.
         """
-        builds, proofs = (all(p.passed for p in held) for held in (self.proofs, self.limit_proofs))
+        builds, proofs = (
+            all(p.passed for p in results) for results in (self.proofs, self.limit_proofs)
+        )
         return all(v.passed for v in self.verdicts) and builds and proofs
 
     def _repr_html_(self) -> str:
-        good = sum(verdict.passed for verdict in self.verdicts)
+        n_passed = sum(verdict.passed for verdict in self.verdicts)
         return html_table(
             f"Verification of {self.name}: {'passed' if self.passed else 'failed'}",
             (
-                ("verdicts passed", f"{good} of {len(self.verdicts)}"),
+                ("verdicts passed", f"{n_passed} of {len(self.verdicts)}"),
                 *((f"axis {axis}", method) for axis, method in self.methods.items()),
                 ("parameters", self.parameters_digest),
                 ("runtime", self.runtime_digest),
@@ -187,10 +189,10 @@ class Verification:
         return seal(SCHEMA, {"passed": self.passed, **to_json(self, LAYOUTS)})
 
 
-def _fields(found: Verification) -> dict[str, Any]:
+def _fields(verification: Verification) -> dict[str, Any]:
     """Return the entries of the file; what came later only where there is any."""
     later = ("limit_proofs", "motions", "coupling", "bounds")
-    return {k: v for k, v in fields_of(found).items() if v or k not in later}
+    return {k: v for k, v in fields_of(verification).items() if v or k not in later}
 
 
 LAYOUTS = (
@@ -203,56 +205,60 @@ LAYOUTS = (
 )
 
 
-def verification_from_json(content: bytes, place: str = "verification.json") -> Verification:
+def verification_from_json(content: bytes, source: str = "verification.json") -> Verification:
     """Read ``verification.json`` back; refuse a changed bit, another schema, a missing entry."""
     remedy = "Verify again with this version."
-    found = read_sealed(Verification, content, SCHEMA, place, remedy=remedy, layouts=LAYOUTS)
-    with refusing(SCHEMA, place, remedy=remedy):
-        named = [row.method for row in found.comparison]
-        named += [row.method for row in found.spirals] + [row.method for row in found.traces]
-        for method in (*found.methods.values(), *named):
+    verification = read_sealed(
+        Verification, content, SCHEMA, source, remedy=remedy, layouts=LAYOUTS
+    )
+    with refusing(SCHEMA, source, remedy=remedy):
+        methods = [row.method for row in verification.comparison]
+        methods += [row.method for row in verification.spirals] + [
+            row.method for row in verification.traces
+        ]
+        for method in (*verification.methods.values(), *methods):
             METHODS.index(method)  # the report has a word for each of these and no other
-        _check_spirals(found)
-        _check_pictures(found)
-    return found
+        _check_spirals(verification)
+        _check_pictures(verification)
+    return verification
 
 
-def _check_spirals(found: Verification) -> None:
+def _check_spirals(verification: Verification) -> None:
     """Raise ``ValueError`` unless every row that is compared has what only its spiral has."""
-    known = {(row.method, row.frequency_Hz) for row in found.spirals}
-    for row in found.comparison:
-        if (row.method, row.frequency_Hz) not in known:
+    spirals = {(row.method, row.frequency_Hz) for row in verification.spirals}
+    for row in verification.comparison:
+        if (row.method, row.frequency_Hz) not in spirals:
             raise ValueError(f"no spiral of {row.method} at {row.frequency_Hz} Hz")
 
 
-def _check_pictures(found: Verification) -> None:
+def _check_pictures(verification: Verification) -> None:
     """Raise ``ValueError`` for numbers that no stage has and no picture can show."""
-    frequencies_Hz = [row.frequency_Hz for row in found.comparison]
-    for frequency_Hz in (*frequencies_Hz, *(trace.frequency_Hz for trace in found.traces)):
+    frequencies_Hz = [row.frequency_Hz for row in verification.comparison]
+    for frequency_Hz in (*frequencies_Hz, *(trace.frequency_Hz for trace in verification.traces)):
         if not _SLOWEST_Hz <= frequency_Hz <= _FASTEST_Hz:
             raise ValueError(f"frequency_Hz is {frequency_Hz}")
-    sizes_m = [abs(row.aligned_rms_m) for row in found.comparison]
-    for trace in found.traces:
+    sizes_m = [abs(row.aligned_rms_m) for row in verification.comparison]
+    for trace in verification.traces:
         if not len(trace.x_m) == len(trace.y_m) == len(trace.shape_error_m) > 0:
             raise ValueError(f"{len(trace.x_m)} places of a spiral and other numbers of the rest")
         sizes_m += map(abs, (*trace.x_m, *trace.y_m, *trace.shape_error_m))
-    for motion in found.motions:
-        if motion.axis not in found.methods:
+    for motion in verification.motions:
+        if motion.axis not in verification.methods:
             raise ValueError(f"axis {motion.axis} moved and does not ship")
         sizes_m += map(abs, _checked(motion))
-    if found.traces and not found.radius_m >= _SMALLEST_m:
-        raise ValueError(f"radius_m is {found.radius_m}")
-    if max([found.radius_m, *sizes_m]) > _LARGEST_m:
-        raise ValueError(f"a path reaches {max([found.radius_m, *sizes_m])} m")
-    if max((abs(verdict.limit) for verdict in found.verdicts), default=0.0) > _FASTEST_Hz:
+    if verification.traces and not verification.radius_m >= _SMALLEST_m:
+        raise ValueError(f"radius_m is {verification.radius_m}")
+    if max([verification.radius_m, *sizes_m]) > _LARGEST_m:
+        raise ValueError(f"a path reaches {max([verification.radius_m, *sizes_m])} m")
+    if max((abs(verdict.limit) for verdict in verification.verdicts), default=0.0) > _FASTEST_Hz:
         raise ValueError("a limit is larger than anything that is judged")
 
 
 def _checked(motion: Motion) -> tuple[float, ...]:
     """Return all places of a motion, or raise ``ValueError`` where they are not of one run."""
-    count, beside = len(motion.reference_m), len(motion.uncompensated_m)
+    count, n_uncompensated = len(motion.reference_m), len(motion.uncompensated_m)
     if not 1.0 / _FASTEST_Hz <= motion.duration_s <= 1.0 / _SLOWEST_Hz:
         raise ValueError(f"duration_s is {motion.duration_s}")
-    if not (len(motion.shipped_m) == count > 1 and beside in (0, count)):
+    if not (len(motion.shipped_m) == count > 1 and n_uncompensated in (0, count)):
         raise ValueError(f"{count} places of a reference and other numbers of the rest")
     return (*motion.reference_m, *motion.shipped_m, *motion.uncompensated_m)

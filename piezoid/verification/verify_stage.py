@@ -68,12 +68,14 @@ def verify_stage(
     plants, drawn = stage_plants(file, model, declared, draws=draws, seed=seed)
     variations = list(zip(*drawn, strict=False))  # as many sets as the axis with the fewest
     _same_control(file, declared)
-    chosen = limits or limits_from(declared.verification, f"[verification] of {declared.place}")
-    found = verify(
+    applied_limits = limits or limits_from(
+        declared.verification, f"[verification] of {declared.place}"
+    )
+    verification = verify(
         file,
         plants,
         variations=variations,
-        limits=chosen,
+        limits=applied_limits,
         proofs=proofs,
         limit_proofs=limit_proofs,
         seed=seed,
@@ -84,9 +86,11 @@ def verify_stage(
     if design is not None and bounds:
         from piezoid.verification.bounds import error_bounds
 
-        known = error_bounds(file, design, model, plants, drawn, seed=seed, threads=threads)
-        found = replace(found, bounds=known)
-    return found
+        largest_errors = error_bounds(
+            file, design, model, plants, drawn, seed=seed, threads=threads
+        )
+        verification = replace(verification, bounds=largest_errors)
+    return verification
 
 
 def stage_plants(
@@ -134,8 +138,8 @@ def plant_of(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:
 def _lateral(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:
     """Return the plant of a lateral axis; its readings come in steps of the declared converter."""
     rate_Hz = float(axis.values["sampling_rate_Hz"])
-    known = model[axis.axis]
-    plant = lateral_plant(known, sampling_rate_Hz=rate_Hz)
+    axis_model = model[axis.axis]
+    plant = lateral_plant(axis_model, sampling_rate_Hz=rate_Hz)
     gain_V_per_m = lab.sensor_of(axis.axis).gain_V_per_m
     if gain_V_per_m is None:
         return plant
@@ -201,21 +205,21 @@ def varied_plants(
     plant  the identified one
     count  how many at most: fewer where too few draws have an inverse
     """
-    drawn = draw_replicates(model, rng, draws=_TRIED * count)[:count]
-    found = []
-    for place, operator in enumerate(drawn, start=1):
+    operators = draw_replicates(model, rng, draws=_TRIED * count)[:count]
+    plants = []
+    for number, operator in enumerate(operators, start=1):
         slower, sharper = rng.uniform(-1.0, 1.0, 2).tolist()
-        moved = lateral_plant(
+        varied = lateral_plant(
             at_corner(model, slower, sharper), sampling_rate_Hz=plant.sampling_rate_Hz
         )
-        assert isinstance(moved.response, Hysteresis)
-        found.append(
+        assert isinstance(varied.response, Hysteresis)
+        plants.append(
             replace(
-                moved,
-                label=f"draw {place}",
-                response=replace(moved.response, operator=operator),
+                varied,
+                label=f"draw {number}",
+                response=replace(varied.response, operator=operator),
                 reading_step=plant.reading_step,
                 reading_range=plant.reading_range,
             )
         )
-    return tuple(found)
+    return tuple(plants)

@@ -313,6 +313,6 @@ def test_a_design_of_a_version_that_knew_no_refusals_is_read() -> None:
 
 
 def test_an_axis_that_is_not_of_the_model_is_refused_by_name() -> None:
-    asked = SpecificationText(text="[w]\nbandwidth_Hz = 10\n", place="mine.toml")
+    asked = SpecificationText(text="[w]\nbandwidth_Hz = 10\n", source="mine.toml")
     with pytest.raises(LabFileError, match=r"mine\.toml: \[w\]"):
         design_stage(stage(), model_digest=DIGEST, asked=asked)
