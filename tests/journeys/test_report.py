@@ -74,6 +74,7 @@ def test_any_other_file_is_refused_and_the_old_page_stays(stage: Path, sweep: Pa
 
 
 def test_a_changed_bit_is_refused_and_the_old_page_stays(stage: Path) -> None:
+    assert run(stage)[0] == 0
     (stage / "report.html").write_text("old")
     content = (stage / "model.json").read_bytes()
     (stage / "model.json").write_bytes(content.replace(b"bench", b"bench2", 1))
