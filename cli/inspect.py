@@ -200,13 +200,13 @@ def _cut(said: str) -> str:
 
 
 def _quantity(value: float | None, unit: str) -> str:
-    from piezoid_reports.quantities import NARROW, told
+    from piezoid_reports.quantities import NARROW, number
 
     if value is None:
         return ""
     if unit not in _TAKE_PREFIX:
-        return f"{told(value, '', 4)} {unit}".strip()
-    return told(value, unit, 4).replace(NARROW, " ")
+        return f"{number(value, '', 4)} {unit}".strip()
+    return number(value, unit, 4).replace(NARROW, " ")
 
 
 def _state(column: "ColumnSummary") -> str:

@@ -32,7 +32,7 @@ Ticks = tuple[tuple[float, str], ...]  # place along the axis, label
 WIDTH, HEIGHT = 640, 360
 FINE = 20
 INVISIBLE = 0.15 * FINE
-TIMES = 10_000  # parts of a record by which a point of a curve is told when it was
+TIMES = 10_000  # parts of a recording, in which times of points are written
 BINS = 520
 ROOM = 0.04  # of the range, left free at both ends of an axis
 
@@ -151,8 +151,10 @@ class Canvas:
             if timed:
                 times += (TIMES * (kept + part.start) // len(x)).tolist()
         per_step = self.y.scale.factor * (self.y.high - self.y.low) / (self.height * FINE)
-        told = " ".join(map(str, times))
-        return Layer(role=role, name=name, path=path, kind="line", times=told), furthest * per_step
+        sample_times = " ".join(map(str, times))
+        return Layer(
+            role=role, name=name, path=path, kind="line", times=sample_times
+        ), furthest * per_step
 
     def dots(self, role: str, name: str, x: Array, y: Array) -> Layer:
         """Draw a dot for every pair of finite values: a stroke of no length with a round end."""

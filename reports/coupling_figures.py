@@ -6,9 +6,9 @@ from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid_reports.chart import Axis, Canvas, Layer, axis_over
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Figure, Heading, Part, Prose, Table
-from piezoid_reports.quantities import MINUS, percent, significant, told
+from piezoid_reports.quantities import MINUS, number, percent, significant
 
-GAINS_Hz = 3  # frequencies at which the change of the gain is told
+GAINS_Hz = 3  # frequencies at which the change of the gain is reported
 LARGEST = 0.42  # of a cell: half the side of the square of the largest entry
 
 
@@ -48,7 +48,7 @@ def _picture(coupled: CoupledStage) -> Figure:
         for role, path in squares.items()
         if path
     )
-    largest = told(float(np.abs(gain).max()), "m/V")
+    largest = number(float(np.abs(gain).max()), "m/V")
     return Figure(
         title="Which drive moves which displacement",
         caption=f"Columns are the drives {', '.join(coupled.inputs)}, rows from the bottom the "
@@ -77,7 +77,7 @@ def _matrix(coupled: CoupledStage) -> Table:
         rows=tuple(
             (
                 name,
-                *(told(float(v), "m/V") for v in gain),
+                *(number(float(v), "m/V") for v in gain),
                 *(significant(float(v), 4) for v in row),
             )
             for name, gain, row in zip(
@@ -95,10 +95,10 @@ def _errors(coupled: CoupledStage) -> Table:
     )
     rows = [
         (
-            told(float(level), "V"),
+            number(float(level), "V"),
             name,
             percent(float(coupled.error_rms_m[k, i] / coupled.moved_rms_m[k, i])),
-            told(float(coupled.error_rms_m[k, i]), "m"),
+            number(float(coupled.error_rms_m[k, i]), "m"),
             percent(float(coupled.noise_rms_m[k, i] / coupled.moved_rms_m[k, i])),
         )
         for k, level in enumerate(coupled.levels_V)
@@ -116,9 +116,9 @@ def _modes(coupled: CoupledStage) -> Table:
     low, high = float(coupled.levels_V[0]), float(coupled.levels_V[-1])
     rows = [
         (
-            told(float(low_Hz), "Hz", 4),
-            told(float(high_Hz), "Hz", 4),
-            ", ".join(told(float(end), "Hz", 4) for end in interval)
+            number(float(low_Hz), "Hz", 4),
+            number(float(high_Hz), "Hz", 4),
+            ", ".join(number(float(end), "Hz", 4) for end in interval)
             if np.isfinite(interval).all()
             else "",
             significant(float(low_damping)),
@@ -137,7 +137,7 @@ def _modes(coupled: CoupledStage) -> Table:
         )
     ]
     return Table(
-        caption=f"Modes at {told(low, 'V')} and {told(high, 'V')} rms, with 95 % intervals.",
+        caption=f"Modes at {number(low, 'V')} and {number(high, 'V')} rms, with 95 % intervals.",
         columns=(
             *("at the lowest level", "at the highest", "from, to", "damping", "damping"),
             *("change", "from, to"),
@@ -152,7 +152,7 @@ def _gain(coupled: CoupledStage) -> list[Part]:
     first_Hz = float(coupled.mode_frequency_Hz(float(coupled.levels_V[0])).min())
     f = np.geomspace(coupled.band_Hz[0], 0.5 * first_Hz, GAINS_Hz)
     changes = [
-        f"by {_signed(change)} at {told(float(frequency_Hz), 'Hz')}"
+        f"by {_signed(change)} at {number(float(frequency_Hz), 'Hz')}"
         for frequency_Hz, change in zip(f, coupled.gain_change(f), strict=True)
     ]
     return [
@@ -164,7 +164,7 @@ def _closed(page: Page) -> Table:
     assert page.verification is not None
     rows = page.verification.coupling
     return Table(
-        caption=f"Compiled controllers on the coupled stage, {told(rows[0].frequency_Hz, 'Hz')}. "
+        caption=f"Compiled controllers, {number(rows[0].frequency_Hz, 'Hz')}. "
         "One axis is moved, the other is to rest; amplitude of the other over that of the motion.",
         columns=("moved", "to rest", "with the matrix", "without it"),
         rows=tuple(

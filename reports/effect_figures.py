@@ -12,7 +12,7 @@ from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Axis, Canvas, Layer, axis_over, decades_over
 from piezoid_reports.effect_comparison import EffectSimulation
 from piezoid_reports.parts import Figure
-from piezoid_reports.quantities import percent, told
+from piezoid_reports.quantities import number, percent
 from piezoid_reports.traces import rms
 
 DECADES = ("time_since_turn",)
@@ -28,8 +28,10 @@ ROLES, NAMES = ("rising", "falling"), ("without it", "with it")
 
 def figure_of(finding: Finding, pictures: tuple[EffectSimulation, ...]) -> Figure | None:
     """Return the residual without and with an effect; None if no recording shows a difference."""
-    where = effect_named(finding.effect).shows
-    if all(np.array_equal(one.before_m, one.after_m) for one in pictures):
+    effect = effect_named(finding.effect)
+    where, is_fault = effect.shows, effect.fault is not None
+    is_visible = any(not np.array_equal(one.before_m, one.after_m) for one in pictures)
+    if not pictures or not (is_visible or is_fault):
         return None
     if where.kind == "spectrum":
         clearest = _clearest(pictures)
@@ -187,7 +189,8 @@ def _titled(
             f"{words(finding.effect).capitalize()}, {recording}: residual against {where.label}"
         ),
         caption=(
-            f"Residual {told(before_m, 'm')} rms without the effect, {told(after_m, 'm')} with it."
+            f"Residual {number(before_m, 'm')} rms without the effect, "
+            f"{number(after_m, 'm')} with it."
         ),
         guide=where.reading,
         canvas=canvas,
@@ -234,7 +237,7 @@ def _against(finding: Finding) -> str:
     if finding.parameters:
         name, value = next(iter(finding.parameters.items()))
         quantity, _, unit = name.rpartition("_")
-        return f"the {PHASES} ({quantity} {told(value, unit)})"
+        return f"the {PHASES} ({quantity} {number(value, unit)})"
     return words(finding.coordinate)
 
 
@@ -242,4 +245,4 @@ def _explained(finding: Finding) -> str:
     share = f"{percent(finding.share)} of the stroke"
     if not finding.size.unit.startswith("nm"):
         return f"{share}, rms"
-    return f"{told(finding.size.value * 1e-9, 'm')} rms, {share}"
+    return f"{number(finding.size.value * 1e-9, 'm')} rms, {share}"

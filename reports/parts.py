@@ -100,7 +100,7 @@ class Figure:
     layers   bottom first
     flicker  roles that may be shown in turn, or empty
     is_small  drawn for the first screen: no buttons, the caption for listeners alone
-    seen_as   title where there is little room, or empty; who hears the page is told ``title``
+    seen_as   title where there is little room, or empty; screen readers read ``title``
     link     figures of the same name show the same stretch of time, or empty
     span     of the record that is linked, in the unit of x; 0 where x is no time
     """

@@ -18,7 +18,7 @@ def scale_for(largest: float, unit: str) -> Scale:
     return replace(scale, unit=MICRO + unit) if scale.unit == f"u{unit}" else scale
 
 
-def told(value: float, unit: str, digits: int = 3) -> str:
+def number(value: float, unit: str, digits: int = 3) -> str:
     """Return a number with its unit, for example ``66.0 nm``."""
     if not math.isfinite(value):
         return UNKNOWN
@@ -26,14 +26,14 @@ def told(value: float, unit: str, digits: int = 3) -> str:
     return _joined(significant(value / scale.factor, digits), scale.unit)
 
 
-def told_between(value: float, half: float, unit: str) -> str:
+def with_half_width(value: float, half: float, unit: str) -> str:
     """Return a number and half its 95 % interval, both to the digits the interval allows."""
     if not (math.isfinite(value) and math.isfinite(half)):
-        return told(value, unit)
+        return number(value, unit)
     scale = scale_for(max(abs(value), half), unit)
     shown, spread = value / scale.factor, half / scale.factor
     if spread == 0.0:
-        return f"{told(value, unit, 4)} (fixed)"
+        return f"{number(value, unit, 4)} (fixed)"
     decimals = min(max(1 - math.floor(math.log10(spread)), 0), 6)
     pair = f"{shown:.{decimals}f}{NARROW}±{NARROW}{spread:.{decimals}f}".replace("-", MINUS)
     return _joined(f"({pair})" if scale.unit else pair, scale.unit)
@@ -46,14 +46,14 @@ def significant(value: float, digits: int = 3) -> str:
 
 def percent(share: float) -> str:
     """Return a share of one in percent."""
-    return told(100.0 * share, "%")
+    return number(100.0 * share, "%")
 
 
 def _joined(number: str, unit: str) -> str:
     return f"{number}{NARROW}{unit}" if unit else number
 
 
-def told_interval(value: float, interval: tuple[float, float], unit: str) -> str:
+def with_interval(value: float, interval: tuple[float, float], unit: str) -> str:
     """Return a value and its 95 % interval, which need not be symmetric or bounded."""
     low, high = interval
     if low <= 0.0 and not math.isfinite(high):
@@ -62,8 +62,8 @@ def told_interval(value: float, interval: tuple[float, float], unit: str) -> str
         ends = [significant(end, 4) if math.isfinite(end) else "any" for end in (low, high)]
         return f"{_joined(significant(value, 4), unit)} ({ends[0]} to {ends[1]})"
     if not math.isfinite(high):
-        return f"{told(value, unit)} ({told(low, unit)} or more)"
-    return f"{told(value, unit)} ({told(low, unit)} to {told(high, unit)})"
+        return f"{number(value, unit)} ({number(low, unit)} or more)"
+    return f"{number(value, unit)} ({number(low, unit)} to {number(high, unit)})"
 
 
 def size_of(finding: Finding) -> str:

@@ -14,7 +14,7 @@ from piezoid.records.frequency_response import LEAST_COHERENCE
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Figure, Part
-from piezoid_reports.quantities import percent, significant, told
+from piezoid_reports.quantities import number, percent, significant
 
 GUIDE = "Good: odd and even lines at the noise. Bad: odd lines near the driven ones (hysteresis)."
 KINDS = {  # the axis' label, the figure's height, and what good and bad look like
@@ -59,7 +59,7 @@ def response_parts(
             "gain",
             f"Axis {axis.axis}: gain as measured, {record.name}",
             f"{fitted.used} of {fitted.lines} lines are fitted; largest residual "
-            f"{significant(100.0 * fitted.left_relative, 2)} % at {told(fitted.left_Hz, 'Hz')}.",
+            f"{significant(100.0 * fitted.left_relative, 2)} % at {number(fitted.left_Hz, 'Hz')}.",
             decades,
             (decibel(np.abs(measured)), decibel(np.abs(model))),
             used=used,
@@ -175,10 +175,10 @@ def _numbers(found: DistortionFound) -> str:
     lines = found.lines
     driven_m = float(lines.driven_level_m()[0])
     return (
-        f"At {told(float(lines.drive_rms_V[0]), 'V')} rms, {lines.realisations} realisations of "
-        f"{lines.periods} periods; rms amplitude of one line: driven {told(driven_m, 'm')}; "
+        f"At {number(float(lines.drive_rms_V[0]), 'V')} rms, {lines.realisations} realisations of "
+        f"{lines.periods} periods; rms amplitude of one line: driven {number(driven_m, 'm')}; "
         f"{_level(found, driven_m, even=False)}; {_level(found, driven_m, even=True)}; noise "
-        f"{told(float(lines.noise_level_m()[0]), 'm')} after averaging."
+        f"{number(float(lines.noise_level_m()[0]), 'm')} after averaging."
     )
 
 
@@ -189,8 +189,8 @@ def _level(found: DistortionFound, driven_m: float, *, even: bool) -> str:
     limit_m = float(found.lines.limit_m(even=even)[0])
     if level_m <= limit_m:
         most_m = float(np.hypot(level_m, limit_m))
-        return f"{name} below {told(most_m, 'm')}, covered by noise"
-    return f"{name} {told(level_m, 'm')}, {percent(level_m / driven_m)} of that"
+        return f"{name} below {number(most_m, 'm')}, covered by noise"
+    return f"{name} {number(level_m, 'm')}, {percent(level_m / driven_m)} of that"
 
 
 def _of(kept: NDArray[np.bool_], across: Array, up: Array) -> tuple[Array, Array]:

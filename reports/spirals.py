@@ -8,7 +8,7 @@ from piezoid.verification.plotted_paths import Motion, SpiralTrace, rms_from
 from piezoid.verification.verification import Verification
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.parts import Figure
-from piezoid_reports.quantities import told
+from piezoid_reports.quantities import number
 from piezoid_reports.traces import rms
 
 TOGETHER = 5  # places: a single one crosses zero, which a logarithm shows as a fall to nothing
@@ -38,9 +38,9 @@ def spiral(trace: SpiralTrace, found: Verification) -> Figure:
     canvas = Canvas(x=x, y=y, width=SQUARE, height=SQUARE)
     limit_m = _shape_limit_m(found)
     return Figure(
-        title=f"Spiral of {told(trace.frequency_Hz, 'Hz')}: {METHODS[trace.method]}",
-        caption=f"Colour is the shape error: median {told(float(np.median(error_m)), 'm')}, "
-        f"largest {told(float(error_m.max()), 'm')}, limit {told(limit_m, 'm')} rms.",
+        title=f"Spiral of {number(trace.frequency_Hz, 'Hz')}: {METHODS[trace.method]}",
+        caption=f"Colour is the shape error: median {number(float(np.median(error_m)), 'm')}, "
+        f"largest {number(float(error_m.max()), 'm')}, limit {number(limit_m, 'm')} rms.",
         guide="Good: the first colour everywhere. Bad: the last colours at the turning points.",
         canvas=canvas,
         layers=tuple(_shaded(canvas, x_m, y_m, error_m, limit_m)),
@@ -69,12 +69,12 @@ def _error_in_time(frequency_Hz: float, found: Verification) -> Figure:
         for t, a, v in zip(traces, along, logs, strict=True)
     ]
     sizes = "; ".join(
-        f"{METHODS[t.method]}: {told(rms(np.array(t.shape_error_m)), 'm')} rms"
+        f"{METHODS[t.method]}: {number(rms(np.array(t.shape_error_m)), 'm')} rms"
         for t in reversed(traces)
     )
     return Figure(
-        title=f"Shape error along the spiral of {told(frequency_Hz, 'Hz')}",
-        caption=f"{sizes}; limit {told(limit_m, 'm')} rms.",
+        title=f"Shape error along the spiral of {number(frequency_Hz, 'Hz')}",
+        caption=f"{sizes}; limit {number(limit_m, 'm')} rms.",
         guide="Good: far below the dashed line. Bad: rising outwards, or a spike every turn.",
         canvas=canvas,
         layers=(*layers, canvas.line("limit", "limit, rms", np.array([0.0, 100.0]), limit)),
@@ -97,7 +97,7 @@ def _shaded(canvas: Canvas, x_m: Array, y_m: Array, error_m: Array, limit_m: flo
         if not held.any():
             continue
         held |= np.r_[False, held[:-1]]  # each stretch goes on to where the next one begins
-        name = f"up to {told(share * limit_m, 'm')}" if np.isfinite(share) else "more"
+        name = f"up to {number(share * limit_m, 'm')}" if np.isfinite(share) else "more"
         x, y = np.where(held, x_m, np.nan), np.where(held, y_m, np.nan)
         layers.append(canvas.line(f"error-{role}", name, x, y))
     return layers
@@ -121,7 +121,7 @@ def _error(motion: Motion, found: Verification) -> Figure:
     y = decades_over("distance from the reference", logs, "nm")
     canvas = Canvas(x=x, y=y)
     middle = "; ".join(
-        f"{METHODS[name]}: {told(float(np.median(error_m)), 'm')}"
+        f"{METHODS[name]}: {number(float(np.median(error_m)), 'm')}"
         for _, name, error_m in reversed(errors)
     )
     return Figure(

@@ -15,7 +15,7 @@ from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, decades_over
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Figure, Heading, Part, Prose, Table
-from piezoid_reports.quantities import percent, significant, told, told_interval
+from piezoid_reports.quantities import number, percent, significant, with_interval
 
 SOURCES = {
     "shot": "shot noise",
@@ -42,8 +42,8 @@ def loop_parts(page: Page, junction: TunnellingModel, loop: LoopPlant) -> list[P
 
 def loop_sentence(loop: LoopPlant) -> str:
     """Return barrier and gain of the closed loop."""
-    barrier = told_interval(loop.barrier_eV, loop.barrier_interval_eV, "eV")
-    gain = told_interval(loop.plant.gain_nepers_per_V, loop.gain_interval, "")
+    barrier = with_interval(loop.barrier_eV, loop.barrier_interval_eV, "eV")
+    gain = with_interval(loop.plant.gain_nepers_per_V, loop.gain_interval, "")
     return (
         f"Closed loop: apparent barrier {barrier}, gain {gain} nepers per volt, "
         f"{loop.confidence.value} confidence."
@@ -53,7 +53,7 @@ def loop_sentence(loop: LoopPlant) -> str:
 def joint_sentence(joint: JointBarrier) -> str:
     """Return whether sweeps and closed loop agree, with the common barrier."""
     if joint.barrier_eV is not None:
-        common = told_interval(joint.barrier_eV, joint.barrier_interval_eV, "eV")
+        common = with_interval(joint.barrier_eV, joint.barrier_interval_eV, "eV")
         return f"Sweeps and loop agree: weighted barrier {common}."
     low, high = (significant(end, 4) for end in joint.barrier_interval_eV)
     return f"Sweeps and loop disagree: the barrier lies between {low} and {high} eV."
@@ -66,20 +66,20 @@ def _joint(joint: JointBarrier) -> Prose:
 def _plant(loop: LoopPlant) -> Table:
     family = {
         "gain [nepers per V]": [significant(m.gain_nepers_per_V, 4) for m in loop.family],
-        "sensor pole": [told(m.sensor_pole_Hz, "Hz") for m in loop.family],
-        "delay": [told(m.delay_s, "s") for m in loop.family],
+        "sensor pole": [number(m.sensor_pole_Hz, "Hz") for m in loop.family],
+        "delay": [number(m.delay_s, "s") for m in loop.family],
     }
     plant = loop.plant
     found = {
-        "gain [nepers per V]": told_interval(plant.gain_nepers_per_V, loop.gain_interval, ""),
-        "sensor pole": told_interval(plant.sensor_pole_Hz, loop.sensor_pole_interval_Hz, "Hz"),
-        "delay": told_interval(plant.delay_s, loop.delay_interval_s, "s"),
+        "gain [nepers per V]": with_interval(plant.gain_nepers_per_V, loop.gain_interval, ""),
+        "sensor pole": with_interval(plant.sensor_pole_Hz, loop.sensor_pole_interval_Hz, "Hz"),
+        "delay": with_interval(plant.delay_s, loop.delay_interval_s, "s"),
     }
     rows = []
     for place, (name, text) in enumerate(found.items()):
         extremes = family[name][1 + 2 * place : 3 + 2 * place]
         rows.append((name, text, *(extremes if len(extremes) == 2 else ("", ""))))
-    rows.append(("amplifier's pole, declared", told(plant.amplifier_pole_Hz, "Hz"), "", ""))
+    rows.append(("amplifier's pole, declared", number(plant.amplifier_pole_Hz, "Hz"), "", ""))
     seen = loop.family_records > 2
     spread = (
         f"the family covers 95 % of further spots, from {loop.family_records} records"
@@ -100,10 +100,10 @@ def _records(loop: LoopPlant) -> Table:
         rows=tuple(
             (
                 record.recording,
-                told_interval(record.barrier_eV, record.barrier_interval_eV, "eV"),
+                with_interval(record.barrier_eV, record.barrier_interval_eV, "eV"),
                 f"{significant(_naive_barrier_eV(record), 3)} eV",
                 percent(record.dither_share),
-                "" if record.unrest is None else f"{told(record.unrest.gap_rms_m, 'm')} rms",
+                "" if record.unrest is None else f"{number(record.unrest.gap_rms_m, 'm')} rms",
                 _drift(record),
             )
             for record in loop.records
@@ -120,14 +120,14 @@ def _drift(record: LoopSummary) -> str:
     if record.unrest is None:
         return ""
     drift = record.unrest.drift_m_per_s
-    return told_interval(drift, record.unrest.drift_interval_m_per_s, "m/s")
+    return with_interval(drift, record.unrest.drift_interval_m_per_s, "m/s")
 
 
 def _sources(loop: LoopPlant) -> tuple[Part, ...]:
     known = [(r.recording, r.unrest) for r in loop.records if r.unrest is not None]
     if not known:
         return ()
-    sources = [[told(source.rms_m, "m") for source in unrest.sources] for _, unrest in known]
+    sources = [[number(source.rms_m, "m") for source in unrest.sources] for _, unrest in known]
     rows = [
         (SOURCES[source.name], *(column[place] for column in sources))
         for place, source in enumerate(known[0][1].sources)
@@ -135,7 +135,7 @@ def _sources(loop: LoopPlant) -> tuple[Part, ...]:
     return (
         Table(
             caption="Contributions to the motion of the gap, rms within "
-            f"{told(known[0][1].bandwidth_Hz, 'Hz')}.",
+            f"{number(known[0][1].bandwidth_Hz, 'Hz')}.",
             columns=("", *(name for name, _ in known)),
             rows=tuple(rows),
         ),
@@ -143,7 +143,9 @@ def _sources(loop: LoopPlant) -> tuple[Part, ...]:
 
 
 def _mains(lines: Sequence[MainsLine]) -> str:
-    found = [f"{told(line.frequency_Hz, 'Hz')}: {told(line.amplitude_m, 'm')}" for line in lines]
+    found = [
+        f"{number(line.frequency_Hz, 'Hz')}: {number(line.amplitude_m, 'm')}" for line in lines
+    ]
     return ", ".join(found) or "none"
 
 

@@ -41,15 +41,15 @@ def stage_statements(
     statements: list[Statement] = [*verification_statements(verification)]
     for name, reason in (unshipped or {}).items():
         statements.append(_limit(Level.ACTION, "not_shipped", reason, name))
+    statements += [_limit(Level.ACTION, "not_diagnosed", text) for text in undiagnosed]
+    if undesigned:
+        statements.append(_limit(Level.ACTION, "not_designed", undesigned))
     for axis in model.axes.values():
         statements += record_in_counts(fit_statements(axis), axis.counted)
     for diagnosis in diagnoses:
         statements += record_in_counts(diagnosis_statements(diagnosis), diagnosis.counted)
-    statements += [_limit(Level.ACTION, "not_diagnosed", text) for text in undiagnosed]
     if design is not None:
         statements += record_in_counts(design_statements(design, model), model.counted)
-    if undesigned:
-        statements.append(_limit(Level.ACTION, "not_designed", undesigned))
     statements += _tip(model)
     statements += [_limit(Level.ACTION, "not_used", text) for text in model.remarks]
     statements += [

@@ -26,7 +26,7 @@ from piezoid_reports.fleet.records import (
     FleetStage,
 )
 from piezoid_reports.parts import Figure, Heading, Part, Prose, Section, Table
-from piezoid_reports.quantities import significant, told, told_between
+from piezoid_reports.quantities import number, significant, with_half_width
 from piezoid_reports.render import html
 
 NEGLIGIBLE = 1e-3  # of its interval: a slope below it is rounding
@@ -155,7 +155,7 @@ def _odd_row(one: Distribution, k: int) -> tuple[str, ...]:
         one.axis,
         one.quantity.label,
         _value(one, k),
-        told(one.spread.median, one.quantity.unit),
+        number(one.spread.median, one.quantity.unit),
         f"{significant(float(one.away[k]), 2)} sigma",
         one.quantity.means,
     )
@@ -164,8 +164,8 @@ def _odd_row(one: Distribution, k: int) -> tuple[str, ...]:
 def _value(one: Distribution, k: int) -> str:
     """Return a value with its own 95 % interval, where it is known."""
     if not one.errors[k] > 0.0:
-        return told(float(one.values[k]), one.quantity.unit)
-    return told_between(float(one.values[k]), HALF_95 * float(one.errors[k]), one.quantity.unit)
+        return number(float(one.values[k]), one.quantity.unit)
+    return with_half_width(float(one.values[k]), HALF_95 * float(one.errors[k]), one.quantity.unit)
 
 
 def stages(fleet: Fleet) -> Section:
@@ -207,7 +207,7 @@ def _badness(stage: FleetStage) -> tuple[bool, float, str]:
 
 def _row(stage: FleetStage) -> tuple[str, ...]:
     shares = [axis.values.get("held_out_rms_percent") for axis in stage.axes]
-    errors = ", ".join(told(share, "%") for share in shares if share is not None)
+    errors = ", ".join(number(share, "%") for share in shares if share is not None)
     made = [stage.outputs.get(name, "") for name in ("model.json", "params.json")]
     return stage.name, stage.state, errors, *made
 
@@ -259,9 +259,9 @@ def _table(axis: str, own: list[Distribution]) -> Table:
             (
                 one.quantity.label,
                 str(one.spread.count),
-                told(one.spread.median, one.quantity.unit),
-                f"{told(one.spread.low, one.quantity.unit)} to "
-                f"{told(one.spread.high, one.quantity.unit)}",
+                number(one.spread.median, one.quantity.unit),
+                f"{number(one.spread.low, one.quantity.unit)} to "
+                f"{number(one.spread.high, one.quantity.unit)}",
                 _drift(one),
                 "" if one.trend is None else significant(one.trend_p, 2),
             )
@@ -276,7 +276,7 @@ def _drift(one: Distribution) -> str:
     low, high = (100.0 * end for end in one.trend.ci95)
     unit, slope = one.quantity.unit, 100.0 * one.trend.slope
     middle = slope if abs(slope) > NEGLIGIBLE * (high - low) else 0.0
-    return f"{told(middle, unit)} ({told(low, unit)} to {told(high, unit)})"
+    return f"{number(middle, unit)} ({number(low, unit)} to {number(high, unit)})"
 
 
 def _histogram(one: Distribution) -> Figure:
@@ -298,8 +298,9 @@ def _histogram(one: Distribution) -> Figure:
         layers.append(canvas.line("limit", "limit for most stages", np.full(2, level), ends))
     return Figure(
         title=f"{one.quantity.label}, axis {one.axis}: how it is spread",
-        caption=f"{one.spread.count} stages, median {told(one.spread.median, one.quantity.unit)}, "
-        f"robust standard deviation {told(one.spread.sigma, one.quantity.unit)}; "
+        caption=f"{one.spread.count} stages, median "
+        f"{number(one.spread.median, one.quantity.unit)}, "
+        f"robust standard deviation {number(one.spread.sigma, one.quantity.unit)}; "
         f"{_outside(one)}.",
         guide=LOOK_SPREAD,
         canvas=canvas,
@@ -334,7 +335,7 @@ def _course(one: Distribution) -> Figure:
     return Figure(
         title=f"{one.quantity.label}, axis {one.axis}: over the serial numbers",
         caption=f"Drift for 100 serial numbers {_drift(one)}, p = {significant(one.trend_p, 2)}: "
-        f"{'a drift' if one.drifts else 'no drift that can be told from chance'}.",
+        f"{'a drift' if one.drifts else 'no drift that can be number from chance'}.",
         guide=LOOK_DRIFT,
         canvas=canvas,
         layers=tuple(layers),

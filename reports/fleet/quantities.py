@@ -18,7 +18,7 @@ class Quantity:
     of      takes it from an axis and its design; None where there is none
     means   what a stage that stands out in it may be
     error   its standard error, where the fit knows one
-    ratio   stages are told apart by how many times, not by how much: an error that cannot fall
+    ratio   stages are compared by ratio, not by difference: an error that cannot fall
             below zero has a long tail upwards
     """
 

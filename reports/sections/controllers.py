@@ -24,7 +24,7 @@ from piezoid_reports.parts import (
     Table,
     folded,
 )
-from piezoid_reports.quantities import MINUS, significant, told
+from piezoid_reports.quantities import MINUS, number, significant
 
 GRID = 240
 LOWEST = 300.0  # parts of the bandwidth: below, attenuation is only a straight line
@@ -93,7 +93,7 @@ def _loops(page: Page) -> Table:
             (
                 axis.axis,
                 METHODS[loop.method],
-                told(loop.bandwidth_Hz, "Hz"),
+                number(loop.bandwidth_Hz, "Hz"),
                 significant(loop.worst_modulus_margin),
                 _delay(loop.worst_delay_margin_s),
                 _bound(page, axis, loop),
@@ -106,7 +106,7 @@ def _loops(page: Page) -> Table:
 
 
 def _delay(margin_s: float | None) -> str:
-    return "any" if margin_s is None else told(margin_s, "s")
+    return "any" if margin_s is None else number(margin_s, "s")
 
 
 def _bound(page: Page, axis: AxisDesign, loop: LoopDesign) -> str:
@@ -116,7 +116,7 @@ def _bound(page: Page, axis: AxisDesign, loop: LoopDesign) -> str:
     if page.verification is not None and not page.ships(axis.axis):
         return "not verified"
     bound_m = useful_bound_m(loop.certificate, model)
-    return "no useful bound" if bound_m is None else told(bound_m, "m")
+    return "no useful bound" if bound_m is None else number(bound_m, "m")
 
 
 def _axis(axis: AxisDesign) -> list[Part]:
@@ -157,7 +157,7 @@ def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
     return Figure(
         title=f"Axis {axis.axis}: {what} |{function}|",
         caption=f"Largest {_decibels(float(worst_dB.max()))} at "
-        f"{told(float(frequency_Hz[worst_dB.argmax()]), 'Hz')}, of {len(loop.members)} members.",
+        f"{number(float(frequency_Hz[worst_dB.argmax()]), 'Hz')}, of {len(loop.members)} members.",
         guide=guide,
         canvas=canvas,
         layers=tuple(layers),
@@ -194,10 +194,10 @@ def _proven(page: Page, axis: AxisDesign) -> list[Part]:
     if useful_bound_m(proven, model) is None:
         return []
     parts_m = {name: size_m for name, size_m in error_parts_m(proven).items() if size_m > 0.0}
-    terms = ", ".join(f"{told(size_m, 'm')} from {name}" for name, size_m in parts_m.items())
+    terms = ", ".join(f"{number(size_m, 'm')} from {name}" for name, size_m in parts_m.items())
     text = (
-        f"Axis {axis.axis}: guaranteed error {told(proven.guaranteed_error_m, 'm')} ({terms}); "
+        f"Axis {axis.axis}: guaranteed error {number(proven.guaranteed_error_m, 'm')} ({terms}); "
         f"small gain {significant(proven.small_gain)}, below 1; sensor noise adds "
-        f"{told(proven.noise_error_m, 'm')} (three standard deviations)."
+        f"{number(proven.noise_error_m, 'm')} (three standard deviations)."
     )
     return [Prose(text=text)]

@@ -18,7 +18,7 @@ from piezoid.numerics.robust import NORMAL_95
 from piezoid_reports.coupling_figures import coupling_parts
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Figure, Part, Prose, Section, Table, axis_heading
-from piezoid_reports.quantities import significant, told
+from piezoid_reports.quantities import number, significant
 from piezoid_reports.response_figures import (
     coherence_figure,
     distortion_parts,
@@ -92,7 +92,7 @@ def _gain(axis: AxisModel, dynamics: LinearDynamics, measured: FrequencyResponse
     return response_figure(
         "gain",
         f"Axis {axis.axis}: gain from the hysteresis' output to the displacement",
-        f"Fitted to coherent lines from {told(low_Hz, 'Hz')} to {told(high_Hz, 'Hz')}; "
+        f"Fitted to coherent lines from {number(low_Hz, 'Hz')} to {number(high_Hz, 'Hz')}; "
         f"the cost is {significant(dynamics.cost_ratio)} times what noise alone would leave. The "
         "band is the measurement's 95 % interval.",
         np.log10(measured.frequency_Hz),
@@ -156,7 +156,7 @@ def _poles(axis: AxisModel, dynamics: LinearDynamics) -> Table:
         ("delay", *_with_interval(dynamics.delay_s, dynamics.delay_interval_s(), "s"), "", "")
     )
     rows += [
-        (f"{known.name}, declared", told(known.frequency_Hz, "Hz"), "", "", "")
+        (f"{known.name}, declared", number(known.frequency_Hz, "Hz"), "", "", "")
         for known in dynamics.declared
     ]
     return Table(
@@ -177,13 +177,13 @@ def _joint(joint: JointFit) -> tuple[Part, ...]:
         Table(
             caption="Residual of the displacement about its straight line, rms.",
             columns=("recording", "fitted separately", "fitted together"),
-            rows=tuple((name, told(a, "m"), told(b, "m")) for name, a, b in pieces),
+            rows=tuple((name, number(a, "m"), number(b, "m")) for name, a, b in pieces),
         ),
     )
 
 
 def _with_interval(value: float, interval: Array, unit: str) -> tuple[str, str]:
     if 0.0 < interval[0] < interval[1] / WIDEST:
-        return told(float(value), unit), UNKNOWN
-    low, high = (told(float(end), unit) for end in interval)
-    return told(float(value), unit), f"{low}, {high}"
+        return number(float(value), unit), UNKNOWN
+    low, high = (number(float(end), unit) for end in interval)
+    return number(float(value), unit), f"{low}, {high}"

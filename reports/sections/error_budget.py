@@ -7,7 +7,7 @@ from piezoid.formatting import words
 from piezoid_reports.chart import axis_from_zero
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Bar, Section, Waterfall
-from piezoid_reports.quantities import told
+from piezoid_reports.quantities import number
 
 NOISE = "noise"
 NEGLIGIBLE = 1e-3  # of the power of the error: no bar
@@ -44,7 +44,7 @@ def _waterfall(diagnosis: Diagnosis) -> Waterfall:
         name="hysteresis alone",
         start_m=0.0,
         end_m=total_m,
-        value=told(total_m, "m"),
+        value=number(total_m, "m"),
         role="total",
     )
     bars, rest_m2 = [total], total_m**2
@@ -56,7 +56,7 @@ def _waterfall(diagnosis: Diagnosis) -> Waterfall:
                 name=label_of(part),
                 start_m=0.0 if is_noise else sqrt(rest_m2),
                 end_m=part.rms_m if is_noise else end_m,
-                value=told(part.rms_m, "m"),
+                value=number(part.rms_m, "m"),
                 role="noise" if is_noise else "modelled" if part.is_explained else "open",
             )
         )
@@ -65,7 +65,7 @@ def _waterfall(diagnosis: Diagnosis) -> Waterfall:
     return Waterfall(
         title=f"Axis {diagnosis.axis}: error budget",
         caption=f"Removed by the model: {removed}; held-out error "
-        f"{told(diagnosis.final.rms_m, 'm')}.",
+        f"{number(diagnosis.final.rms_m, 'm')}.",
         axis=axis_from_zero("error, rms", total_m, "m"),
         bars=tuple(bars),
     )

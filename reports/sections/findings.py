@@ -11,7 +11,7 @@ from piezoid_reports.effect_comparison import EffectSimulation, compare_effects
 from piezoid_reports.effect_figures import figure_of, unnamed_figure
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Heading, Part, Prose, Section, Table
-from piezoid_reports.quantities import percent, size_of, told
+from piezoid_reports.quantities import number, percent, size_of
 
 MIN_GAIN = 1e-3  # of the held-out error: below, refitting alone moves it as much
 NO_PICTURES = "No pictures: they need a model of these recordings, which `piezoid fit` makes."
@@ -69,8 +69,8 @@ def _table(diagnoses: Sequence[Diagnosis]) -> Part:
             diagnosis.axis,
             words(finding.effect),
             size_of(finding),
-            told(finding.held_out_rms_before_m, "m"),
-            told(finding.held_out_rms_after_m, "m"),
+            number(finding.held_out_rms_before_m, "m"),
+            number(finding.held_out_rms_after_m, "m"),
             percent(finding.held_out_gain) if finding.held_out_gain >= MIN_GAIN else "none",
             f"{finding.p_value:.2g}",
         )
@@ -153,11 +153,11 @@ def _known(one: NotDetected | None) -> str:
         return "found"
     if one.detection_limit_m is None:
         return "not tested"
-    limit = told(one.detection_limit_m, "m")
+    limit = number(one.detection_limit_m, "m")
     is_fault = effect_named(one.effect).fault is not None
     if is_fault or one.upper_bound_m is None:
         return limit
-    return f"{told(one.upper_bound_m, 'm')}, {limit}"
+    return f"{number(one.upper_bound_m, 'm')}, {limit}"
 
 
 def _hidden_m(one: NotDetected) -> float:

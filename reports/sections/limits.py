@@ -6,7 +6,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.statement import Level
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Listing, Part, Prose, Section, Table, folded
-from piezoid_reports.quantities import told
+from piezoid_reports.quantities import number
 
 LABELS = {Level.ACTION: "act", Level.WARNING: "know"}
 
@@ -54,8 +54,8 @@ def render(page: Page) -> Section:
 def _untested(page: Page, axis: AxisModel) -> str:
     low_V, high_V = axis.voltage_V
     name = f"Axis {axis.axis}: " if len(page.axes) > 1 else ""
-    slew = told(axis.certificate.slew_V_per_s, "V/s")
+    slew = number(axis.certificate.slew_V_per_s, "V/s")
     return (
-        f"{name}drive below {told(low_V, 'V')} or above {told(high_V, 'V')}, or faster than "
+        f"{name}drive below {number(low_V, 'V')} or above {number(high_V, 'V')}, or faster than "
         f"{slew}; other temperature and load."
     )

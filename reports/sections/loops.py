@@ -5,7 +5,7 @@ from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, axis_over
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Figure, Part, Section, Table, axis_heading, count_of, folded
-from piezoid_reports.quantities import told
+from piezoid_reports.quantities import number
 from piezoid_reports.traces import Trace, rms
 
 SMALL_POINTS = 900  # of a curve on the first screen, a third as wide as others
@@ -46,8 +46,8 @@ def without_line(
         "displacement minus straight line",
         (trace.line_residual_m, trace.modelled_m - trace.line_m),
         f"{trace.recording.name}, axis {axis.axis}: loop without straight line",
-        f"Residual {told(rms(trace.line_residual_m), 'm')} rms with a straight line, "
-        f"{told(rms(trace.residual_m), 'm')} with the model.",
+        f"Residual {number(rms(trace.line_residual_m), 'm')} rms with a straight line, "
+        f"{number(rms(trace.residual_m), 'm')} with the model.",
         size=size,
     )
 
@@ -93,12 +93,12 @@ def _table(page: Page, axis: AxisModel) -> Table:
         rows=tuple(
             (
                 trace.recording.name,
-                f"{told(float(trace.voltage_V.min()), 'V')} to "
-                f"{told(float(trace.voltage_V.max()), 'V')}",
-                told(trace.range_m, "m"),
+                f"{number(float(trace.voltage_V.min()), 'V')} to "
+                f"{number(float(trace.voltage_V.max()), 'V')}",
+                number(trace.range_m, "m"),
                 f"{len(trace.time_s) - trace.counted} of {len(trace.time_s)}",
-                told(rms(trace.line_residual_m), "m"),
-                told(rms(trace.residual_m), "m"),
+                number(rms(trace.line_residual_m), "m"),
+                number(rms(trace.residual_m), "m"),
             )
             for trace in page.traces[axis.axis]
         ),

@@ -3,7 +3,7 @@
 from piezoid.diagnosis.compare import ModelComparison
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Prose, Section, Table
-from piezoid_reports.quantities import percent, significant, told
+from piezoid_reports.quantities import number, percent, significant
 
 
 def render(page: Page) -> Section | None:
@@ -35,7 +35,7 @@ def _rows(comparison: ModelComparison) -> tuple[tuple[str, ...], ...]:
         "refitted": comparison.refitted_error_m,
     }
     rows = [
-        (name, told(error_m, "m"), percent(error_m / comparison.motion_m))
+        (name, number(error_m, "m"), percent(error_m / comparison.motion_m))
         for name, error_m in errors.items()
     ]
-    return (("at the fit", told(comparison.fitted_error_m, "m"), ""), *rows)
+    return (("at the fit", number(comparison.fitted_error_m, "m"), ""), *rows)

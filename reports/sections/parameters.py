@@ -23,7 +23,7 @@ from piezoid_reports.parts import (
     axis_heading,
     folded,
 )
-from piezoid_reports.quantities import MINUS, percent, significant, told, told_between
+from piezoid_reports.quantities import MINUS, number, percent, significant, with_half_width
 
 GUIDE_BOW = (
     "Good: a smooth bow, deeper than its band is wide. Bad: kinks, or a band wider than it."
@@ -74,7 +74,7 @@ def _bow(axis: AxisModel) -> Figure:
     canvas = Canvas(x=x, y=axis_over("loading curve minus chord", shown, "m"), height=260)
     return Figure(
         title=f"Axis {axis.axis}: loading curve without its chord",
-        caption=f"The full loop is {told_between(*found.loop_width_m, 'm')} wide in its middle.",
+        caption=f"The full loop is {with_half_width(*found.loop_width_m, 'm')} wide.",
         guide=GUIDE_BOW,
         canvas=canvas,
         layers=(
@@ -87,11 +87,11 @@ def _bow(axis: AxisModel) -> Figure:
 
 def _uncertainty(budget: DisplacementBudget) -> Prose:
     found = budget.budget
-    half = told(found.expanded, "m")
+    half = number(found.expanded, "m")
     return Prose(
         text=f"Axis {budget.axis}: a predicted position is known to ±{half} (95 %, coverage "
         f"factor {significant(found.coverage_factor)}); the largest error of {found.positions} "
-        f"positions is below {told(found.largest[1], 'm')}.",
+        f"positions is below {number(found.largest[1], 'm')}.",
     )
 
 
@@ -107,13 +107,13 @@ def _contributions(budgets: Sequence[DisplacementBudget]) -> list[Part]:
     def cell(budget: DisplacementBudget, one: Contribution | None) -> str:
         if one is None or one.standard == 0.0:
             return ""
-        return f"{told(one.standard, 'm')} ({percent(budget.budget.share(one))})"
+        return f"{number(one.standard, 'm')} ({percent(budget.budget.share(one))})"
 
     rows = [
         (name, *(cell(b, size.get(name)) for b, size in zip(budgets, sizes, strict=True)))
         for name in names
     ]
-    rows.append(("together", *(told(b.budget.combined, "m") for b in budgets)))
+    rows.append(("together", *(number(b.budget.combined, "m") for b in budgets)))
     return [
         Table(
             caption="Uncertainty budget of a predicted position at the end of the range: standard "
@@ -133,9 +133,10 @@ def _bound(axis: AxisModel) -> Prose:
     speed = " at the speed of the recordings" if axis.quality.lag_is_open else ""
     return Prose(
         text=f"Axis {axis.axis}: without feedback the model error stays below "
-        f"{told(found.bound_m, 'm')} (95 % confidence) for drives between "
-        f"{told(middle_V - found.reach_V, 'V')} and {told(middle_V + found.reach_V, 'V')}, up to "
-        f"{told(found.slew_V_per_s, 'V/s')}{speed}."
+        f"{number(found.bound_m, 'm')} (95 % confidence) for drives between "
+        f"{number(middle_V - found.reach_V, 'V')} and "
+        f"{number(middle_V + found.reach_V, 'V')}, up to "
+        f"{number(found.slew_V_per_s, 'V/s')}{speed}."
     )
 
 
@@ -162,22 +163,22 @@ def _functions(axis: AxisModel) -> tuple[Part, ...]:
         Prose(text=text),
         Table(
             caption=f"Axis {axis.axis}: what the functions rise from edge to edge, with edges of "
-            f"the drive about {told(operator.voltage_offset_V, 'V', 4)}, and the spread over "
+            f"the drive about {number(operator.voltage_offset_V, 'V', 4)}, and the spread over "
             f"{blocks} fits without one block of time each.",
             columns=(
                 "play",
                 "half-width",
                 *(
-                    f"{told(low, 'V', 3)} to {told(high, 'V', 3)}"
+                    f"{number(low, 'V', 3)} to {number(high, 'V', 3)}"
                     for low, high in pairwise(operator.edge_V.tolist())
                 ),
             ),
             rows=tuple(
                 (
                     str(i),
-                    told(float(operator.threshold_V[i]), "V", 4),
+                    number(float(operator.threshold_V[i]), "V", 4),
                     *(
-                        told_between(float(rise_m), float(half_m), "m")
+                        with_half_width(float(rise_m), float(half_m), "m")
                         for rise_m, half_m in zip(operator.rise_m[i], halves_m, strict=True)
                     ),
                 )
@@ -219,11 +220,11 @@ def _quantities(page: Page) -> Table:
     for axis in page.axes:
         low_V, high_V = axis.voltage_V
         values = {
-            "width of the full loop": told_between(*axis.uncertainty.loop_width_m, "m"),
+            "width of the full loop": with_half_width(*axis.uncertainty.loop_width_m, "m"),
             "lag": _lag(axis, known_of(axis.uncertainty)),
-            "voltage offset": told(axis.hysteresis.voltage_offset_V, "V", 4),
-            "displacement offset": told(axis.hysteresis.displacement_offset_m, "m", 4),
-            "valid drive": f"{told(low_V, 'V')} to {told(high_V, 'V')}",
+            "voltage offset": number(axis.hysteresis.voltage_offset_V, "V", 4),
+            "displacement offset": number(axis.hysteresis.displacement_offset_m, "m", 4),
+            "valid drive": f"{number(low_V, 'V')} to {number(high_V, 'V')}",
             "polarity": "+1" if axis.polarity > 0 else f"{MINUS}1",
             "amplifier bandwidth": _declared(axis.rig.amplifier_bandwidth_Hz),
             "sensor bandwidth": _declared(axis.rig.sensor_bandwidth_Hz),
@@ -238,11 +239,11 @@ def _quantities(page: Page) -> Table:
 
 
 def _declared(bandwidth_Hz: float | None) -> str:
-    return "" if bandwidth_Hz is None else told(bandwidth_Hz, "Hz")
+    return "" if bandwidth_Hz is None else number(bandwidth_Hz, "Hz")
 
 
 def _lag(axis: AxisModel, known: Known) -> str:
     if axis.quality.lag_is_open and axis.lag.kind != "none":
         return "not identified: the rate was never varied"
     value_s, half_s = known.get("lag_s", (axis.lag.time_s, math.nan))
-    return told_between(value_s, half_s, "s")
+    return with_half_width(value_s, half_s, "s")

@@ -7,7 +7,7 @@ from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Part, Section, Table
-from piezoid_reports.quantities import told
+from piezoid_reports.quantities import number
 
 
 def render(page: Page) -> Section:
@@ -31,8 +31,8 @@ def _recordings(page: Page) -> Table:
                 r.name,
                 ", ".join(r.axes),
                 str(r.samples),
-                told(r.sampling_rate_Hz, "Hz", 4),
-                told(r.duration_s, "s"),
+                number(r.sampling_rate_Hz, "Hz", 4),
+                number(r.duration_s, "s"),
                 _agreement(page.model, r),
                 r.digest,
             )

@@ -10,7 +10,7 @@ from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, axis_over
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Figure, Part, Section, axis_heading, count_of, folded
-from piezoid_reports.quantities import percent, told
+from piezoid_reports.quantities import number, percent
 from piezoid_reports.traces import Trace, rms
 
 SIGMAS = 2.0
@@ -67,9 +67,9 @@ def over_time(trace: Trace, axis: AxisModel, *, size: tuple[int, int] | None = N
     inside = float((finite_m <= SIGMAS * noise_m).mean())
     return Figure(
         title=f"{trace.recording.name}, axis {axis.axis}: residual against time",
-        caption=f"{told(rms(residual_m), 'm')} rms, at most {told(float(finite_m.max()), 'm')}; "
-        f"{percent(inside)} of the samples lie within twice the sensor noise of "
-        f"{told(noise_m, 'm')}.",
+        caption=f"{number(rms(residual_m), 'm')} rms, at most "
+        f"{number(float(finite_m.max()), 'm')}; {percent(inside)} of the samples lie within "
+        f"twice the sensor noise of {number(noise_m, 'm')}.",
         guide=GUIDE_TIME,
         canvas=canvas,
         is_small=size is not None,
@@ -94,7 +94,7 @@ def _over_drive(axis: AxisModel, traces: tuple[Trace, ...]) -> Figure:
     x = axis_over("drive", [voltage_V], "V")
     shown = [rising[:, 1:].ravel(), falling[:, 1:].ravel()]
     canvas = Canvas(x=x, y=axis_over("residual", shown, "m", even=True))
-    largest = [told(_largest_median(one), "m") for one in (rising, falling)]
+    largest = [number(_largest_median(one), "m") for one in (rising, falling)]
     return Figure(
         title=f"Axis {axis.axis}: residual against drive",
         caption=f"Largest median {largest[0]} rising, {largest[1]} falling; bands hold 90 %.",

@@ -11,7 +11,7 @@ from piezoid.statement import Level
 from piezoid.verification.scenarios import spiral_speed_m_per_s
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Card, Cards, Figure, Said, Section, worst_tone
-from piezoid_reports.quantities import percent, significant, told, told_interval
+from piezoid_reports.quantities import number, percent, significant, with_interval
 from piezoid_reports.sections import loops, residuals, tunnelling
 
 LOOP_SIZE, RESIDUAL_SIZE = (300, 122), (440, 122)  # pixels, beside each other
@@ -97,8 +97,11 @@ def _accuracy(page: Page) -> tuple[tuple[str, str], ...]:
     quality = worst.quality
     kind = "Held-out error" if quality.is_tested else "Error on the data of the fit"
     where = f" on axis {worst.axis} (the worst axis)" if len(page.axes) > 1 else ""
-    error, share = told(quality.held_out_rms_m, "m"), told(quality.held_out_rms_percent, "%")
-    text = f"{kind}: {error} rms{where}, {share} of the {told(quality.range_m, 'm')} range."
+    error, share = (
+        number(quality.held_out_rms_m, "m"),
+        number(quality.held_out_rms_percent, "%"),
+    )
+    text = f"{kind}: {error} rms{where}, {share} of the {number(quality.range_m, 'm')} range."
     return (("Error", text),)
 
 
@@ -136,12 +139,12 @@ def _facts(page: Page, axis: AxisModel) -> tuple[tuple[str, str], ...]:
     return (
         (
             "Held-out error" if quality.is_tested else "Error in sample",
-            f"{told(quality.held_out_rms_m, 'm')} rms, "
+            f"{number(quality.held_out_rms_m, 'm')} rms, "
             f"{percent(quality.held_out_rms_m / quality.range_m)}",
         ),
         (
             "Sensor noise; closure",
-            f"{quality.noise_bound}{told(noise_m, 'm')} rms; {closure}",
+            f"{quality.noise_bound}{number(noise_m, 'm')} rms; {closure}",
         ),
         _speed(page, axis.axis, loop),
         ("Guaranteed error", guarantee(page, axis, loop)),
@@ -153,13 +156,13 @@ def _speed(page: Page, axis: str, loop: LoopDesign | None) -> tuple[str, str]:
     """Return the bandwidth, with the error on the spiral if the verification ran one."""
     if loop is None:
         return "Bandwidth", "none"
-    bandwidth, found = told(loop.bandwidth_Hz, "Hz"), page.verification
+    bandwidth, found = number(loop.bandwidth_Hz, "Hz"), page.verification
     if found is None:
         return "Bandwidth", bandwidth
     for row in found.comparison:
         if (row.method, row.frequency_Hz) == (found.methods.get(axis), TRACKED_Hz):
             label = f"Bandwidth; tracking error at {TRACKED_Hz:g} Hz"
-            return label, f"{bandwidth}; {told(row.rms_m, 'm')} rms"
+            return label, f"{bandwidth}; {number(row.rms_m, 'm')} rms"
     return "Bandwidth", bandwidth
 
 
@@ -175,8 +178,10 @@ def guarantee(page: Page, axis: AxisModel, loop: LoopDesign | None) -> str:
         return "no useful bound"
     speed_m_per_s = spiral_speed_m_per_s(TRACKED_Hz, found.radius_m)
     slow_m = loop.certificate.guaranteed_at(speed_m_per_s)
-    at_most = f"{told(bound_m, 'm')} at most"
-    return f"{told(slow_m, 'm')} at {TRACKED_Hz:g} Hz, {at_most}" if slow_m < bound_m else at_most
+    at_most = f"{number(bound_m, 'm')} at most"
+    return (
+        f"{number(slow_m, 'm')} at {TRACKED_Hz:g} Hz, {at_most}" if slow_m < bound_m else at_most
+    )
 
 
 def ships(page: Page, axis: str) -> str:
@@ -202,13 +207,13 @@ def _tip_card(page: Page) -> tuple[Card, ...]:
     tone, word = tunnelling.CONFIDENCE[best.confidence]
     loop = next((one for one in page.axis_designs if one.recommended.method == "rst"), None)
     barriers = [
-        (f"Barrier, {source}", told_interval(one.barrier_eV, one.barrier_interval_eV, "eV"))
+        (f"Barrier, {source}", with_interval(one.barrier_eV, one.barrier_interval_eV, "eV"))
         for source, one in (("sweeps", law), ("closed loop", plant))
         if one is not None
     ]
     facts = (
         *barriers,
-        ("Bandwidth", "none" if loop is None else told(loop.recommended.bandwidth_Hz, "Hz")),
+        ("Bandwidth", "none" if loop is None else number(loop.recommended.bandwidth_Hz, "Hz")),
         ("Ships", ships(page, "z" if loop is None else loop.axis)),
     )
     figures = tunnelling.small_figures(page, LOOP_SIZE, RESIDUAL_SIZE)

@@ -13,7 +13,7 @@ from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Figure, Part, Prose, Section, Table
-from piezoid_reports.quantities import percent, told, told_interval
+from piezoid_reports.quantities import number, percent, with_interval
 from piezoid_reports.tunnelling_loop import loop_parts
 
 GUIDE_CURVE = (
@@ -55,7 +55,7 @@ def render(page: Page) -> Section | None:
 
 def barrier_sentence(law: GapLaw) -> str:
     """Return barrier, interval and confidence of the gap law."""
-    barrier = told_interval(law.barrier_eV, law.barrier_interval_eV, "eV")
+    barrier = with_interval(law.barrier_eV, law.barrier_interval_eV, "eV")
     unmet = f"; {len(law.reasons)} criteria are not met" if law.reasons else ""
     return f"Apparent barrier {barrier}, {law.confidence.value} confidence{unmet}."
 
@@ -97,14 +97,14 @@ def _laws(junction: TunnellingModel, page: Page) -> tuple[tuple[GapLaw, Directio
 
 def _decay(law: GapLaw) -> str:
     low, high = law.decay_interval_per_m
-    return told_interval(1e-9 * law.decay_per_m, (1e-9 * low, 1e-9 * high), "")
+    return with_interval(1e-9 * law.decay_per_m, (1e-9 * low, 1e-9 * high), "")
 
 
 ROWS: tuple[tuple[str, Callable[[GapLaw], str]], ...] = (
-    ("barrier", lambda law: told_interval(law.barrier_eV, law.barrier_interval_eV, "eV")),
+    ("barrier", lambda law: with_interval(law.barrier_eV, law.barrier_interval_eV, "eV")),
     ("decay k [1/nm]", _decay),
-    ("noise without current, rms", lambda law: told(law.floor_A, "A")),
-    ("jitter of the gap, rms at most", lambda law: told(law.gap_jitter_m, "m")),
+    ("noise without current, rms", lambda law: number(law.floor_A, "A")),
+    ("jitter of the gap, rms at most", lambda law: number(law.gap_jitter_m, "m")),
 )
 
 
@@ -131,9 +131,9 @@ def _shift(junction: TunnellingModel) -> tuple[Part, ...]:
     low, high = shift.decay_change_interval
     return (
         Prose(
-            text=f"The height at which {told(shift.reference_current_A, 'A')} flow is shifted, "
+            text=f"The height at which {number(shift.reference_current_A, 'A')} flow is shifted, "
             f"backward against forward, by "
-            f"{told_interval(shift.shift_m, shift.shift_interval_m, 'm')} "
+            f"{with_interval(shift.shift_m, shift.shift_interval_m, 'm')} "
             f"(hysteresis, creep and drift of the height). The decay is larger by "
             f"{percent(shift.decay_change)}, {percent(low)} to {percent(high)} (95 %): {both}.",
             tone="plain" if shift.is_one_decay else "middling",
@@ -174,7 +174,7 @@ def _curve(
     layers.append(canvas.line("zero", "noise, rms", heights[[0, -1]], np.full(2, floor)))
     return Figure(
         title=f"Current over height, {len(curves)} sweep{'s' if len(curves) != 1 else ''}",
-        caption=f"Polarity {POLARITY[law.polarity]}, offset {told(law.offset_A, 'A')} removed.",
+        caption=f"Polarity {POLARITY[law.polarity]}, offset {number(law.offset_A, 'A')} removed.",
         guide=GUIDE_CURVE,
         canvas=canvas,
         layers=tuple(layers),
@@ -196,7 +196,7 @@ def _residual(
     return Figure(
         title="Residual of the gap law",
         caption=(
-            f"{told(rms_A, 'A')} rms; the noise without current is {told(law.floor_A, 'A')}."
+            f"{number(rms_A, 'A')} rms; the noise without current is {number(law.floor_A, 'A')}."
         ),
         guide=GUIDE_RESIDUAL,
         canvas=canvas,

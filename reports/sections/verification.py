@@ -10,7 +10,7 @@ from piezoid.verification.verification import ComparisonRow, ErrorBound, Verific
 from piezoid_reports.chart import Canvas, decades_over
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Figure, Part, Section, Table, count_of, folded
-from piezoid_reports.quantities import significant, told
+from piezoid_reports.quantities import number, significant
 from piezoid_reports.spirals import METHODS, errors_in_time, motions, spiral
 
 MAX_VERDICTS = 10  # in the table; all that failed are shown
@@ -71,9 +71,9 @@ def _shape_figure(found: Verification) -> Figure:
     shipped = curves[methods[0]]
     return Figure(
         title="Shape error on spirals, method by method",
-        caption=f"{METHODS[methods[0]].capitalize()}: {told(shipped[0].aligned_rms_m, 'm')} at "
-        f"{told(shipped[0].frequency_Hz, 'Hz')}, {told(shipped[-1].aligned_rms_m, 'm')} at "
-        f"{told(shipped[-1].frequency_Hz, 'Hz')}, rms after the best delay.",
+        caption=f"{METHODS[methods[0]].capitalize()}: {number(shipped[0].aligned_rms_m, 'm')} at "
+        f"{number(shipped[0].frequency_Hz, 'Hz')}, {number(shipped[-1].aligned_rms_m, 'm')} at "
+        f"{number(shipped[-1].frequency_Hz, 'Hz')}, rms after the best delay.",
         guide="Good: the controller that ships lies lowest. Bad: it crosses another method.",
         canvas=canvas,
         layers=tuple(layers),
@@ -89,14 +89,16 @@ def _table(page: Page, found: Verification) -> Table:
     rows = []
     for method, of_method in by_method.items():
         errors = [of_method.get(rate_Hz) for rate_Hz in rates_Hz]
-        rows.append((METHODS[method], *("" if e is None else told(e.rms_m, "m") for e in errors)))
+        rows.append(
+            (METHODS[method], *("" if e is None else number(e.rms_m, "m") for e in errors))
+        )
         bounds = ["" if e is None else _guaranteed(page, found, e) for e in errors]
         if any(bounds) and method in found.methods.values():
             rows.append((f"guaranteed: {METHODS[method]}", *bounds))
     return Table(
-        caption=f"Distance from a spiral of radius {told(found.radius_m, 'm')}, rms, by turns a "
+        caption=f"Distance from a spiral of radius {number(found.radius_m, 'm')}, rms, by turns a "
         "second.",
-        columns=("method", *(told(rate_Hz, "Hz") for rate_Hz in rates_Hz)),
+        columns=("method", *(number(rate_Hz, "Hz") for rate_Hz in rates_Hz)),
         rows=tuple(rows),
     )
 
@@ -108,11 +110,11 @@ def _bounds(found: Verification) -> list[Part]:
     rows = tuple(
         (
             row.axis,
-            told(row.slew_m_per_s, "m/s"),
+            number(row.slew_m_per_s, "m/s"),
             _bounded(row),
-            told(row.probable_m, "m") if np.isfinite(row.probable_m) else "too few runs",
-            told(row.worst_found_m, "m"),
-            told(row.simulated_m, "m"),
+            number(row.probable_m, "m") if np.isfinite(row.probable_m) else "too few runs",
+            number(row.worst_found_m, "m"),
+            number(row.simulated_m, "m"),
         )
         for row in found.bounds
     )
@@ -130,7 +132,7 @@ def _bounds(found: Verification) -> list[Part]:
 def _bounded(row: ErrorBound) -> str:
     if row.bound_m is None:
         return "none"
-    return told(row.bound_m, "m") + (", not on all stages drawn" if row.is_exceeded else "")
+    return number(row.bound_m, "m") + (", not on all stages drawn" if row.is_exceeded else "")
 
 
 def _guaranteed(page: Page, found: Verification, row: ComparisonRow) -> str:
@@ -147,7 +149,7 @@ def _guaranteed(page: Page, found: Verification, row: ComparisonRow) -> str:
     speed_m_per_s = spiral_speed_m_per_s(row.frequency_Hz, found.radius_m)
     bounds_m = [one.guaranteed_at(speed_m_per_s) for one in proven]
     bound_m = float(np.hypot.reduce(bounds_m))
-    return told(bound_m, "m") if bound_m < 2.0 * found.radius_m else ""
+    return number(bound_m, "m") if bound_m < 2.0 * found.radius_m else ""
 
 
 def _currents(found: Verification) -> list[Part]:
@@ -157,7 +159,7 @@ def _currents(found: Verification) -> list[Part]:
         (
             row.scenario,
             significant(row.ln_current_std),
-            told(row.height_rms_m, "m"),
+            number(row.height_rms_m, "m"),
             significant(row.largest_ratio),
             str(row.retracted_samples),
         )
@@ -212,7 +214,7 @@ def _closeness(verdict: Verdict) -> float:
 def _measured(verdict: Verdict, value: float) -> str:
     """Return a number of a verdict with its unit."""
     if verdict.unit in ("s", "m"):
-        return told(value, verdict.unit)
+        return number(value, verdict.unit)
     return f"{significant(value)} {'' if verdict.unit == '1' else verdict.unit}".strip()
 
 

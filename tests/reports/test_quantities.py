@@ -11,10 +11,10 @@ from piezoid.formatting import PREFIXES, UNKNOWN
 from piezoid_reports.quantities import (
     MICRO,
     MINUS,
+    number,
     significant,
-    told,
-    told_between,
-    told_interval,
+    with_half_width,
+    with_interval,
 )
 
 FACTOR = {prefix: factor for factor, prefix in PREFIXES} | {MICRO: 1e-6}
@@ -37,19 +37,19 @@ FACTOR = {prefix: factor for factor, prefix in PREFIXES} | {MICRO: 1e-6}
     ],
 )
 def test_a_number_is_told_in_the_unit_a_reader_likes(value: float, unit: str, text: str) -> None:
-    assert told(value, unit).replace("\u202f", " ") == text
+    assert number(value, unit).replace("\u202f", " ") == text
 
 
 @given(st.floats(1e-11, 1e8))
 def test_what_is_told_is_the_number_to_three_digits(value: float) -> None:
-    number, _, unit = told(value, "m").partition("\u202f")
-    assert float(number) * FACTOR[unit[:-1]] == pytest.approx(value, rel=5.1e-3)
+    digits, _, unit = number(value, "m").partition("\u202f")
+    assert float(digits) * FACTOR[unit[:-1]] == pytest.approx(value, rel=5.1e-3)
 
 
 @given(st.floats(1e-11, 1e8))
 def test_a_prefixed_number_stays_between_one_and_a_thousand(value: float) -> None:
-    number = float(told(value, "m").partition("\u202f")[0])
-    assert 0.999 <= number < 1000 or value > 999e6
+    shown = float(number(value, "m").partition("\u202f")[0])
+    assert 0.999 <= shown < 1000 or value > 999e6
 
 
 @pytest.mark.parametrize(
@@ -64,11 +64,11 @@ def test_a_prefixed_number_stays_between_one_and_a_thousand(value: float) -> Non
 def test_an_interval_stands_in_the_unit_of_its_number(
     value: float, half: float, text: str
 ) -> None:
-    assert told_between(value, half, "m/V").replace("\u202f", " ") == text
+    assert with_half_width(value, half, "m/V").replace("\u202f", " ") == text
 
 
 def test_a_plain_number_needs_no_brackets() -> None:
-    assert told_between(0.17, 0.13, "").replace("\u202f", " ") == "0.17 ± 0.13"
+    assert with_half_width(0.17, 0.13, "").replace("\u202f", " ") == "0.17 ± 0.13"
 
 
 @given(st.floats(-1e6, 1e6))
@@ -81,7 +81,7 @@ def test_significant_digits_come_back(value: float) -> None:
 def test_the_terminal_is_told_the_same_number_in_plain_letters(value: float) -> None:
     plain = formatting.with_unit(value, "m")
     assert plain.isascii()
-    set_here = told(value, "m").replace("\u202f", " ").replace(MINUS, "-").replace(MICRO, "u")
+    set_here = number(value, "m").replace("\u202f", " ").replace(MINUS, "-").replace(MICRO, "u")
     assert set_here == plain
 
 
@@ -90,5 +90,5 @@ def test_microns_in_a_sentence_are_written_without_a_power_of_ten() -> None:
 
 
 def test_a_value_that_may_be_anything_is_not_told():
-    assert "1.45" not in told_interval(1.45, (0.0, math.inf), "eV")
-    assert "1.45" in told_interval(1.45, (1.2, math.inf), "eV")
+    assert "1.45" not in with_interval(1.45, (0.0, math.inf), "eV")
+    assert "1.45" in with_interval(1.45, (1.2, math.inf), "eV")

@@ -16,7 +16,7 @@ from piezoid.verification.verification import (
 from piezoid.verification.verify import verify
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Section
-from piezoid_reports.quantities import told
+from piezoid_reports.quantities import number
 from piezoid_reports.render import render
 from piezoid_reports.sections import verification
 from piezoid_reports.sections.verification import MAX_VERDICTS
@@ -57,7 +57,7 @@ def test_every_method_and_verdict_has_its_row_and_every_verdict_its_limit(
 ) -> None:
     rows = texts(found)
     for row in found.comparison:
-        shown = f"{METHODS[row.method]}{told(row.rms_m, 'm')}".replace("\u202f", " ")
+        shown = f"{METHODS[row.method]}{number(row.rms_m, 'm')}".replace("\u202f", " ")
         assert any(line.startswith(shown) for line in rows)
     names = {verdict.name for verdict in found.verdicts}
     assert sum(row.endswith("passed") for row in rows) == min(len(names), MAX_VERDICTS)
