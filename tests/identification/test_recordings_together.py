@@ -23,7 +23,15 @@ def test_a_copy_in_another_unit_is_left_out_and_named(tmp_path: Path) -> None:
     recordings = read(tmp_path, sweep=lines(), again=in_nm)
     assert [r.name for r in moving(recordings, "x")] == ["sweep.csv"]
     (said,) = unfitted(recordings, Lab()).remarks
-    assert said.startswith("again.csv holds the same samples as sweep.csv")
+    assert said.startswith("again.csv holds samples of sweep.csv")
+
+
+@pytest.mark.parametrize("cut", [slice(0, -1), slice(100, None), slice(120, -150)])
+def test_a_part_of_a_recording_is_never_held_out_against_it(tmp_path: Path, cut: slice) -> None:
+    recordings = read(tmp_path, sweep=lines(), part=lines(table=columns()[cut]))
+    assert [r.name for r in moving(recordings, "x")] == ["sweep.csv"]
+    (said,) = unfitted(recordings, Lab()).remarks
+    assert said.startswith("part.csv holds samples of sweep.csv")
 
 
 def test_a_drive_that_hardly_moves_is_named_and_names_no_stage(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Report recordings that hold the samples of another one: they test nothing.
 
 A copy differs by its printing or its unit alone; two recordings of one drive differ by the noise.
+A part of a file, or an export that overlaps, shares its rows.
 """
 
 from collections.abc import Sequence
@@ -9,34 +10,46 @@ from itertools import combinations
 import numpy as np
 
 from piezoid.numerics.arrays import Array
+from piezoid.records.checks.shared_rows import shared_rows
 from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import noise_rms
 from piezoid.statement import Statement, finding
 
 MAX_DIFFERENCE = 0.3  # standard deviations of the noise; of two recordings it is 1.4
+MIN_SHARED = 0.5  # of the rows of the shorter recording, from which it is left out
 SAME_DRIVE = 1e-3  # rms of the difference of the standardised drives
 _FIRST_SAMPLES = 1000  # compared before whole recordings are
 
 
 def check_copies(recordings: Sequence[Recording]) -> list[Statement]:
-    """Report each recording that is a copy of an earlier one."""
+    """Report each recording that is a copy or a part of another one."""
     return [
         finding(
             quantity="copy",
             recording=copy,
-            text=f"{copy} holds the same samples as {original} and is left out.",
+            text=f"{copy} holds samples of {original} and is left out.",
         )
         for copy, original in copies(recordings).items()
     ]
 
 
 def copies(recordings: Sequence[Recording]) -> dict[str, str]:
-    """Return the name of the earlier recording by the name of each copy."""
+    """Return the name of the original by the name of each copy.
+
+    Of two equal recordings the later one is the copy; of two that share half of the rows of the
+    shorter one, the shorter.
+    """
     original_of: dict[str, str] = {}
     for first, second in combinations(recordings, 2):
-        is_new = first.name not in original_of and first.name != second.name
-        if is_new and is_copy(first, second):
+        if first.name in original_of or first.name == second.name:
+            continue
+        if is_copy(first, second):
             original_of.setdefault(second.name, first.name)
+            continue
+        longer, shorter = (first, second) if first.samples >= second.samples else (second, first)
+        shared = shared_rows(longer, shorter)
+        if shared is not None and shared.count >= MIN_SHARED * shorter.samples:
+            original_of.setdefault(shorter.name, longer.name)
     return original_of
 
 
