@@ -40,6 +40,7 @@ from piezoid.formatting import with_unit
 from piezoid.formatting import words as name_of
 from piezoid.numerics.arrays import Array
 
+RESONANCE = "resonance"  # unresolved, it widens loops as another shape would
 BLOCKS = 20  # of the residual, for the scatter of its mean square
 ONE_SIDED_95 = 1.645
 EXTRAPOLATION_TEXT = (
@@ -102,13 +103,16 @@ def with_budget(
     after = float(np.clip(final.rms_m**2, noise, total))
     explained = float(np.clip(errors.explained_m**2, noise, after))
     wide = float(np.clip(errors.wide_m**2, noise, explained))
-    if errors.is_compared:
-        diagnosis = _with_loop_shape(diagnosis, errors, explained - wide)
     remaining = {"extrapolation": after - explained, "unexplained": wide - noise}
     if errors.before_m is None:
         remaining[LOOP_SHAPE] = explained - wide
     else:
         remaining["unexplained"] += explained - wide
+    if errors.is_compared:
+        largest = max(remaining, key=lambda name: remaining[name])
+        diagnosis = _with_loop_shape(
+            diagnosis, errors, explained - wide, is_largest=largest == LOOP_SHAPE
+        )
     diagnosis, remaining = _with_something_else(diagnosis, errors, remaining)
     effects = _effect_parts(diagnosis, total - after, other_recordings)
     effects = [part for part in effects if part.part not in remaining]
@@ -194,11 +198,13 @@ def _remaining_part(name: str, power: float, diagnosis: Diagnosis) -> BudgetPart
     return BudgetPart(part=name, rms_m=rms_m, is_explained=False, text=texts[name])
 
 
-def _with_loop_shape(diagnosis: Diagnosis, errors: RemainingErrors, power: float) -> Diagnosis:
+def _with_loop_shape(
+    diagnosis: Diagnosis, errors: RemainingErrors, power: float, *, is_largest: bool
+) -> Diagnosis:
     """Return the diagnosis with loop shape among its findings, or among what was not detected.
 
-    It is found where the model has a wider class of hysteresis, or where the error is above the
-    noise and the widest class takes off a significant part of it.
+    It is found where the model has a wider class of hysteresis, or where the final error is above
+    the noise and loop shape is its largest part, or a significant half of the explained error.
     """
     doubt = max(errors.scatter, 1e-6) * errors.explained_m**2
     if errors.before_m is not None:
@@ -207,9 +213,11 @@ def _with_loop_shape(diagnosis: Diagnosis, errors: RemainingErrors, power: float
         doubt = max(errors.scatter, 1e-6) * before_m**2
     else:
         before_m = after_m = diagnosis.final.rms_m
-        far = errors.explained_m > NOISE_RATIO * diagnosis.noise_floor_rms_m
-        half = power > 0.5 * (errors.explained_m**2 - diagnosis.noise_floor_rms_m**2)
-        if not (far and half and power > ONE_SIDED_95 * doubt):
+        noise_m = diagnosis.noise_floor_rms_m
+        far = diagnosis.final.rms_m > NOISE_RATIO * noise_m
+        is_significant = power > ONE_SIDED_95 * doubt
+        half = power > 0.5 * (errors.explained_m**2 - noise_m**2)
+        if not (far and (is_largest or (half and is_significant))):
             return _without_loop_shape(diagnosis, sqrt(max(power, 0.0) + ONE_SIDED_95 * doubt))
     effect = effect_named(LOOP_SHAPE)
     low, high = (sqrt(max(power + side * 1.96 * doubt, 0.0)) for side in (-1.0, 1.0))
@@ -222,7 +230,9 @@ def _with_loop_shape(diagnosis: Diagnosis, errors: RemainingErrors, power: float
         p_value=0.5 * erfc(power / doubt / sqrt(2.0)) if doubt > 0.0 else 0.0,
         rms_percent=100.0 * sqrt(power) / diagnosis.stroke_m,
         size=Size(value=1e9 * sqrt(power), unit=effect.unit, ci95=(1e9 * low, 1e9 * high)),
-        not_separable_from=(),
+        not_separable_from=tuple(
+            f.effect for f in diagnosis.findings if f.effect == RESONANCE and not f.held_out_gain
+        ),
         explanation=f"{effect.summary} "
         + (
             "The model simulates with the wider class."

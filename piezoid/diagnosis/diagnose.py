@@ -153,7 +153,7 @@ def _diagnosed(
         diagnosis,
         _remaining_errors(found.outcome, numbers, final),
         {
-            name: f"{words(name).capitalize()}: seen in other recordings than the baseline."
+            name: f"{words(name).capitalize()}: its error is not part of the baseline's."
             for name in diagnosis.names
             if name not in in_budget
         },

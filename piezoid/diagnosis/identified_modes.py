@@ -7,6 +7,7 @@ recordings that the mode leaves alone.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import sqrt
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Size, with_finding
 from piezoid.diagnosis.effects import effect_named
 from piezoid.formatting import with_unit
 from piezoid.identification.dynamics.axis_dynamics import quasi_static
+from piezoid.identification.dynamics.bandwidth import BandwidthVerdict
 from piezoid.identification.dynamics.behind_hysteresis import voltage_behind_hysteresis
 from piezoid.identification.dynamics.fit_dynamics import resolved_modes
 from piezoid.identification.dynamics.modal import LinearDynamics
@@ -27,6 +29,9 @@ from piezoid.records.recording import Recording
 NAME = "resonance"
 TREND = 3  # degree of the slow motion that no dynamics explain
 _LEAST_P = 1e-12
+RATIO_DOUBT = 0.8  # of the gain ratio: what damping and the gain at rest leave open
+MIN_RISE = 1.5  # noise and distortion raise a gain by up to 1.2
+RISING_P = 1e-3  # four standard deviations of the largest of some hundred lines
 
 
 def told_apart(
@@ -52,7 +57,7 @@ def with_modes(
     """
     dynamics = model.dynamics
     if dynamics is None:
-        return diagnosis
+        return _with_rising_gain(diagnosis, model.bandwidth)
     if not shaped:
         return diagnosis if model.response is None else _beside(diagnosis, model, dynamics)
     largest = int(np.argmax(np.abs(dynamics.mode_gain_m_per_V[:, 0, 0])))
@@ -77,6 +82,39 @@ def with_modes(
         "behind the hysteresis that the others tell, without the mode and with it.",
         next_experiment=effect.experiment,
         parameters={"frequency_Hz": frequency_Hz, "quality": _quality(dynamics, largest)},
+    )
+    return with_finding(diagnosis, finding)
+
+
+def _with_rising_gain(diagnosis: Diagnosis, bandwidth: BandwidthVerdict | None) -> Diagnosis:
+    """Name a mode that no fit resolves because the gain still rises where the lines end.
+
+    Far below its frequency f_0 a lightly damped mode raises the gain at rest to
+
+        r = 1 / (1 - (f / f_0)^2),   f_0 = f / sqrt(1 - 1 / r)
+    """
+    if bandwidth is None or bandwidth.kind == "first_order" or NAME in diagnosis.names:
+        return diagnosis
+    ratio, peak_Hz = bandwidth.peak_ratio or 0.0, bandwidth.peak_Hz or 0.0
+    if ratio < MIN_RISE:
+        return diagnosis
+    frequency_Hz, high_Hz = (peak_Hz / sqrt(1.0 - 1.0 / r) for r in (ratio, RATIO_DOUBT * ratio))
+    effect, final = effect_named(NAME), diagnosis.final
+    finding = Finding(
+        effect=NAME,
+        held_out_gain=0.0,
+        held_out_rms_before_m=final.rms_m,
+        held_out_rms_after_m=final.rms_m,
+        p_value=RISING_P,
+        rms_percent=0.0,
+        size=Size(value=frequency_Hz, unit=effect.unit, ci95=(peak_Hz, high_Hz)),
+        not_separable_from=(),
+        explanation=f"{effect.summary} The gain at {with_unit(peak_Hz, 'Hz')} is {ratio:.2g} "
+        f"times that at rest, and the recordings end at {with_unit(bandwidth.highest_Hz, 'Hz')}: "
+        "a mode lies near or beyond that and is not resolved.",
+        next_experiment="Record a small chirp or multisine up to "
+        f"{with_unit(2.0 * frequency_Hz, 'Hz', 2)} or more.",
+        parameters={"frequency_Hz": frequency_Hz},
     )
     return with_finding(diagnosis, finding)
 

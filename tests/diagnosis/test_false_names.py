@@ -1,16 +1,25 @@
 """What looks like a fault of the data or like motion in time, and is neither."""
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from piezoid import diagnose, read
+from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.effects import mains_interference
+from piezoid.diagnosis.identified_modes import with_modes
+from piezoid.diagnosis.score_test import score_test
+from piezoid.identification.dynamics.bandwidth import BandwidthVerdict
 from piezoid.records.invalid_samples import find_invalid_readings
+from piezoid.records.lab import Lab
 from tests.diagnosis.ceramic import bouc_wen_um
 from tests.records.responses import write_csv
+from tests.reports.known_diagnosis import diagnosed
+from tests.reports.known_stage import axis_model
 
 HOLD, RAMP = 40, 6  # samples
 LEVELS = 120
@@ -47,3 +56,41 @@ def test_levels_that_are_held_have_no_outliers(levels: Diagnosis) -> None:
     assert "outliers" not in levels.names
     assert "loop_shape" in levels.names
     assert not any("single readings" in remark for remark in levels.model.verdict.remarks)
+
+
+def test_hum_beside_a_harmonic_of_the_drive_is_a_line_and_states_the_clock(tmp_path: Path) -> None:
+    time_s = np.arange(12000) / 2000.0
+    drive_V = 50.0 * (1.0 - np.cos(2.0 * np.pi * time_s))
+    hum_um = 0.02 * np.sin(2.0 * np.pi * 50.18 * time_s + 0.4)
+    noise_um = np.random.default_rng(2).normal(0.0, 4e-3, len(time_s))
+    reading_um = bouc_wen_um(drive_V) + hum_um + noise_um
+    place = tmp_path / "hum.csv"
+    write_csv(place, "time [s],voltage [V],displacement [um]", time_s, drive_V, reading_um)
+    view = view_on(read(place).recordings, axis="x", lab=Lab())
+    found = score_test(mains_interference.EFFECT, view)
+    assert found.trial.parameters["frequency_Hz"] == pytest.approx(50.18, abs=0.03)
+    assert found.cv.gain > 0.3
+    note = mains_interference.EFFECT.note(found.trial.parameters)
+    assert "the clock of the file is 0.3" in note
+
+
+def test_a_gain_that_rises_to_the_end_of_the_band_is_a_resonance_beyond_it() -> None:
+    rising = BandwidthVerdict(
+        kind="undecided",
+        stated_Hz=None,
+        fallen_Hz=None,
+        phase_interval_deg=None,
+        peak_ratio=1.0 / (1.0 - (130.0 / 160.0) ** 2),
+        peak_Hz=130.0,
+        highest_Hz=135.0,
+        text="",
+    )
+    model = replace(axis_model(), dynamics=None, bandwidth=rising)
+    found = with_modes(diagnosed(), model, (), 19)
+    finding = next(one for one in found.findings if one.effect == "resonance")
+    low_Hz, high_Hz = finding.size.ci95
+    assert finding.size.value == pytest.approx(160.0)
+    assert low_Hz < 160.0 < high_Hz
+    assert "320 Hz" in finding.next_experiment
+    flat = replace(rising, peak_ratio=1.1)
+    assert with_modes(diagnosed(), replace(model, bandwidth=flat), (), 19).findings == ()
