@@ -40,6 +40,7 @@ from piezoid.records.row_alignment import (
     skips,
     unique_rows,
 )
+from piezoid.records.slower_channels import on_common_rows
 from piezoid.records.table import RawTable
 from piezoid.records.time_stamps import stretches_of_one_rate
 from piezoid.records.units import Dimension
@@ -184,6 +185,8 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
     entry = RecordingEntry(file=table.name) if entry is None else entry
     table = table.reversed() if entry.reverse else table
     assignment = assign_columns(table, lab, entry)
+    table, slower = on_common_rows(table, assignment)
+    assignment = assign_columns(table, lab, entry) if slower else assignment
     unique, repetitions = unique_rows(table, assignment)
     complete, missing = complete_rows(table, assignment, unique)
     clock = _clock(table, lab, entry, assignment, complete, unique)
@@ -208,6 +211,7 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
         statements=(
             *table.statements,
             *assignment.statements,
+            *slower,
             *repetitions,
             *missing,
             *clock.statements,

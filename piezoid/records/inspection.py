@@ -14,7 +14,7 @@ from piezoid.records.column_roles import Meaning, Role, meaning_of
 from piezoid.records.columns import Assignment, assign_columns
 from piezoid.records.ingest import ingest_table, parts_of, with_checks
 from piezoid.records.lab import Lab, RecordingEntry
-from piezoid.records.readers import read_table
+from piezoid.records.readers import is_approach_curve, read_table
 from piezoid.records.recording import Quantity, Recording
 from piezoid.records.response_columns import is_response, part_of, response_columns
 from piezoid.records.response_ingest import ingest_response
@@ -23,7 +23,7 @@ from piezoid.records.response_units import unit_in_heading
 from piezoid.records.reversals import noise_of, reversals_of
 from piezoid.records.sample_statistics import clipped_share, is_dead, noise_rms, step_size
 from piezoid.records.table import Column, RawTable
-from piezoid.statement import Statement
+from piezoid.statement import Statement, finding
 
 # A turn of the drive smaller than this share of its span is no sweep.
 _TURN_SHARE = 0.01
@@ -202,7 +202,10 @@ def _inspect_table(
     try:
         recording = with_checks(ingest_table(table, lab, entry), lab)
     except PiezoidError as error:
-        return _refused(table, error), None
+        refused = _refused(table, error)
+        is_named = entry is not None and entry.columns
+        is_curve = is_approach_curve(table) and not is_named
+        return (_approach_curve(table, refused) if is_curve else refused), None
     entry = RecordingEntry(file=table.name) if entry is None else entry
     assignment = assign_columns(table, lab, entry)
     drive = recording.find(Quantity.VOLTAGE, recording.axis)
@@ -224,6 +227,16 @@ def _inspect_table(
         statements=recording.statements,
     )
     return inspection, recording
+
+
+def _approach_curve(table: RawTable, refused: Inspection) -> Inspection:
+    """Return the inspection of a table over a height: its currents tell the tunnelling barrier."""
+    text = (
+        f"a table over the height {table.independent!r}, without a time: fit takes its currents "
+        "for approach curves of the tunnelling junction"
+    )
+    statement = finding(quantity="approach_curve", place=table.independent, text=text)
+    return replace(refused, refusal=None, statements=(statement, *refused.statements))
 
 
 def _refused(table: RawTable, error: PiezoidError) -> Inspection:

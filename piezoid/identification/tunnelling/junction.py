@@ -38,6 +38,7 @@ from piezoid.identification.tunnelling.sweep_pairs import (
     decay_without_drift,
 )
 from piezoid.operators.tunnelling import decay_of_barrier
+from piezoid.records.column_roles import meaning_of
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 from piezoid.records.sample_statistics import step_size
@@ -62,12 +63,14 @@ def read_z_spectroscopy(table: RawTable) -> tuple[ApproachCurve, ...]:
     The height is the swept column, which must be a displacement that grows when the tip retracts,
     as ``Z rel (m)`` of Nanonis does. Single sweeps are taken; the average only where the file
     holds nothing else, since it would count the same noise twice. The bias is that of the sweep's
-    own column or, without one, of the file's head; one of 0 V was applied elsewhere, and the sign
-    of the current stands in. A head that states settling and integration time of a row tells how
-    long a sweep took.
+    own column or, without one, of the file's head. Where neither states a bias, or it is 0 V and
+    was applied elsewhere, the sign of the current stands in. In a table without a column of that
+    name, every column that means a current is one, as ``I (pA)``. A head that states settling and
+    integration time of a row tells how long a sweep took.
     """
     height_m = table.si(_height(table).number)
     named = [(column, name) for column in table.columns if (name := _named(column)) is not None]
+    named = named or [(column, _Name("", "")) for column in table.columns if _is_current(column)]
     single = [pair for pair in named if pair[1].number != _AVERAGE]
     if not named:
         labels = ", ".join(repr(column.label) for column in table.columns[:8])
@@ -102,6 +105,11 @@ def _height(table: RawTable) -> Column:
     return swept
 
 
+def _is_current(column: Column) -> bool:
+    meaning = meaning_of(column.heading)
+    return meaning.quantity is Quantity.CURRENT and meaning.by_name
+
+
 def _named(column: Column) -> _Name | None:
     match = _SWEEP.fullmatch(column.heading.stem)
     return None if match is None else _Name(match["number"] or "", match["way"] or "")
@@ -119,18 +127,14 @@ def _duration_s(table: RawTable, rows: int) -> float | None:
     return None
 
 
-def _bias_V(table: RawTable, name: _Name) -> float:
+def _bias_V(table: RawTable, name: _Name) -> float | None:
     number = f" [{name.number}]" if name.number else ""
     column = table.find(f"Bias{number}{name.way}")
     if column is not None:
         return float(np.nanmedian(column.si_values))
     if _BIAS_KEY in table.metadata:
         return float(table.metadata[_BIAS_KEY])
-    raise RecordingError(
-        f"{table.name}: no bias for 'Current{number}{name.way}'",
-        needed=f"a column 'Bias{number}{name.way} (V)' or {_BIAS_KEY!r} in the file's head",
-        remedy="Save the bias with the sweep, or build the sweep from two arrays.",
-    )
+    return None
 
 
 def fit_junction(

@@ -27,6 +27,7 @@ from piezoid.records.readers import (
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import TextFormat, open_source, unreadable
 from piezoid.records.table import RawTable
+from piezoid.records.units import Dimension
 
 # Asked in this order, by content; the first that recognises a file reads it. The text table takes
 # whatever is left, so it stands last.
@@ -69,10 +70,25 @@ def read_table(path: Path, text: TextFormat | None = None) -> RawTable:
                     needed="a text table: every other format says itself how it is written",
                     remedy="Leave it out.",
                 )
-            return reader.read(source)
+            return _with_swept_height(reader.read(source))
     raise unreadable(
         source.name,
         f"no known format starts with the bytes {source.head[:8].hex(' ')}",
         needed=f"one of {', '.join(reader.name for reader in READERS)}",
         remedy="Export the recording as CSV.",
     )
+
+
+def _with_swept_height(table: RawTable) -> RawTable:
+    """Name the height as what an approach curve is a function of."""
+    if table.independent or not is_approach_curve(table):
+        return table
+    return replace(table, independent=table.columns[0].label)
+
+
+def is_approach_curve(table: RawTable) -> bool:
+    """Tell whether a table holds a height and currents over it, without any clock."""
+    units = [column.heading.unit for column in table.columns]
+    height, *others = [None if unit is None else unit.dimension for unit in units]
+    is_clocked = table.sampling_rate_Hz is not None
+    return height is Dimension.LENGTH and set(others) == {Dimension.CURRENT} and not is_clocked

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from piezoid.errors import UnreadableFileError
 from piezoid.numerics.arrays import Array
 from piezoid.records.readers.source import check_columns, unreadable
 from piezoid.statement import Statement, finding
@@ -27,6 +28,9 @@ _GROUPED = {
     ".": re.compile(r"[+-]?\d{1,3}(?:([,' \xa0\u2009\u202f])\d{3}(?:\1\d{3})*)?(?:\.\d*)?"),
     ",": re.compile(r"[+-]?\d{1,3}(?:([.' \xa0\u2009\u202f])\d{3}(?:\1\d{3})*)?(?:,\d*)?"),
 }
+_PREFIXED = re.compile(
+    r"[+-]?(?:\d{1,20}(?:[.,]\d{1,20})?|[.,]\d{1,20})\s?[fpnuµμmkKMG][A-Za-z]{0,2}"
+)
 _COMMENT = re.compile(r"^[ \t]*(?:#|%|//)")
 # A time of day, whatever date stands before it: days are told apart by the clock that begins anew.
 _TIME_OF_DAY = (
@@ -109,6 +113,18 @@ def number_of(text: str, decimal: str, *, grouped: bool = False) -> float | None
     return value if isfinite(value) else np.nan
 
 
+def refuse_prefix(cell: str, name: str, line: int, column: int) -> None:
+    """Refuse a number with a prefix or a unit in its cell: ``987.3m``."""
+    if _PREFIXED.fullmatch(cell):
+        raise unreadable(
+            name,
+            f"line {line}, column {column} holds {cell!r}, a number with a prefix or unit",
+            needed="plain numbers in the cells, all of one unit",
+            remedy="Export the recording without prefixes in the cells, the unit in the heading.",
+            line=line,
+        )
+
+
 def count_of(text: str) -> int | None:
     """Return the count a field holds, None for anything but up to eighteen digits."""
     return int(text) if _COUNT.fullmatch(text) else None
@@ -128,7 +144,23 @@ def parse_block(text: str, layout: Layout, name: str, first_line: int) -> Block:
     block = None
     if not layout.grouped and not layout.paired:
         block = _parse_fast(text, layout) or _parse_mixed(text, layout, first_line)
-    return _parse_slowly(text, layout, name, first_line) if block is None else block
+    try:
+        block = _parse_slowly(text, layout, name, first_line) if block is None else block
+    except UnreadableFileError:
+        _refuse_prefixes(text, layout, name, first_line, frozenset())  # the better reason
+        raise
+    if any(statement.quantity == "not_a_number" for statement in block.statements):
+        _refuse_prefixes(text, layout, name, first_line, block.textual)
+    return block
+
+
+def _refuse_prefixes(
+    text: str, layout: Layout, name: str, first_line: int, textual: frozenset[int]
+) -> None:
+    for line, content in enumerate(text.split("\n"), start=first_line):
+        for k, cell in enumerate(cells_of(content, layout)):
+            if k not in textual:
+                refuse_prefix(cell, name, line, k + 1)
 
 
 def lines_are_rows(text: str) -> bool:

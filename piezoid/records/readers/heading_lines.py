@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from piezoid.errors import LabFileError
 from piezoid.records.column_roles import Role, meaning_of
-from piezoid.records.readers.block import Layout, cells_of, number_of, split
+from piezoid.records.readers.block import Layout, cells_of, number_of, refuse_prefix, split
 from piezoid.records.readers.source import TextFormat, check_columns, unreadable
 from piezoid.records.units import heading_of, unit_of
 
@@ -29,6 +29,7 @@ _LAYOUTS = tuple(
 )
 # What may be a decimal comma with three decimals, or a thousand: ``1,234``.
 _THOUSAND = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
+_CUT_NUMBER = re.compile(r"[+-]?\d{1,9},\d{3,9}(?=,)")
 _BELOW_THOUSAND = re.compile(r"[+-]?[1-9]\d{0,2}")
 _BRACKETS = frozenset("[](){}")
 _HEXADECIMAL = re.compile(r"\b0[xX][0-9a-fA-F]{1,16}\b")
@@ -81,10 +82,11 @@ def find_start(lines: list[str], name: str, declared: TextFormat | None = None) 
             "in the cells.",
             line=1,
         )
+    _refuse_prefixed_rows(tried[: best.row], best.layout, name)
     if not any(best.labels) and best.above and not _COMMENT.match(best.above[-1]):
         check_columns(name, _widest(best.above[-1]))
         if not declared.decimal:
-            _refuse_more_fields_than_headings(best, name)
+            _refuse_other_fields_than_headings(tried, best, name)
     if not declared.decimal:
         _refuse_possible_thousands(tried, best, name)
     return best
@@ -110,29 +112,73 @@ def _check_heading_row(lines: list[str], name: str, declared: TextFormat) -> Non
         )
 
 
-def _refuse_more_fields_than_headings(start: Start, name: str) -> None:
-    """Refuse rows whose numbers a decimal comma cut in two, or that nobody can name."""
-    heading, layout = _COMMENT.sub("", start.above[-1]), start.layout
-    cuts = [split(heading, s) for s in dict.fromkeys((layout.separator or "\t", "\t", ";", ","))]
-    cells = next((cut for cut in cuts if len(cut) > 1), [])
-    headed = len([cell for cell in cells if cell])
-    # ``rig, stage 42`` above a table heads nothing; ``time [s], voltage`` does.
-    is_named = any(meaning_of(heading_of(cell)).role is not Role.UNREAD for cell in cells)
-    if not is_named or not 1 < headed < layout.fields - 1:
+def _refuse_prefixed_rows(lines: list[str], layout: Layout, name: str) -> None:
+    """Refuse a row of numbers above the table that a prefix in a cell kept out of it."""
+    for row, line in enumerate(lines):
+        cells = cells_of(line, layout) if len(line) <= _LONGEST_LINE else []
+        if len(cells) == layout.fields and any(
+            number_of(cell, layout.decimal) is not None for cell in cells if cell
+        ):
+            for column, cell in enumerate(cells, start=1):
+                refuse_prefix(cell, name, row + 1, column)
+
+
+def _refuse_other_fields_than_headings(lines: list[str], start: Start, name: str) -> None:
+    """Refuse rows that have other numbers of cells than the heading has names."""
+    layout = start.layout
+    for row in reversed(range(start.row)):
+        heading = _COMMENT.sub("", lines[row])
+        marks = dict.fromkeys((layout.separator or "\t", "\t", ";", ","))
+        cuts = [split(heading, mark) for mark in marks]
+        cells = next((cut for cut in cuts if len(cut) > 1), [])
+        headed = len([cell for cell in cells if cell])
+        # ``rig, stage 42`` above a table heads nothing; ``time [s], voltage`` does.
+        meanings = [meaning_of(heading_of(cell)).role for cell in cells]
+        if headed > 1 and any(role is not Role.UNREAD for role in meanings):
+            break
+    else:
         return
-    lines, because = 'decimal = "."', ", or that numbers without heading stand there"
+    if headed == layout.fields:
+        return
+    if headed == layout.fields - 1 and _counts_rows(lines[start.row :], layout):
+        return  # programs that number the rows leave the numbers without a name
+    why, entry = "", 'decimal = "."'
+    if headed < layout.fields and layout.separator == ",":
+        why = ", as if commas stood between the numbers and inside them"
+        example = next((s for s in map(_with_decimal_comma, lines[start.row :]) if s), "")
+        why += f" ({example})" if example else ""
     if layout.separator == "," and layout.fields == 2 * headed:
-        lines = 'separator = ","\ndecimal = ","'
-        because = ""
+        entry = 'separator = ","\ndecimal = ","'
+    remedy = "Export with decimal points, or with semicolons between the columns"
+    if headed < layout.fields - 1:
+        remedy += (
+            "; or say in lab.toml how the rows are meant:\n\n[[recording]]\n"
+            f"file = {json.dumps(name)}\n{entry}\n"
+        )
     raise unreadable(
         name,
-        f"line {start.row} heads {headed} columns, and the rows from line {start.row + 1} on have "
-        f"{layout.fields} fields, as if commas stood between the numbers and inside them",
+        f"line {row + 1} heads {headed} columns, and the rows from line {start.row + 1} on have "
+        f"{layout.fields} fields{why}",
         needed="as many fields in a row as there are headings",
-        remedy="Export with semicolons or a decimal point; or say in lab.toml that this is so"
-        f"{because}:\n\n[[recording]]\nfile = {json.dumps(name)}\n{lines}\n",
+        remedy=remedy if remedy.endswith("\n") else f"{remedy}.",
         line=start.row + 1,
     )
+
+
+def _counts_rows(lines: list[str], layout: Layout) -> bool:
+    """Tell whether the first cells of the rows are 0, 1, 2, ... or 1, 2, 3, ..."""
+    rows = [line for line in lines if line.strip() and not _COMMENT.match(line)]
+    firsts = [cells_of(line, layout)[0] for line in rows[:3]]
+    return firsts in (
+        [str(k) for k in range(len(firsts))],
+        [str(k + 1) for k in range(len(firsts))],
+    )
+
+
+def _with_decimal_comma(line: str) -> str:
+    """Return the first number of a row that a comma may have cut in two, empty without one."""
+    match = _CUT_NUMBER.match(line)
+    return match[0] if match else ""
 
 
 def _refuse_possible_thousands(lines: list[str], start: Start, name: str) -> None:

@@ -7,7 +7,9 @@ import pytest
 
 from piezoid.errors import RecordingError, UnitError
 from piezoid.identification.tunnelling.approach import Direction
-from piezoid.identification.tunnelling.junction import curves_of, read_z_spectroscopy
+from piezoid.identification.tunnelling.junction import curves_of, fit_junction, read_z_spectroscopy
+from piezoid.records.collection import collect
+from piezoid.records.inspection import inspect_file
 from piezoid.records.table import Column, RawTable
 from tests.identification.tunnelling.sweeps import real_sweep, real_table
 
@@ -75,8 +77,32 @@ def test_a_sweep_over_bias_is_refused() -> None:
         read_z_spectroscopy(_table("Bias (V)", "Current (A)"))
 
 
-def test_a_table_without_current_or_bias_is_refused() -> None:
+def test_a_table_without_current_is_refused() -> None:
     with pytest.raises(RecordingError, match="no current among"):
         read_z_spectroscopy(_table("Z rel (m)", "LIX 1 omega (A)"))
-    with pytest.raises(RecordingError, match="no bias for 'Current'"):
-        read_z_spectroscopy(_table("Z rel (m)", "Current (A)"))
+
+
+@pytest.mark.parametrize("name", ["Current (A)", "I (A)"])
+def test_a_table_without_bias_is_read_by_the_sign_of_its_current(name: str) -> None:
+    (curve,) = read_z_spectroscopy(_table("Z rel (m)", name))
+    assert curve.bias_V is None
+
+
+def test_a_text_table_of_height_and_current_is_an_approach_curve(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """I = 700 pA exp(-19 z/nm) + 0.3 pA, noise 0.1 pA."""
+    z_nm = np.linspace(0.0, 0.7, 300)
+    picoamperes = 700.0 * np.exp(-19.0 * z_nm) + 0.3 + 0.1 * rng.standard_normal(300)
+    path = tmp_path / "iz.csv"
+    rows = "".join(f"{z:.6f},{i:.5f}\n" for z, i in zip(z_nm, picoamperes, strict=True))
+    path.write_text("Z (nm),Current (pA)\n" + rows)
+    (inspection,) = inspect_file(path)
+    assert inspection.refusal is None
+    assert "approach_curve" in {statement.quantity for statement in inspection.statements}
+    held = collect([path])
+    law = fit_junction(held.sweeps)
+    assert law is not None
+    assert law.gap_law is not None
+    low_per_m, high_per_m = law.gap_law.decay_interval_per_m
+    assert low_per_m < 19e9 < high_per_m

@@ -28,6 +28,13 @@ def whole_volts(k: int) -> str:
     return f"{round(1e3 * VOLTAGE_V[k] / 40):,}"
 
 
+def _prefixed(line: str) -> str:
+    """Write a displacement below 5 um as thousandths with a prefix."""
+    *cells, displacement = line.split(",")
+    value = float(displacement)
+    return ",".join([*cells, f"{1e3 * value:.3f}m" if abs(value) < 5 else displacement])
+
+
 def _with_zeros(content: bytes, at: int, count: int) -> bytes:
     return content[:at] + bytes(count) + content[at + count :]
 
@@ -377,6 +384,18 @@ TEXTS: tuple[Messy, ...] = (
             path.write_bytes(_with_zeros("\n".join(lines()).encode(), 3000, 256)) and None
         ),
         refused="line 132 holds a zero byte",
+    ),
+    Messy(
+        name="prefixes.csv",
+        wrong="prefixes in the cells of small displacements",
+        write=text([*lines()[:1], *map(_prefixed, lines()[1:])]),
+        refused=r"line \d+, column 3 holds '[\d.]+m', a number with a prefix or unit",
+    ),
+    Messy(
+        name="comma_in_time.csv",
+        wrong="decimal commas in the time alone, behind commas as separators",
+        write=text([*lines()[:1], *(line.replace(".", ",", 1) for line in lines()[1:])]),
+        refused="line 1 heads 3 columns, and the rows from line 2 on have 4 fields",
     ),
     Messy(
         name="run.json",
