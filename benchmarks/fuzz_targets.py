@@ -17,7 +17,7 @@ from piezoid.verification.criteria import limits_from_toml
 from piezoid.verification.verification import verification_from_json
 from piezoid_reports.fleet.records import stage_from_json
 from tests.export.stage import stage
-from tests.records.formats import SILENT, SPEAKING
+from tests.records.messy.samples import samples
 from tests.reports.known_stage import axis_model, stage_model
 
 REFUSED = "refused:"
@@ -69,7 +69,7 @@ def _diagnosis_again(found: tuple[Diagnosis, ...]) -> bytes:
 def targets(folder: Path, given: Path | None) -> dict[str, tuple[bytes, Callable[[Path], str]]]:
     """Return a first input and the reader of every kind of file."""
     found: dict[str, tuple[bytes, Callable[[Path], str]]] = {}
-    for name, write in {**SPEAKING, **SILENT}.items():
+    for name, write in samples().items():
         write(folder / name)
         found[name] = ((folder / name).read_bytes(), answer_to_recording)
     found["lab.toml"] = (LAB.read_bytes(), lambda place: str(len(read_lab(place).recordings)))

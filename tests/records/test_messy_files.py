@@ -15,8 +15,10 @@ from piezoid.records.ingest import ingest, ingest_all
 from piezoid.records.inspection import inspect_files
 from piezoid.records.lab import Lab, read_lab
 from piezoid.records.lab_draft import draft_lab
+from piezoid.records.readers import READERS
 from piezoid.records.recording import Channel, Quantity, Recording
 from tests.records.messy.outcomes import FILES, inspected, table
+from tests.records.messy.samples import formats_table, reader_of, samples
 from tests.records.messy.writers import (
     NAMES,
     SAMPLES,
@@ -91,6 +93,13 @@ def test_the_lines_of_lab_toml_give_the_true_values(messy: Messy, tmp_path: Path
 
 def test_the_document_says_what_happens() -> None:
     assert table() in DOCUMENT.read_text()
+    assert formats_table() in DOCUMENT.read_text()
+
+
+def test_every_reader_has_a_sample_for_the_fuzzer(tmp_path: Path) -> None:
+    """Add one to ``FILES`` of ``tests/records/messy`` for a new reader."""
+    read = {reader_of(tmp_path, name, write).name for name, write in samples().items()}
+    assert read == {reader.name for reader in READERS}
 
 
 def test_stretches_of_several_rates_keep_their_own_clock(tmp_path: Path) -> None:

@@ -125,5 +125,10 @@ def _cell(value: object) -> str:
 
 
 READER = Reader(
-    name="Excel", suffixes=(".xlsx",), recognises=recognises, read=read, is_written=True
+    name="Excel",
+    suffixes=(".xlsx",),
+    recognises=recognises,
+    read=read,
+    is_written=True,
+    extra="io",
 )

@@ -161,4 +161,5 @@ READER = Reader(
     recognises=lambda source: source.head.startswith(SIGNATURE),
     read=read,
     read_chunks=read_chunks,
+    extra="io",
 )

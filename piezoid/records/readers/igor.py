@@ -77,4 +77,10 @@ def _text(held: Any) -> str:
     return content.split(b"\0", 1)[0].decode("utf-8", "replace").strip()
 
 
-READER = Reader(name="Igor", suffixes=(".ibw",), recognises=recognises, read=read)
+READER = Reader(
+    name="Igor",
+    suffixes=(".ibw",),
+    recognises=recognises,
+    read=read,
+    extra="afm",
+)

@@ -99,4 +99,10 @@ def _channel(
     return np.asarray(values, dtype=np.float64)
 
 
-READER = Reader(name="JPK", suffixes=(".jpk-force",), recognises=recognises, read=read)
+READER = Reader(
+    name="JPK",
+    suffixes=(".jpk-force",),
+    recognises=recognises,
+    read=read,
+    extra="afm",
+)

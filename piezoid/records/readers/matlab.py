@@ -146,4 +146,10 @@ def _word(held: object) -> str:
     return word.decode("utf-8", "replace") if isinstance(word, bytes) else str(word)
 
 
-READER = Reader(name="MATLAB", suffixes=(".mat",), recognises=recognises, read=read)
+READER = Reader(
+    name="MATLAB",
+    suffixes=(".mat",),
+    recognises=recognises,
+    read=read,
+    extra="io",
+)

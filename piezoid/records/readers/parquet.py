@@ -77,4 +77,5 @@ READER = Reader(
     recognises=lambda source: source.head.startswith(b"PAR1"),
     read=read,
     read_chunks=read_chunks,
+    extra="io",
 )

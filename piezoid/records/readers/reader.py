@@ -27,6 +27,7 @@ class Reader:
                  before, so that a gap between two chunks lies inside one of them.
     reads_gzip   whether chunks are also read from a file that gzip compressed: from front to
                  back, without seeking
+    extra        the extra of the installation that the reader needs, empty for none
     is_written   whether ``separator``, ``decimal`` and ``heading_row`` of lab.toml apply
     """
 
@@ -36,6 +37,7 @@ class Reader:
     read: Callable[[Source], RawTable]
     read_chunks: Callable[[Source, int], Iterator[RawTable]] | None = None
     reads_gzip: bool = False
+    extra: str = ""
     is_written: bool = False
 
 

@@ -95,4 +95,5 @@ READER = Reader(
     recognises=lambda source: source.head.startswith(b"TDSm"),
     read=read,
     read_chunks=read_chunks,
+    extra="io",
 )
