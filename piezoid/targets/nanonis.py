@@ -6,8 +6,8 @@ points of one curve, and between them straight lines:
 
     voltage = middle + sign y(sign s) / sensitivity,   s of the wanted displacement less the middle
 
-forward lines with sign +1; where the box mirrors the table, backward lines with -1. The curve is
-the forward branch of the loop that the identified hysteresis inverts to for this frame.
+forward lines with sign +1; where the controller mirrors the table, backward lines with -1. The
+curve is the forward branch of the loop that the identified hysteresis inverts to for this frame.
 """
 
 import json
@@ -22,9 +22,8 @@ from piezoid.export.parameter_file import AxisParameters
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.targets.target_inputs import TargetInputs, exported_position_m
-from piezoid.targets.waveform import check_range, inverse_V, last_period
+from piezoid.targets.waveform import check_range, half_range, inverse_V, last_period
 from piezoid.verification.scenarios import raster
-from piezoid.verification.start_position import reference_range
 
 _LINE_Hz = 1.0  # to and fro
 _DENSE = 4096  # points of a branch
@@ -77,16 +76,16 @@ on (1).
 
 Tested: names and order of arguments against that package; tables on the identified plant and
 others that the recordings allow, with hysteresis, creep, noise and dynamics. Not tested, because
-no such box was at hand: whether it joins points by straight lines, whether it mirrors a table on
-backward lines (then the last column holds, else *back*), the unit of its points (here m; its
-document names none), how many it holds, whether its limits are volts before or behind its
+no such controller was at hand: whether it joins points by straight lines, whether it mirrors a
+table on backward lines (then the last column holds, else *back*), the unit of its points (here m;
+its document names none), how many it holds, whether its limits are volts before or behind its
 amplifier.
 """
 
 _AXIS = """\
 ## Axis {axis}: +-{half} about {centre}, {count} points
 
-{sensitivity} m/V; {low:.4f} V to {high:.4f} V at the ends of the frame. {price}.
+{sensitivity} m/V; {low:.4f} V to {high:.4f} V at the ends of the frame. {loss}.
 
 | plant | straight | table, forward | exported controller | back, not mirrored | back, mirrored |
 | --- | --- | --- | --- | --- | --- |
@@ -117,14 +116,14 @@ class Table:
     ends_V: tuple[float, float]
 
     def voltage_V(self, wanted_m: Array, sign: Array | float = 1.0) -> Array:
-        """Return what the box is taken to put out, (samples,)."""
+        """Return the output that the controller is assumed to compute, (samples,)."""
         s_m = np.asarray(sign) * (wanted_m - self.centre_m)
         bent_m = np.asarray(sign) * np.interp(s_m, self.x_m, self.y_m)
         return np.asarray(self.middle_V + bent_m / self.sensitivity_m_per_V)
 
 
 def nanonis_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str, ...]]:
-    """Return the folder's files by name, and sentences about what the tables are worth.
+    """Return the folder's files by name, and one sentence about the error of each axis.
 
     Raises ``ParameterFileError`` for a frame that the stage cannot reach.
     """
@@ -135,28 +134,23 @@ def nanonis_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str,
     files: dict[str, str] = {"nanonis.json": settings_json(inputs, tables), "send.py": _SEND}
     sections = []
     for axis, table in zip(inputs.lateral, tables, strict=True):
-        rows = line_errors_m(inputs, axis, table)
-        worst = {name: max(row[name] for row in rows.values()) for name in COLUMNS}
-        price = (
-            f"a table of {len(table.x_m)} points errs by {with_unit(worst['table'], 'm')} rms on "
-            f"forward lines, the sensitivity alone by {with_unit(worst['straight'], 'm')}, the "
-            f"exported controller by {with_unit(worst['exported'], 'm')}; worst of {len(rows)} "
-            "plants"
+        errors_m = line_errors_m(inputs, axis, table)
+        worst_m = {name: max(row[name] for row in errors_m.values()) for name in COLUMNS}
+        loss = (
+            f"a table of {len(table.x_m)} points errs by {with_unit(worst_m['table'], 'm')} rms "
+            "on forward lines, the sensitivity alone by "
+            f"{with_unit(worst_m['straight'], 'm')}, the exported controller by "
+            f"{with_unit(worst_m['exported'], 'm')}; worst of {len(errors_m)} plants"
         )
-        notes.append(f"axis {axis.axis}: {price}")
-        sections.append(_section(inputs, axis, table, rows, price))
-        files[f"{axis.axis}.csv"] = "\n".join(
-            [
-                "x_m,y_m",
-                *(f"{x:.9g},{y:.9g}" for x, y in zip(table.x_m, table.y_m, strict=True)),
-                "",
-            ]
-        )
-    gains = [inputs.amplifier_V_per_V.get(table.axis) for table in tables]
+        notes.append(f"axis {axis.axis}: {loss}")
+        sections.append(_section(inputs, table, errors_m, loss))
+        rows = (f"{x:.9g},{y:.9g}" for x, y in zip(table.x_m, table.y_m, strict=True))
+        files[f"{axis.axis}.csv"] = "\n".join(["x_m,y_m", *rows, ""])
+    declared = all(inputs.amplifier_V_per_V.get(table.axis) for table in tables)
     files["README.md"] = _README.format(
         name=plain_ascii(inputs.file.name),
         voltages="Volts and m/V are those behind the amplifier that lab.toml declares."
-        if all(gains)
+        if declared
         else "Volts and m/V are those of the command: lab.toml declares no gain_V_per_V of the "
         "amplifier for every axis. Multiply volts by yours, divide m/V by it.",
         fast=f"Axis {tables[0].axis} is taken for the fast one"
@@ -170,35 +164,27 @@ def nanonis_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str,
 
 def hysteresis_table(inputs: TargetInputs, axis: AxisParameters) -> Table:
     """Return sensitivity and table of one axis for a frame in the middle of its references."""
-    hardware, plant, room = inputs.hardware, inputs.family(axis.axis)[0], reference_range(axis)
-    half_m = hardware.frame_half_range_m or room.radius_m
-    if half_m > room.farthest_m:
-        raise ParameterFileError(
-            f"axis {axis.axis}: frame_half_range_m of [nanonis] is {half_m:g} m",
-            needed=f"at most {room.farthest_m:.4g} m: from the middle to its limits",
-            remedy="Set it to that or less.",
-        )
+    plant, points = inputs.family(axis.axis)[0], inputs.hardware.table_points
+    key = "frame_half_range_m of [nanonis]"
+    centre_m, half_m = half_range(axis, inputs.hardware.frame_half_range_m, key)
     forward_m = np.linspace(-half_m, half_m, _DENSE)
-    loop_V = inverse_V(plant, room.centre_m + np.concatenate([forward_m, forward_m[::-1]]))
+    loop_V = inverse_V(plant, centre_m + np.concatenate([forward_m, forward_m[::-1]]))
     ends_V = (float(loop_V.min()), float(loop_V.max()))
-    allowed_V = (float(axis.values["voltage_minimum_V"]), float(axis.values["voltage_maximum_V"]))
-    check_range(axis.axis, loop_V, allowed_V, half_m, "frame_half_range_m", "[nanonis]")
+    limits_V = (float(axis.values["voltage_minimum_V"]), float(axis.values["voltage_maximum_V"]))
+    check_range(axis.axis, loop_V, limits_V, half_m, "frame_half_range_m", "[nanonis]")
     branch_V = loop_V[:_DENSE]
-    slope = 2.0 * half_m / float(branch_V[-1] - branch_V[0])
-    sensitivity = _single(slope)
+    sensitivity = _single(2.0 * half_m / float(branch_V[-1] - branch_V[0]))
     middle_V = 0.5 * (ends_V[0] + ends_V[1])
     y_m = sensitivity * (branch_V - middle_V)
-    knot_m, fitted_m, left_m = _polyline(forward_m, y_m, hardware.table_points)
-    bent_m = float(np.std(y_m - forward_m))
-    if left_m > _LEFT * bent_m:
+    knot_m, fitted_m, residual_m = _polyline(forward_m, y_m, points)
+    bend_m = float(np.std(y_m - forward_m))
+    if residual_m > _LEFT * bend_m:
         enough = next(
-            n
-            for n in range(hardware.table_points, _DENSE)
-            if _polyline(forward_m, y_m, n)[2] <= _LEFT * bent_m
+            n for n in range(points, _DENSE) if _polyline(forward_m, y_m, n)[2] <= _LEFT * bend_m
         )
         raise ParameterFileError(
-            f"axis {axis.axis}: {hardware.table_points} points leave {with_unit(left_m, 'm')} rms "
-            f"of a loop that bends by {with_unit(bent_m, 'm')}",
+            f"axis {axis.axis}: {points} points leave {with_unit(residual_m, 'm')} rms of a loop "
+            f"that bends by {with_unit(bend_m, 'm')}",
             needed=f"at most {_LEFT:g} of it",
             remedy=f"What would fit: table_points = {enough} or more, in [nanonis] of box.toml.",
         )
@@ -206,7 +192,7 @@ def hysteresis_table(inputs: TargetInputs, axis: AxisParameters) -> Table:
         axis=axis.axis,
         sensitivity_m_per_V=sensitivity,
         middle_V=middle_V,
-        centre_m=room.centre_m,
+        centre_m=centre_m,
         half_m=half_m,
         x_m=knot_m.astype(np.float32).astype(np.float64),
         y_m=np.maximum.accumulate(fitted_m).astype(np.float32).astype(np.float64),
@@ -266,7 +252,7 @@ def settings_json(inputs: TargetInputs, tables: list[Table]) -> str:
     sensitivities: dict[str, float | None] = {}
     limits: dict[str, float | int | None] = {"Enable_limits": 1}
     for place, table in zip(_PLACES, [*by_place, None], strict=True):
-        axis = None if table is None else _parameters(inputs, table.axis)
+        axis = None if table is None else inputs.file.axis(table.axis)
         gain = 1.0 if table is None else amplifier_gains[table.axis]
         sensitivities[f"Calibration_{place}_mPerV"] = (
             None if table is None else _single(table.sensitivity_m_per_V / gain)
@@ -310,7 +296,7 @@ def creep_after_move(inputs: TargetInputs, table: Table) -> tuple[float, float, 
 
     From the creep elements that ship: y sum of share_i (1 - exp(-t / tau_i)).
     """
-    values = _parameters(inputs, table.axis).values
+    values = inputs.file.axis(table.axis).values
     rate = np.asarray(values["relaxation_rate"], dtype=np.float64)
     share = np.asarray(values["relaxation_share"], dtype=np.float64)
     rate, share = rate[rate > 0.0], share[rate > 0.0]
@@ -325,10 +311,9 @@ def creep_after_move(inputs: TargetInputs, table: Table) -> tuple[float, float, 
 
 def _section(
     inputs: TargetInputs,
-    axis: AxisParameters,
     table: Table,
-    rows: Mapping[str, Mapping[str, float]],
-    price: str,
+    errors_m: Mapping[str, Mapping[str, float]],
+    loss: str,
 ) -> str:
     speed, gone_m, left_m = creep_after_move(inputs, table)
     drift = (
@@ -339,24 +324,20 @@ def _section(
         else "No creep ships with this axis, so there is no speed to compensate"
     )
     return _AXIS.format(
-        axis=axis.axis,
+        axis=table.axis,
         half=with_unit(table.half_m, "m"),
         centre=with_unit(table.centre_m, "m"),
         count=len(table.x_m),
         sensitivity=f"{table.sensitivity_m_per_V:.6g}",
         low=table.ends_V[0],
         high=table.ends_V[1],
-        price=price[0].upper() + price[1:],
+        loss=loss[0].upper() + loss[1:],
         rows="\n".join(
             f"| {label} | {' | '.join(with_unit(row[name], 'm') for name in COLUMNS)} |"
-            for label, row in rows.items()
+            for label, row in errors_m.items()
         ),
         drift=drift,
     )
-
-
-def _parameters(inputs: TargetInputs, axis: str) -> AxisParameters:
-    return inputs.file.axis(axis)
 
 
 def _single(value: float) -> float:

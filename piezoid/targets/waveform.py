@@ -41,8 +41,8 @@ _BAND = 0.1
 _SPARED = 0.85  # of a scan that would fit: a smaller loop of a hysteresis takes more V per m
 
 _NO_RANGE = (
-    "it is not known which voltages the box's converter spans, and integers mean nothing without; "
-    "write range_V = [-10, 10], with your numbers, into [waveform] of a file for --box, or "
+    "the voltage range of the converter is not known, and codes mean nothing without it; write "
+    "range_V = [-10, 10], with your numbers, into [waveform] of a file for --box, or "
     "input_range_V into [acquisition] of lab.toml"
 )
 
@@ -97,40 +97,39 @@ class Waveform:
 
 
 def waveform_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str, ...]]:
-    """Return the folder's files by name, and sentences about what the table is worth.
+    """Return the folder's files by name, and one sentence about the error of each axis.
 
-    Raises ``ParameterFileError`` for a scan that the box cannot hold or put out.
+    Raises ``ParameterFileError`` for a scan that the hardware cannot store or put out.
     """
     files: dict[str, bytes] = {}
-    sections: list[str] = []
-    converters: list[str] = []
-    notes = [
-        f"axis {axis} is not in waveform/: it follows a surface, not a path"
-        for axis in inputs.tips
-    ]
-    made = [waveform_of(inputs, axis) for axis in inputs.lateral]
-    for axis, one in zip(inputs.lateral, made, strict=True):
-        files[f"{one.axis}.csv"] = waveform_csv(one).encode()
-        if one.code is None:
-            notes.append(f"waveform/{one.axis}_int16.bin is not written: {_NO_RANGE}")
+    notes = [f"axis {axis} is not in waveform/: it follows a surface" for axis in inputs.tips]
+    sections, converters = [], []
+    waveforms = [waveform_of(inputs, axis) for axis in inputs.lateral]
+    for axis, waveform in zip(inputs.lateral, waveforms, strict=True):
+        files[f"{axis.axis}.csv"] = waveform_csv(waveform).encode()
+        if waveform.code is None:
+            notes.append(f"waveform/{axis.axis}_int16.bin is not written: {_NO_RANGE}")
+            converter = f"voltages alone, not rounded. {_NO_RANGE[0].upper()}{_NO_RANGE[1:]}."
         else:
-            files[f"{one.axis}_int16.bin"] = one.code.astype("<i2").tobytes()
-        rows = scan_errors_m(inputs, axis, one)
-        sections.append(_section(one, rows))
-        converters.append(f"Axis {one.axis}: {_converter(one)}")
-        worst = {name: max(row[name] for row in rows.values()) for name in _COLUMNS[:3]}
+            files[f"{axis.axis}_int16.bin"] = waveform.code.astype("<i2").tobytes()
+            converter = f"voltage = {waveform.middle_V!r} V + code x {waveform.step_V!r} V."
+        converters.append(f"Axis {axis.axis}: {converter}")
+        errors_m = scan_errors_m(inputs, axis, waveform)
+        worst_m = {name: max(row[name] for row in errors_m.values()) for name in _COLUMNS[:3]}
         notes.append(
-            f"axis {one.axis}: the waveform errs by {with_unit(worst['waveform'], 'm')} rms, "
-            f"straight by {with_unit(worst['straight'], 'm')}, the exported controller by "
-            f"{with_unit(worst['exported'], 'm')}; worst of {len(rows)} plants"
+            f"axis {axis.axis}: the waveform errs by {with_unit(worst_m['waveform'], 'm')} rms, "
+            f"straight by {with_unit(worst_m['straight'], 'm')}, the exported controller by "
+            f"{with_unit(worst_m['exported'], 'm')}; worst of {len(errors_m)} plants"
         )
-    if made:
+        sections.append(_section(waveform, errors_m))
+    if waveforms:
+        first = waveforms[0]
         files["README.md"] = _README.format(
             name=plain_ascii(inputs.file.name),
             shape=inputs.hardware.shape,
-            frequency=with_unit(made[0].rate_Hz / len(made[0].wanted_m), "Hz"),
-            points=len(made[0].wanted_m),
-            rate=with_unit(made[0].rate_Hz, "Hz", 6),
+            frequency=with_unit(first.rate_Hz / len(first.wanted_m), "Hz"),
+            points=len(first.wanted_m),
+            rate=with_unit(first.rate_Hz, "Hz", 6),
             converters="\n".join(converters),
             axes="\n".join(sections),
             periods=_PERIODS,
@@ -140,55 +139,48 @@ def waveform_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str
 
 
 def waveform_of(inputs: TargetInputs, axis: AxisParameters) -> Waveform:
-    """Return the table of one axis."""
+    """Return one period of one axis, as the converter puts it out where its range is known."""
     hardware, plant = inputs.hardware, inputs.family(axis.axis)[0]
     rate_Hz = hardware.rate_Hz or plant.sampling_rate_Hz
     hold = _hold(axis.axis, plant.sampling_rate_Hz, rate_Hz)
     points = _points(hardware, rate_Hz)
-    room = reference_range(axis)
-    radius_m = hardware.half_range_m or room.radius_m
-    if radius_m > room.farthest_m:
-        raise ParameterFileError(
-            f"axis {axis.axis}: half_range_m of [waveform] is {radius_m:g} m",
-            needed=f"at most {room.farthest_m:.4g} m: from the middle to its limits",
-            remedy="Set it to that or less.",
-        )
+    centre_m, half_m = half_range(axis, hardware.half_range_m, "half_range_m of [waveform]")
     unit = raster(rate_Hz, rate_Hz / points, 1.0).x
     if hardware.shape == "sine":
         unit = np.asarray(np.sin(2.0 * np.pi * np.arange(points) / points))
-    wanted_m = room.centre_m + radius_m * unit
+    wanted_m = centre_m + half_m * unit
     nominal = plant_family(inputs.models[axis.axis], plant.sampling_rate_Hz).nominal
-    harmonic_Hz = np.fft.rfftfreq(points, 1.0 / rate_Hz)
-    q = unit_circle(harmonic_Hz, plant.sampling_rate_Hz)
+    q = unit_circle(np.fft.rfftfreq(points, 1.0 / rate_Hz), plant.sampling_rate_Hz)
     response = polynomial_response(nominal.B_position, q) / polynomial_response(nominal.A, q)
     response[np.abs(response) < _BAND * abs(response[0])] = np.inf
     voltage_V = inverse_V(plant, wanted_m)
     noiseless = replace(plant, noise_rms=0.0, hums=())
     for _ in range(_ROUNDS):
-        position_m = last_period(noiseless, voltage_V, hold)
-        missing = np.fft.rfft(wanted_m - position_m)
-        voltage_V = voltage_V + _LEARNT * np.fft.irfft(missing / response, points)
-    own_V = (float(axis.values["voltage_minimum_V"]), float(axis.values["voltage_maximum_V"]))
+        error = np.fft.rfft(wanted_m - last_period(noiseless, voltage_V, hold))
+        voltage_V = voltage_V + _LEARNT * np.fft.irfft(error / response, points)
+    limits_V = (float(axis.values["voltage_minimum_V"]), float(axis.values["voltage_maximum_V"]))
     range_V = hardware.range_V or inputs.converter_V
-    table = Waveform(
+    waveform = Waveform(
         axis=axis.axis, rate_Hz=rate_Hz, hold=hold, wanted_m=wanted_m, voltage_V=voltage_V
     )
-    if range_V is None:
-        check_range(axis.axis, voltage_V, own_V, radius_m)
-        return table
-    rounded = quantise(table, range_V, hardware.bits)
-    allowed_V = (max(range_V[0], own_V[0]), min(range_V[1] - rounded.step_V, own_V[1]))
-    check_range(axis.axis, voltage_V, allowed_V, radius_m)
-    return rounded
+    if range_V is not None:
+        waveform = quantise(waveform, range_V, hardware.bits)
+        limits_V = (
+            max(range_V[0], limits_V[0]),
+            min(range_V[1] - waveform.step_V, limits_V[1]),
+        )
+    check_range(axis.axis, waveform.voltage_V, limits_V, half_m, "half_range_m", "[waveform]")
+    return waveform
 
 
-def quantise(table: Waveform, range_V: tuple[float, float], bits: int) -> Waveform:
-    """Return the table as a converter with these ends puts it out, with its codes."""
+def quantise(waveform: Waveform, range_V: tuple[float, float], bits: int) -> Waveform:
+    """Return the waveform as a converter with this range puts it out, with its codes."""
     step_V = (range_V[1] - range_V[0]) / 2.0**bits
     middle_V = 0.5 * (range_V[0] + range_V[1])
-    code = np.asarray(np.round((table.voltage_V - middle_V) / step_V))
-    rounded_V = middle_V + step_V * code
-    return replace(table, voltage_V=rounded_V, code=code, middle_V=middle_V, step_V=step_V)
+    code = np.asarray(np.round((waveform.voltage_V - middle_V) / step_V))
+    return replace(
+        waveform, voltage_V=middle_V + step_V * code, code=code, middle_V=middle_V, step_V=step_V
+    )
 
 
 _COLUMNS = ("straight", "waveform", "exported", "offset")
@@ -197,43 +189,64 @@ _COLUMNS = ("straight", "waveform", "exported", "offset")
 def scan_errors_m(
     inputs: TargetInputs, axis: AxisParameters, waveform: Waveform
 ) -> dict[str, dict[str, float]]:
-    """Return by plant what is left: rms in m of a straight drive, the waveform, the controller."""
-    errors_m = {}
-    plants = inputs.family(axis.axis)
+    """Return errors by plant and column.
+
+    rms of a straight drive, of the waveform and of the exported controller, each about its mean,
+    and the mean error of the waveform
+    """
+    plants, wanted_m, hold = inputs.family(axis.axis), waveform.wanted_m, waveform.hold
     gain = plant_family(inputs.models[axis.axis], plants[0].sampling_rate_Hz).nominal.gain
     middle_V = 0.5 * float(waveform.voltage_V.max() + waveform.voltage_V.min())
-    straight_V = middle_V + (waveform.wanted_m - reference_range(axis).centre_m) / gain
-    path_m = np.tile(np.repeat(waveform.wanted_m, waveform.hold), _PERIODS)
+    straight_V = middle_V + (wanted_m - reference_range(axis).centre_m) / gain
+    path_m = np.tile(np.repeat(wanted_m, hold), _PERIODS)
+    errors_m = {}
     for plant in plants:
-        waveform_m = last_period(plant, waveform.voltage_V, waveform.hold) - waveform.wanted_m
-        straight_m = last_period(plant, straight_V, waveform.hold) - waveform.wanted_m
-        moved_m = exported_position_m(axis, plant, path_m)
-        shipped_m = moved_m[:: waveform.hold][-len(waveform.wanted_m) :] - waveform.wanted_m
-        spreads = (float(np.std(error)) for error in (straight_m, waveform_m, shipped_m))
-        values = (*spreads, float(np.mean(waveform_m)))
+        waveform_m = last_period(plant, waveform.voltage_V, hold) - wanted_m
+        straight_m = last_period(plant, straight_V, hold) - wanted_m
+        exported_m = exported_position_m(axis, plant, path_m)[::hold][-len(wanted_m) :] - wanted_m
+        deviations = (float(np.std(error)) for error in (straight_m, waveform_m, exported_m))
+        values = (*deviations, float(np.mean(waveform_m)))
         errors_m[plant.label] = dict(zip(_COLUMNS, values, strict=True))
     return errors_m
 
 
-def _hold(axis: str, own_Hz: float, rate_Hz: float) -> int:
-    hold = max(round(own_Hz / rate_Hz), 1)
-    if abs(hold * rate_Hz - own_Hz) > 1e-9 * own_Hz:
-        fits = ", ".join(f"{own_Hz / n:g}" for n in (1, 2, 4, 5, 10))
+def half_range(axis: AxisParameters, requested_m: float | None, key: str) -> tuple[float, float]:
+    """Return centre and half range of a scan, m, by default 0.7 of the way to the limits.
+
+    Raises ``ParameterFileError`` for a half range beyond the limits, naming the key.
+    """
+    span = reference_range(axis)
+    half_m = requested_m or span.radius_m
+    if half_m > span.farthest_m:
         raise ParameterFileError(
-            f"axis {axis}: a box of {rate_Hz:g} points a second, and a plant sampled at "
-            f"{own_Hz:g} Hz",
+            f"axis {axis.axis}: {key} is {half_m:g} m",
+            needed=f"at most {span.farthest_m:.4g} m: from the middle to its limits",
+            remedy="Set it to that or less.",
+        )
+    return span.centre_m, half_m
+
+
+def _hold(axis: str, plant_Hz: float, rate_Hz: float) -> int:
+    """Return for how many samples of the controller a point is held."""
+    hold = max(round(plant_Hz / rate_Hz), 1)
+    if abs(hold * rate_Hz - plant_Hz) > 1e-9 * plant_Hz:
+        rates = ", ".join(f"{plant_Hz / n:g}" for n in (1, 2, 4, 5, 10))
+        raise ParameterFileError(
+            f"axis {axis}: a generator of {rate_Hz:g} points a second, and a plant sampled at "
+            f"{plant_Hz:g} Hz",
             needed="a rate by which that can be divided",
-            remedy=f"Set rate_Hz of [waveform] to {fits} Hz or the like.",
+            remedy=f"Set rate_Hz of [waveform] to {rates} Hz or the like.",
         )
     return hold
 
 
 def _points(hardware: ControllerHardware, rate_Hz: float) -> int:
+    """Return the points of a period, which the memory must hold."""
     points = round(rate_Hz / hardware.frequency_Hz)
+    period = f"a period of {hardware.frequency_Hz:g} Hz has {points} points at {rate_Hz:g} Hz"
     if points > hardware.points:
         raise ParameterFileError(
-            f"a period of {hardware.frequency_Hz:g} Hz has {points} points at {rate_Hz:g} Hz, and "
-            f"the table holds {hardware.points}",
+            f"{period}, and the table holds {hardware.points}",
             needed=f"{points} points",
             remedy=f"What would fit: frequency_Hz of {rate_Hz / hardware.points:.4g} or more, or "
             f"rate_Hz of {hardware.points * hardware.frequency_Hz:.4g} or less, in [waveform] of "
@@ -241,7 +254,7 @@ def _points(hardware: ControllerHardware, rate_Hz: float) -> int:
         )
     if points < _FEWEST:
         raise ParameterFileError(
-            f"a period of {hardware.frequency_Hz:g} Hz has {points} points at {rate_Hz:g} Hz",
+            period,
             needed=f"at least {_FEWEST}",
             remedy=f"What would fit: frequency_Hz of {rate_Hz / _FEWEST:.4g} or less, in "
             "[waveform] of box.toml.",
@@ -249,34 +262,28 @@ def _points(hardware: ControllerHardware, rate_Hz: float) -> int:
     return points
 
 
-def _converter(waveform: Waveform) -> str:
-    if waveform.code is None:
-        return f"voltages alone, not rounded. {_NO_RANGE[0].upper()}{_NO_RANGE[1:]}."
-    return f"voltage = {waveform.middle_V!r} V + code x {waveform.step_V!r} V."
-
-
 def check_range(
     axis: str,
     voltage_V: Array,
     range_V: tuple[float, float],
-    radius_m: float,
-    key: str = "half_range_m",
-    table: str = "[waveform]",
+    half_m: float,
+    key: str,
+    table: str,
 ) -> None:
-    """Refuse voltages of a scan of this half range, a key of a table, outside of a range."""
+    """Refuse a scan whose voltages leave a range; name the key, in box.toml, of its half range."""
     low_V, high_V = float(voltage_V.min()), float(voltage_V.max())
     if range_V[0] <= low_V and high_V <= range_V[1]:
         return
     middle_V, half_V = 0.5 * (low_V + high_V), 0.5 * (high_V - low_V)
     share = min(range_V[1] - middle_V, middle_V - range_V[0]) / half_V
     fits = (
-        f"{key} of {_SPARED * share * radius_m:.3g} or less"
+        f"{key} of {_SPARED * share * half_m:.3g} or less"
         if share > 0.0
-        else f"a box that puts out {middle_V:.4g} V, about which the scan lies"
+        else f"hardware that puts out {middle_V:.4g} V, about which the scan lies"
     )
     raise ParameterFileError(
-        f"axis {axis}: +-{with_unit(radius_m, 'm')} takes {low_V:.4g} V to {high_V:.4g} V, and "
-        f"box and stage allow {range_V[0]:.6g} V to {range_V[1]:.6g} V",
+        f"axis {axis}: +-{with_unit(half_m, 'm')} takes {low_V:.4g} V to {high_V:.4g} V, and "
+        f"hardware and stage allow {range_V[0]:.6g} V to {range_V[1]:.6g} V",
         needed="all of the period within them",
         remedy=f"What would fit: {fits}, in {table} of box.toml.",
     )
