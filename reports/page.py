@@ -104,10 +104,6 @@ class Page:
         found = self.verification
         return found is not None and found.passed and axis in found.methods
 
-    def diagnosis_of(self, axis: AxisModel) -> Diagnosis | None:
-        """Return the diagnosis of an axis, if it has one."""
-        return next((one for one in self.diagnoses if one.axis == axis.axis), None)
-
     def drawn(self, axis: AxisModel) -> tuple[Trace, ...]:
         """Return the recordings of an axis that get figures."""
         return self.traces.get(axis.axis, ())[:MAX_DRAWN]

@@ -66,18 +66,19 @@ def render(
 ) -> str:
     """Return report.html.
 
-    model       what was found
-    recordings  what it was fitted on; more are listed, but not drawn
-    sweeps      Z spectroscopies its junction was fitted to
-    design      its controllers
-    undesigned  why there are none
-    responses   measured frequency responses its dynamics were found in
-    diagnoses   of its axes
-    undiagnosed  why others have none
-    verification  of what ships
-    unshipped   by axis, why it does not ship beside the others
-    files       of the folder the page belongs to, for their digests
-    lab         what the laboratory declared
+    Args:
+        model: the fitted stage.
+        recordings: of the fit; others are listed but not drawn.
+        sweeps: Z spectroscopies that the junction was fitted to.
+        design: controllers.
+        undesigned: why there are none.
+        responses: measured frequency responses.
+        diagnoses: of the axes that have one.
+        undiagnosed: why the others have none.
+        verification: of what ships.
+        unshipped: by axis, why its controller does not ship.
+        files: of the folder the page belongs to, for their digests.
+        lab: what the laboratory declared.
     """
     recordings = as_single_axes(recordings, None, model.coupled)
     page = Page(

@@ -1,4 +1,4 @@
-"""The chapters of a batch that name stages: verdict, failures, what stands out, all of them."""
+"""The sections of the page of a batch: verdict, failures, outliers, distributions, all stages."""
 
 from heapq import nsmallest
 from itertools import islice
@@ -33,12 +33,12 @@ NEGLIGIBLE = 1e-3  # of its interval: a slope below it is rounding
 DOTS = 1000  # stages with a serial number that are drawn one by one
 STRETCHES = 60  # of serial numbers, of each of which 5 % to 95 % are drawn
 LOOK_SPREAD = (
-    "Good: one hump, no stage outside the dashed lines. Bad: two humps (two batches of ceramics, "
-    "two operators), a long tail, single stages far away."
+    "Good: one hump inside the dashed lines. Bad: two humps (two batches of ceramics), a long "
+    "tail, single stages far away."
 )
 LOOK_DRIFT = (
-    "Good: dots scatter about a level line. Bad: a slope (tool wear, a changing supplier, a "
-    "reference that ages), a step (a new batch, a new sensor), single dots far away."
+    "Good: dots scatter about a level line. Bad: a slope (tool wear, an ageing reference), a step "
+    "(a new batch, a new sensor), single dots far away."
 )
 
 HALF_95 = 1.96  # standard errors
@@ -68,7 +68,7 @@ def _counted(fleet: Fleet) -> str:
 
 def _odd(found: tuple[Distribution, ...]) -> str:
     if not found:
-        return f"Fewer than {FEWEST} stages can be compared, so nothing is said of the spread."
+        return f"Fewer than {FEWEST} stages can be compared, so the spread is not reported."
     far = sorted(
         ((abs(float(one.away[k])), one.stages[k]) for one in found for k in one.outliers),
         reverse=True,
@@ -89,7 +89,7 @@ def _drifting(found: tuple[Distribution, ...]) -> str:
         return f"Over the serial numbers {', '.join(named)} drifts."
     if any(one.trend is not None for one in found):
         return "Nothing drifts over the serial numbers."
-    return "Too few stages carry a serial number in their name to speak of drift."
+    return "Too few stage names contain a serial number to test for drift."
 
 
 def failures(fleet: Fleet) -> Section:
@@ -120,11 +120,9 @@ def outliers(found: tuple[Distribution, ...]) -> Section:
     )
     limit = min((one.limit for one in found), default=0.0)
     lead = (
-        f"At least {limit:.1f} robust standard deviations from the others, of the logarithm where "
-        "a quantity has a long tail. What a value's own interval allows is counted in: a stage "
-        "whose data hardly tell a number does not stand out by it. The limit knows how often was "
-        "looked and how well the spread is known: in a batch where nothing is wrong, chance alone "
-        f"names {FALSE_ALARMS:g} stages at most."
+        f"At least {limit:.1f} robust standard deviations from the others (of the logarithm for "
+        "quantities with a long tail), beyond the interval of the value. In a batch without "
+        f"faults chance names {FALSE_ALARMS:g} stages at most."
     )
     if not rows:
         return Section(
@@ -170,15 +168,14 @@ def _value(one: Distribution, k: int) -> str:
 
 def stages(fleet: Fleet) -> Section:
     """Return all stages with what they were made from and became, or the worst of very many."""
-    shown, title = fleet.stages, "All stages, and where their numbers come from"
+    shown, title = fleet.stages, "All stages"
     if len(shown) > WORST:
         shown = nsmallest(WORST, shown, key=_badness)
-        title = f"The worst {WORST} stages, and where their numbers come from"
+        title = f"The worst {WORST} stages"
     return Section(
         anchor="stages",
         title=title,
-        lead="The same inputs and the same version give the same files, byte for byte. A stage "
-        "whose inputs have changed is not the one this page speaks of.",
+        lead="The same inputs and version give the same files, byte for byte.",
         parts=(
             Table(
                 caption="Digests of the model and of the parameter file of every stage."
@@ -251,9 +248,8 @@ def spread(found: tuple[Distribution, ...]) -> Section | None:
 
 def _table(axis: str, own: list[Distribution]) -> Table:
     return Table(
-        caption=f"Axis {axis}: spread over the stages, and the drift for 100 serial numbers. A "
-        f"drift counts if chance makes it in less than {100 * TREND_P:g} % of batches, all "
-        "quantities taken together.",
+        caption=f"Axis {axis}: spread over the stages, and drift over 100 serial numbers. "
+        f"Significance level of a drift: {100 * TREND_P:g} % for all quantities together.",
         columns=("quantity", "stages", "median", "5 % to 95 %", "drift (95 %)", "p"),
         rows=tuple(
             (
@@ -297,7 +293,7 @@ def _histogram(one: Distribution) -> Figure:
         ends = np.array([0.0, y.high])
         layers.append(canvas.line("limit", "limit for most stages", np.full(2, level), ends))
     return Figure(
-        title=f"{one.quantity.label}, axis {one.axis}: how it is spread",
+        title=f"{one.quantity.label}, axis {one.axis}: distribution",
         caption=f"{one.spread.count} stages, median "
         f"{number(one.spread.median, one.quantity.unit)}, "
         f"robust standard deviation {number(one.spread.sigma, one.quantity.unit)}; "
@@ -333,9 +329,9 @@ def _course(one: Distribution) -> Figure:
     if (odd & np.isfinite(one.serials)).any():
         layers.append(canvas.dots("odd", "standing out", one.serials[odd], one.values[odd]))
     return Figure(
-        title=f"{one.quantity.label}, axis {one.axis}: over the serial numbers",
+        title=f"{one.quantity.label}, axis {one.axis} over the serial numbers",
         caption=f"Drift for 100 serial numbers {_drift(one)}, p = {significant(one.trend_p, 2)}: "
-        f"{'a drift' if one.drifts else 'no drift that can be number from chance'}.",
+        f"{'significant' if one.drifts else 'no drift that can be number from chance'}.",
         guide=LOOK_DRIFT,
         canvas=canvas,
         layers=tuple(layers),

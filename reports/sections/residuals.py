@@ -48,12 +48,6 @@ def render(page: Page) -> Section | None:
     )
 
 
-def left_out(traces: tuple[Trace, ...]) -> tuple[int, int]:
-    """Return how many samples the fit left out, and of how many."""
-    total = sum(len(trace.time_s) for trace in traces)
-    return total - sum(trace.counted for trace in traces), total
-
-
 def over_time(trace: Trace, axis: AxisModel, *, size: tuple[int, int] | None = None) -> Figure:
     """Draw the residual against time with the band of the noise; small for the first screen."""
     width, height = size or (Canvas.width, TIME_HEIGHT)

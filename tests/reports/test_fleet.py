@@ -149,7 +149,7 @@ def test_a_constant_quantity_and_a_missing_serial_are_no_trouble() -> None:
     same = FleetAxis(axis="x", applies=True, values={"lag_s": 0.0}, parameters={})
     stages = tuple(FleetStage(name=name, state=PASSED, axes=(same,)) for name in "abcdefghij")
     page = render_fleet(Fleet(name="night", stages=stages))
-    assert "Too few stages carry a serial number" in page
+    assert "Too few stage names contain a serial number" in page
     Anatomy(page)
 
 
