@@ -8,11 +8,18 @@ from piezoid.design.design_statements import design_statements
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
 from piezoid.identification.actuator_model import ActuatorModel
-from piezoid.identification.fit_statements import fit_statements
+from piezoid.identification.fit_statements import fit_statements, sentence
+from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.records.recording import Recording
 from piezoid.statement import Kind, Level, Statement
 from piezoid.verification.criteria import describe_failure
 from piezoid.verification.verification import Verification
+
+TIP_LEVELS = {
+    Confidence.HIGH: Level.NOTE,
+    Confidence.MEDIUM: Level.WARNING,
+    Confidence.LOW: Level.ACTION,
+}
 
 
 def stage_statements(
@@ -100,9 +107,12 @@ def _tip(model: ActuatorModel) -> list[Statement]:
     tip = model.tunnelling
     if tip is None:
         return []
-    reasons = [*(tip.gap_law.reasons if tip.gap_law is not None else ())]
-    reasons += [*(tip.loop_plant.reasons if tip.loop_plant is not None else ())]
-    statements = [_limit(Level.NOTE, "tunnelling", reason, "z") for reason in reasons]
+    statements = [
+        _limit(TIP_LEVELS[part.confidence], "tunnelling", sentence(reason), "z")
+        for part in (tip.gap_law, tip.loop_plant)
+        if part is not None
+        for reason in part.reasons
+    ]
     if tip.joint is not None and not tip.joint.agree:
         text = (
             "The barriers from sweeps and closed loop disagree. Check the extension per volt and "
