@@ -31,7 +31,7 @@ from piezoid_cli.plan import plan
 from piezoid_cli.progress import EVERYTHING
 from piezoid_cli.report import report
 from piezoid_cli.simulate import simulate
-from piezoid_cli.terminal import one_line, plain
+from piezoid_cli.terminal import guard_output, one_line, plain
 from piezoid_cli.verify import verify
 
 _OURS = "This is a mistake of ours; run the same command with --debug and send us what it prints."
@@ -119,9 +119,9 @@ def piezoid(
     Every verb has examples in its own help, as in: piezoid fit --help
 
     Exit status: 0 done, 1 a verdict failed, 2 usage, 3 data or file unusable, 4 no solution,
-    130 interrupted. With -v anywhere, every stage of the work is told as it begins, with its
-    time; without a terminal, one line at most every ten seconds. With --debug anywhere, an error
-    shows its traceback.
+    70 internal error, 130 interrupted. With -v anywhere, every stage of the work is told as it
+    begins, with its time; without a terminal, one line at most every ten seconds. With --debug
+    anywhere, an error shows its traceback.
     """
 
 
@@ -131,9 +131,13 @@ def main() -> None:
     if set(sys.argv[1:]) & set(ASKS_FOR_ALL):
         EVERYTHING.set(True)
     install()
+    guard_output()
     try:
         with interruptible():
-            app(arguments)
+            try:
+                app(arguments)
+            finally:
+                sys.stdout.flush()
     except Exception as error:
         if "--debug" in sys.argv[1:]:
             raise

@@ -5,8 +5,10 @@ set its title, turn the text. Whatever people read is made here, with such chara
 (``\x1b``); only what scripts read (``--json``) goes past, byte for byte.
 """
 
+import io
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -26,6 +28,58 @@ Force = Annotated[
 ]
 StageLab = Annotated[Path | None, typer.Option(help="lab.toml; by default the one in the folder.")]
 Json = Annotated[bool, typer.Option("--json", help="For scripts: one JSON text.")]
+
+
+class StandardOutput(io.RawIOBase):
+    """Standard output that may be closed while a command works, or lie on a full disk.
+
+    Nothing more is written once the reader of a pipe has gone: the command does its work all the
+    same. Any other failure names standard output.
+    """
+
+    def __init__(self, stream: io.RawIOBase | io.BufferedIOBase) -> None:
+        """Write to a binary stream."""
+        self._stream = stream
+        self.is_discarded = False
+
+    def writable(self) -> bool:
+        """Return True."""
+        return True
+
+    def isatty(self) -> bool:
+        """Return whether it is a terminal."""
+        return self._stream.isatty()
+
+    def fileno(self) -> int:
+        """Return its number in this process."""
+        return self._stream.fileno()
+
+    def write(self, content: Any, /) -> int:
+        """Write bytes and return how many."""
+        size = len(memoryview(content).cast("B"))
+        try:
+            if not self.is_discarded:
+                self._stream.write(content)
+                self._stream.flush()
+        except BrokenPipeError:
+            self.is_discarded = True
+        except OSError as error:
+            self.is_discarded = True
+            raise OSError(error.errno, error.strerror, "standard output") from error
+        return size
+
+
+def guard_output() -> None:
+    """Let no pipe that is closed and no terminal of few characters end a command."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        encoding, buffered = sys.stdout.encoding, sys.stdout.line_buffering
+        binary = io.BufferedWriter(StandardOutput(sys.stdout.detach()))
+        sys.stdout = io.TextIOWrapper(
+            binary, encoding, errors="replace", line_buffering=buffered, write_through=True
+        )
 
 
 def say(said: str, *, err: bool = False) -> None:

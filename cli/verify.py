@@ -42,7 +42,7 @@ def verify(
         bool, typer.Option("--bounds", help="Report probable and worst-case errors.")
     ] = False,
     limits: Annotated[
-        Path | None, typer.Option(help="limits.toml; by default [verification] of lab.toml.")
+        Path | None, typer.Option(help="limits.toml; by default \\[verification] of lab.toml.")
     ] = None,
     lab: StageLab = None,
     seed: Annotated[int, typer.Option(help="Random seed.", min=0)] = 0,

@@ -25,7 +25,7 @@ STAGES = "stages"  # folder of the stages beside the page
 
 PASSED, FAILED, REFUSED, CRASHED = "passed", "failed", "refused", "crashed"
 STATES = {
-    PASSED: "every verdict passed",
+    PASSED: "no verdict failed",
     FAILED: "a verdict failed, or the model class does not apply",
     REFUSED: "data or file unusable, or no solution",
     CRASHED: "the work broke off; it is tried again at the next start",

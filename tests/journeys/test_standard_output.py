@@ -1,0 +1,64 @@
+"""A terminal of few characters, a full disk and a closed pipe are no fault of a command."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
+ROWS = "".join(f"{k / 100},{k % 9},{2 * (k % 9)}\n" for k in range(60))
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    place = tmp_path / "s.csv"
+    place.write_text("time [s],voltage [V],position [µm]\n" + ROWS, encoding="utf-8")
+    return place
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "cp1252", "ascii"])
+def test_characters_that_a_terminal_has_not_degrade(encoding: str, recording: Path) -> None:
+    out = recording.with_name("lab.toml")
+    for words in (("inspect", recording), ("init", recording, "--out", out)):
+        done = subprocess.run(
+            [*PIEZOID, *words],
+            env={**os.environ, "PYTHONIOENCODING": encoding},
+            capture_output=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+    assert "µm" in out.read_text(encoding="utf-8")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no full device")
+@pytest.mark.parametrize("flags", [(), ("--json",)])
+def test_a_full_disk_behind_standard_output_is_named(
+    flags: tuple[str, ...], recording: Path
+) -> None:
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(
+            [*PIEZOID, "inspect", recording, *flags],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            check=False,
+        )
+    assert done.returncode == 3
+    assert done.stderr.startswith(b"error: standard output: No space left")
+    assert done.stderr.count(b"error") == 1
+
+
+def test_a_closed_pipe_ends_neither_the_work_nor_its_status(recording: Path) -> None:
+    out = recording.with_name("lab.toml")
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "wb") as closed:
+        done = subprocess.run(
+            [*PIEZOID, "init", recording, "--out", out],
+            stdout=closed,
+            stderr=subprocess.PIPE,
+            check=False,
+        )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert out.exists()
