@@ -31,12 +31,12 @@ from piezoid.diagnosis import (
     diagnose,
     forward_selection,
     model_comparison,
-    search,
+    selection,
 )
-from piezoid.diagnosis.folds import paired_z
+from piezoid.diagnosis.blocked_regression import paired_z
 from piezoid.diagnosis.initial_state_search import OTHER_INITIAL_STATES
+from piezoid.diagnosis.residual_structure import without_names
 from piezoid.diagnosis.score_test import score_test
-from piezoid.diagnosis.something_else import without_names
 
 Decision = Callable[..., Any]
 Place = tuple[ModuleType | type, str]
@@ -118,13 +118,13 @@ RULES = (
     ),
     Rule(
         name="other initial states before faults",
-        places=((search, "with_own_initial_states"), (search, "with_shared_initial_state")),
+        places=((selection, "with_own_initial_states"), (selection, "with_shared_initial_state")),
         without=lambda view, *_: view,
         matters=_leaves_less(OTHER_INITIAL_STATES),
     ),
     Rule(
         name="shared before own initial states",
-        places=((search, "shared_does_as_well"),),
+        places=((selection, "shared_does_as_well"),),
         without=lambda *_: False,
     ),
     Rule(
@@ -144,7 +144,7 @@ RULES = (
     Rule(
         name="what has no name",
         places=((diagnose, "explained"),),
-        without=lambda view, hands: without_names(view, search.search(view, hands)),
+        without=lambda view, hands: without_names(view, selection.search(view, hands)),
         matters=lambda said, _: said.discovered is not None or said.otherwise is not None,
         dear=True,
     ),

@@ -25,7 +25,7 @@ from scipy.stats import kstest
 
 from benchmarks.zoo.score import PAST, diagnosed
 from benchmarks.zoo.stages import NAMES, drawn, stage
-from piezoid.diagnosis.healthy import chance_of, score_of
+from piezoid.diagnosis.null_distribution import chance_of, score_of
 from piezoid.errors import PiezoidError
 
 TABLE = Path(__file__).parents[2] / "piezoid/diagnosis/healthy_scores.json"

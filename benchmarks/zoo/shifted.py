@@ -23,18 +23,18 @@ import numpy as np
 
 from benchmarks.zoo.score import recorded
 from benchmarks.zoo.stages import NAMES, Asked, drawn, stage
+from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.initial_state_search import (
     with_own_initial_states,
     with_shared_initial_state,
 )
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import ScoreTest, null_of, score_test
-from piezoid.diagnosis.search import repaired
-from piezoid.diagnosis.tracks import BLOCKS
-from piezoid.diagnosis.view import View
+from piezoid.diagnosis.segments import BLOCKS
+from piezoid.diagnosis.selection import repaired
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import SERIAL
 

@@ -21,8 +21,8 @@ from pathlib import Path
 
 from benchmarks.zoo.__main__ import read
 from benchmarks.zoo.table import share
+from piezoid.diagnosis.effect_size import QUANTILE
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.sizes import QUANTILE
 
 KNOWN_TO = {effect.name: effect.model_error for effect in EFFECTS}
 

@@ -11,9 +11,9 @@ import numpy as np
 from piezoid.diagnosis.budget import relative_scatter
 from piezoid.diagnosis.effect import Found
 from piezoid.diagnosis.refit import Refitted, refitted
-from piezoid.diagnosis.search import Outcome
-from piezoid.diagnosis.something_else import Explained, with_it
-from piezoid.diagnosis.tracks import Track
+from piezoid.diagnosis.residual_structure import Explained, with_it
+from piezoid.diagnosis.segments import Track
+from piezoid.diagnosis.selection import Outcome
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Scales
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array

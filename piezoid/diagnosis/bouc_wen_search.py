@@ -9,9 +9,9 @@ from itertools import product
 
 import numpy as np
 
-from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.shape import BoucWenLaw
-from piezoid.diagnosis.view import View, with_bouc_wen
+from piezoid.diagnosis.blocked_regression import Null
+from piezoid.diagnosis.nuisance_columns import BoucWenLaw
+from piezoid.diagnosis.residual_view import View, with_bouc_wen
 from piezoid.numerics.executor import SERIAL, Executor
 
 BETAS = (0.8, 1.6, 3.2)

@@ -34,8 +34,8 @@ from piezoid.diagnosis.diagnosis import (
 )
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
-from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
-from piezoid.diagnosis.unnamed import of_residual
+from piezoid.diagnosis.residual_structure import NAME as SOMETHING_ELSE
+from piezoid.diagnosis.structure_findings import of_residual
 from piezoid.formatting import with_unit
 from piezoid.formatting import words as name_of
 from piezoid.numerics.arrays import Array

@@ -5,13 +5,13 @@ from math import sqrt
 
 import numpy as np
 
+from piezoid.diagnosis.blocked_regression import CrossValidated, compared, paired_z
 from piezoid.diagnosis.bouc_wen_search import with_bouc_wen_of
 from piezoid.diagnosis.effect import Effect
-from piezoid.diagnosis.extended import SelectedEffect, offset_of, undisturbed_for
-from piezoid.diagnosis.folds import CrossValidated, compared, paired_z
 from piezoid.diagnosis.refinement import stepped
+from piezoid.diagnosis.refitted_view import SelectedEffect, offset_of, undisturbed_for
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import ScoreTest, null_of, score_test, screened
-from piezoid.diagnosis.view import View
 
 MINIMUM_Z = 3.3  # standard errors, 0.0005 on one side: a wrong cause is worse than one not named
 MINIMUM_SHARE = 5e-5  # of the stroke: what is smaller is not promised to show
@@ -69,7 +69,7 @@ class Candidate:
 
             2 share / sqrt(max(rms^2 - noise^2, DOUBTFUL noise^2))
 
-        What a healthy stage of another law makes of this number is its null (``healthy``).
+        Its null distribution is that of healthy stages of other laws (``null_distribution``).
         """
         noise = self.view.noise
         structure = sqrt(max(self.view.rms**2 - noise**2, DOUBTFUL * noise**2))

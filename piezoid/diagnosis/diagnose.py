@@ -7,8 +7,6 @@ from functools import partial
 import numpy as np
 
 from piezoid.counts import refusing_in_counts
-from piezoid.diagnosis.absence import absent, not_sought
-from piezoid.diagnosis.at_rest import diagnose_at_rest
 from piezoid.diagnosis.attribution import Simulated, attributed
 from piezoid.diagnosis.budget import (
     RemainingErrors,
@@ -16,6 +14,9 @@ from piezoid.diagnosis.budget import (
     with_budget,
 )
 from piezoid.diagnosis.candidate import Candidate
+from piezoid.diagnosis.closed_loop_recordings import with_creep_of_holds
+from piezoid.diagnosis.constant_drive import diagnose_at_rest
+from piezoid.diagnosis.detection_limits import absent, not_sought
 from piezoid.diagnosis.diagnosis import (
     Diagnosis,
     FinalError,
@@ -26,21 +27,20 @@ from piezoid.diagnosis.diagnosis import (
     fraction_explained,
 )
 from piezoid.diagnosis.effect import Effect, Fault
+from piezoid.diagnosis.effect_size import size_of
 from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.forward_selection import SLIP
-from piezoid.diagnosis.healthy import chance_of, strengths_of_healthy
-from piezoid.diagnosis.held_sensor import with_creep_of_holds
 from piezoid.diagnosis.identified_modes import told_apart, with_modes
-from piezoid.diagnosis.ingested import with_ingested
-from piezoid.diagnosis.jumps import behind_jumps
+from piezoid.diagnosis.ingest_faults import with_ingested
 from piezoid.diagnosis.noise_level import noise_level
-from piezoid.diagnosis.search import Outcome, without_causes
-from piezoid.diagnosis.sizes import size_of
-from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
-from piezoid.diagnosis.something_else import SURE, Explained, explained, without_names
-from piezoid.diagnosis.tracks import tracks_of
-from piezoid.diagnosis.unnamed import of_discovered, of_noise
-from piezoid.diagnosis.view import View, view_of
+from piezoid.diagnosis.null_distribution import chance_of, strengths_of_healthy
+from piezoid.diagnosis.residual_structure import NAME as SOMETHING_ELSE
+from piezoid.diagnosis.residual_structure import SURE, Explained, explained, without_names
+from piezoid.diagnosis.residual_view import View, view_of
+from piezoid.diagnosis.segments import tracks_of
+from piezoid.diagnosis.selection import Outcome, without_causes
+from piezoid.diagnosis.step_responses import behind_jumps
+from piezoid.diagnosis.structure_findings import of_discovered, of_noise
 from piezoid.formatting import words
 from piezoid.identification.fit import (
     axes_of,

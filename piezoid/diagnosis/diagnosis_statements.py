@@ -4,10 +4,10 @@ The sizes of the findings stand in their table; a statement is made only where a
 more than a size.
 """
 
-from piezoid.diagnosis.at_rest import RESTS
+from piezoid.diagnosis.constant_drive import RESTS
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
-from piezoid.diagnosis.something_else import NAME
-from piezoid.diagnosis.unnamed import words as coordinate_words
+from piezoid.diagnosis.residual_structure import NAME
+from piezoid.diagnosis.structure_findings import words as coordinate_words
 from piezoid.formatting import significant, with_unit, words
 from piezoid.statement import Kind, Level, Statement
 

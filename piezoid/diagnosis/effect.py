@@ -10,10 +10,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from piezoid.diagnosis.appearance import Appearance
-from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.planning.driven import Driven
-from piezoid.diagnosis.tracks import Places, Track
-from piezoid.diagnosis.view import View
+from piezoid.diagnosis.blocked_regression import Null
+from piezoid.diagnosis.planning.drive_response import Driven
+from piezoid.diagnosis.residual_view import View
+from piezoid.diagnosis.segments import Places, Track
 from piezoid.identification.extensions.extension import Extension, Where
 from piezoid.identification.joint.vector import Structure, parts_of
 from piezoid.identification.model import AxisModel, Lag

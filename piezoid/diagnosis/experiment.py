@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 
 from piezoid.counts import VOLTAGE
 from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.diagnosis.planning.bench import Bench, bench_of
-from piezoid.diagnosis.planning.playing import driven_recording, drives_axis
-from piezoid.diagnosis.planning.question import Question, is_open, questions_of
+from piezoid.diagnosis.planning.drive_limits import Bench, bench_of
+from piezoid.diagnosis.planning.open_questions import Question, is_open, questions_of
+from piezoid.diagnosis.planning.plan_ranking import Alternative, Choice, Table, table_of
 from piezoid.diagnosis.planning.separation import Told
-from piezoid.diagnosis.planning.table import Alternative, Choice, Table, table_of
+from piezoid.diagnosis.planning.simulated_drives import driven_recording, drives_axis
 from piezoid.errors import ExcitationError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.excitation import Drive, DriveLimits

@@ -15,23 +15,23 @@ from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
 from piezoid.diagnosis.candidate import Candidate, judged
 from piezoid.diagnosis.effect import BETWEEN, Effect, Fault
 from piezoid.diagnosis.effects import every_effect
-from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.initial_state_search import (
     OTHER_INITIAL_STATES,
     InitialStates,
     with_own_initial_states,
     with_shared_initial_state,
 )
-from piezoid.diagnosis.jumps import modes_behind_jumps
 from piezoid.diagnosis.refinement import initial_guess, refined, refined_together, stepped
-from piezoid.diagnosis.score_test import ScoreTest, score_test
-from piezoid.diagnosis.slips import slips_in_place
-from piezoid.diagnosis.view import (
+from piezoid.diagnosis.refitted_view import SelectedEffect, extended
+from piezoid.diagnosis.residual_view import (
     View,
     with_bouc_wen,
     with_free_memory,
     with_reversals,
 )
+from piezoid.diagnosis.sample_slips import slips_in_place
+from piezoid.diagnosis.score_test import ScoreTest, score_test
+from piezoid.diagnosis.step_responses import modes_behind_jumps
 from piezoid.formatting import words
 from piezoid.numerics.executor import Executor
 

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.initial_states import Reversals, hypotheses, memory_after, shared_hypotheses
-from piezoid.diagnosis.shape import (
+from piezoid.diagnosis.nuisance_columns import (
     REACH,
     SHARED,
     THRESHOLD,
@@ -27,7 +27,7 @@ from piezoid.diagnosis.shape import (
     shape,
     states_under,
 )
-from piezoid.diagnosis.view import (
+from piezoid.diagnosis.residual_view import (
     View,
     cycled,
     with_free_memory,

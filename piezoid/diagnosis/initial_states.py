@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from piezoid.diagnosis.shape import PLAYS, THRESHOLD
+from piezoid.diagnosis.nuisance_columns import PLAYS, THRESHOLD
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
 

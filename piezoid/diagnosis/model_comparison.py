@@ -10,15 +10,15 @@ Source: Vuong, Econometrica 57 (1989).
 
 from collections.abc import Sequence
 
+from piezoid.diagnosis.blocked_regression import paired_z
 from piezoid.diagnosis.candidate import Candidate, judged
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import every_effect
-from piezoid.diagnosis.extended import SelectedEffect, extended
-from piezoid.diagnosis.folds import paired_z
-from piezoid.diagnosis.jumps import behind_jumps
 from piezoid.diagnosis.refinement import initial_guess, refined
+from piezoid.diagnosis.refitted_view import SelectedEffect, extended
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import score_test
-from piezoid.diagnosis.view import View
+from piezoid.diagnosis.step_responses import behind_jumps
 from piezoid.formatting import words
 from piezoid.numerics.executor import SERIAL, Executor
 

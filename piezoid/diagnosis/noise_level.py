@@ -18,10 +18,10 @@ from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.coordinates import Basis, along_signals
-from piezoid.diagnosis.discovery import CoordinateScore, Remainder
-from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.view import View
+from piezoid.diagnosis.blocked_regression import Null
+from piezoid.diagnosis.coordinate_bases import Basis, along_signals
+from piezoid.diagnosis.coordinate_tests import CoordinateScore, Remainder
+from piezoid.diagnosis.residual_view import View
 from piezoid.numerics.arrays import Array
 from piezoid.records.sample_statistics import step_size
 

@@ -22,9 +22,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.history import ONCE_BEYOND, History, states_at, static_of
+from piezoid.diagnosis.drive_history import ONCE_BEYOND, History, states_at, static_of
 from piezoid.diagnosis.initial_states import Reversals
-from piezoid.diagnosis.shape import (
+from piezoid.diagnosis.nuisance_columns import (
     BOUC_WEN_COLUMNS,
     SHARED,
     BoucWenLaw,
@@ -34,7 +34,7 @@ from piezoid.diagnosis.shape import (
     states_under,
     write_shape,
 )
-from piezoid.diagnosis.tracks import Places, Track
+from piezoid.diagnosis.segments import Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
 from piezoid.operators.play import way_to

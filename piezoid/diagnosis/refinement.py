@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
-from piezoid.diagnosis.extended import SelectedEffect, extended
-from piezoid.diagnosis.view import View
+from piezoid.diagnosis.refitted_view import SelectedEffect, extended
+from piezoid.diagnosis.residual_view import View
 
 PARTS = (1.0, 0.3, 0.1, 0.03)  # of a parameter's width
 STEPS = 6

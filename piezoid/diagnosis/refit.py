@@ -11,7 +11,7 @@ from functools import partial
 
 from piezoid.diagnosis.effect import Found, setting_of
 from piezoid.diagnosis.effects import every_effect
-from piezoid.diagnosis.something_else import NAME
+from piezoid.diagnosis.residual_structure import NAME
 from piezoid.formatting import words
 from piezoid.identification.extensions.converter_hold import ConverterHold
 from piezoid.identification.extensions.creep_ladder import CreepLadder

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from piezoid.diagnosis.discovery import highest
+from piezoid.diagnosis.coordinate_tests import highest
 from piezoid.diagnosis.effect import Effect, Standing
-from piezoid.diagnosis.tracks import Places
+from piezoid.diagnosis.segments import Places
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 

@@ -1,6 +1,6 @@
 """Screening: what every effect would bring to a view by its tangent, and its placebos by theirs.
 
-It tells where to look. What counts is said in ``judgement``, with the real thing in place.
+It tells where to look. Effects are accepted in ``candidate``, after a refit.
 """
 
 from collections.abc import Sequence
@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from piezoid.diagnosis.blocked_regression import CrossValidated, Null
 from piezoid.diagnosis.effect import Effect, Trial
-from piezoid.diagnosis.folds import CrossValidated, Null
-from piezoid.diagnosis.view import View
+from piezoid.diagnosis.residual_view import View
 from piezoid.numerics.arrays import Array
 
 LEAST_SHARE = 0.05

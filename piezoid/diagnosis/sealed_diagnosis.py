@@ -13,7 +13,7 @@ from piezoid.diagnosis.diagnosis import (
     Unexplained,
 )
 from piezoid.diagnosis.effects import every_effect
-from piezoid.diagnosis.something_else import NAME
+from piezoid.diagnosis.residual_structure import NAME
 from piezoid.digests import seal, unseal
 from piezoid.record_json import RecordLayout, fields_of, from_fields, from_json, refusing, to_json
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.effect import Filter, Parameters
-from piezoid.diagnosis.view import View
+from piezoid.diagnosis.residual_view import View
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.simulation import where_of
 from piezoid.numerics.arrays import Array

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, NotDetected
 from piezoid.diagnosis.diagnosis_statements import largest_first
 from piezoid.diagnosis.effects import effect_named
-from piezoid.diagnosis.something_else import CONTROL, NAME
+from piezoid.diagnosis.residual_structure import CONTROL, NAME
 from piezoid.formatting import words
 from piezoid_reports.effect_comparison import EffectSimulation, compare_effects
 from piezoid_reports.effect_figures import figure_of, unnamed_figure

@@ -11,7 +11,7 @@ from piezoid.diagnosis.diagnosis_statements import (
     largest_first,
 )
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.something_else import NAME
+from piezoid.diagnosis.residual_structure import NAME
 from piezoid.identification.fit_statements import Grade, fit_statements, grade_of
 from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import Limit

@@ -5,7 +5,7 @@ from functools import cache
 from benchmarks.zoo.score import recorded as recorded
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.diagnosis.view import View
+from piezoid.diagnosis.residual_view import View
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.campaign import draw_campaign

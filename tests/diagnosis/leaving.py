@@ -5,12 +5,12 @@ from functools import cache
 
 import numpy as np
 
+from piezoid.diagnosis.blocked_regression import CrossValidated
 from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.effect import Effect
-from piezoid.diagnosis.extended import SelectedEffect
-from piezoid.diagnosis.folds import CrossValidated
-from piezoid.diagnosis.tracks import BLOCKS, Track
-from piezoid.diagnosis.view import View, view_of, with_tracks
+from piezoid.diagnosis.refitted_view import SelectedEffect
+from piezoid.diagnosis.residual_view import View, view_of, with_tracks
+from piezoid.diagnosis.segments import BLOCKS, Track
 
 ROWS = 3000
 RATE_Hz = 30.0

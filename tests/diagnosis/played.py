@@ -9,8 +9,8 @@ from functools import cache
 
 import numpy as np
 
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import with_displacement
-from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
 from piezoid.records.lab import Lab

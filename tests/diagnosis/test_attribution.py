@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.attribution import attributed, mending, repaired
+from piezoid.diagnosis.blocked_regression import compared
 from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.diagnose import diagnose, view_on
 from piezoid.diagnosis.effect import Fault
+from piezoid.diagnosis.effect_size import size_of
 from piezoid.diagnosis.effects import delay, rate_dependence
-from piezoid.diagnosis.extended import SelectedEffect, extended
-from piezoid.diagnosis.folds import compared
-from piezoid.diagnosis.search import Outcome
-from piezoid.diagnosis.sizes import size_of
-from piezoid.diagnosis.something_else import Explained, Rest
+from piezoid.diagnosis.refitted_view import SelectedEffect, extended
+from piezoid.diagnosis.residual_structure import Explained, Rest
+from piezoid.diagnosis.selection import Outcome
 from piezoid.identification.extensions import Delay
 from piezoid.identification.hysteresis.pieces import scales_of
 from piezoid.identification.simulation import simulate_recording

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.blocked_regression import CrossValidated
 from piezoid.diagnosis.candidate import exceeds_structure
 from piezoid.diagnosis.effects import (
     creep,
@@ -12,7 +13,6 @@ from piezoid.diagnosis.effects import (
     resonance,
     thermal_drift,
 )
-from piezoid.diagnosis.folds import CrossValidated
 
 from .leaving import candidate_of, view_with
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.effects import quantisation
-from piezoid.diagnosis.tracks import BLOCKS, Track
-from piezoid.diagnosis.view import view_of
+from piezoid.diagnosis.residual_view import view_of
+from piezoid.diagnosis.segments import BLOCKS, Track
 from piezoid.numerics.arrays import Array
 
 STEP = 0.03  # of half the range

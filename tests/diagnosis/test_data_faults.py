@@ -15,8 +15,8 @@ from piezoid.diagnosis.effects import (
     timestamp_fault,
 )
 from piezoid.diagnosis.effects.quantisation import lattice_step
+from piezoid.diagnosis.residual_view import with_tracks
 from piezoid.diagnosis.score_test import score_test
-from piezoid.diagnosis.view import with_tracks
 from piezoid.records.lab import Lab
 
 from .play_stage import (

@@ -6,20 +6,20 @@ from functools import cache
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.blocked_regression import Null, paired_z
 from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
 from piezoid.diagnosis.candidate import is_consistent, judged
 from piezoid.diagnosis.effects import delay, lag, non_congruence, thermal_drift
-from piezoid.diagnosis.extended import SelectedEffect, extended
-from piezoid.diagnosis.folds import Null, paired_z
 from piezoid.diagnosis.initial_state_search import (
     with_own_initial_states,
     with_shared_initial_state,
 )
+from piezoid.diagnosis.nuisance_columns import PLAYS, REACH, SHARED, shape, shape_columns
 from piezoid.diagnosis.refinement import initial_guess, refined
+from piezoid.diagnosis.refitted_view import SelectedEffect, extended
+from piezoid.diagnosis.residual_view import View, cycled
 from piezoid.diagnosis.score_test import score_test
-from piezoid.diagnosis.shape import PLAYS, REACH, SHARED, shape, shape_columns
 from piezoid.diagnosis.signals import with_displacement
-from piezoid.diagnosis.view import View, cycled
 from piezoid.identification.hysteresis.filters import later
 from piezoid.operators.bouc_wen import bouc_wen_states
 from piezoid.records.recording import Quantity

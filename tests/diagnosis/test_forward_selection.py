@@ -9,9 +9,9 @@ from piezoid.diagnosis.initial_state_search import (
     with_own_initial_states,
     with_shared_initial_state,
 )
-from piezoid.diagnosis.search import repaired
+from piezoid.diagnosis.residual_view import with_free_memory, with_reversals
+from piezoid.diagnosis.selection import repaired
 from piezoid.diagnosis.signals import with_displacement
-from piezoid.diagnosis.view import with_free_memory, with_reversals
 from piezoid.numerics.executor import SERIAL
 from piezoid.records.lab import Lab
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
-from piezoid.diagnosis.tracks import held, is_held
+from piezoid.diagnosis.segments import held, is_held
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 

@@ -13,7 +13,7 @@ from piezoid.diagnosis.initial_state_search import (
     with_own_initial_states,
     with_shared_initial_state,
 )
-from piezoid.diagnosis.view import View, with_free_memory
+from piezoid.diagnosis.residual_view import View, with_free_memory
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
 from .bench import recorded, view_of_recordings

@@ -17,8 +17,8 @@ from piezoid.diagnosis.initial_states import (
     memory_after,
     shared_hypotheses,
 )
-from piezoid.diagnosis.shape import THRESHOLD
-from piezoid.diagnosis.view import with_reversals
+from piezoid.diagnosis.nuisance_columns import THRESHOLD
+from piezoid.diagnosis.residual_view import with_reversals
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
 from piezoid.records.lab import Lab

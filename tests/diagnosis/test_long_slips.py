@@ -8,8 +8,8 @@ import pytest
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effects import timestamp_fault
 from piezoid.diagnosis.effects.timestamp_fault import evidence_of
-from piezoid.diagnosis.slips import Slip, beside, longest, placed, strongest
-from piezoid.diagnosis.view import View
+from piezoid.diagnosis.residual_view import View
+from piezoid.diagnosis.sample_slips import Slip, beside, longest, placed, strongest
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.blocked_regression import CrossValidated, paired_z
 from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.effects import creep
-from piezoid.diagnosis.folds import CrossValidated, paired_z
 from piezoid.diagnosis.model_comparison import SEPARABLE, is_confounded
 
 from .leaving import candidate_of, view_leaving

@@ -13,18 +13,18 @@ from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.effect import Tangent
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.experiment import Plan, plan
-from piezoid.diagnosis.planning.bench import Bench, bench_of
-from piezoid.diagnosis.planning.menu import MENU, played
-from piezoid.diagnosis.planning.plan_file import plan_json, sentences
-from piezoid.diagnosis.planning.question import (
+from piezoid.diagnosis.planning.candidate_drives import MENU, played
+from piezoid.diagnosis.planning.drive_limits import Bench, bench_of
+from piezoid.diagnosis.planning.open_questions import (
     Question,
     answers,
     expected_limit_m,
     left_open,
     questions_of,
 )
+from piezoid.diagnosis.planning.plan_file import plan_json, sentences
+from piezoid.diagnosis.planning.plan_ranking import Table, table_of
 from piezoid.diagnosis.planning.separation import Told
-from piezoid.diagnosis.planning.table import Table, table_of
 from piezoid.errors import ExcitationError
 from piezoid.records.excitation import DriveLimits
 from piezoid.records.lab import Amplifier, Lab

@@ -5,11 +5,11 @@ import pytest
 
 from piezoid.diagnosis.candidate import judged
 from piezoid.diagnosis.effects import resonance
-from piezoid.diagnosis.extended import SelectedEffect, undisturbed_for
 from piezoid.diagnosis.refinement import initial_guess, refined
+from piezoid.diagnosis.refitted_view import SelectedEffect, undisturbed_for
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.signals import mode
-from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 from piezoid.records.lab import Lab
 

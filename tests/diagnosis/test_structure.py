@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
 from piezoid.diagnosis.candidate import structural_candidate
 from piezoid.diagnosis.effects import non_congruence
-from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.nuisance_columns import CURVED, SHARED
+from piezoid.diagnosis.residual_view import View, with_bouc_wen, with_tracks
 from piezoid.diagnosis.score_test import score_test
-from piezoid.diagnosis.search import search
-from piezoid.diagnosis.shape import CURVED, SHARED
-from piezoid.diagnosis.view import View, with_bouc_wen, with_tracks
+from piezoid.diagnosis.selection import search
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
 from .bench import healthy_view, recorded, view_of_recordings

@@ -3,8 +3,8 @@
 import pytest
 
 from piezoid.diagnosis.effects import lag, slew_limit
-from piezoid.diagnosis.extended import SETTLED, extended
 from piezoid.diagnosis.refinement import initial_guess, refined, refined_together
+from piezoid.diagnosis.refitted_view import SETTLED, extended
 from piezoid.diagnosis.score_test import score_test
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 

@@ -11,8 +11,8 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from piezoid.diagnosis import effects
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.sealed_diagnosis import read_diagnoses
-from piezoid.diagnosis.view import View
 from piezoid.identification.store import read_model, write_model
 from piezoid_cli.main import app
 from tests.reports.anatomy import Anatomy

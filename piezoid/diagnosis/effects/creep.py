@@ -35,9 +35,9 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
-from piezoid.diagnosis.planning.driven import Driven
+from piezoid.diagnosis.planning.drive_response import Driven
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import seconds_of, through, with_added
-from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.hysteresis.filters import first_order

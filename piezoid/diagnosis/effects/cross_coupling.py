@@ -25,9 +25,9 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
-from piezoid.diagnosis.planning.driven import Driven
+from piezoid.diagnosis.planning.drive_response import Driven
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import GAPS, added_percent, answers_of_others, through, with_added
-from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.cross_axis import CrossAxis
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array

@@ -17,8 +17,8 @@ import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_SPEED
 from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial, late, without_part
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import filtered_change, through
-from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.delay import Delay
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.hysteresis.filters import later

@@ -34,10 +34,10 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
-from piezoid.diagnosis.planning.driven import Driven
+from piezoid.diagnosis.planning.drive_response import Driven
+from piezoid.diagnosis.residual_view import View
+from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.signals import seconds_of, through
-from piezoid.diagnosis.tracks import Track
-from piezoid.diagnosis.view import View
 from piezoid.identification.dynamics.repetition import equal_cycles
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.gain_change import GainChange, turned

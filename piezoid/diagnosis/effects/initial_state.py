@@ -19,11 +19,11 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_TIME
+from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.effect import Effect, Structural, Trial
-from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.initial_state_search import with_shared_where_as_good
+from piezoid.diagnosis.residual_view import View, with_free_memory
 from piezoid.diagnosis.signals import with_added
-from piezoid.diagnosis.view import View, with_free_memory
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
 from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel

@@ -21,8 +21,8 @@ import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_SPEED
 from piezoid.diagnosis.effect import Effect, Parameters, Trial, late, without_part
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import filtered_change, through
-from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.first_order_lag import FirstOrderLag
 from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array

@@ -28,11 +28,11 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
-from piezoid.diagnosis.planning.driven import Driven
+from piezoid.diagnosis.planning.drive_response import Driven
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.rest_columns import peak_Hz, waves
+from piezoid.diagnosis.segments import Places
 from piezoid.diagnosis.signals import GRIDS_Hz, added_percent, seconds_of, with_added
-from piezoid.diagnosis.tracks import Places
-from piezoid.diagnosis.view import View
 from piezoid.formatting import significant, with_unit
 from piezoid.identification.extensions.mains_lines import MainsLines
 from piezoid.numerics.arrays import Array

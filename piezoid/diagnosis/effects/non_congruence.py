@@ -19,11 +19,11 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_DRIVE
+from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.effect import Effect, Structural, Tangent, Trial
-from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.planning.driven import Driven
+from piezoid.diagnosis.planning.drive_response import Driven
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import stroke_of, with_displacement
-from piezoid.diagnosis.view import View
 from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array

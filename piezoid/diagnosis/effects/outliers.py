@@ -21,9 +21,9 @@ import numpy as np
 from piezoid.diagnosis.appearance import OVER_TIME
 from piezoid.diagnosis.effect import Effect, Fault, FaultTest
 from piezoid.diagnosis.effects.quantisation import drive_step
+from piezoid.diagnosis.residual_view import View
+from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.signals import stroke_of, with_displacement
-from piezoid.diagnosis.tracks import Track
-from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.recording import Recording

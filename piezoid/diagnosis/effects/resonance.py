@@ -25,10 +25,10 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
-from piezoid.diagnosis.extended import without_memory
-from piezoid.diagnosis.planning.driven import Driven
+from piezoid.diagnosis.planning.drive_response import Driven
+from piezoid.diagnosis.refitted_view import without_memory
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import filtered_change, mode, through
-from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.linear_mode import LinearMode, StruckMode
 from piezoid.numerics.arrays import Array

@@ -27,9 +27,9 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
-from piezoid.diagnosis.planning.driven import Driven
+from piezoid.diagnosis.planning.drive_response import Driven
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import stroke_of, with_displacement
-from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.numerics.arrays import Array

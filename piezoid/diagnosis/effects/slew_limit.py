@@ -23,9 +23,9 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
-from piezoid.diagnosis.planning.driven import Driven
+from piezoid.diagnosis.planning.drive_response import Driven
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import drive_change, stroke_of, untested, with_displacement
-from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.slew_limit import SlewLimit
 from piezoid.numerics.arrays import Array
 from piezoid.operators.limits import slewed

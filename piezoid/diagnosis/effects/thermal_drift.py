@@ -23,9 +23,9 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
-from piezoid.diagnosis.planning.driven import Driven
+from piezoid.diagnosis.planning.drive_response import Driven
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import added_percent, seconds_of, with_added
-from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.thermal_drift import ThermalDrift
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording

@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.diagnosis.appearance import OVER_TIME
+from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.effect import Effect, Fault, FaultTest
 from piezoid.diagnosis.effects.outliers import without_spikes
-from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.signals import with_displacement
-from piezoid.diagnosis.slips import FEWEST as FEWEST_ROWS
-from piezoid.diagnosis.slips import (
+from piezoid.diagnosis.residual_view import View, with_tracks
+from piezoid.diagnosis.sample_slips import FEWEST as FEWEST_ROWS
+from piezoid.diagnosis.sample_slips import (
     OWN,
     Searched,
     Slip,
@@ -40,7 +40,7 @@ from piezoid.diagnosis.slips import (
     undone,
     width_of,
 )
-from piezoid.diagnosis.view import View, with_tracks
+from piezoid.diagnosis.signals import with_displacement
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 

@@ -2,5 +2,5 @@
 
 ``diagnosis.experiment`` selects with these modules.
 May import the effects and what the diagnosis imports.
-To add a candidate drive, add it to menu.py.
+To add a candidate drive, add it to candidate_drives.py.
 """

@@ -5,7 +5,7 @@ from math import isfinite
 from typing import Any
 
 from piezoid.diagnosis.experiment import Plan
-from piezoid.diagnosis.planning.question import (
+from piezoid.diagnosis.planning.open_questions import (
     HALF_95,
     POWER,
     Question,
@@ -13,8 +13,8 @@ from piezoid.diagnosis.planning.question import (
     expected_limit_m,
     is_open,
 )
+from piezoid.diagnosis.planning.plan_ranking import Alternative
 from piezoid.diagnosis.planning.separation import Told
-from piezoid.diagnosis.planning.table import Alternative
 from piezoid.digests import digest_of_bytes, seal
 from piezoid.formatting import significant, with_unit, words
 

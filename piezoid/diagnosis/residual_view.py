@@ -10,12 +10,12 @@ from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.history import History
+from piezoid.diagnosis.blocked_regression import Null
+from piezoid.diagnosis.drive_history import History
 from piezoid.diagnosis.initial_states import Reversals, hypotheses
 from piezoid.diagnosis.nuisance import NuisanceClass
-from piezoid.diagnosis.shape import BoucWenLaw
-from piezoid.diagnosis.tracks import BLOCKS, Places, Track
+from piezoid.diagnosis.nuisance_columns import BoucWenLaw
+from piezoid.diagnosis.segments import BLOCKS, Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
 from piezoid.numerics.noise import white_noise_rms

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.planning.bench import Bench
+from piezoid.diagnosis.planning.drive_limits import Bench
 from piezoid.numerics.arrays import Array
 from piezoid.records.excitation import Drive, DriveLimits
 from piezoid.records.full_range_drives import (

@@ -4,12 +4,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.diagnosis.planning.bench import Bench
-from piezoid.diagnosis.planning.driven import Driven
-from piezoid.diagnosis.planning.menu import MENU, Experiment, played
-from piezoid.diagnosis.planning.playing import driven_drive, usual_drives
-from piezoid.diagnosis.planning.question import Question, answers, left_open
+from piezoid.diagnosis.planning.candidate_drives import MENU, Experiment, played
+from piezoid.diagnosis.planning.drive_limits import Bench
+from piezoid.diagnosis.planning.drive_response import Driven
+from piezoid.diagnosis.planning.open_questions import Question, answers, left_open
 from piezoid.diagnosis.planning.separation import Errors, Told, told_apart
+from piezoid.diagnosis.planning.simulated_drives import driven_drive, usual_drives
 from piezoid.errors import ExcitationError
 from piezoid.identification.model import AxisModel
 from piezoid.records.excitation import Drive

@@ -5,17 +5,17 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.absence import absent
+from piezoid.diagnosis.blocked_regression import CrossValidated
 from piezoid.diagnosis.candidate import MINIMUM_Z
+from piezoid.diagnosis.detection_limits import absent
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import NotDetected
 from piezoid.diagnosis.effect import BETWEEN, Effect, Trial
 from piezoid.diagnosis.effects import gain_change, lag, slew_limit, thermal_drift
-from piezoid.diagnosis.folds import CrossValidated
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import ScoreTest
-from piezoid.diagnosis.search import Outcome
+from piezoid.diagnosis.selection import Outcome
 from piezoid.diagnosis.signals import with_displacement
-from piezoid.diagnosis.view import View
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
 from .bench import causes, recorded

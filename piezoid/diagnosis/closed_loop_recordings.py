@@ -17,11 +17,11 @@ from math import erfc, log, sqrt
 
 import numpy as np
 
+from piezoid.diagnosis.blocked_regression import gain_z
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Seen, Size, with_finding
 from piezoid.diagnosis.effects import effect_named, every_effect
-from piezoid.diagnosis.folds import gain_z
 from piezoid.diagnosis.rest_columns import BLOCKS, SLOWS, cubic, held
-from piezoid.diagnosis.unnamed import seen_in_classes
+from piezoid.diagnosis.structure_findings import seen_in_classes
 from piezoid.formatting import significant, with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.records.checks.feedback import held_span, is_held_throughout

@@ -17,7 +17,9 @@ from math import erfc, sqrt
 
 import numpy as np
 
+from piezoid.diagnosis.blocked_regression import gain_z
 from piezoid.diagnosis.budget import RemainingErrors, relative_scatter, with_budget
+from piezoid.diagnosis.coordinate_tests import highest
 from piezoid.diagnosis.diagnosis import (
     Diagnosis,
     FinalError,
@@ -29,10 +31,9 @@ from piezoid.diagnosis.diagnosis import (
     Unexplained,
     fraction_explained,
 )
-from piezoid.diagnosis.discovery import highest
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import effect_named, every_effect
-from piezoid.diagnosis.folds import gain_z
+from piezoid.diagnosis.residual_structure import NAME as SOMETHING_ELSE
 from piezoid.diagnosis.rest_columns import (
     BLOCKS,
     DRIFT,
@@ -46,10 +47,9 @@ from piezoid.diagnosis.rest_columns import (
     rest_columns,
     spectrum_of,
 )
+from piezoid.diagnosis.segments import Places
 from piezoid.diagnosis.signals import GRIDS_Hz
-from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
-from piezoid.diagnosis.tracks import Places
-from piezoid.diagnosis.unnamed import NEXT, seen_in_classes
+from piezoid.diagnosis.structure_findings import NEXT, seen_in_classes
 from piezoid.formatting import significant, with_unit
 from piezoid.identification.hysteresis.sensor_noise import noise_rms
 from piezoid.numerics.arrays import Array

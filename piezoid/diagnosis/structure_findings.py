@@ -5,11 +5,11 @@ from math import sqrt
 
 import numpy as np
 
+from piezoid.diagnosis.coordinate_tests import CoordinateScore
 from piezoid.diagnosis.diagnosis import Finding, HeldOut, Seen, Size, Unexplained
-from piezoid.diagnosis.discovery import CoordinateScore
 from piezoid.diagnosis.noise_level import NoiseLevel, excess_of
-from piezoid.diagnosis.something_else import NAME, Discovered
-from piezoid.diagnosis.view import View
+from piezoid.diagnosis.residual_structure import NAME, Discovered
+from piezoid.diagnosis.residual_view import View
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 

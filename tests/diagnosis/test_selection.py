@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import piezoid.diagnosis.diagnose as diagnose
-import piezoid.diagnosis.search as search
+import piezoid.diagnosis.selection as search
 from piezoid.diagnosis.attribution import Simulated
+from piezoid.diagnosis.blocked_regression import CrossValidated
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import (
@@ -19,12 +20,11 @@ from piezoid.diagnosis.effects import (
     non_congruence,
     thermal_drift,
 )
-from piezoid.diagnosis.extended import SelectedEffect
-from piezoid.diagnosis.folds import CrossValidated
 from piezoid.diagnosis.model_comparison import compare_models
+from piezoid.diagnosis.refitted_view import SelectedEffect
+from piezoid.diagnosis.residual_structure import Explained, without_names
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.signals import with_displacement
-from piezoid.diagnosis.something_else import Explained, without_names
 from piezoid.numerics.executor import SERIAL
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording

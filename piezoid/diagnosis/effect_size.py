@@ -20,9 +20,9 @@ import numpy as np
 
 from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.diagnosis import Size
-from piezoid.diagnosis.extended import SelectedEffect, driven, offset_of, undisturbed_for
 from piezoid.diagnosis.refinement import stepped
-from piezoid.diagnosis.view import View
+from piezoid.diagnosis.refitted_view import SelectedEffect, driven, offset_of, undisturbed_for
+from piezoid.diagnosis.residual_view import View
 from piezoid.numerics.arrays import Array
 
 NUDGE = 0.1  # of a parameter's width

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.diagnosis.initial_states import Reversals, memory_after
-from piezoid.diagnosis.shape import SHARED, THRESHOLD, rubbed, rubbing, shape
-from piezoid.diagnosis.tracks import Places, Track
+from piezoid.diagnosis.nuisance_columns import SHARED, THRESHOLD, rubbed, rubbing, shape
+from piezoid.diagnosis.segments import Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
 from piezoid.operators.play import play_columns, way_to

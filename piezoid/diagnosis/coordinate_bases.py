@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.tracks import Places, Track
-from piezoid.diagnosis.view import View
+from piezoid.diagnosis.residual_view import View
+from piezoid.diagnosis.segments import Places, Track
 from piezoid.numerics.arrays import Array
 
 KNOTS = 24  # of drive, displacement and reading: a twenty-third of the range is a feature

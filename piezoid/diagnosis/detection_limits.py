@@ -6,7 +6,7 @@ from piezoid.diagnosis.candidate import MINIMUM_SHARE, MINIMUM_Z, exceeds_struct
 from piezoid.diagnosis.diagnosis import NotDetected
 from piezoid.diagnosis.effect import BETWEEN, Effect
 from piezoid.diagnosis.score_test import ScoreTest
-from piezoid.diagnosis.search import Outcome
+from piezoid.diagnosis.selection import Outcome
 from piezoid.formatting import with_unit, words
 
 SPEEDS = (

@@ -9,8 +9,8 @@ import pytest
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effect import Found
 from piezoid.diagnosis.effects import resonance
-from piezoid.diagnosis.jumps import SETTLED, behind_jumps, modes_behind_jumps
-from piezoid.diagnosis.search import Outcome, search
+from piezoid.diagnosis.selection import Outcome, search
+from piezoid.diagnosis.step_responses import SETTLED, behind_jumps, modes_behind_jumps
 from piezoid.identification.extensions import LAYOUT_OF_EXTENSIONS
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array

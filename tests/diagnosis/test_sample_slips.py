@@ -11,10 +11,10 @@ from piezoid.diagnosis.diagnose import _seen_in, diagnose, view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import timestamp_fault
 from piezoid.diagnosis.effects.timestamp_fault import evidence_of
-from piezoid.diagnosis.ingested import with_ingested
-from piezoid.diagnosis.search import Outcome
-from piezoid.diagnosis.slips import Slip, beside, places_of, strongest
-from piezoid.diagnosis.view import with_tracks
+from piezoid.diagnosis.ingest_faults import with_ingested
+from piezoid.diagnosis.residual_view import with_tracks
+from piezoid.diagnosis.sample_slips import Slip, beside, places_of, strongest
+from piezoid.diagnosis.selection import Outcome
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Channel, Quantity
 from piezoid.statement import finding

@@ -14,15 +14,15 @@ from itertools import pairwise
 import numpy as np
 
 from piezoid.diagnosis.candidate import judged
+from piezoid.diagnosis.drive_history import History
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
 from piezoid.diagnosis.effects import every_effect
-from piezoid.diagnosis.extended import SelectedEffect
-from piezoid.diagnosis.history import History
 from piezoid.diagnosis.nuisance import NuisanceClass
 from piezoid.diagnosis.refinement import initial_guess, refined
+from piezoid.diagnosis.refitted_view import SelectedEffect
+from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.score_test import score_test
-from piezoid.diagnosis.tracks import BLOCKS, Track
-from piezoid.diagnosis.view import View, with_tracks
+from piezoid.diagnosis.segments import BLOCKS, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from piezoid.diagnosis.healthy import (
+from piezoid.diagnosis.null_distribution import (
     chance_of,
     least_chance,
     score_of,

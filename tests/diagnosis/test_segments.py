@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import lfilter
 
-from piezoid.diagnosis.tracks import tracks_of
+from piezoid.diagnosis.segments import tracks_of
 from piezoid.identification.hysteresis.pieces import Rig, scales_of
 
 from .play_stage import STROKE_m, drive, moved, recording

@@ -5,17 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.history import CHUNK, History, states_at
+from piezoid.diagnosis.drive_history import CHUNK, History, states_at
 from piezoid.diagnosis.initial_states import memory_after
 from piezoid.diagnosis.nuisance import KEPT, MEMORY, NuisanceClass
-from piezoid.diagnosis.shape import SHARED, THRESHOLD, rubbed, rubbing, shape_columns, states_under
-from piezoid.diagnosis.tracks import Track
-from piezoid.diagnosis.view import (
+from piezoid.diagnosis.nuisance_columns import (
+    SHARED,
+    THRESHOLD,
+    rubbed,
+    rubbing,
+    shape_columns,
+    states_under,
+)
+from piezoid.diagnosis.residual_view import (
     with_free_memory,
     with_let_through,
     with_reversals,
     with_tracks,
 )
+from piezoid.diagnosis.segments import Track
 from piezoid.operators.play import play_columns, way_to
 
 from .bench import healthy_view

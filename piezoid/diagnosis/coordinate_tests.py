@@ -26,7 +26,8 @@ from math import ceil, exp, floor, log, sqrt
 import numpy as np
 from scipy.special import chdtrc
 
-from piezoid.diagnosis.coordinates import (
+from piezoid.diagnosis.blocked_regression import FOLDS, Null
+from piezoid.diagnosis.coordinate_bases import (
     TIME_KNOTS,
     Basis,
     Signals,
@@ -38,9 +39,8 @@ from piezoid.diagnosis.coordinates import (
     travelled,
     waves,
 )
-from piezoid.diagnosis.folds import FOLDS, Null
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import GRIDS_Hz
-from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 
 SHIFTS = 99  # remainders in another place

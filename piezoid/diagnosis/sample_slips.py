@@ -31,12 +31,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.effect import Fault
-from piezoid.diagnosis.extended import SelectedEffect, extended
-from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.refitted_view import SelectedEffect, extended
+from piezoid.diagnosis.residual_view import View, with_tracks
+from piezoid.diagnosis.segments import Places, Track
 from piezoid.diagnosis.signals import answers_of_others
-from piezoid.diagnosis.tracks import Places, Track
-from piezoid.diagnosis.view import View, with_tracks
 from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array
 

@@ -9,11 +9,11 @@ from scipy.signal import lfilter
 
 import piezoid
 from piezoid.diagnosis.candidate import judged
+from piezoid.diagnosis.effect_size import size_of
 from piezoid.diagnosis.effects import amplifier_saturation, cross_coupling, mains_interference
 from piezoid.diagnosis.refinement import initial_guess, refined
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.signals import with_displacement
-from piezoid.diagnosis.sizes import size_of
 from piezoid_datasets.virtual_lab.campaign import Campaign, draw_campaign
 
 from .bench import recorded, view_of_recordings

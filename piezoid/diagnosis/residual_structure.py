@@ -24,8 +24,8 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.diagnosis.coordinates import Signals, along_displacement
-from piezoid.diagnosis.discovery import (
+from piezoid.diagnosis.coordinate_bases import Signals, along_displacement
+from piezoid.diagnosis.coordinate_tests import (
     SHIFTS,
     CoordinateScore,
     Remainder,
@@ -33,11 +33,11 @@ from piezoid.diagnosis.discovery import (
     everywhere,
     of_grid,
 )
-from piezoid.diagnosis.extended import SelectedEffect, extended
-from piezoid.diagnosis.healthy import chance_of, least_chance, score_of
-from piezoid.diagnosis.search import Outcome, search
-from piezoid.diagnosis.tracks import Track
-from piezoid.diagnosis.view import View, with_tracks
+from piezoid.diagnosis.null_distribution import chance_of, least_chance, score_of
+from piezoid.diagnosis.refitted_view import SelectedEffect, extended
+from piezoid.diagnosis.residual_view import View, with_tracks
+from piezoid.diagnosis.segments import Track
+from piezoid.diagnosis.selection import Outcome, search
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
 

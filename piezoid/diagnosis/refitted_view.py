@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.effect import Effect, Parameters
-from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.view import View, with_let_through
+from piezoid.diagnosis.residual_view import View, with_let_through
 from piezoid.numerics.arrays import Array
 
 CURVE = 3  # degree

@@ -5,7 +5,7 @@ from dataclasses import replace
 from math import hypot, sqrt
 
 from piezoid.diagnosis.effect import Fault
-from piezoid.diagnosis.search import Outcome
+from piezoid.diagnosis.selection import Outcome
 from piezoid.records.recording import Recording
 
 KINDS = ("gap", "duplicate_time", "time_reversed")

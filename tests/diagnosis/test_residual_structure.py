@@ -17,8 +17,8 @@ import pytest
 from benchmarks.goldens import artefacts_of
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.residual_structure import NAME
 from piezoid.diagnosis.sealed_diagnosis import SCHEMA, read_diagnosis, write_diagnosis
-from piezoid.diagnosis.something_else import NAME
 from piezoid.digests import unseal
 from piezoid.identification.fit import fit
 from piezoid_datasets.virtual_lab.campaign import draw_campaign

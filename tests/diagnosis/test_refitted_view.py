@@ -7,9 +7,9 @@ import pytest
 
 from piezoid.diagnosis.effect import Found, Parameters, Setting
 from piezoid.diagnosis.effects import amplifier_saturation, lag, slew_limit
-from piezoid.diagnosis.extended import SETTLED, SelectedEffect, driven, extended
 from piezoid.diagnosis.refinement import initial_guess, refined, stepped
-from piezoid.diagnosis.view import View
+from piezoid.diagnosis.refitted_view import SETTLED, SelectedEffect, driven, extended
+from piezoid.diagnosis.residual_view import View
 from piezoid.numerics.arrays import Array
 
 from .bench import healthy_view

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.planning.bench import Bench
-from piezoid.diagnosis.planning.driven import Driven, rows_of
+from piezoid.diagnosis.planning.drive_limits import Bench
+from piezoid.diagnosis.planning.drive_response import Driven, rows_of
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import starts_of
 from piezoid.numerics.arrays import Array

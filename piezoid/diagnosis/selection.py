@@ -17,7 +17,6 @@ from piezoid.diagnosis.candidate import (
 )
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import every_effect
-from piezoid.diagnosis.extended import extended
 from piezoid.diagnosis.forward_selection import SLIP, select_forward
 from piezoid.diagnosis.initial_state_search import (
     OTHER_INITIAL_STATES,
@@ -27,8 +26,9 @@ from piezoid.diagnosis.initial_state_search import (
     with_shared_initial_state,
 )
 from piezoid.diagnosis.model_comparison import Confounded, compare_models
+from piezoid.diagnosis.refitted_view import extended
+from piezoid.diagnosis.residual_view import View, with_shared_reversals, with_tracks
 from piezoid.diagnosis.score_test import ScoreTest, score_test
-from piezoid.diagnosis.view import View, with_shared_reversals, with_tracks
 from piezoid.formatting import words
 from piezoid.numerics.executor import SERIAL, Executor
 

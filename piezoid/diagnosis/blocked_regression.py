@@ -14,7 +14,7 @@ from math import erfc, log, sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.tracks import BLOCKS, Places
+from piezoid.diagnosis.segments import BLOCKS, Places
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
 
