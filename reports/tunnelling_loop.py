@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.identification.tunnelling.barrier_fit import JointBarrier
+from piezoid.identification.tunnelling.joint_barrier import JointBarrier
 from piezoid.identification.tunnelling.junction import noise_of_loop
 from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig, is_loop, read_loop
 from piezoid.identification.tunnelling.loop_model import LoopPlant, LoopSummary

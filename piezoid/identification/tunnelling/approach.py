@@ -1,15 +1,14 @@
 """ApproachCurve: one sweep of the tunnelling current over the tip's height.
 
-Where a sweep's current stands at the preamplifier's limit instead of following the gap.
-
-Next to the surface an exponential falls from its largest value P to 0.9 P within a fixed share of
-the height it needs from 0.9 P to 0.45 P,
+Rows at the preamplifier's limit are left out. They are recognised by their shape: next to the
+surface an exponential falls from its largest value P to 0.9 P within a fixed share of the height
+it needs from 0.9 P to 0.45 P,
 
     h(P to 0.9 P) / h(0.9 P to 0.45 P) = ln(1 / 0.9) / ln 2 = 0.152        whatever its decay,
 
-and a clipped one within a far larger one, whether its readings repeat exactly or carry noise from
-behind the clipping stage. Rows are counted instead of heights: noise of the current cannot move
-them in height.
+and a clipped one within a far larger share, whether its readings repeat exactly or carry noise
+from behind the clipping stage. Rows are counted instead of heights: noise of the current cannot
+move them in height.
 """
 
 import math

@@ -1,25 +1,14 @@
 """BarrierFit: the decay and apparent barrier of a junction, with interval and confidence.
 
-Covariance of an estimate whose residuals are correlated: leave out one block at a time.
-
 Neighbouring points of a sweep share drift, creep and vibration; an interval that counts them as
-independent is far too narrow. Blocks of neighbours, each holding an equal share of what is known
-about the decay, are left out in turn, which also charges the estimate for a model that does not
+independent is far too narrow. Blocks of neighbours, each holding an equal share of the information
+on the decay, are left out in turn, which also charges the estimate for a model that does not
 quite fit (jackknife form of the clustered sandwich; Bell & McCaffrey 2002).
-
-One barrier from sweeps and closed loop, where the two agree; where they do not, the reason.
-
-Both measure k, a sweep over the height it was given, the loop over the extension per volt it was
-given. Their ratio is free of the barrier:
-
-    k_loop / k_sweep = (true extension per volt) / (declared one)    if the sweep's height is true
-
-so that a disagreement says that one of the two calibrations, or the spot, is another.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,95 +29,14 @@ from piezoid.identification.tunnelling.weighted_fit import (
     fit_sweeps,
 )
 from piezoid.numerics.arrays import Array, freeze
-from piezoid.numerics.robust import student_quantile
+from piezoid.numerics.robust import NORMAL_95, student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
-from piezoid.record_json import Interval
-
-_NORMAL_95 = 1.959963984540054
 
 # Few enough that neighbours in different blocks are nearly independent: under a gap with 1/f
 # unrest of 2 pm, ten blocks held 83 % of 60 truths, five 98 %, a third wider.
-_BLOCKS = 8
-NORMAL_95 = 1.959963984540054
-
-
-@dataclass(frozen=True, kw_only=True)
-class JointBarrier:
-    """What sweeps and loop say together.
-
-    ratio           k of the loop over k of the sweeps, and its 95 % interval
-    agree           whether that interval holds 1
-    decay_per_m     weighted mean of both; None where they disagree
-    decay_interval_per_m  95 % of it; where they disagree, from the lower end of the lower to the
-                    upper end of the higher
-    barrier_eV, barrier_interval_eV  of the decay
-    """
-
-    ratio: float
-    ratio_interval: Interval
-    agree: bool
-    decay_per_m: float | None
-    decay_interval_per_m: Interval
-    barrier_eV: float | None
-    barrier_interval_eV: Interval
-
-
-def join_barriers(
-    sweeps: Sequence[tuple[float, Interval]], loop: tuple[float, Interval]
-) -> JointBarrier:
-    """Combine decays with their 95 % intervals, in the logarithm, by inverse variance.
-
-    sweeps  (decay, interval), 1/m, of all sweeps together or of parts that tell nothing of drift
-    loop    (decay, interval), 1/m
-
-    Parts that differ by more than their intervals allow widen the mean by that much
-    (Birge's ratio). An interval without an end counts as no information.
-    """
-    sweep, sweep_variance = _mean([_log(*pair) for pair in sweeps])
-    loop_log, loop_variance = _log(*loop)
-    half = _NORMAL_95 * math.sqrt(sweep_variance + loop_variance)
-    between = loop_log - sweep
-    agree = abs(between) <= half
-    joint = _mean([(sweep, sweep_variance), (loop_log, loop_variance)]) if agree else None
-    decay = None if joint is None else math.exp(joint[0])
-    ends = [*(interval for _, interval in sweeps), loop[1]]
-    interval = min(low for low, _ in ends), max(high for _, high in ends)
-    if joint is not None:
-        interval = _ends(joint[0], _NORMAL_95 * math.sqrt(joint[1]))
-    return JointBarrier(
-        ratio=math.exp(between),
-        ratio_interval=_ends(between, half),
-        agree=agree,
-        decay_per_m=decay,
-        decay_interval_per_m=interval,
-        barrier_eV=None if decay is None else barrier_of_decay(decay),
-        barrier_interval_eV=(barrier_of_decay(interval[0]), barrier_of_decay(interval[1])),
-    )
-
-
-def _log(decay: float, interval: Interval) -> tuple[float, float]:
-    low, high = interval
-    if not (low > 0.0 and math.isfinite(high)):
-        return math.log(decay), math.inf
-    return math.log(decay), (math.log(high / low) / (2.0 * _NORMAL_95)) ** 2
-
-
-def _mean(parts: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Mean and variance, widened where the parts scatter more than their variances say."""
-    weights = [1.0 / max(variance, 1e-30) for _, variance in parts]
-    total = sum(weights)
-    if not total > 0.0:
-        return sum(value for value, _ in parts) / len(parts), math.inf
-    mean = sum(w * value for w, (value, _) in zip(weights, parts, strict=True)) / total
-    known = [(w, value) for w, (value, _) in zip(weights, parts, strict=True) if w > 0.0]
-    excess = sum(w * (value - mean) ** 2 for w, value in known) / max(len(known) - 1, 1)
-    return mean, max(excess, 1.0) / total
-
-
-def _ends(center: float, half: float) -> Interval:
-    if not math.isfinite(half):
-        return 0.0, math.inf
-    return math.exp(center - half), math.exp(center + half)
+BLOCKS = 8
+MIN_POINTS = 20  # clear of the noise, to compare the slopes of both halves of a sweep
+TINY = 1e-300
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -197,14 +105,33 @@ def fit_barrier(
     wide interval, low confidence and reasons; it is not refused.
     """
     state = fit_sweeps(curves, chain or CurrentChain())
-    alone = _decays_alone(state, len(curves))
-    covariance, standard_offset_A, blocks = _covariance(state, len(curves))
-    interval = _decay_interval(state, covariance, alone, blocks)
-    interval = _with_calibration(state.fit.decay_per_m, interval, height_relative_uncertainty)
+    sweeps, decay = len(curves), state.fit.decay_per_m
+    root = np.sqrt(state.points.weight)
+    jacobian, residual = state.fit.jacobian(state.points) * root[:, None], state.residual_A * root
+    height_m = state.points.height_m
+    full, blocks = _block_covariance(jacobian, residual, height_m, 0)
+    offset, _ = _block_covariance(jacobian, residual, height_m, full.shape[0] - 1)
+    # ln I_0 = mean over sweeps of ln A + k z_0, with z_0 the lowest height.
+    to_pair = np.zeros((2, full.shape[0]))
+    to_pair[:, 0] = (1.0, state.lowest_m)
+    for sweep in range(sweeps):
+        to_pair[1, 1 + state.first_piece(sweep)] += 1.0 / sweeps
+    covariance = to_pair @ full @ to_pair.T
+    decays = _decay_of_each_sweep(state, sweeps)
+    plain = 1.0 / max(float(_information(jacobian, 0).sum()), TINY)
+    between = float(np.var(decays, ddof=1)) / sweeps if sweeps > 2 else 0.0
+    inflation = max(float(covariance[0, 0]) / plain, between / plain, 1.0)
+    quantile = float(student_quantile(0.975, max(blocks - 1, 1)))
+    low, high = profile_interval(state.points, state.fit, quantile**2 * inflation)
+    calibration = NORMAL_95 * height_relative_uncertainty * decay
+    interval = (
+        max(decay - math.hypot(decay - low, calibration), 0.0),
+        decay + math.hypot(high - decay, calibration),
+    )
     evidence = _evidence(state, curves, interval)
     confidence, reasons = judge(evidence)
-    decay = state.fit.decay_per_m
-    log_current = _log_current_at_zero(state, len(curves))
+    amplitude_A = [state.fit.amplitude_A[state.first_piece(n)] for n in range(sweeps)]
+    log_current = float(np.mean(np.log(np.maximum(amplitude_A, TINY)))) + decay * state.lowest_m
     return BarrierFit(
         labels=tuple(curve.label for curve in curves),
         polarity=state.polarity,
@@ -215,10 +142,10 @@ def fit_barrier(
         current_at_zero_height_A=math.exp(min(log_current, 700.0)),
         covariance=covariance,
         offset_A=state.polarity * state.fit.offset_A,
-        offset_standard_A=standard_offset_A,
+        offset_standard_A=math.sqrt(max(float(offset[-1, -1]), 0.0)),
         noise=state.noise,
         gap_jitter_m=state.noise.relative / decay,
-        sweep_decay_per_m=alone,
+        sweep_decay_per_m=decays,
         jumps=state.jumps,
         evidence=evidence,
         confidence=confidence,
@@ -226,71 +153,21 @@ def fit_barrier(
     )
 
 
-def _log_current_at_zero(state: WeightedFit, sweeps: int) -> float:
-    amplitude_A = [state.fit.amplitude_A[state.first_piece(n)] for n in range(sweeps)]
-    logs = np.log(np.maximum(amplitude_A, 1e-300))
-    return float(np.mean(logs)) + state.fit.decay_per_m * state.lowest_m
-
-
-def _decays_alone(state: WeightedFit, sweeps: int) -> tuple[float, ...]:
+def _decay_of_each_sweep(state: WeightedFit, sweeps: int) -> tuple[float, ...]:
     if sweeps == 1:
         return (state.fit.decay_per_m,)
-    decays = []
+    decays, points = [], state.points
     for sweep in range(sweeps):
-        mine = state.sweep_of_point == sweep
-        part = type(state.points)(
-            height_m=state.points.height_m[mine],
-            current_A=state.points.current_A[mine],
-            piece=np.unique(state.points.piece[mine], return_inverse=True)[1].astype(float),
-            weight=state.points.weight[mine],
+        chosen = state.sweep_of_point == sweep
+        part = replace(
+            points,
+            height_m=points.height_m[chosen],
+            current_A=points.current_A[chosen],
+            piece=np.unique(points.piece[chosen], return_inverse=True)[1].astype(float),
+            weight=points.weight[chosen],
         )
         decays.append(fit_exponential(part).decay_per_m)
     return tuple(decays)
-
-
-def _whitened(state: WeightedFit) -> tuple[Array, Array]:
-    root = np.sqrt(state.points.weight)
-    return state.fit.jacobian(state.points) * root[:, None], state.residual_A * root
-
-
-def _jackknife(state: WeightedFit, column: int) -> tuple[Array, int]:
-    """Block covariance by blocks that share what is known of one parameter; their number."""
-    jacobian, residual = _whitened(state)
-    score = partial_score(jacobian, column)
-    block = equal_information_blocks(state.points.height_m, score, count=_BLOCKS)
-    return leave_one_block_out(jacobian, residual, block), int(block.max()) + 1
-
-
-def _covariance(state: WeightedFit, sweeps: int) -> tuple[Array, float, int]:
-    """Block covariance of (k, ln I_0), standard deviation of the offset, number of blocks."""
-    full, blocks = _jackknife(state, 0)
-    # ln I_0 = mean over sweeps of ln A + k z_0, with z_0 the lowest height.
-    to_pair = np.zeros((2, full.shape[0]))
-    to_pair[:, 0] = (1.0, state.lowest_m)
-    for sweep in range(sweeps):
-        to_pair[1, 1 + state.first_piece(sweep)] += 1.0 / sweeps
-    of_offset = _jackknife(state, full.shape[0] - 1)[0][-1, -1]
-    return to_pair @ full @ to_pair.T, math.sqrt(max(float(of_offset), 0.0)), blocks
-
-
-def _decay_interval(
-    state: WeightedFit, covariance: Array, alone: tuple[float, ...], blocks: int
-) -> tuple[float, float]:
-
-    jacobian, _ = _whitened(state)
-    plain = 1.0 / max(float(partial_score(jacobian, 0).sum()), 1e-300)
-    between = float(np.var(alone, ddof=1)) / len(alone) if len(alone) > 2 else 0.0
-    inflation = max(float(covariance[0, 0]) / plain, between / plain, 1.0)
-    quantile = float(student_quantile(0.975, max(blocks - 1, 1)))
-    return profile_interval(state.points, state.fit, quantile**2 * inflation)
-
-
-def _with_calibration(
-    decay: float, interval: tuple[float, float], relative: float
-) -> tuple[float, float]:
-    scale = NORMAL_95 * relative * decay
-    low = decay - math.hypot(decay - interval[0], scale)
-    return max(low, 0.0), decay + math.hypot(interval[1] - decay, scale)
 
 
 def _evidence(
@@ -319,9 +196,9 @@ def _evidence(
 
 
 def _slope_change(state: WeightedFit) -> float:
-    """Relative difference of the decay of the far half to that of the near half."""
+    """Return the relative difference of the decay of the far half to that of the near half."""
     clear = state.clear > 0.0
-    if clear.sum() < 20:
+    if clear.sum() < MIN_POINTS:
         return 0.0
     height_m = state.points.height_m
     middle = 0.5 * (height_m[clear].min() + height_m[clear].max())
@@ -335,56 +212,44 @@ def _slope_change(state: WeightedFit) -> float:
     return float(far / near - 1.0)
 
 
-def equal_information_blocks(height_m: Array, score: Array, *, count: int) -> Array:
-    """Return the block of each point, (points,) whole numbers, neighbours in height together.
-
-    height_m  (points,)  m; points of several sweeps at one height share a block
-    score     (points,)  what each point knows about the parameter of interest, >= 0
-    count     blocks at most; fewer when single heights hold more than a share
-    """
-    heights, place = np.unique(height_m, return_inverse=True)
-    known = np.bincount(place, weights=score, minlength=len(heights))
-    share = (np.cumsum(known) - 0.5 * known) / max(float(known.sum()), 1e-300)
-    raw = np.minimum((share * count).astype(int), count - 1)
-    block: Array = np.unique(raw, return_inverse=True)[1][place].astype(np.float64)
-    return block
-
-
-def leave_one_block_out(jacobian: Array, residual: Array, block: Array) -> Array:
-    """Return the jackknife covariance of a least squares estimate, (parameters, parameters).
-
-        C = (G - 1)/G sum_g delta_g delta_g',   delta_g = -(H - H_g)^-1 J_g' r_g,   H = J' J
-
-    J  jacobian  (points, parameters)  whitened: divided by each point's standard deviation
-    r  residual  (points,)             whitened
-    g  block     (points,)             whole numbers from 0
-
-    What only one block knows (an amplitude inside it) is left to the pseudo-inverse.
-    """
-    information = jacobian.T @ jacobian
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    scaled = jacobian * scale
-    whole = scaled.T @ scaled
-    count = int(block.max()) + 1
-    covariance = np.zeros_like(whole)
-    for g in range(count):
-        part = scaled[block == g]
-        delta = np.linalg.pinv(whole - part.T @ part, rcond=1e-10) @ (
-            part.T @ residual[block == g]
-        )
-        covariance += np.outer(delta, delta)
-    unscaled: Array = covariance * (count - 1) / max(count, 1) * np.outer(scale, scale)
-    return unscaled
-
-
-def partial_score(jacobian: Array, column: int) -> Array:
-    """Return each point's share in the information about one parameter, the others unknown.
+def _information(jacobian: Array, column: int) -> Array:
+    """Return each point's share of the information on one parameter, the others unknown.
 
     jacobian  (points, parameters)  whitened
     returned  (points,)             squared, so that the sum is 1 / variance
     """
-    others = np.delete(jacobian, column, axis=1)
-    wanted = jacobian[:, column]
+    others, wanted = np.delete(jacobian, column, axis=1), jacobian[:, column]
     explained = others @ np.linalg.lstsq(others, wanted, rcond=None)[0]
-    share: Array = (wanted - explained) ** 2
-    return share
+    return np.asarray((wanted - explained) ** 2)
+
+
+def _block_covariance(
+    jacobian: Array, residual: Array, height_m: Array, column: int
+) -> tuple[Array, int]:
+    """Return the jackknife covariance of the parameters, and the number of blocks.
+
+        C = (G - 1)/G sum_g delta_g delta_g',   delta_g = -(H - H_g)^-1 J_g' r_g,   H = J' J
+
+    jacobian, residual  (points, parameters), (points,)  whitened
+    height_m            (points,)  blocks are neighbours in height; points of several sweeps at one
+                        height share a block
+    column              the parameter of which each block holds an equal share of information
+
+    Parameters that only one block determines (an amplitude inside it) are left to the
+    pseudo-inverse.
+    """
+    heights, row = np.unique(height_m, return_inverse=True)
+    known = np.bincount(row, weights=_information(jacobian, column), minlength=len(heights))
+    share = (np.cumsum(known) - 0.5 * known) / max(float(known.sum()), TINY)
+    block = np.unique(np.minimum((share * BLOCKS).astype(int), BLOCKS - 1), return_inverse=True)[1]
+    block = block[row]
+    scale = 1.0 / np.sqrt(np.maximum((jacobian**2).sum(axis=0), TINY))
+    scaled = jacobian * scale
+    information = scaled.T @ scaled
+    count = int(block.max()) + 1
+    covariance = np.zeros_like(information)
+    for g in range(count):
+        part, error = scaled[block == g], residual[block == g]
+        change = np.linalg.pinv(information - part.T @ part, rcond=1e-10) @ (part.T @ error)
+        covariance += np.outer(change, change)
+    return np.asarray(covariance * (count - 1) / count * np.outer(scale, scale)), count

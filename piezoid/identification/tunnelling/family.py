@@ -16,11 +16,10 @@ from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit
 from piezoid.identification.tunnelling.instrument_fit import bounds_of_logs
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.robust import student_quantile
+from piezoid.numerics.robust import NORMAL_95, student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
 
 _FEWEST_RECORDS = 3
-_NORMAL_95 = 1.959963984540054
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +70,7 @@ def spread_family(fits: Sequence[ClosedLoopFit], *, drive_gain_m_per_V: float) -
     logs = np.array([fit.logs for fit in fits])
     covariance, seen = _covariance_of_next(fits, logs)
     center = logs.mean(axis=0)
-    reach = _quantile(len(fits)) if seen else _NORMAL_95
+    reach = _quantile(len(fits)) if seen else NORMAL_95
     nominal = _plant(center, fits[0].plant)
     members = [nominal]
     spreads = []
@@ -118,10 +117,10 @@ def mean_of(fits: Sequence[ClosedLoopFit]) -> tuple[Array, Array]:
     own, between = _covariances(fits, logs)
     seen = between is not None
     total = np.diag(own if between is None else between + own)
-    reach = _quantile(len(fits)) if seen else _NORMAL_95
+    reach = _quantile(len(fits)) if seen else NORMAL_95
     if not seen:
         total = np.maximum(total, np.var(logs, axis=0, ddof=min(len(fits) - 1, 1)))
-    alike = _NORMAL_95**2 * np.diag(_common(fits))
+    alike = NORMAL_95**2 * np.diag(_common(fits))
     return logs.mean(axis=0), np.sqrt(reach**2 * total / len(fits) + alike)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from piezoid.errors import ExcitationError, RecordingError, UnitError
 from piezoid.identification.tunnelling.approach import ApproachCurve, Direction, read_approach
-from piezoid.identification.tunnelling.barrier_fit import BarrierFit, fit_barrier, join_barriers
+from piezoid.identification.tunnelling.barrier_fit import BarrierFit, fit_barrier
 from piezoid.identification.tunnelling.closed_loop import (
     ClosedLoopFit,
     Offset,
@@ -19,6 +19,7 @@ from piezoid.identification.tunnelling.closed_loop import (
 from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.family import spread_family
 from piezoid.identification.tunnelling.instrument_fit import ModeEstimate
+from piezoid.identification.tunnelling.joint_barrier import join_barriers
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig, is_loop, loops_of
 from piezoid.identification.tunnelling.loop_model import (

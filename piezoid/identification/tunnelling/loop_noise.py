@@ -16,7 +16,6 @@ from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRecord
-from piezoid.identification.tunnelling.loop_spectra import lines_of
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.robust import student_quantile
 
@@ -169,13 +168,11 @@ def power_density(signal: Array, sampling_rate_Hz: float) -> tuple[Array, Array]
     signal    (samples,)
     returned  frequencies and densities, unit^2/Hz; their sum times the spacing is the variance
     """
+    from scipy.signal import welch
+
     length = min(int(2 ** np.floor(np.log2(len(signal) / 4))), int(sampling_rate_Hz))
-    window = np.hanning(length + 1)[:-1]
-    blocks = np.lib.stride_tricks.sliding_window_view(signal, length)[:: length // 2]
-    power = np.mean(np.abs(np.fft.rfft(blocks * window, axis=1)) ** 2, axis=0)
-    density: Array = 2.0 * power / (sampling_rate_Hz * np.sum(window**2))
-    density[0] /= 2.0
-    return lines_of(length, sampling_rate_Hz), density
+    frequency_Hz, density = welch(signal, sampling_rate_Hz, nperseg=length, detrend=False)
+    return np.asarray(frequency_Hz), np.asarray(density)
 
 
 def is_long_enough(record: LoopRecord) -> bool:

@@ -99,12 +99,6 @@ def spectra_of_all(record: LoopRecord, *, highest_Hz: float) -> LoopSpectra:
     return _lines(spectra, inside)
 
 
-def lines_of(length: int, sampling_rate_Hz: float) -> Array:
-    """Return the frequencies of a real Fourier transform, (length // 2 + 1,) Hz."""
-    half = length // 2
-    return np.linspace(0.0, half * sampling_rate_Hz / length, half + 1)
-
-
 def _is_mains(frequency_Hz: Array, resolution_Hz: float) -> NDArray[np.bool_]:
     """Which lines a harmonic of the mains falls on, to half a line."""
     hit = np.zeros(len(frequency_Hz), dtype=bool)
@@ -156,7 +150,7 @@ def _cut(
         blocks = np.lib.stride_tricks.sliding_window_view(signal, length)[::advance]
         transformed.append(np.fft.rfft(blocks * window, axis=1))
     return LoopSpectra(
-        frequency_Hz=lines_of(length, record.sampling_rate_Hz),
+        frequency_Hz=np.asarray(np.fft.rfftfreq(length, 1.0 / record.sampling_rate_Hz), float),
         reference=transformed[0],
         drive=transformed[1],
         output=transformed[2],

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.identification.tunnelling.approach import Direction
-from piezoid.identification.tunnelling.barrier_fit import BarrierFit, JointBarrier
+from piezoid.identification.tunnelling.barrier_fit import BarrierFit
 from piezoid.identification.tunnelling.confidence import Confidence
+from piezoid.identification.tunnelling.joint_barrier import JointBarrier
 from piezoid.identification.tunnelling.loop_model import LoopPlant
 from piezoid.identification.tunnelling.sweep_pairs import (
     DirectionShift,

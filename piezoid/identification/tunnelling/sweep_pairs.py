@@ -23,10 +23,10 @@ import numpy as np
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.approach import ApproachCurve, Direction
-from piezoid.identification.tunnelling.barrier_fit import NORMAL_95, BarrierFit, fit_barrier
+from piezoid.identification.tunnelling.barrier_fit import BarrierFit, fit_barrier
 from piezoid.identification.tunnelling.confidence import Confidence, Reason, judge
 from piezoid.identification.tunnelling.weighted_fit import CLEAR_OF_FLOOR
-from piezoid.numerics.robust import student_quantile
+from piezoid.numerics.robust import NORMAL_95, student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid.record_json import Interval
 

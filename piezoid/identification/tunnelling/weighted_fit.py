@@ -1,10 +1,8 @@
-"""The fit of the gap law with the noise the data show: mean and noise in turn, jumps let in.
+"""Fit the gap law to several sweeps: current and noise in turn, with tip jumps as steps.
 
-Tip jumps: the current steps at one height because the tip changed, not the gap.
-
-A jump is a step of the log current that its neighbourhood does not share. It is sought where the
-current stands clear of the floor, by the medians on either side of each place, against the
-spread of the same statistic everywhere else: a smooth misfit moves all places alike.
+At a tip jump the log current steps at one height because the tip changed, not the gap. Jumps are
+sought where the current is clear of the floor, by the medians on either side of each point,
+against the spread of the same statistic at all other points: a smooth misfit moves all alike.
 """
 
 from collections.abc import Sequence
