@@ -29,7 +29,7 @@ MAX_UNACCOUNTED = 0.01
 SPARE_STEPS = 3
 MAX_COUNTABLE = 1e12  # units: beyond, a double rounds too coarsely to show printed digits
 MAX_RARE = 0.01  # of the steps
-MIN_INTERVAL_s, MAX_INTERVAL_s = 1e-15, 1e30  # beyond, rates leave the range of numbers
+MIN_INTERVAL_s, MAX_INTERVAL_s = 1e-13, 1e9  # of anything that is recorded
 MAX_LOST = 2.0**53  # samples in one gap: a damaged stamp may lie anywhere
 _MAX_PLACES = 3  # in a message
 
@@ -66,7 +66,7 @@ def read_clock(time_s: Array, name: str, place: PlaceOf) -> Clock:
     refuse_newest_first(time_s, name, place)
     resolution_s = print_resolution_s(time_s)
     uniform_s = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
-    if 0 < uniform_s < MIN_INTERVAL_s:
+    if 0 < uniform_s < MIN_INTERVAL_s or uniform_s > MAX_INTERVAL_s:
         raise _no_clock(name, f"time stamps {uniform_s:.3g} s apart", "the steps of a clock")
     # Rounding is off by half a unit; the fitted line may be off by a quarter more.
     tolerance_s = 0.75 * resolution_s + 8 * np.spacing(np.abs(time_s).max())

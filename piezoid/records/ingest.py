@@ -197,6 +197,7 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
     rows = rows.cut(_selected_samples(entry, clock, len(rows.position)))
     invalid = find_invalid_samples(_sensor_columns(assignment, rows), rows.source_place(table))
     channels = _channels(assignment, rows, invalid)
+    _refuse_impossible_sizes(table, assignment, channels)
     axis, axis_statements = _select_axis(entry, channels, lab.place)
     quantities = {a.column.number: a.quantity for a in assignment.channels if a.quantity}
     reported = {(s.quantity, s.place) for s in invalid.statements}
@@ -255,6 +256,40 @@ def _channels(
         for k, assigned in enumerate(assignment.channels)
         if assigned.quantity is not None
     )
+
+
+# Peak to peak of a channel that moves, in SI units, and the sampling rate: no laboratory has more.
+_POSSIBLE = {Quantity.DISPLACEMENT: (1e-13, 1.0), Quantity.VOLTAGE: (1e-6, 1e6)}
+_USUAL_m = (1e-8, 1e-3)
+_LENGTHS_m = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
+
+
+def _refuse_impossible_sizes(
+    table: RawTable, assignment: Assignment, channels: Sequence[Channel]
+) -> None:
+    """Refuse a motion or a voltage of a size that no laboratory has: its unit is another one."""
+    used = [assigned for assigned in assignment.channels if assigned.quantity is not None]
+    driven = {c.axis for c in channels if c.quantity is Quantity.VOLTAGE and np.ptp(c.values) > 0}
+    for assigned, channel in zip(used, channels, strict=True):
+        low, high = _POSSIBLE.get(channel.quantity, (0.0, np.inf))
+        size = float(np.ptp(channel.values))
+        is_moved = channel.quantity is Quantity.VOLTAGE or channel.axis in driven
+        if channel.is_counted or size == 0.0 or not (size > high or (size < low and is_moved)):
+            continue
+        usual = [
+            unit
+            for unit, factor in _LENGTHS_m.items()
+            if channel.quantity is Quantity.DISPLACEMENT
+            and _USUAL_m[0] <= size / assigned.unit.factor * factor <= _USUAL_m[1]
+        ]
+        unit = channel.quantity.value
+        instead = f"In {' or '.join(usual)} it would be usual. " if usual else ""
+        raise UnitError(
+            f"{table.name}: {assigned.column.place} in {assigned.unit.symbol} goes over "
+            f"{size:.3g} {unit}",
+            needed=f"a range from {low:g} to {high:g} {unit}",
+            remedy=f"{instead}Write its unit under units of its [[recording]] in lab.toml.",
+        )
 
 
 def _select_axis(

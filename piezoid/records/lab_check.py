@@ -33,6 +33,7 @@ _NOT_NEGATIVE = (
 _NOT_ZERO = ("gain_V_per_V", "gain_m_per_V", "gain_V_per_m", "set_point_A", "scale")
 _SHARES = ("extension_uncertainty",)
 _LARGEST_BITS = 64
+_RATES_Hz = 1e-6, 1e12  # of any bandwidth or clock on a bench
 # Beyond this nothing on a bench is, and squares and quotients leave the range of numbers.
 _SMALLEST, _LARGEST = 1e-30, 1e30
 
@@ -48,6 +49,9 @@ def check_number(path: Path, place: str, key: str, value: object) -> None:
         raise refusal(path, f"{place} {key} is {found}", f"a number, {needed}")
     if key in _POSITIVE and not value > 0:
         raise refusal(path, f"{place} {key} is {value}", "a number above zero")
+    if key.endswith("_Hz") and not _RATES_Hz[0] <= value <= _RATES_Hz[1]:
+        low_Hz, high_Hz = _RATES_Hz
+        raise refusal(path, f"{place} {key} is {value}", f"{low_Hz:g} to {high_Hz:g} Hz")
     if key in _NOT_NEGATIVE and not value >= 0:
         raise refusal(path, f"{place} {key} is {value}", "zero or more")
     if key in _NOT_ZERO and value == 0:

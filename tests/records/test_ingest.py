@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezoid.errors import LabFileError, UnitError
+from piezoid.errors import LabFileError, RecordingError, UnitError
 from piezoid.records.ingest import ingest, ingest_all
 from piezoid.records.lab import Acquisition, Lab, RecordingEntry, Sensor
 from piezoid.records.recording import Quantity
@@ -177,3 +177,28 @@ def test_the_same_file_gives_the_same_recording(tmp_path: Path) -> None:
     first, second = ingest(path), ingest(path)
     np.testing.assert_array_equal(first.displacement_m(), second.displacement_m())
     assert first.digest == second.digest
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "said"),
+    [
+        ("nm", 1e-6, "In m or mm it would be usual"),  # metres, labelled nm
+        ("um", 1e24, "to 1 m"),
+        ("um", 1e-310, "to 1 m"),
+    ],
+)
+def test_a_motion_of_a_size_that_no_stage_has_is_refused_with_the_usual_unit(
+    unit: str, factor: float, said: str, tmp_path: Path
+) -> None:
+    rows = "".join(f"{k / 100},{k % 20},{1.7 * (k % 20) * factor!r}\n" for k in range(200))
+    (tmp_path / "s.csv").write_text(f"time [s],voltage [V],position [{unit}]\n{rows}")
+    with pytest.raises(UnitError, match=said):
+        ingest(tmp_path / "s.csv")
+
+
+@pytest.mark.parametrize("factor", [1e24, 1e-310])
+def test_time_stamps_that_no_recording_has_are_refused(factor: float, tmp_path: Path) -> None:
+    rows = "".join(f"{k * factor!r},{k % 20},{k % 20}\n" for k in range(200))
+    (tmp_path / "s.csv").write_text(f"time [s],voltage [V],position [um]\n{rows}")
+    with pytest.raises(RecordingError, match="s apart"):
+        ingest(tmp_path / "s.csv")

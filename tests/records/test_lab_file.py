@@ -125,3 +125,8 @@ def test_a_key_that_another_missing_key_would_silence_is_refused(
 ) -> None:
     with pytest.raises(LabFileError, match=needed):
         lab_of(text, tmp_path)
+
+
+def test_a_bandwidth_that_nothing_has_is_refused_with_its_number(tmp_path: Path) -> None:
+    with pytest.raises(LabFileError, match="bandwidth_Hz is 1e-20"):
+        lab_of("[amplifier]\nbandwidth_Hz = 1e-20\n", tmp_path)
