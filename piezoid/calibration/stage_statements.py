@@ -60,7 +60,7 @@ def stage_statements(
     statements += _tip(model)
     statements += [_limit(Level.ACTION, "not_used", text) for text in model.remarks]
     statements += [
-        _limit(Level.NOTE, fact.quantity, f"{recording.name}: {fact.text}")
+        _limit(fact.level, fact.quantity, f"{recording.name}: {fact.text}")
         for recording in recordings
         for fact in recording.statements
     ]

@@ -183,7 +183,9 @@ def _step_between_cycles(reading: Array, drive: Array) -> tuple[BaselineStep, ..
     size, instant = float(means[start]), start + 2 * period
     others = np.concatenate([means[: max(start - period, 0)], means[start + period :]])
     scatter = 1.4826 * float(np.median(np.abs(np.diff(difference)))) / np.sqrt(2.0 * period)
-    if not len(others) or abs(size) < MIN_STEP_RATIO * max(float(np.abs(others).max()), scatter):
+    if not len(others):
+        return ()
+    if not abs(size) > MIN_STEP_RATIO * max(float(np.abs(others).max()), scatter):
         return ()
     in_period = np.zeros(len(difference), dtype=bool)
     in_period[start : start + period] = True

@@ -1,4 +1,4 @@
-"""The files of a stage, sorted: recordings over time, over a frequency, and over a height."""
+"""Collect the files of a stage: recordings over time, frequency responses, sweeps over height."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -36,15 +36,15 @@ class Collection:
     def __len__(self) -> int:
         return len(self.recordings)
 
-    def __getitem__(self, wanted: int | str) -> Recording:
+    def __getitem__(self, key: int | str) -> Recording:
         """Return a recording by its place or its name, or refuse naming those there are."""
-        if isinstance(wanted, int):
-            return self.recordings[wanted]
+        if isinstance(key, int):
+            return self.recordings[key]
         for recording in self.recordings:
-            if recording.name == wanted:
+            if recording.name == key:
                 return recording
         raise RecordingError(
-            f"no recording is called {wanted!r}",
+            f"no recording is called {key!r}",
             needed=f"one of {', '.join(recording.name for recording in self.recordings)}",
             remedy="Name one of those, or read its file as well.",
         )
@@ -52,30 +52,29 @@ class Collection:
     def _repr_html_(self) -> str:
         rows = [(r.name, f"{r.samples} samples, axis {r.axis}") for r in self.recordings]
         rows += [(sweep.name, f"{sweep.rows} rows over height") for sweep in self.sweeps]
-        rows += [(one.name, "frequency response") for one in self.responses]
+        rows += [(r.name, "frequency response") for r in self.responses]
         return html_table(f"{len(self.recordings)} recordings", rows)
 
 
 def collection_of(given: object) -> Collection:
     """Return what was passed for recordings as a collection, or refuse what is none.
 
-    given  a Collection, a Recording, or several of these
+    given  a Collection, a Recording, or several recordings
     """
     if isinstance(given, Collection):
         return given
-    several = (
-        (given,) if isinstance(given, Recording) or not isinstance(given, Iterable) else given
-    )
-    held = tuple(several)
-    for one in held:
-        if not isinstance(one, Recording):
+    several = [given] if isinstance(given, Recording) or not isinstance(given, Iterable) else given
+    recordings: list[Recording] = []
+    for recording in several:
+        if not isinstance(recording, Recording):
             raise RecordingError(
-                f"{type(one).__name__} given as a recording",
+                f"{type(recording).__name__} given as a recording",
                 needed="a Recording, what piezoid.read returned, or several of them",
-                remedy="Read files with piezoid.read, arrays with from_arrays, a data "
+                remedy="Read files with piezoid.read, arrays with piezoid.from_arrays, a data "
                 "frame with piezoid.from_frame.",
             )
-    return Collection(recordings=held)
+        recordings.append(recording)
+    return Collection(recordings=tuple(recordings))
 
 
 def collect(paths: Iterable[Path], lab: Lab | None = None) -> Collection:

@@ -1,4 +1,4 @@
-"""What a column measures and on which axis, told from its name and its unit alone."""
+"""Find what a column measures and on which axis, from its name and its unit alone."""
 
 import re
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Role(Enum):
 class Meaning:
     """What one column is taken for.
 
-    role      time, a channel, or nothing of ours
+    role      time, a channel, or not read
     quantity  of a channel
     axis      of a channel; None where the name does not say
     by_name   True where the name says the quantity; False where only the unit does
@@ -78,7 +78,7 @@ _NAME_WORDS = {
 
 # Columns of the right unit that are not what was applied or measured: a wish, a difference, a
 # property of an oscillation, the bias of the sample, a part of a complex response.
-_FOREIGN_WORDS = frozenset(
+_OTHER_WORDS = frozenset(
     {
         "setpoint", "target", "desired", "error", "reference", "ref", "command", "commanded",
         "amplitude", "phase", "bias", "excitation", "offset", "std", "stddev", "model", "fit",
@@ -92,10 +92,10 @@ _AXES = ("x", "y", "z")
 
 
 def meaning_of(heading: Heading) -> Meaning:
-    """Tell what a column is from its name, and from its unit where the name does not say.
+    """Return what a column is by its name, or by its unit if the name does not say.
 
-    A name and a unit that contradict each other are left to ``assignment.py``, which knows whether
-    lab.toml declares the sensor gain that reconciles them.
+    A name and a unit that contradict each other are resolved in columns.py, with the sensor gain
+    that lab.toml may declare.
     """
     words, axis = _words_of(heading.stem)
     dimension = None if heading.unit is None else heading.unit.dimension
@@ -103,9 +103,11 @@ def meaning_of(heading: Heading) -> Meaning:
     if is_abscissa or (words & _TIME_WORDS and dimension in (None, Dimension.TIME)):
         return Meaning(role=Role.TIME)
     named = [quantity for quantity, names in _NAME_WORDS.items() if words & names]
-    foreign = words & _FOREIGN_WORDS
-    if foreign and not (dimension is Dimension.VOLTAGE and "command" in foreign):
-        return _unread(f"named {min(foreign)!r}: neither applied to the stage nor measured on it")
+    other_words = words & _OTHER_WORDS
+    if other_words and not (dimension is Dimension.VOLTAGE and "command" in other_words):
+        return _unread(
+            f"named {min(other_words)!r}: neither applied to the stage nor measured on it"
+        )
     if named == [Quantity.VOLTAGE, Quantity.DISPLACEMENT]:
         named = [Quantity.DISPLACEMENT]  # ``sensor voltage``: a position that comes as volts
     if len(named) == 1:
@@ -116,8 +118,8 @@ def meaning_of(heading: Heading) -> Meaning:
 def _from_unit(dimension: Dimension | None, axis: str | None, heading: Heading) -> Meaning:
     if dimension is Dimension.TIME:
         return _unread("a time that the name does not call the clock")
-    for quantity, wanted in DIMENSION_OF.items():
-        if wanted is dimension and dimension is not Dimension.RATIO:
+    for quantity, expected in DIMENSION_OF.items():
+        if expected is dimension and dimension is not Dimension.RATIO:
             return Meaning(role=Role.CHANNEL, quantity=quantity, axis=axis)
     if heading.unit is None:
         return _unread("neither name nor unit says what it is")

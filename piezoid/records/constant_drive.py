@@ -1,4 +1,4 @@
-"""Whether a stage's drive rests: dead, or no more than the noise of its own reading."""
+"""Decide whether a drive is constant, and whether a response follows the steps of a drive."""
 
 from math import sqrt
 
@@ -8,55 +8,57 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.recording import Recording
 
-NOISE = 10.0  # times its rms: a range that normal noise does not reach in any recording
-# Of a drive drawn anew at every sample the differences look like noise as well; there the sensor
-# follows it. Behind a lag of ten samples the largest correlation is 0.3, and of two independent
-# signals one in a million goes beyond five standard errors.
-FOLLOWS, ERRORS = 0.3, 5.0
-# White drives into modes of Q 0.5 to 40 leave 0.3 to 0.04, outsiders' wideband recordings 0.1 to
-# 5, sensors that servos of a gain of 0.02 to 0.6 a sample hold 0.001; a white drive that is
-# followed at once 1. The steps of such a servo's drive correlate by - 0.33 at least.
-ANSWERS, AT_ONCE, WHITE = 0.03, 0.3, -0.4
+NOISE_RANGE = 10.0  # standard deviations: a range that Gaussian noise does not reach
+# The differences of a white drive look like noise as well; there the sensor follows it. Behind a
+# lag of ten samples the largest correlation is 0.3; of two independent signals one in a million
+# exceeds five standard errors.
+MIN_CORRELATION, STANDARD_ERRORS = 0.3, 5.0
+# White drives into modes of Q 0.5 to 40 give 0.3 to 0.04, wideband recordings of other simulators
+# 0.1 to 5, sensors held by servos of a gain of 0.02 to 0.6 a sample 0.001; a white drive that is
+# followed at once 1. The steps of such a servo's drive correlate by -0.33 at least.
+MIN_SPREAD, MIN_AT_ONCE, MAX_WHITE = 0.03, 0.3, -0.4
 LAGS = 64  # samples by which a stage may follow
 
 
 def is_at_rest(recording: Recording, axis: str) -> bool:
-    """Tell whether the drive of an axis does nothing but read its own noise."""
+    """Return whether the drive of an axis is constant within the noise of its reading."""
     voltage_V = recording.voltage_V(axis)
     if not np.ptp(voltage_V) > 0.0:
         return True
-    if np.ptp(voltage_V) > NOISE * white_noise_rms(voltage_V):
+    if np.ptp(voltage_V) > NOISE_RANGE * white_noise_rms(voltage_V):
         return False
     return not follows(voltage_V, recording.displacement_m(axis))
 
 
 def follows(drive: Array, response: Array) -> bool:
-    """Tell whether a response follows the steps of a drive within some samples, however little.
+    """Return whether a response follows the steps of a drive, however little.
 
-    Either more after it than before it, or so much that hum in both channels could not.
+    It correlates more after a step than before it, or by more than hum in both channels could.
     """
-    spread, after, count = _after(drive, response)
+    spread, after, count = _correlations(drive, response)
     error = sqrt(8.0 * LAGS) / count  # neighbours share a sample: twice that of white signals
     largest = float(np.abs(after).max())
-    return spread > ERRORS * error or largest > max(FOLLOWS, ERRORS / sqrt(count))
+    return spread > STANDARD_ERRORS * error or largest > max(
+        MIN_CORRELATION, STANDARD_ERRORS / sqrt(count)
+    )
 
 
 def answers(drive: Array, response: Array) -> bool:
-    """Tell whether the steps of a response are, for a good part, the answer to those of a drive.
+    """Return whether the steps of a response are, to a large part, the answer to those of a drive.
 
     Under feedback the drive takes up what the sensor reads, and the stage follows a sample later:
     r(1) = - r(0), whose product is taken off. Of a drive drawn anew at every sample, whose own
     steps correlate by - 1/2, the answer looks like that, and no servo's drive is.
     """
-    spread, after, count = _after(drive, response)
+    spread, after, count = _correlations(drive, response)
     steps = np.diff(drive)
-    is_white = float(steps[1:] @ steps[:-1]) < WHITE * float(steps @ steps)
+    is_white = float(steps[1:] @ steps[:-1]) < MAX_WHITE * float(steps @ steps)
     returned = 0.0 if is_white else max(0.0, -float(after[0] * after[1]))
-    least = max(ANSWERS, ERRORS * sqrt(8.0 * LAGS) / count)
-    return spread - returned > least or float(after[0]) ** 2 - returned > AT_ONCE
+    threshold = max(MIN_SPREAD, STANDARD_ERRORS * sqrt(8.0 * LAGS) / count)
+    return spread - returned > threshold or float(after[0]) ** 2 - returned > MIN_AT_ONCE
 
 
-def _after(drive: Array, response: Array) -> tuple[float, Array, int]:
+def _correlations(drive: Array, response: Array) -> tuple[float, Array, int]:
     """Return the sum of squares after less before, r(0) ... r(LAGS), and the number of steps.
 
     A mode spreads what follows over many lags. The squares of all of them are summed,

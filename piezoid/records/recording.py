@@ -191,7 +191,7 @@ class Recording:
         return None
 
     def voltage_V(self, axis: str | None = None) -> Array:
-        """Return the drive voltage of an axis (default: the recording's own), or refuse.
+        """Return the drive voltage of an axis (default: the axis of the recording), or refuse.
 
         >>> recordings["sweep.csv"].voltage_V().shape
         (2500,)
@@ -199,7 +199,7 @@ class Recording:
         return self._values(Quantity.VOLTAGE, axis)
 
     def displacement_m(self, axis: str | None = None) -> Array:
-        """Return the measured displacement of an axis (default: the recording's own).
+        """Return the measured displacement of an axis (default: the axis of the recording).
 
         >>> recordings["sweep.csv"].displacement_m("x").shape
         (2500,)
@@ -207,7 +207,7 @@ class Recording:
         return self._values(Quantity.DISPLACEMENT, axis)
 
     def tunnel_current_A(self, axis: str | None = None) -> Array:
-        """Return the tunnelling current of an axis (default: the recording's own).
+        """Return the tunnelling current of an axis (default: the axis of the recording).
 
         >>> recordings["sweep.csv"].tunnel_current_A()
         Traceback (most recent call last):
@@ -216,12 +216,12 @@ class Recording:
         return self._values(Quantity.CURRENT, axis)
 
     def _values(self, quantity: Quantity, axis: str | None) -> Array:
-        wanted = self.axis if axis is None else axis
-        channel = self.find(quantity, wanted)
+        axis = self.axis if axis is None else axis
+        channel = self.find(quantity, axis)
         if channel is None:
-            held = ", ".join(f"{c.quantity.name.lower()} of {c.axis}" for c in self.channels)
+            channels = ", ".join(f"{c.quantity.name.lower()} of {c.axis}" for c in self.channels)
             raise RecordingError(
-                f"{self.name}: no {quantity.name.lower()} of axis {wanted!r}, only {held}",
+                f"{self.name}: no {quantity.name.lower()} of axis {axis!r}, only {channels}",
                 needed=f"a column with the {quantity.name.lower()} of that axis",
                 remedy="Name the column in lab.toml, or leave this recording out.",
             )

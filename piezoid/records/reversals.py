@@ -1,17 +1,17 @@
-"""Where a drive turns: the ends of its monotone branches."""
+"""Find the turning points of a drive: the ends of its monotone branches."""
 
 import numpy as np
 
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
 
-SURE = 6.0  # times the noise of its reading: no excursion of a drive that stands
-MOST = 0.2  # of the drive's range: one drawn anew at every sample would pass for noise throughout
+NOISE_BAND = 6.0  # standard deviations; the reading of a constant drive stays within it
+MAX_SHARE = 0.2  # of the drive's range: a white drive would pass for noise throughout
 
 
 def noise_of(drive: Array) -> float:
     """Return the largest excursion of a drive that its reading's noise makes, in its unit."""
-    return min(SURE * white_noise_rms(drive), MOST * float(np.ptp(drive)))
+    return min(NOISE_BAND * white_noise_rms(drive), MAX_SHARE * float(np.ptp(drive)))
 
 
 def reversals_of(voltage_V: Array, noise_V: float) -> tuple[int, ...]:
@@ -24,7 +24,7 @@ def reversals_of(voltage_V: Array, noise_V: float) -> tuple[int, ...]:
     noise_V    scalar      V, >= 0
     returned   indices, increasing, without the first and the last sample
     """
-    found: list[int] = []
+    turns: list[int] = []
     high = low = 0
     direction = 0
     for k, value in enumerate(voltage_V.tolist()):
@@ -34,10 +34,10 @@ def reversals_of(voltage_V: Array, noise_V: float) -> tuple[int, ...]:
             low = k
         if direction >= 0 and voltage_V[high] - value > noise_V:
             if direction > 0 or high > 0:
-                found.append(high)
+                turns.append(high)
             direction, low, high = -1, k, k
         elif direction <= 0 and value - voltage_V[low] > noise_V:
             if direction < 0 or low > 0:
-                found.append(low)
+                turns.append(low)
             direction, low, high = 1, k, k
-    return tuple(found)
+    return tuple(turns)

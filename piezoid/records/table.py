@@ -1,4 +1,4 @@
-"""RawTable: what every reader returns, columns as they stand in the file, whatever they mean."""
+"""RawTable: the columns of a file as a reader returns them, not yet interpreted."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -23,7 +23,7 @@ def rate_of(interval_s: float | None) -> float | None:
     return 1 / interval_s if interval_s is not None and is_one else None
 
 
-def _as_found(values: ArrayLike) -> Array:
+def _read_only(values: ArrayLike) -> Array:
     """Return a read-only float64 copy; other than in a recording, NaN is kept."""
     array = np.array(values, dtype=np.float64, order="C", copy=True).reshape(-1)
     array[~(np.abs(array) < LARGEST)] = np.nan
@@ -48,14 +48,14 @@ class Column:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "label", self.label[:MAX_HEADING])
-        object.__setattr__(self, "values", _as_found(self.values))
+        object.__setattr__(self, "values", _read_only(self.values))
 
     @property
     def heading(self) -> Heading:
         """Name and unit; a unit stated by the format goes before one in the heading."""
-        found = heading_of(self.label)
+        heading = heading_of(self.label)
         declared = unit_of(self.declared_unit) if self.declared_unit.strip() else None
-        return found if declared is None else Heading(stem=found.stem, unit=declared)
+        return heading if declared is None else Heading(stem=heading.stem, unit=declared)
 
     @property
     def place(self) -> str:
@@ -114,22 +114,23 @@ class RawTable:
         """Number of rows."""
         return len(self.columns[0].values)
 
-    def find(self, wanted: str | int) -> Column | None:
+    def find(self, name_or_number: str | int) -> Column | None:
         """Return a column by number, heading, or name without unit; None where not unique."""
-        if isinstance(wanted, int):
-            held = [column for column in self.columns if column.number == wanted]
+        if isinstance(name_or_number, int):
+            matches = [c for c in self.columns if c.number == name_or_number]
         else:
-            held = [column for column in self.columns if column.label == wanted.strip()]
-            held = held or [c for c in self.columns if c.heading.stem == wanted.strip()]
-        return held[0] if len(held) == 1 else None
+            name = name_or_number.strip()
+            matches = [c for c in self.columns if c.label == name]
+            matches = matches or [c for c in self.columns if c.heading.stem == name]
+        return matches[0] if len(matches) == 1 else None
 
-    def si(self, wanted: str | int) -> Array:
+    def si(self, name_or_number: str | int) -> Array:
         """Return a column's values in SI units, NaN kept, or refuse naming what there is."""
-        column = self.find(wanted)
+        column = self.find(name_or_number)
         if column is None:
-            held = ", ".join(repr(c.label) if c.label else str(c.number) for c in self.columns)
+            columns = ", ".join(repr(c.label) if c.label else str(c.number) for c in self.columns)
             raise RecordingError(
-                f"{self.name}: no single column {wanted!r} among {held}",
+                f"{self.name}: no single column {name_or_number!r} among {columns}",
                 needed="the heading or the number (from 1) of one column",
                 remedy="Name the column as the file does, or give its number.",
             )

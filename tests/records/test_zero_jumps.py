@@ -110,3 +110,8 @@ def test_a_step_below_ten_times_the_noise_shows_between_equal_cycles(law: str) -
     assert baseline_steps(clean_um + noise_um, field) == ()
     other_gain = np.where(np.arange(len(FIELD)) < 1100, 1.0, 1.03)
     assert baseline_steps(other_gain * clean_um + noise_um, field) == ()
+
+
+def test_equal_cycles_without_noise_have_no_steps() -> None:
+    drive = np.round(50.0 * np.abs(np.arange(2000) / 125.0 % 2.0 - 1.0), 4)
+    assert baseline_steps(np.round(0.2 * drive, 5), drive) == ()

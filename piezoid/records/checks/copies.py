@@ -10,9 +10,9 @@ from itertools import combinations
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.records.checks.shared_rows import shared_rows
 from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import noise_rms
+from piezoid.records.shared_rows import shared_rows
 from piezoid.statement import Statement, finding
 
 MAX_DIFFERENCE = 0.3  # standard deviations of the noise; of two recordings it is 1.4
