@@ -90,8 +90,8 @@ def affine_bounds(
                  residual
     remainder_m_per_V  by how much that changes the slope, at most
     """
-    least, greatest = model.slope_sector_m_per_V
-    gain = 0.5 * (greatest + least)
+    lowest, greatest = model.slope_sector_m_per_V
+    gain = 0.5 * (greatest + lowest)
     if isinstance(model, PreisachPlays):
         error = farthest_from_line_m(model, gain, reach_V) + remainder_m
     else:
@@ -99,7 +99,7 @@ def affine_bounds(
     return HysteresisBounds(
         form="affine",
         gain_m_per_V=gain,
-        slope_min=least / gain,
+        slope_min=lowest / gain,
         slope_max=greatest / gain,
         slope_beyond=remainder_m_per_V / gain,
         error_m=error,
@@ -173,16 +173,16 @@ def _errors_and_sectors(
     """Return how far every replicate is from the model, (n,) m, and its slopes, (n, 2)."""
     if isinstance(model, PreisachPlays):
         functions = [replicate for replicate in replicates if isinstance(replicate, PreisachPlays)]
-        apart_m = farthest_apart_m(model, functions, reach_V)
-        return apart_m, slope_ratios(model, functions, reach_V)
+        difference_m = farthest_apart_m(model, functions, reach_V)
+        return difference_m, slope_ratios(model, functions, reach_V)
     reference = model.regauged()
     truths = [r.regauged() for r in replicates if isinstance(r, ModifiedPrandtlIshlinskii)]
-    apart = joint_error(reference, truths, reach_V)
+    difference = joint_error(reference, truths, reach_V)
     sectors = [
-        ratio_sector(reference, truth, reach_V, apart, error_m)
-        for truth, error_m in zip(truths, apart.error_m.tolist(), strict=True)
+        ratio_sector(reference, truth, reach_V, difference, error_m)
+        for truth, error_m in zip(truths, difference.error_m.tolist(), strict=True)
     ]
-    return apart.error_m, np.array(sectors)
+    return difference.error_m, np.array(sectors)
 
 
 def _mid_slope(zones: DeadZones) -> float:
@@ -193,16 +193,16 @@ def ratio_sector(
     model: ModifiedPrandtlIshlinskii,
     truth: ModifiedPrandtlIshlinskii,
     reach_V: float,
-    apart: JointError,
+    difference: JointError,
     error_m: float,
 ) -> Interval:
     """Return least and greatest increment gain of Gamma_t o Gamma_m^-1 for |u| <= reach.
 
-    apart    of the model: its grid of voltages and what it can put out at each
+    difference    of the model: its grid of voltages and what it can put out at each
     error_m  how far the outputs of both can be apart
     """
-    bend = _bends(model, truth, apart.voltage_V)
-    static = _static_ratios(model.dead_zones, truth.dead_zones, apart, error_m)
+    bend = _bends(model, truth, difference.voltage_V)
+    static = _static_ratios(model.dead_zones, truth.dead_zones, difference, error_m)
     plays = _ratios(
         _pieces_of_plays(model, envelope_reach_V(model, reach_V)),
         _pieces_of_plays(truth, np.inf),
@@ -244,21 +244,22 @@ def _bends(
 
 
 def _static_ratios(
-    zones: DeadZones, truth: DeadZones, apart: JointError, error_m: float
+    zones: DeadZones, truth: DeadZones, difference: JointError, error_m: float
 ) -> tuple[Array, Array]:
     """Return the extremes of Psi_t' / Psi_m' at outputs together, between each two voltages."""
-    low_m, high_m = zones.run(apart.least_m[:-1]), zones.run(apart.most_m[1:])
-    own, other = (
+    low_m, high_m = zones.run(difference.least_m[:-1]), zones.run(difference.most_m[1:])
+    model_edges, truth_edges = (
         np.concatenate([[-np.inf], z.run(z.threshold), [np.inf]]) for z in (zones, truth)
     )
-    first = np.maximum(own[:-1], low_m[:, None])  # (cells, pieces of the model)
-    last = np.minimum(own[1:], high_m[:, None])
+    first = np.maximum(model_edges[:-1], low_m[:, None])  # (cells, pieces of the model)
+    last = np.minimum(model_edges[1:], high_m[:, None])
     met = (first <= last)[:, :, None] & (
-        (other[:-1] <= last[:, :, None] + error_m) & (other[1:] >= first[:, :, None] - error_m)
+        (truth_edges[:-1] <= last[:, :, None] + error_m)
+        & (truth_edges[1:] >= first[:, :, None] - error_m)
     )
     ratio = truth.slope / zones.slope[:, None]
-    least = np.where(met, ratio, np.inf).min(axis=(1, 2))
-    return least, np.where(met, ratio, -np.inf).max(axis=(1, 2))
+    smallest = np.where(met, ratio, np.inf).min(axis=(1, 2))
+    return smallest, np.where(met, ratio, -np.inf).max(axis=(1, 2))
 
 
 def _pieces_of_plays(model: ModifiedPrandtlIshlinskii, reach_V: float) -> _Pieces:
@@ -292,39 +293,45 @@ def draw_replicates(
     """
     if axis.minor_loops is not None:
         return axis.minor_loops.drawn(rng, draws)
-    found = axis.uncertainty
-    values, vectors = np.linalg.eigh(found.covariance)
+    uncertainty = axis.uncertainty
+    values, vectors = np.linalg.eigh(uncertainty.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    thetas = found.values + rng.standard_normal((draws, len(values))) @ root.T
-    made = [_operator(axis, dict(zip(found.names, theta, strict=True))) for theta in thetas]
-    return tuple(operator for operator in made if operator is not None and operator.is_invertible)
+    thetas = uncertainty.values + rng.standard_normal((draws, len(values))) @ root.T
+    operators = [
+        _operator(axis, dict(zip(uncertainty.names, theta, strict=True))) for theta in thetas
+    ]
+    return tuple(
+        operator for operator in operators if operator is not None and operator.is_invertible
+    )
 
 
-def _operator(axis: AxisModel, drawn: dict[str, float]) -> ModifiedPrandtlIshlinskii | None:
+def _operator(axis: AxisModel, parameters: dict[str, float]) -> ModifiedPrandtlIshlinskii | None:
     """Return the operator of these numbers, or None where thresholds cross."""
     model = axis.hysteresis
     plays, zones, envelope = model.plays, model.dead_zones, model.envelope
-    play_V = _drawn("play_threshold_V", plays.threshold, drawn)
-    zone_m = _drawn("dead_zone_threshold_m", zones.threshold, drawn)
+    play_V = _drawn("play_threshold_V", plays.threshold, parameters)
+    zone_m = _drawn("dead_zone_threshold_m", zones.threshold, parameters)
     play_V[0], zone_m[zones.zero] = 0.0, 0.0
     if not ((np.diff(play_V) > 0).all() and (np.diff(zone_m) > 0).all()):
         return None
     return ModifiedPrandtlIshlinskii(
         plays=PrandtlIshlinskii(
-            threshold=play_V, weight=_drawn("play_weight_m_per_V", plays.weight, drawn)
+            threshold=play_V, weight=_drawn("play_weight_m_per_V", plays.weight, parameters)
         ),
         dead_zones=DeadZones(
-            threshold=zone_m, weight=_drawn("dead_zone_weight", zones.weight, drawn)
+            threshold=zone_m, weight=_drawn("dead_zone_weight", zones.weight, parameters)
         ),
         voltage_offset_V=model.voltage_offset_V,
         displacement_offset_m=model.displacement_offset_m,
         envelope=DeadZones(
             threshold=envelope.threshold,
-            weight=_drawn("envelope_weight", envelope.weight, drawn),
+            weight=_drawn("envelope_weight", envelope.weight, parameters),
         ),
     )
 
 
-def _drawn(stem: str, fitted: Array, drawn: dict[str, float]) -> Array:
+def _drawn(stem: str, fitted: Array, parameters: dict[str, float]) -> Array:
     """Return the drawn numbers of one array; what was not fitted stays as it is."""
-    return np.array([drawn.get(f"{stem}[{i}]", value) for i, value in enumerate(fitted.tolist())])
+    return np.array(
+        [parameters.get(f"{stem}[{i}]", value) for i, value in enumerate(fitted.tolist())]
+    )

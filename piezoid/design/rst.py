@@ -189,10 +189,12 @@ def _damping(poles: Poles) -> Array:
 def _at_least(poles: Poles, damping: float) -> Poles:
     """Return poles at the same natural frequencies, lightly damped pairs damped at least so."""
     s = np.log(poles)
-    own = _damping(poles)
-    light = (own < LIGHT) & (own < damping)
-    wanted = np.abs(s) * (-damping + 1j * np.sign(s.imag) * np.sqrt(1.0 - min(damping, 1.0) ** 2))
-    return np.asarray(np.where(light, np.exp(wanted), poles))
+    current = _damping(poles)
+    light = (current < LIGHT) & (current < damping)
+    s_damped = np.abs(s) * (
+        -damping + 1j * np.sign(s.imag) * np.sqrt(1.0 - min(damping, 1.0) ** 2)
+    )
+    return np.asarray(np.where(light, np.exp(s_damped), poles))
 
 
 def _replacement(section: Section, count: int, rate_Hz: float) -> Poles:

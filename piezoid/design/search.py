@@ -56,14 +56,14 @@ def search(
     reserve_dB  what the search's grid may overlook between its points
     until_met   stop at the first point that meets every limit: enough to know that one exists
     """
-    seen: list[tuple[bool, float, float, Array]] = []
+    evaluated: list[tuple[bool, float, float, Array]] = []
     span = upper - lower
 
     def ask(unit: Array) -> tuple[float, float]:
         parameters = lower + np.clip(unit, 0.0, 1.0) * span
         cost, excess_dB = judge(parameters)
         feasible = excess_dB <= -reserve_dB
-        seen.append((not feasible, cost if feasible else excess_dB, excess_dB, parameters))
+        evaluated.append((not feasible, cost if feasible else excess_dB, excess_dB, parameters))
         if feasible and until_met:
             raise _LimitsMetError
         return cost, excess_dB
@@ -73,13 +73,15 @@ def search(
             _descend(ask, (start - lower) / span, 0.15, evaluations, reserve_dB)
         polished = set()
         for step in _POLISHING_STEPS:
-            best = min(seen, key=lambda item: item[:2])
+            best = min(evaluated, key=lambda item: item[:2])
             if (id(best), step) not in polished:  # it would ask the same once more
                 polished.add((id(best), step))
                 _descend(ask, (best[3] - lower) / span, step, evaluations, reserve_dB)
-    best = min(seen, key=lambda item: item[:2])
+    best = min(evaluated, key=lambda item: item[:2])
     cost, _ = judge(best[3])
-    return SearchResult(parameters=best[3], cost=cost, excess_dB=best[2], evaluations=len(seen))
+    return SearchResult(
+        parameters=best[3], cost=cost, excess_dB=best[2], evaluations=len(evaluated)
+    )
 
 
 def _descend(ask: Judge, start: Array, step: float, evaluations: int, reserve_dB: float) -> None:

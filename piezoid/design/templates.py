@@ -112,13 +112,13 @@ def violations(
     delay_margin_s: float,
 ) -> tuple[Violation, ...]:
     """Check every member on a fine grid against every limit; worst first."""
-    found: list[Violation] = []
+    checks: list[Violation] = []
     for plant in members:
-        found += _margin_violations(plant, R, S, modulus_margin, delay_margin_s)
+        checks += _margin_violations(plant, R, S, modulus_margin, delay_margin_s)
         for template in templates:
-            found += _template_violation(plant, R, S, template)
-    kept = [violation for violation in found if violation.excess_dB > 0.0]
-    return tuple(sorted(kept, key=lambda violation: -violation.excess_dB))
+            checks += _template_violation(plant, R, S, template)
+    violated = [violation for violation in checks if violation.excess_dB > 0.0]
+    return tuple(sorted(violated, key=lambda violation: -violation.excess_dB))
 
 
 def _template_violation(
@@ -160,12 +160,12 @@ def _margin_violations(
             template=name,
             member=plant.label,
             frequency_Hz=place_Hz,
-            found=found,
+            found=value,
             limit=limit,
             unit=unit,
-            excess_dB=float(decibel(limit / max(found, 1e-6 * limit))),
+            excess_dB=float(decibel(limit / max(value, 1e-6 * limit))),
         )
-        for name, found, limit, place_Hz, unit in checks
+        for name, value, limit, place_Hz, unit in checks
     ]
 
 

@@ -115,15 +115,15 @@ def solve(
     scale = abs(plant.gain)
     cones = cones_around(grid, scale, R, S, count)
     while True:
-        found = _solved(cones.at(deciding), count, reserve)
-        if found is None:
+        solution = _solved(cones.at(deciding), count, reserve)
+        if solution is None:
             return None
-        missed = _peaks(_excess(cones, found, reserve)) & ~deciding
+        missed = _peaks(_excess(cones, solution, reserve)) & ~deciding
         if not missed.any():
             break
         deciding |= missed
-    s_free = np.concatenate([[1.0], found.x[: count - 1]])
-    r_free = found.x[count - 1 :] / scale
+    s_free = np.concatenate([[1.0], solution.x[: count - 1]])
+    r_free = solution.x[count - 1 :] / scale
     return product(OPEN_AT_NYQUIST, r_free), product(INTEGRATOR, s_free)
 
 
@@ -154,23 +154,23 @@ def cones_around(grid: FamilyGrid, scale: float, R: Array, S: Array, count: int)
     )
 
 
-def _excess(cones: Cones, found: Reached, reserve: float) -> Array:
+def _excess(cones: Cones, solution: Reached, reserve: float) -> Array:
     """Return by how much a solution misses what every row asks, over the closed loop's size."""
-    real = (cones.real[0] @ found.x + cones.real[1]) / cones.reference
-    room = reserve * (real + found.slack)
+    real = (cones.real[0] @ solution.x + cones.real[1]) / cones.reference
+    room = reserve * (real + solution.slack)
     excess = _LEAST_REAL - real
     for (rows, constant), limit in zip(cones.limited, cones.limits[:3], strict=True):
-        size = np.abs(rows @ found.x + constant) / cones.reference
+        size = np.abs(rows @ solution.x + constant) / cones.reference
         excess = np.maximum(excess, size / limit - room)
-    size = np.abs(cones.A_S[0] @ found.x + cones.A_S[1]) / cones.reference
-    in_band = np.maximum(size / cones.slope - found.gamma, 1.0 - real)
+    size = np.abs(cones.A_S[0] @ solution.x + cones.A_S[1]) / cones.reference
+    in_band = np.maximum(size / cones.slope - solution.gamma, 1.0 - real)
     return np.asarray(np.fmax(excess, in_band))  # above the band nothing is asked of the slope
 
 
 def _peaks(excess: Array) -> NDArray[np.bool_]:
     """Return the rows of a real excess that are no better than both their neighbours."""
-    before, after = np.append(-np.inf, excess[:-1]), np.append(excess[1:], -np.inf)
-    return (excess > _TOLERANCE) & (excess >= before) & (excess >= after)
+    preceding, following = np.append(-np.inf, excess[:-1]), np.append(excess[1:], -np.inf)
+    return (excess > _TOLERANCE) & (excess >= preceding) & (excess >= following)
 
 
 def _solved(cones: Cones, count: int, reserve: float) -> Reached | None:
@@ -187,22 +187,24 @@ def _solved(cones: Cones, count: int, reserve: float) -> Reached | None:
     x, gamma, slack = cp.Variable(2 * count - 1), cp.Variable(), cp.Variable(nonneg=True)
     reference, band = cones.reference, np.isfinite(cones.slope)
     real = cones.real[0] @ x + cones.real[1]
-    asked = [real >= _LEAST_REAL * reference]
+    constraints = [real >= _LEAST_REAL * reference]
 
-    def limit(size: tuple[Response, Response], held: NDArray[np.bool_], bound: object) -> None:
-        if held.any():
-            rows, constant = size[0][held], size[1][held]
+    def limit(
+        size: tuple[Response, Response], is_limited: NDArray[np.bool_], bound: object
+    ) -> None:
+        if is_limited.any():
+            rows, constant = size[0][is_limited], size[1][is_limited]
             parts = [rows.real @ x + constant.real, rows.imag @ x + constant.imag]
-            asked.append(cp.SOC(bound, cp.vstack(parts)))
+            constraints.append(cp.SOC(bound, cp.vstack(parts)))
 
     room = real + slack * reference
     for size, upper in zip(cones.limited, cones.limits[:3], strict=True):
-        held = np.isfinite(upper)
-        limit(size, held, cp.multiply(reserve * upper[held], room[held]))
+        is_limited = np.isfinite(upper)
+        limit(size, is_limited, cp.multiply(reserve * upper[is_limited], room[is_limited]))
     limit(cones.A_S, band, gamma * (cones.slope * reference)[band])
     if band.any():
-        asked.append(real[band] >= reference[band])
-    program = cp.Problem(cp.Minimize(gamma + _SLACK_PRICE * slack), asked)
+        constraints.append(real[band] >= reference[band])
+    program = cp.Problem(cp.Minimize(gamma + _SLACK_PRICE * slack), constraints)
     try:
         with catch_warnings(action="ignore", category=UserWarning):
             # An inaccurate answer is judged on the finer grid like any other.

@@ -216,13 +216,13 @@ def _contractions(applied: Response, sector: float) -> Array:
     return np.asarray(remaining + sector * driven)
 
 
-def _widest(applied: Response, sector: float, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _widest(applied: Response, sector: float, candidates: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the lowest of the wanted harmonics, as many as contract together."""
-    place = np.flatnonzero(wanted)
-    left = np.maximum.accumulate(np.abs(1.0 - applied[:, place]), axis=1)
+    place = np.flatnonzero(candidates)
+    remaining = np.maximum.accumulate(np.abs(1.0 - applied[:, place]), axis=1)
     driven = np.maximum.accumulate(np.abs(applied[:, place]), axis=1)
-    together = (left + sector * driven).max(axis=0)
-    learns = np.zeros_like(wanted)
+    together = (remaining + sector * driven).max(axis=0)
+    learns = np.zeros_like(candidates)
     learns[place[together <= _MOST_LEFT]] = True
     return learns
 

@@ -86,18 +86,18 @@ def _refuse_beyond(table: Waveform, converter_V: tuple[float, float]) -> None:
         )
 
 
-def read_reference(place: Path, sampling_rate_Hz: float) -> Array:
+def read_reference(path: Path, sampling_rate_Hz: float) -> Array:
     """Return the period that a file holds, m: its one column of a length.
 
     Raises ``RecordingError`` where there is no such column or several, where a number is missing,
     and for a time column of another rate.
     """
-    table = read_table(place)
+    table = read_table(path)
     lengths = [c for c in table.columns if _dimension(c) is Dimension.LENGTH]
     if len(lengths) != 1:
-        held = ", ".join(c.place for c in table.columns)
+        headings = ", ".join(c.place for c in table.columns)
         raise RecordingError(
-            f"{table.name}: {len(lengths)} columns of a length among {held}",
+            f"{table.name}: {len(lengths)} columns of a length among {headings}",
             needed="one, with its unit: the period that is wanted",
             remedy="Head it for example with wanted [um].",
         )

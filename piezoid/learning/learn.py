@@ -1,12 +1,12 @@
-"""learn: the table of a periodic motion, from the model first, then from each recorded period.
+"""Learn the feedforward table of a periodic motion: from the model, then from recorded periods.
 
-The response of a table, measured: what two periods with different tables say of it.
+Where no linear filter contracts on all plants that recordings allow, for example at a mode whose
+frequency is less certain than the mode is wide, the response of the table is measured from two
+periods with different tables,
 
     G_h = (Y_h - Y'_h) / (f_h - f'_h)
 
-where no linear filter contracts on all plants that recordings allow, for example beside a mode
-whose frequency is known worse than the mode is wide. The plant that is there tells it; a small
-step, which no plant of the family answers with much, is enough to ask. [Kim & Zou 2013] divide
+A small step, to which no plant of the family responds much, is enough. [Kim & Zou 2013] divide
 output by input instead of their changes, which a loop around the table does not allow.
 """
 
@@ -32,9 +32,8 @@ from piezoid.targets.waveform import inverse_V
 from piezoid.verification.plant import AxisPlant
 
 SHARE_OF_MEASURED = 0.8
-_KNOWN = (
-    0.3  # relative uncertainty of a response, with the sector's width: 0.8 (1 + 0.3) contracts
-)
+# Relative uncertainty of a response, with the sector's width: 0.8 (1 + 0.3) contracts
+_MAX_UNCERTAINTY = 0.3
 
 SCHEMA = "piezoid.learning/1"
 _FEWEST = 16  # points of a period
@@ -119,10 +118,10 @@ class Learned:
         return seal(SCHEMA, to_json(self))
 
 
-def learned_from_json(content: bytes, place: str) -> Learned:
+def learned_from_json(content: bytes, source: str) -> Learned:
     """Read ``learning.json`` back, or refuse it."""
     return read_sealed(
-        Learned, content, SCHEMA, place, remedy="Learn again from the reference and the periods."
+        Learned, content, SCHEMA, source, remedy="Learn again from the reference and the periods."
     )
 
 
@@ -144,26 +143,26 @@ def first_table(
     """
     values = None if parameters is None else parameters.values
     wanted_m = _checked(reference_m, plant, parameters, model)
-    found = learning_filter(
+    learner = learning_filter(
         model,
         values,
         points=len(wanted_m),
         sampling_rate_Hz=plant.sampling_rate_Hz,
         gain=gain,
     )
-    _refuse_untouched(model.axis, found, wanted_m)
-    quiet = replace(plant, noise_rms=0.0, hums=(), reading_step=0.0)
+    _refuse_untouched(model.axis, learner, wanted_m)
+    noiseless = replace(plant, noise_rms=0.0, hums=(), reading_step=0.0)
     rng = np.random.default_rng(0)
-    table_V = inverse_V(quiet, wanted_m) if values is None else np.zeros(len(wanted_m))
+    table_V = inverse_V(noiseless, wanted_m) if values is None else np.zeros(len(wanted_m))
     best_V, least_m = table_V, np.inf
     for _ in range(_ROUNDS):
-        moved = play(quiet, wanted_m, table_V, values=values, rng=rng)
-        _refuse_limited(model, moved.voltage_V, moved.status)
-        error_m = _without_mean(wanted_m - moved.position_m[0], closed=values is not None)
+        played = play(noiseless, wanted_m, table_V, values=values, rng=rng)
+        _refuse_limited(model, played.voltage_V, played.status)
+        error_m = _without_mean(wanted_m - played.position_m[0], closed=values is not None)
         rms_m = float(np.sqrt(np.mean(error_m**2)))
         if rms_m < least_m:
             best_V, least_m = table_V, rms_m
-        change = np.fft.rfft(error_m) * found.model_V_per_m
+        change = np.fft.rfft(error_m) * learner.model_V_per_m
         table_V = table_V + np.fft.irfft(change, len(wanted_m))
     return Learned(
         axis=model.axis,
@@ -171,10 +170,10 @@ def first_table(
         sampling_rate_Hz=plant.sampling_rate_Hz,
         wanted_m=wanted_m,
         table_V=best_V,
-        contraction=found.contraction,
-        worst_plant=found.worst,
-        sector=found.sector,
-        learns_to_Hz=found.learns_to_Hz,
+        contraction=learner.contraction,
+        worst_plant=learner.worst,
+        sector=learner.sector,
+        learns_to_Hz=learner.learns_to_Hz,
         model_error_m=least_m,
         gain=gain,
         sources=dict(sources or {}),
@@ -182,7 +181,7 @@ def first_table(
 
 
 def next_table(
-    before: Learned,
+    previous: Learned,
     model: AxisModel,
     plant: AxisPlant,
     period: Recording,
@@ -196,50 +195,54 @@ def next_table(
     Raises ``RecordingError`` for what is no period of this motion, ``ParameterFileError`` where
     the next table would leave the axis' limits.
     """
-    found = learning_filter(
+    learner = learning_filter(
         model,
         None if parameters is None else parameters.values,
-        points=len(before.wanted_m),
-        sampling_rate_Hz=before.sampling_rate_Hz,
-        gain=before.gain,
+        points=len(previous.wanted_m),
+        sampling_rate_Hz=previous.sampling_rate_Hz,
+        gain=previous.gain,
     )
-    wanted = np.fft.rfft(before.wanted_m)
-    sensed = np.where(found.moves | (wanted == 0.0), found.sensed, 1.0)
+    reference = np.fft.rfft(previous.wanted_m)
+    sensed = np.where(learner.moves | (reference == 0.0), learner.sensed, 1.0)
     read = mean_period(
         period,
-        before.axis,
-        np.fft.irfft(wanted * sensed, len(before.wanted_m)),
-        sampling_rate_Hz=before.sampling_rate_Hz,
+        previous.axis,
+        np.fft.irfft(reference * sensed, len(previous.wanted_m)),
+        sampling_rate_Hz=previous.sampling_rate_Hz,
         noise_rms_m=plant.noise_rms,
     )
-    error = wanted - np.fft.rfft(read.measured_m) / sensed
-    error_m = _without_mean(np.fft.irfft(error, len(before.wanted_m)), closed=before.closed_loop)
-    share = learning_shares(error, len(before.wanted_m), read.noise_rms_m)
-    shown = measured_response(
-        before.table_V - before.played_V if len(before.played_V) else np.zeros(0),
-        read.measured_m - before.read_m if len(before.read_m) else np.zeros(0),
-        read.noise_rms_m,
-        _complex(before.response_m_per_V),
-        found,
+    error = reference - np.fft.rfft(read.measured_m) / sensed
+    error_m = _without_mean(
+        np.fft.irfft(error, len(previous.wanted_m)), closed=previous.closed_loop
     )
-    L = np.where(found.learns, found.L_V_per_m, found.probe_V_per_m)
-    told = ~found.learns & (shown != 0.0) & (np.abs(found.probe_V_per_m) > 0.0)
-    L[told] = SHARE_OF_MEASURED / shown[told]
-    table_V = before.table_V + np.fft.irfft(share * L * error, len(before.wanted_m))
-    after = replace(
-        before,
+    share = learning_shares(error, len(previous.wanted_m), read.noise_rms_m)
+    response = measured_response(
+        previous.table_V - previous.played_V if len(previous.played_V) else np.zeros(0),
+        read.measured_m - previous.read_m if len(previous.read_m) else np.zeros(0),
+        read.noise_rms_m,
+        _complex(previous.response_m_per_V),
+        learner,
+    )
+    L = np.where(learner.learns, learner.L_V_per_m, learner.probe_V_per_m)
+    is_measured = ~learner.learns & (response != 0.0) & (np.abs(learner.probe_V_per_m) > 0.0)
+    L[is_measured] = SHARE_OF_MEASURED / response[is_measured]
+    table_V = previous.table_V + np.fft.irfft(share * L * error, len(previous.wanted_m))
+    refined = replace(
+        previous,
         table_V=table_V,
-        played_V=before.table_V,
+        played_V=previous.table_V,
         read_m=read.measured_m,
-        response_m_per_V=np.stack([shown.real, shown.imag], axis=1),
-        errors_m=(*before.errors_m, float(np.sqrt(np.mean(error_m**2)))),
+        response_m_per_V=np.stack([response.real, response.imag], axis=1),
+        errors_m=(*previous.errors_m, float(np.sqrt(np.mean(error_m**2)))),
         noise_m=read.noise_rms_m,
     )
-    quiet = replace(plant, noise_rms=0.0, hums=(), reading_step=0.0)
+    noiseless = replace(plant, noise_rms=0.0, hums=(), reading_step=0.0)
     values = None if parameters is None else parameters.values
-    moved = play(quiet, after.wanted_m, table_V, values=values, rng=np.random.default_rng(0))
-    _refuse_limited(model, moved.voltage_V, moved.status)
-    return after
+    played = play(
+        noiseless, refined.wanted_m, table_V, values=values, rng=np.random.default_rng(0)
+    )
+    _refuse_limited(model, played.voltage_V, played.status)
+    return refined
 
 
 def _complex(parts: Array) -> Response | None:
@@ -248,30 +251,31 @@ def _complex(parts: Array) -> Response | None:
 
 
 def refuse_changed(
-    before: Learned, reference_m: ArrayLike, *, sources: Mapping[str, str], closed_loop: bool
+    previous: Learned, reference_m: ArrayLike, *, sources: Mapping[str, str], closed_loop: bool
 ) -> None:
     """Refuse another reference, model or loop than the table's, with where it differs most."""
     wanted_m = np.asarray(reference_m, dtype=np.float64)
-    if wanted_m.shape != before.wanted_m.shape:
+    if wanted_m.shape != previous.wanted_m.shape:
         raise RecordingError(
-            f"axis {before.axis}: a reference of {wanted_m.size} points, and the table is of "
-            f"{len(before.wanted_m)}",
+            f"axis {previous.axis}: a reference of {wanted_m.size} points, and the table is of "
+            f"{len(previous.wanted_m)}",
             needed="the reference that the table was learnt for",
             remedy="Begin anew without --table, or pass the reference of before.",
         )
-    apart_m = np.abs(wanted_m - before.wanted_m)
-    if apart_m.max() > _SAME_m:
+    difference_m = np.abs(wanted_m - previous.wanted_m)
+    if difference_m.max() > _SAME_m:
         raise RecordingError(
-            f"axis {before.axis}: the reference differs from the table's by up to "
-            f"{with_unit(float(apart_m.max()), 'm')}, at point {int(np.argmax(apart_m))}",
+            f"axis {previous.axis}: the reference differs from the table's by up to "
+            f"{with_unit(float(difference_m.max()), 'm')}, at point "
+            f"{int(np.argmax(difference_m))}",
             needed="the reference that the table was learnt for",
             remedy="Begin anew without --table, or pass the reference of before.",
         )
-    if before.sources != sources or before.closed_loop != closed_loop:
-        loop = f"{'with' if before.closed_loop else 'without'} a controller"
+    if previous.sources != sources or previous.closed_loop != closed_loop:
+        loop = f"{'with' if previous.closed_loop else 'without'} a controller"
         raise ParameterFileError(
-            f"axis {before.axis}: the table was learnt "
-            + ("of another model" if before.sources != sources else loop),
+            f"axis {previous.axis}: the table was learnt "
+            + ("of another model" if previous.sources != sources else loop),
             needed="model and loop of the table that was played",
             remedy="Pass those, or begin anew without a recorded period.",
         )
@@ -327,12 +331,12 @@ def _checked(
     return wanted_m
 
 
-def _refuse_untouched(axis: str, found: LearningFilter, wanted_m: Array) -> None:
+def _refuse_untouched(axis: str, learner: LearningFilter, wanted_m: Array) -> None:
     """Refuse a motion most of which lies where nothing can be learnt."""
-    share = found.share_learnt(wanted_m)
+    share = learner.share_learnt(wanted_m)
     if share < _LEARNABLE:
         raise DesignError(
-            f"axis {axis}: learning contracts up to {with_unit(found.learns_to_Hz, 'Hz')} only, "
+            f"axis {axis}: learning contracts up to {with_unit(learner.learns_to_Hz, 'Hz')} only, "
             f"where {100 * share:.3g} % of the motion's power lies",
             needed=f"at least {100 * _LEARNABLE:g} %",
             remedy="Record a chirp or multisine so that more of the response is known and fit "
@@ -344,8 +348,8 @@ def _reach_m(model: AxisModel) -> tuple[float, float]:
     """Return how far the hysteresis goes between the ends of the recorded drive."""
     operator = model.operator
     low_V, high_V = model.voltage_V
-    moved_m, _ = operator.run(np.array([high_V, low_V, high_V]), operator.virgin_memory())
-    ends_m = model.polarity * (moved_m[1:] - operator.displacement_offset_m)
+    displacement_m, _ = operator.run(np.array([high_V, low_V, high_V]), operator.virgin_memory())
+    ends_m = model.polarity * (displacement_m[1:] - operator.displacement_offset_m)
     ends_m = ends_m + operator.displacement_offset_m
     return float(ends_m.min()), float(ends_m.max())
 
@@ -353,23 +357,25 @@ def _reach_m(model: AxisModel) -> tuple[float, float]:
 def _refuse_limited(model: AxisModel, voltage_V: Array, status: Status) -> None:
     """Refuse a table that leaves what drive and recordings allow."""
     low_V, high_V = float(voltage_V.min()), float(voltage_V.max())
-    own_V = model.voltage_V
+    recorded_V = model.voltage_V
     limited = status & LIMITED
-    slack_V = 1e-9 * (own_V[1] - own_V[0])
-    if not limited and low_V >= own_V[0] - slack_V and high_V <= own_V[1] + slack_V:
+    slack_V = 1e-9 * (recorded_V[1] - recorded_V[0])
+    if not limited and low_V >= recorded_V[0] - slack_V and high_V <= recorded_V[1] + slack_V:
         return
-    met = ", ".join(one.name or "" for one in LIMITED if one in limited).lower().replace("_", " ")
+    limits = (
+        ", ".join(flag.name or "" for flag in LIMITED if flag in limited).lower().replace("_", " ")
+    )
     raise ParameterFileError(
         f"axis {model.axis}: the period takes {low_V:.4g} V to {high_V:.4g} V"
-        + (f", and the controller met its limits ({met})" if met else ""),
-        needed=f"all of it within {own_V[0]:.4g} V to {own_V[1]:.4g} V, as recorded, and within "
-        "the slew of the drive",
+        + (f", and the controller met its limits ({limits})" if limits else ""),
+        needed=f"all of it within {recorded_V[0]:.4g} V to {recorded_V[1]:.4g} V, as recorded, "
+        "and within the slew of the drive",
         remedy="Scale the reference down, or scan slower.",
     )
 
 
 def _without_mean(error_m: Array, *, closed: bool) -> Array:
-    """Return the error that counts: the middle of an open loop drifts, and nobody holds it."""
+    """Return the error without its mean in open loop, where nothing corrects drift."""
     return error_m if closed else np.asarray(error_m - error_m.mean())
 
 
@@ -377,25 +383,27 @@ def measured_response(
     changed_V: Array,
     moved_m: Array,
     noise_rms_m: float,
-    before: Response | None,
-    found: LearningFilter,
+    previous: Response | None,
+    learner: LearningFilter,
 ) -> Response:
-    """Return the response of every harmonic that was asked clearly enough, 0 elsewhere.
+    """Return the response of every harmonic that is certain enough, 0 elsewhere.
 
     changed_V, moved_m  (points,)  between two tables and their mean periods; empty: there is one
     noise_rms_m         of one reading of a mean period
-    before              (harmonics,)  what earlier periods told; kept where these tell less
+    previous            (harmonics,)  measured earlier; kept where this one is uncertain
     """
-    known = np.zeros(len(found.learns), dtype=complex) if before is None else before.copy()
+    response_known = (
+        np.zeros(len(learner.learns), dtype=complex) if previous is None else previous.copy()
+    )
     if not len(changed_V) or not len(moved_m):
-        return known
+        return response_known
     points = len(changed_V)
-    df, dy = np.fft.rfft(changed_V), np.fft.rfft(moved_m) / found.sensed
+    df, dy = np.fft.rfft(changed_V), np.fft.rfft(moved_m) / learner.sensed
     # noise of both means, and what the hysteresis turns of other harmonics into this one
     noise = np.sqrt(2.0 * points) * noise_rms_m
-    turned = found.sector * np.sqrt(np.mean(np.abs(dy) ** 2))
+    turned = learner.sector * np.sqrt(np.mean(np.abs(dy) ** 2))
     with np.errstate(divide="ignore", invalid="ignore"):
         spread = np.hypot(noise, turned) / np.abs(dy)
         response = dy / df
-    clear = np.isfinite(response) & (spread < _KNOWN) & (response != 0.0)
-    return np.where(clear, response, known)
+    clear = np.isfinite(response) & (spread < _MAX_UNCERTAINTY) & (response != 0.0)
+    return np.where(clear, response, response_known)

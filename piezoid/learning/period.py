@@ -67,26 +67,26 @@ def play(
         drive = iter(np.tile(table_V, settling + periods).tolist())
         reference_m = np.zeros((settling + periods) * points)
         record = run_law(plant, lambda _reference, _measured: next(drive), reference_m, rng=rng)
-        seen = Status(0)
+        status = Status(0)
     else:
         led_m = approach_path(plant, float(wanted_m[0]))
         reference_m = np.concatenate([led_m, np.tile(wanted_m, settling + periods)])
         ahead = np.arange(len(reference_m)) + int(values["preview_samples"])
-        late = ahead >= len(reference_m)
-        ahead[late] -= points  # the path goes on after the record
+        is_after = ahead >= len(reference_m)
+        ahead[is_after] -= points  # the path goes on after the record
         fed_V = np.tile(table_V, settling + periods)
         fed_V[:points] *= np.arange(points) / points
         controller = Controller(values)
         controller.start(plant.rest_voltage_V, rest_position_of(plant))
         step = _stepping(controller, np.concatenate([np.zeros(len(led_m)), fed_V]))
         record = run_law(plant, step, reference_m[ahead], rng=rng)
-        seen = controller.status_ever
-    kept = (
-        one[-periods * points :].reshape(periods, points)
-        for one in (record.position, record.measured, record.voltage_V)
+        status = controller.status_ever
+    last_periods = (
+        signal[-periods * points :].reshape(periods, points)
+        for signal in (record.position, record.measured, record.voltage_V)
     )
-    position_m, measured_m, voltage_V = kept
-    return Played(position_m=position_m, measured_m=measured_m, voltage_V=voltage_V, status=seen)
+    position_m, measured_m, voltage_V = last_periods
+    return Played(position_m=position_m, measured_m=measured_m, voltage_V=voltage_V, status=status)
 
 
 def rest_position_of(plant: AxisPlant) -> float:

@@ -251,10 +251,10 @@ def settings_json(inputs: TargetInputs, tables: list[Table]) -> str:
     }
     sensitivities: dict[str, float | None] = {}
     limits: dict[str, float | int | None] = {"Enable_limits": 1}
-    for place, table in zip(_PLACES, [*by_place, None], strict=True):
+    for letter, table in zip(_PLACES, [*by_place, None], strict=True):
         axis = None if table is None else inputs.file.axis(table.axis)
         gain = 1.0 if table is None else amplifier_gains[table.axis]
-        sensitivities[f"Calibration_{place}_mPerV"] = (
+        sensitivities[f"Calibration_{letter}_mPerV"] = (
             None if table is None else _single(table.sensitivity_m_per_V / gain)
         )
         limits_V = [
@@ -264,7 +264,7 @@ def settings_json(inputs: TargetInputs, tables: list[Table]) -> str:
         if None not in limits_V:
             limits_V.sort(key=lambda volts: volts or 0.0)
         for end, volts in zip(("low", "high"), limits_V, strict=True):
-            limits[f"Limit_{place}_{end}_V"] = None if volts is None else _single(volts)
+            limits[f"Limit_{letter}_{end}_V"] = None if volts is None else _single(volts)
     points: dict[str, int | list[float]] = {}
     for speed, table in zip(("Fast", "Slow"), by_place, strict=True):
         straight = [-1.0, 1.0]
@@ -284,7 +284,7 @@ def settings_json(inputs: TargetInputs, tables: list[Table]) -> str:
         "Piezo_HystOnOffSet": {"On_Off": 1},
         "Piezo_DriftCompSet": {
             "Compensation_on_off": 2,
-            **{f"V{place.lower()}_m_s": v for place, v in zip(_PLACES, drift, strict=True)},
+            **{f"V{letter.lower()}_m_s": v for letter, v in zip(_PLACES, drift, strict=True)},
             "Sat_Lim": inputs.hardware.drift_limit_percent,
         },
     }

@@ -110,7 +110,7 @@ def tuned_pid(
 def _grid(family: PlantFamily, efforts: Sequence[Template]) -> _Grid:
     rate_Hz = family.nominal.sampling_rate_Hz
     lines = [grid_Hz(rate_Hz, lowest_Hz=0.1, count=_LINES)]
-    lines += [one.frequency_Hz for one in efforts]
+    lines += [template.frequency_Hz for template in efforts]
     for member in family.members:  # denser where a mode is narrow
         for f, damping in _modes(member):
             lines.append(f * (1.0 + damping * np.linspace(-4.0, 4.0, 13)))
@@ -119,7 +119,9 @@ def _grid(family: PlantFamily, efforts: Sequence[Template]) -> _Grid:
     q = unit_circle(frequency_Hz, rate_Hz)
     plants = [polynomial_response(m.B, q) / polynomial_response(m.A, q) for m in family.members]
     w = np.asarray(2.0 * np.pi * frequency_Hz)
-    limit_dB = np.min([one.limit_dB(frequency_Hz) for one in efforts], axis=0, initial=np.inf)
+    limit_dB = np.min(
+        [template.limit_dB(frequency_Hz) for template in efforts], axis=0, initial=np.inf
+    )
     return _Grid(
         members=family.members,
         w=w,

@@ -69,7 +69,7 @@ class _Task(Protocol):
     def draw(self, rng: np.random.Generator, is_extreme: bool) -> AxisPlant:
         """Draw a stage, or one at the ends of the intervals."""
 
-    def error(self, chosen: AxisPlant, path: Array, rng: np.random.Generator) -> float | None:
+    def error(self, plant: AxisPlant, path: Array, rng: np.random.Generator) -> float | None:
         """Return the largest error on a path, m; None outside of the conditions."""
 
     def bound(self, slew: float) -> float | None:
@@ -178,11 +178,11 @@ class _LateralTask:
         certificate: Certificate | None,
         scan_Hz: float,
     ) -> None:
-        self.nominal, self._axis, self._room = plant, axis, reference_range(axis)
+        self.nominal, self._axis, self._span = plant, axis, reference_range(axis)
         self._model, self._certificate = model, certificate
-        self.reach_m = REACH * self._room.farthest_m
+        self.reach_m = REACH * self._span.farthest_m
         # What a certificate takes as well.
-        self.fastest_m_per_s = 2.0 * np.pi * scan_Hz * self._room.farthest_m
+        self.fastest_m_per_s = 2.0 * np.pi * scan_Hz * self._span.farthest_m
         if certificate is not None:
             self.fastest_m_per_s = certificate.reference_slew_m_per_s * (1.0 - 1e-9)
         own = (model.operator,)
@@ -217,17 +217,20 @@ class _LateralTask:
             reading_range=self.nominal.reading_range,
         )
 
-    def error(self, chosen: AxisPlant, path: Array, rng: np.random.Generator) -> float | None:
-        asked = self._room.centre_m + path
-        way = approach_path(chosen, float(asked[0]))
-        moved = chosen.motion_m(len(asked) + len(way), np.concatenate([0.0 * way, path]))
+    def error(self, plant: AxisPlant, path: Array, rng: np.random.Generator) -> float | None:
+        reference = self._span.centre_m + path
+        approach = approach_path(plant, float(reference[0]))
+        motion_m = None
+        if plant.motions:
+            drive = np.concatenate([np.zeros(len(approach)), path])
+            motion_m = plant.motion_m(len(drive), drive)
         run = run_axis(
-            chosen,
+            plant,
             self._axis,
-            np.concatenate([way, asked]),
+            np.concatenate([approach, reference]),
             rng=rng,
-            disturbance=moved if chosen.motions else None,
-        ).after(len(way))
+            disturbance=motion_m,
+        ).after(len(approach))
         outside = np.any(run.status & np.uint32(_OUTSIDE))
         return None if outside else float(np.abs(run.error).max())
 
@@ -259,12 +262,12 @@ class _TipTask:
         count = len(self._stages)
         return self._stages[int(rng.integers(1 if is_extreme and count > 1 else 0, count))]
 
-    def error(self, chosen: AxisPlant, path: Array, rng: np.random.Generator) -> float | None:
+    def error(self, plant: AxisPlant, path: Array, rng: np.random.Generator) -> float | None:
         response = self._response
-        still = np.zeros(round(LASTS_s * chosen.sampling_rate_Hz))
+        still = np.zeros(round(LASTS_s * plant.sampling_rate_Hz))
         height_m = np.concatenate([still, path])
         run = run_axis(
-            chosen,
+            plant,
             self._axis,
             np.full(len(height_m), response.current_A),
             rng=rng,
@@ -297,19 +300,21 @@ def _path(rng: np.random.Generator, slew: float, reach_m: float, rate_Hz: float)
     """Return a path about 0, at most so far and so fast: sines, triangles, ramps or many sines."""
     samples = round(LASTS_s * rate_Hz)
     t = np.arange(samples) / rate_Hz
-    far = reach_m * rng.uniform(0.1, 1.0)
+    amplitude_m = reach_m * rng.uniform(0.1, 1.0)
     kind = rng.integers(4)
     if kind < 2:
-        f = rng.uniform(0.2, 1.0) * slew / ((2.0 * np.pi, 4.0)[kind] * far)
+        f = rng.uniform(0.2, 1.0) * slew / ((2.0 * np.pi, 4.0)[kind] * amplitude_m)
         sine = np.sin(2.0 * np.pi * f * t)
-        return np.asarray(far * (sine, 2.0 / np.pi * np.arcsin(sine))[kind])
+        return np.asarray(amplitude_m * (sine, 2.0 / np.pi * np.arcsin(sine))[kind])
     if kind == 2:
-        targets = np.repeat(rng.uniform(-far, far, _TARGETS), samples // _TARGETS + 1)[:samples]
+        targets = np.repeat(
+            rng.uniform(-amplitude_m, amplitude_m, _TARGETS), samples // _TARGETS + 1
+        )[:samples]
     else:
         several_Hz = rng.uniform(0.5, 100.0, _SINES)
         phase = rng.uniform(0.0, 2.0 * np.pi, _SINES)
         sines = np.sin(2.0 * np.pi * np.outer(t, several_Hz) + phase)
-        targets = far / _SINES * sines.sum(axis=1)
+        targets = amplitude_m / _SINES * sines.sum(axis=1)
     step, at, path = slew / rate_Hz, 0.0, np.empty(samples)
     for k, target in enumerate(targets.tolist()):
         at += min(max(target - at, -step), step)
