@@ -11,7 +11,7 @@ import numpy as np
 
 from piezoid.diagnosis.planning.drive_limits import Bench
 from piezoid.numerics.arrays import Array
-from piezoid.records.excitation import Drive, DriveLimits
+from piezoid.records.excitation import Drive, DriveLimits, multisines, odd_lines
 from piezoid.records.full_range_drives import (
     between,
     decaying_loops,
@@ -23,7 +23,6 @@ from piezoid.records.full_range_drives import (
     rising_ramps,
     sine_grid,
 )
-from piezoid.records.multisine import multisines, odd_lines
 
 SLOW_Hz = 500.0
 SLOWER_Hz = 100.0

@@ -113,7 +113,7 @@ def estimate_response(
     LEAST_COHERENCE  below, an output's line is rejected; so are single lines whose residual
                      stands out of their neighbourhood, where something else interferes
 
-    Orthogonal multisines (see ``piezoid.records.multisine``) keep U U^H well conditioned. With
+    Orthogonal multisines (see ``piezoid.records.excitation``) keep U U^H well conditioned. With
     as many realisations as inputs distortion cannot be seen; with one period, noise cannot be
     told from it and all variance is called distortion.
     """

@@ -7,8 +7,7 @@ from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Str
 from piezoid.identification.dynamics.periodic_estimate import PeriodicData
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
-from piezoid.records.excitation import DriveLimits
-from piezoid.records.multisine import multisines, odd_lines
+from piezoid.records.excitation import DriveLimits, multisines, odd_lines
 
 RATE_HZ = 20_000.0
 PERIOD = 2000  # samples: lines are 10 Hz apart
