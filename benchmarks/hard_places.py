@@ -18,6 +18,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from benchmarks.kill_fit import held, recording
+from piezoid.output_folder import write_folder
 
 PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
 OLD = {"kept.txt": b"what was there"}
@@ -49,9 +50,7 @@ def commands(work: Path, out: Path) -> dict[str, list[str]]:
 def prepared(work: Path, out: Path, stage: Path) -> None:
     """Lay out what is read, and what stands where results will go."""
     shutil.copytree(stage, out / "stage")
-    (out / "made").mkdir()
-    for name, content in OLD.items():
-        (out / "made" / name).write_bytes(content)
+    write_folder(out / "made", OLD)
     (work / "night" / "unit-1").mkdir(parents=True, exist_ok=True)
     recording(work / "s.csv")
     shutil.copy(work / "s.csv", work / "night" / "unit-1")

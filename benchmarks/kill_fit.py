@@ -28,6 +28,7 @@ import numpy as np
 
 from piezoid.digests import unseal
 from piezoid.errors import PiezoidError
+from piezoid.output_folder import MANIFEST, write_folder
 
 KEPT = Path(__file__).parents[1] / "build" / "kill_fit"
 OLD = {"model.json": b"old", "bundle/a.h": b"old"}
@@ -46,16 +47,9 @@ def recording(place: Path) -> None:
 
 
 def held(folder: Path) -> dict[str, bytes]:
-    """Return every file below a folder."""
-    places = (place for place in folder.rglob("*") if place.is_file())
+    """Return every file below a folder, but for the manifest of a folder of results."""
+    places = (p for p in folder.rglob("*") if p.is_file() and p.name != MANIFEST)
     return {place.relative_to(folder).as_posix(): place.read_bytes() for place in places}
-
-
-def put(folder: Path, contents: dict[str, bytes]) -> None:
-    """Write files without any care."""
-    for name, content in contents.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(content)
 
 
 def sight(folder: Path, new: dict[str, bytes], *, stood: bool) -> str:
@@ -143,7 +137,7 @@ def laid_out(place: Path, k: int) -> tuple[Path, bool]:
     folder, stood = place / "stage", k % 2 == 0
     shutil.rmtree(folder, ignore_errors=True)
     if stood:
-        put(folder, OLD)
+        write_folder(folder, OLD)
     return folder, stood
 
 

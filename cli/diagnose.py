@@ -56,9 +56,9 @@ def diagnose(
     from piezoid_cli.progress import shown
     from piezoid_cli.workers import usable_cores
 
-    check_folder(
-        out, force=force, new=True, names=("diagnosis.json", "diagnosis.html"), inputs=files
-    )
+    written = ("diagnosis.json", "diagnosis.html")
+    read = [*files, *([] if lab is None else [lab])]
+    check_folder(out, force=force, new=True, names=written, inputs=read)
     with shown(quiet=quiet or json) as told:
         told("reading recordings")
         from piezoid.diagnosis.diagnose import diagnose as find

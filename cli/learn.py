@@ -61,7 +61,8 @@ def learn(
         raise typer.BadParameter("--period and --table belong together: neither, or both")
     if not gain > 0.0:
         raise typer.BadParameter(f"--gain {gain:g}: a gain above 0 learns")
-    read = [place for place in (reference, period, table) if place is not None]
+    given = (reference, period, table, lab, stage / "model.json")
+    read = [place for place in given if place is not None]
     check_folder(out, force=force, new=True, inputs=read)
     with shown(quiet=quiet or json) as told:
         told("reading the stage")

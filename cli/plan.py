@@ -61,7 +61,8 @@ def plan(
     if out is None:
         check_folder(stage, force=force, names=("drive.csv", "plan.json"))
     else:
-        check_folder(out, force=force, new=True, inputs=files or ())
+        read = [*(files or ()), stage / "model.json", *([] if lab is None else [lab])]
+        check_folder(out, force=force, new=True, inputs=read)
     with shown(quiet=quiet or json) as told:
         told("reading the stage")
         from piezoid.diagnosis.experiment import plan as choose

@@ -290,8 +290,9 @@ def _check_names(target: Path, listed: Listed, names: Iterable[str], *, force: b
         if name not in listed or not _is_regular(place):
             raise refusal(f"{place} was not written by piezoid")
         if not force and digest_of_file(place) not in listed[name]:
+            found = "was edited since piezoid wrote it" if listed[name] else "is in no manifest"
             raise OutputFolderError(
-                f"{place} was edited since piezoid wrote it",
+                f"{place} {found}",
                 needed="the file as it was written",
                 remedy="Move it to keep it, or add --force to replace it.",
             )

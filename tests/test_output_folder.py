@@ -192,7 +192,7 @@ def test_without_a_manifest_sealed_files_are_ours_and_others_need_force(tmp_path
     (stage / "report.html").write_text("page")
     (stage / "lab.toml").write_text("mine")
     (stage / "notes.json").write_text("{}")
-    with pytest.raises(OutputFolderError, match=r"report\.html was edited"):
+    with pytest.raises(OutputFolderError, match=r"report\.html is in no manifest.*--force"):
         add_to_folder(stage, {"report.html": b""})
     for name in ("lab.toml", "notes.json"):
         with pytest.raises(OutputFolderError, match="not written by piezoid"):

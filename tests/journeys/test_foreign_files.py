@@ -108,6 +108,22 @@ def test_a_verb_that_adds_refuses_an_edited_file_and_replaces_it_with_force(plac
     assert "my notes" not in page.read_text()
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "plan stage --rate 1000 --out stage --force",
+        "learn stage --reference r.csv --out stage --force",
+        "diagnose stage/model.json s.csv --out stage --force",
+        "diagnose s.csv --lab stage/lab.toml --out stage --force",
+        "plan stage --rate 1000 --out . --force",
+    ],
+)
+def test_a_verb_does_not_replace_the_folder_that_it_reads(words: str, place: Path) -> None:
+    before = look(place)
+    assert piezoid(words).exit_code == 2
+    assert look(place) == before
+
+
 @pytest.mark.parametrize("linked", ["", "o", "o/stages", "o/stages/st1"])
 def test_a_batch_keeps_what_lies_where_its_results_would(linked: str, place: Path) -> None:
     """Also behind a symbolic link, and with ``--force``."""
