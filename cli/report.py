@@ -43,13 +43,13 @@ def report(
     from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.sealed_files import read_model
     from piezoid_cli.progress import shown
-    from piezoid_cli.stage_files import content_of, out_of_date
+    from piezoid_cli.stage_files import content_of, lab_of, out_of_date
 
     with shown(quiet=quiet or json) as told:
         told("reading the folder")
         check_folder(stage, force=force, names=("report.html",))
         held = {name: content_of(stage / name) for name in SEALED if (stage / name).exists()}
-        stale = out_of_date(stage, held)
+        stale = out_of_date(stage, held, lab_of(stage, lab))
         content = content_of(stage / "model.json")
         model = read_model(content, str(stage / "model.json"))
         recorded = _recorded(model, files or (), stage, lab)

@@ -91,10 +91,11 @@ def changed_in_bundle(stage: Path, file: "ParameterFile") -> tuple[str, ...]:
     )
 
 
-def out_of_date(stage: Path, contents: Mapping[str, bytes]) -> dict[str, str]:
+def out_of_date(stage: Path, contents: Mapping[str, bytes], lab: "Lab | None") -> dict[str, str]:
     """Return the sealed files that were made from others than those beside them, and why.
 
     contents  of the sealed files of a stage, by name
+    lab       that holds for the stage now; None where there is none to compare with
     """
     from piezoid.export.parameter_file import from_json
 
@@ -113,6 +114,13 @@ def out_of_date(stage: Path, contents: Mapping[str, bytes]) -> dict[str, str]:
         elif changed := changed_in_bundle(stage, file):
             stale["verification.json"] = (
                 f"bundle/{changed[0]} is missing or changed; run piezoid export {stage}"
+            )
+    if "design.json" in contents and lab is not None:
+        rig = str(loads(contents["design.json"]).get("rig_digest"))
+        if rig not in ("", lab.rig_digest):
+            stale["verification.json"] = (
+                f"the rig in {lab.place} was changed; run piezoid design {stage}, then "
+                f"piezoid export {stage}"
             )
     if "verification.json" in contents:
         run = str(loads(contents["verification.json"]).get("parameters_digest"))

@@ -68,6 +68,7 @@ def verify(
     """
     if target not in ("", "cortex-m4"):
         raise typer.BadParameter(f"--target {target!r} is not known; cortex-m4 is")
+    from piezoid.errors import ParameterFileError
     from piezoid.export.parameter_file import from_json
     from piezoid.numerics.executor import Executor
     from piezoid.output_folder import add_to_folder, check_folder
@@ -84,6 +85,12 @@ def verify(
     same_model(content, file.sources.get("model", ""), "params.json", "piezoid export")
     design = _design(stage, file) if bounds or (stage / "design.json").exists() else None
     declared = lab_of(stage, lab)
+    if design is not None and declared is not None and design.rig_digest != declared.rig_digest:
+        raise ParameterFileError(
+            f"{declared.place} declares another rig than the design was made for",
+            needed="the converters, amplifiers and set point of the design",
+            remedy=f"Run `piezoid design {stage}`, then `piezoid export {stage}`.",
+        )
     chosen = None if limits is None else limits_from_toml(text_of(limits), limits.name)
     check_folder(stage, force=force, names=("verification.json",))
     with shown(quiet=quiet or json) as told:

@@ -357,6 +357,12 @@ def test_a_verdict_stands_only_beside_the_bundle_it_was_reached_on(folder, desig
     runtime.write_bytes(original)
     assert called("verify", folder).exit_code == 0
     assert reported()[0]
+    (folder / "lab.toml").write_text("[acquisition]\ninput_range_V = [-1, 1]\n")
+    is_verified, said = reported()
+    assert not is_verified
+    assert "the rig in lab.toml was changed; run piezoid design" in said
+    assert "another rig" in str(called("verify", folder).exception)
+    (folder / "lab.toml").unlink()
     other = replace(designed[1], remarks=("made again",))
     (folder / "design.json").write_bytes(other.to_json())
     is_verified, said = reported()
