@@ -11,11 +11,11 @@ from piezoid.counts import refusing_in_counts
 from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.from_recordings import (
-    apart,
     decoupled,
-    driven,
+    decoupled_responses,
+    driven_axes,
     identify_coupled,
-    own_responses,
+    single_axis_recordings,
 )
 from piezoid.identification.discrepancy import with_discrepancy
 from piezoid.identification.dynamics.axis_dynamics import quasi_static, with_dynamics
@@ -107,12 +107,12 @@ def unfitted_apart(
         stage = unfitted(recordings, lab, sweeps, responses)
         axes = axes_of(recordings)
         return Parted(stage=stage, recordings=recordings, responses=responses, axes=axes)
-    alone = apart(decoupled(recordings, coupled), coupled)
+    alone = single_axis_recordings(decoupled(recordings, coupled), coupled)
     told = alone if axes_of(alone) or sweeps else recordings
     stage = unfitted(told, lab, sweeps, responses)
     if told is not alone:  # nothing is fitted to them: what is odd about them as loops is no news
         stage = replace(stage, remarks=())
-    moved = {axis for one in alone for axis in driven(one, coupled.inputs)}
+    moved = {axis for one in alone for axis in driven_axes(one, coupled.inputs)}
     axes = tuple(a for a in axes_of(alone) if a in moved or a not in coupled.inputs)
     untold = [axis for axis in coupled.outputs if axis not in axes]
     remarks = tuple(
@@ -129,7 +129,7 @@ def unfitted_apart(
             remarks=(*stage.remarks, *remarks),
         ),
         recordings=alone,
-        responses=(*responses, *own_responses(recordings, coupled, lab.coupled)),
+        responses=(*responses, *decoupled_responses(recordings, coupled, lab.coupled)),
         axes=axes,
     )
 

@@ -33,7 +33,7 @@ from piezoid.records.recording import Quantity, Recording
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Periodic:
+class PeriodicRecording:
     """A recording in which all axes are driven at once, and where that repeats."""
 
     recording: Recording
@@ -55,9 +55,9 @@ def identify_coupled(
     """
     if not lab.coupled.axes:
         return None
-    found = [one for r in recordings if (one := _periodic(r, lab.coupled)) is not None]
+    periodic = [p for r in recordings if (p := _periodic_recording(r, lab.coupled)) is not None]
     axes = ", ".join(lab.coupled.axes)
-    if not found:
+    if not periodic:
         raise ExcitationError(
             f"{lab.place} says that the axes {axes} are coupled, and in no recording do their "
             f"drives repeat together, {lab.coupled.settling_periods + FEWEST} periods or more",
@@ -68,28 +68,28 @@ def identify_coupled(
             "from the first on, write settling_periods = 0.",
         )
     progress(f"fitting the coupled axes {axes}")
-    fitted = fit_coupled(_levels(found, lab.coupled))
-    return replace(fitted, recordings=tuple(one.recording.name for one in found))
+    fitted = fit_coupled(_levels_of(periodic, lab.coupled))
+    return replace(fitted, recordings=tuple(p.recording.name for p in periodic))
 
 
-def own_responses(
+def decoupled_responses(
     recordings: Sequence[Recording], coupled: CoupledStage, declared: Coupled
 ) -> tuple[FrequencyResponseRecord, ...]:
-    """Return the measured response of each decoupled axis to its own drive, all in one record.
+    """Return the measured response of each decoupled axis to its drive, all in one record.
 
     At the largest level, where the modes are nearest to those of the drives that follow; the best
     linear approximation, with its coherence. None where the realisations are too few for it.
     """
-    found = [one for r in recordings if (one := _periodic(r, declared)) is not None]
-    data = _levels(found, declared)[-1]
-    turned = np.einsum("ij,njrp->nirp", coupled.decoupling, data.displacement_m)
+    periodic = [p for r in recordings if (p := _periodic_recording(r, declared)) is not None]
+    data = _levels_of(periodic, declared)[-1]
+    decoupled_m = np.einsum("ij,njrp->nirp", coupled.decoupling, data.displacement_m)
     if data.voltage_V.shape[2] <= len(data.inputs):
         return ()
-    measured = estimate_response(replace(data, displacement_m=turned))
+    measured = estimate_response(replace(data, displacement_m=decoupled_m))
     return (
         FrequencyResponseRecord(
             name=f"{', '.join(coupled.outputs)} together",
-            digest=digest_of_json([one.recording.digest for one in found]),
+            digest=digest_of_json([p.recording.digest for p in periodic]),
             frequency_Hz=measured.frequency_Hz,
             paths=tuple(
                 ResponsePath(
@@ -112,7 +112,7 @@ def decoupled(recordings: Sequence[Recording], coupled: CoupledStage) -> tuple[R
 
     Raises ``RecordingError`` where several axes are driven and a displacement is missing.
     """
-    return tuple(_decoupled(one, coupled) for one in recordings)
+    return tuple(_decoupled(recording, coupled) for recording in recordings)
 
 
 def as_single_axes(
@@ -130,24 +130,30 @@ def as_single_axes(
     coupled = known
     declared = Coupled() if lab is None else lab.coupled
     if coupled is None and lab is not None and declared.axes:
-        told = any(_periodic(one, declared) is not None for one in recordings)
-        coupled = identify_coupled(recordings, lab, progress=progress) if told else None
-    return tuple(recordings) if coupled is None else apart(decoupled(recordings, coupled), coupled)
+        is_periodic = any(_periodic_recording(r, declared) is not None for r in recordings)
+        coupled = identify_coupled(recordings, lab, progress=progress) if is_periodic else None
+    return (
+        tuple(recordings)
+        if coupled is None
+        else single_axis_recordings(decoupled(recordings, coupled), coupled)
+    )
 
 
-def apart(recordings: Sequence[Recording], coupled: CoupledStage) -> tuple[Recording, ...]:
-    """Return the recordings without those that told the coupling: they are of no single axis."""
-    return tuple(one for one in recordings if one.name not in coupled.recordings)
+def single_axis_recordings(
+    recordings: Sequence[Recording], coupled: CoupledStage
+) -> tuple[Recording, ...]:
+    """Return the recordings without those of the coupling, in which all axes are driven."""
+    return tuple(r for r in recordings if r.name not in coupled.recordings)
 
 
 def _decoupled(recording: Recording, coupled: CoupledStage) -> Recording:
     axes = coupled.outputs
-    held = [recording.find(Quantity.DISPLACEMENT, axis) for axis in axes]
-    moved = [channel for channel in held if channel is not None]
-    if len(moved) < len(axes):
-        missing = [a for a, channel in zip(axes, held, strict=True) if channel is None]
-        moving = driven(recording, axes)
-        if moved and len(moving) > 1:
+    channels = [recording.find(Quantity.DISPLACEMENT, axis) for axis in axes]
+    present = [channel for channel in channels if channel is not None]
+    if len(present) < len(axes):
+        missing = [a for a, channel in zip(axes, channels, strict=True) if channel is None]
+        moving = driven_axes(recording, axes)
+        if present and len(moving) > 1:
             raise RecordingError(
                 f"{recording.name}: the axes {', '.join(moving)} are driven, and the displacement "
                 f"of {', '.join(missing)} is not there",
@@ -155,73 +161,76 @@ def _decoupled(recording: Recording, coupled: CoupledStage) -> Recording:
                 remedy="Record them together, or drive one axis while the others rest.",
             )
         return recording
-    values = coupled.decoupling @ np.stack([channel.values for channel in moved])
+    values = coupled.decoupling @ np.stack([channel.values for channel in present])
     turned = {
         axis: replace(channel, values=row, label=f"{channel.label}, decoupled")
-        for axis, channel, row in zip(axes, moved, values, strict=True)
+        for axis, channel, row in zip(axes, present, values, strict=True)
     }
-    channels = tuple(
+    decoupled_channels = tuple(
         turned[c.axis] if c.quantity is Quantity.DISPLACEMENT and c.axis in turned else c
         for c in recording.channels
     )
-    return replace(recording, channels=channels)
+    return replace(recording, channels=decoupled_channels)
 
 
-def driven(recording: Recording, axes: Sequence[str]) -> list[str]:
+def driven_axes(recording: Recording, axes: Sequence[str]) -> list[str]:
     """Return which of these axes are driven: not those that rest beside a wider drive."""
-    found = [(axis, recording.find(Quantity.VOLTAGE, axis)) for axis in axes]
-    reach = {axis: float(np.ptp(channel.values)) for axis, channel in found if channel is not None}
+    drives = [(axis, recording.find(Quantity.VOLTAGE, axis)) for axis in axes]
+    reach = {axis: float(np.ptp(drive.values)) for axis, drive in drives if drive is not None}
     widest = max(reach.values(), default=0.0)
-    return [axis for axis, own in reach.items() if own > STILL * widest]
+    return [axis for axis, reach_V in reach.items() if reach_V > STILL * widest]
 
 
-def _periodic(recording: Recording, declared: Coupled) -> _Periodic | None:
+def _periodic_recording(recording: Recording, declared: Coupled) -> PeriodicRecording | None:
     axes, settling = declared.axes, declared.settling_periods
     wanted = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
     complete = all(
         recording.find(quantity, axis) is not None for quantity in wanted for axis in axes
     )
-    if recording.breaks or not complete or len(driven(recording, axes)) < len(axes):
+    if recording.breaks or not complete or len(driven_axes(recording, axes)) < len(axes):
         return None
-    found = [find_repetition(recording.voltage_V(a), fewest=settling + FEWEST) for a in axes]
-    known = [one for one in found if one is not None]
-    if len(known) < len(axes) or len({one.period_samples for one in known}) > 1:
+    repetitions = [
+        repetition
+        for axis in axes
+        if (repetition := find_repetition(recording.voltage_V(axis), fewest=settling + FEWEST))
+    ]
+    if len(repetitions) < len(axes) or len({r.period_samples for r in repetitions}) > 1:
         return None
-    first, period = max(one.first for one in known), known[0].period_samples
-    end = min(one.first + one.periods * period for one in known)
+    first, period = max(r.first for r in repetitions), repetitions[0].period_samples
+    end = min(r.first + r.periods * period for r in repetitions)
     periods = (end - first) // period
     if periods < settling + FEWEST:
         return None
-    return _Periodic(
+    return PeriodicRecording(
         recording=recording,
         repetition=Repetition(first=first, period_samples=period, periods=periods),
     )
 
 
-def _levels(found: Sequence[_Periodic], declared: Coupled) -> list[PeriodicData]:
+def _levels_of(periodic: Sequence[PeriodicRecording], declared: Coupled) -> list[PeriodicData]:
     """Return what was recorded at each level, realisations side by side."""
-    periods = min(one.repetition.periods for one in found) - declared.settling_periods
-    shapes = {(r.recording.sampling_rate_Hz, r.repetition.period_samples) for r in found}
+    periods = min(p.repetition.periods for p in periodic) - declared.settling_periods
+    shapes = {(p.recording.sampling_rate_Hz, p.repetition.period_samples) for p in periodic}
     if len(shapes) > 1:
-        told = "; ".join(f"{count} samples at {rate:g} Hz" for rate, count in sorted(shapes))
+        listed = "; ".join(f"{count} samples at {rate:g} Hz" for rate, count in sorted(shapes))
         raise ExcitationError(
-            f"drives of the coupled axes that repeat after {told}",
+            f"drives of the coupled axes that repeat after {listed}",
             needed="one rate and one period for all levels and realisations",
             remedy="Leave out the recordings of another period.",
         )
-    cuts = [(_cut(one, declared.axes, periods, "voltage_V"), one) for one in found]
+    cuts = [(_cut(p, declared.axes, periods, "voltage_V"), p) for p in periodic]
     cuts.sort(key=lambda pair: float(pair[0].std()))
     sizes = [float(drive.std()) for drive, _ in cuts]
     steps = [k for k, (a, b) in enumerate(pairwise(sizes), 1) if b > LEVEL_TOLERANCE * a]
     edges = [0, *steps, len(cuts)]
     return [
         PeriodicData(
-            sampling_rate_Hz=found[0].recording.sampling_rate_Hz,
+            sampling_rate_Hz=periodic[0].recording.sampling_rate_Hz,
             inputs=declared.axes,
             outputs=declared.axes,
             voltage_V=np.stack([drive for drive, _ in cuts[a:b]], axis=2),
             displacement_m=np.stack(
-                [_cut(one, declared.axes, periods, "displacement_m") for _, one in cuts[a:b]],
+                [_cut(p, declared.axes, periods, "displacement_m") for _, p in cuts[a:b]],
                 axis=2,
             ),
         )
@@ -229,10 +238,10 @@ def _levels(found: Sequence[_Periodic], declared: Coupled) -> list[PeriodicData]
     ]
 
 
-def _cut(one: _Periodic, axes: Sequence[str], periods: int, quantity: str) -> Array:
+def _cut(periodic: PeriodicRecording, axes: Sequence[str], periods: int, quantity: str) -> Array:
     """Return the last periods of every axis, (samples, axes, periods)."""
-    P = one.repetition.period_samples
-    start = one.repetition.first + (one.repetition.periods - periods) * P
-    signals = [getattr(one.recording, quantity)(axis) for axis in axes]
+    repetition, P = periodic.repetition, periodic.repetition.period_samples
+    start = repetition.first + (repetition.periods - periods) * P
+    signals = [getattr(periodic.recording, quantity)(axis) for axis in axes]
     cut = [signal[start : start + periods * P].reshape(periods, P).T for signal in signals]
     return np.stack(cut, axis=1)

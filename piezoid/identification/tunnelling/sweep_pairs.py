@@ -154,13 +154,13 @@ def decay_without_drift(curves: Sequence[ApproachCurve]) -> DriftFreeDecay:
     have had in its variance. Their mean and interval are those of random effects [DerSimonian &
     Laird 1986], what differs from pair to pair at Student's quantile of their number.
     """
-    estimates = [_estimate(held) for held in _by_pair(curves)]
+    estimates = [_estimate(pair) for pair in _by_pair(curves)]
     if len(estimates) == 1:
-        one = estimates[0]
-        low = one.decay_per_m * max(1.0 - one.below, 0.0)
-        interval = (low, one.decay_per_m * (1.0 + one.above))
+        (single,) = estimates
+        low = single.decay_per_m * max(1.0 - single.below, 0.0)
+        interval = (low, single.decay_per_m * (1.0 + single.above))
         return DriftFreeDecay(
-            decay_per_m=one.decay_per_m, interval_per_m=interval, estimates=(one,)
+            decay_per_m=single.decay_per_m, interval_per_m=interval, estimates=(single,)
         )
     mean, half = _random_effects(estimates)
     ends = (math.exp(mean - half), math.exp(mean + half)) if half < 50.0 else (0.0, math.inf)
@@ -171,15 +171,15 @@ def decay_without_drift(curves: Sequence[ApproachCurve]) -> DriftFreeDecay:
 
 def _by_pair(curves: Sequence[ApproachCurve]) -> list[list[ApproachCurve]]:
     """Sweeps that went to and fro together, and each of the others alone."""
-    held: dict[str, list[ApproachCurve]] = {}
-    alone = []
+    pairs: dict[str, list[ApproachCurve]] = {}
+    singles = []
     for curve in curves:
-        partners = held.setdefault(curve.pair, []) if curve.pair else []
+        partners = pairs.setdefault(curve.pair, []) if curve.pair else []
         if curve.pair and all(other.direction is not curve.direction for other in partners):
             partners.append(curve)
         else:
-            alone.append([curve])
-    return [*held.values(), *alone]
+            singles.append([curve])
+    return [*pairs.values(), *singles]
 
 
 def _estimate(curves: Sequence[ApproachCurve]) -> DecayEstimate:
@@ -189,8 +189,8 @@ def _estimate(curves: Sequence[ApproachCurve]) -> DecayEstimate:
     above = math.hypot(*(f.decay_interval_per_m[1] - f.decay_per_m for f in fits)) / len(fits)
     if len(fits) == 1:
         drift = None
-        moved = NORMAL_95 * _unseen_drift(curves[0])
-        least, most = moved / (1.0 + moved), moved / max(1.0 - moved, _LEAST_CLEAR)
+        share = NORMAL_95 * _unseen_drift(curves[0])
+        least, most = share / (1.0 + share), share / max(1.0 - share, _LEAST_CLEAR)
     else:
         drift = 0.5 * (fits[1].decay_per_m - fits[0].decay_per_m) / decay
         unclosed = _unclosed(curves, fits) / decay
@@ -228,11 +228,11 @@ def _unseen_drift(curve: ApproachCurve) -> float:
 
 def _random_effects(estimates: Sequence[DecayEstimate]) -> tuple[float, float]:
     """Mean of ln k and half its 95 % interval."""
-    known = [one for one in estimates if math.isfinite(one.variance)]
+    known = [estimate for estimate in estimates if math.isfinite(estimate.variance)]
     if not known:
-        return float(np.mean([math.log(one.decay_per_m) for one in estimates])), math.inf
-    logs = np.log([one.decay_per_m for one in known])
-    within = np.maximum([one.variance for one in known], 1e-16)
+        return float(np.mean(np.log([e.decay_per_m for e in estimates]))), math.inf
+    logs = np.log([estimate.decay_per_m for estimate in known])
+    within = np.maximum([estimate.variance for estimate in known], 1e-16)
     fixed = 1.0 / within
     excess = float(np.sum(fixed * (logs - np.average(logs, weights=fixed)) ** 2)) - len(known) + 1
     spread = fixed.sum() - np.sum(fixed**2) / fixed.sum()
@@ -252,8 +252,8 @@ def judge_together(
     Widths are those of the common interval.
     """
     low, high = (barrier_of_decay(end) for end in found.interval_per_m)
-    told = {
-        way: judge(
+    reasons_by_direction = {
+        direction: judge(
             replace(
                 fit.evidence,
                 barrier_eV=barrier_of_decay(found.decay_per_m),
@@ -261,35 +261,38 @@ def judge_together(
                 barrier_high_eV=high,
             )
         )[1]
-        for way, fit in fits.items()
+        for direction, fit in fits.items()
     }
-    shared = set.intersection(*({reason.text for reason in held} for held in told.values()))
+    shared = set.intersection(
+        *({reason.text for reason in each} for each in reasons_by_direction.values())
+    )
     reasons = {
         reason.text
         if len(fits) == 1 or reason.text in shared
-        else f"{way.value}: {reason.text}": reason.grade
-        for way, held in told.items()
-        for reason in held
+        else f"{direction.value}: {reason.text}": reason.grade
+        for direction, each in reasons_by_direction.items()
+        for reason in each
     }
     judged = [Reason(grade=grade, text=text) for text, grade in reasons.items()]
-    judged += _of_drift(found)
+    judged += _drift_reasons(found)
     judged.sort(key=lambda reason: reason.grade is not Confidence.LOW)
     return (judged[0].grade if judged else Confidence.HIGH), tuple(judged)
 
 
-def _of_drift(found: DriftFreeDecay) -> list[Reason]:
-    alone = [one for one in found.estimates if one.drift is None]
-    if alone:
-        least, most = alone[0].unseen
+def _drift_reasons(decay: DriftFreeDecay) -> list[Reason]:
+    one_way = [estimate for estimate in decay.estimates if estimate.drift is None]
+    if one_way:
+        least, most = one_way[0].unseen
         return [
             Reason(
                 grade=Confidence.MEDIUM,
-                text=f"{len(alone)} sweep(s) went one way only, which cannot tell drift of the "
+                text=f"{len(one_way)} sweep(s) went one way only, which cannot tell drift of the "
                 f"height from barrier: the interval holds a decay {100.0 * least:.2g} % smaller "
                 f"to {100.0 * most:.2g} % larger for it; sweep to and fro",
             )
         ]
-    drift = max((abs(one.drift) for one in found.estimates if one.drift is not None), default=0.0)
+    drifts = [abs(e.drift) for e in decay.estimates if e.drift is not None]
+    drift = max(drifts, default=0.0)
     if drift <= _STRONG_DRIFT:
         return []
     return [
