@@ -173,7 +173,7 @@ def _table(found: "Calibration") -> "Table":
     model, made = found.model, found.controllers
     loops = {} if made.design is None else {a.axis: a.recommended for a in made.design.axes}
     names = list(dict.fromkeys([*model.axes, *loops]))
-    headings = ("axis", "error", "noise", "closure", "bandwidth", "guaranteed error", "verdict")
+    headings = ("axis", "error", "noise", "closure", "bandwidth", "guaranteed", "verdict")
     rows = [
         (name, *_fit_cells(model.axes.get(name)), *_loop_cells(found, name, loops.get(name)))
         for name in names
