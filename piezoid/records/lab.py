@@ -258,7 +258,8 @@ def read_lab(path: Path) -> Lab:
     except msgspec.ValidationError as error:
         message, _, where = str(error).partition(" - at `$")
         place = where.rstrip("`").lstrip(".") or "the top"
-        raise refusal(path, f"{place}: {message}", "the names and types of a lab.toml") from error
+        needed = f"the names and types of a lab.toml{_similar_name(message)}"
+        raise refusal(path, f"{place}: {message}", needed) from error
     lab = Lab(
         name=contents.rig.name,
         place=path.name,
@@ -277,6 +278,14 @@ def read_lab(path: Path) -> Lab:
     )
     _check(path, lab)
     return lab
+
+
+def _similar_name(message: str) -> str:
+    """Return a question for the name that was meant, empty if none is similar."""
+    unknown = message.partition("unknown field `")[2].rstrip("`").lower()
+    names = {name.lower(): name for t in Table.__subclasses__() for name in t.__struct_fields__}
+    similar = get_close_matches(unknown, names, n=1)
+    return f" (did you mean {names[similar[0]]}?)" if similar else ""
 
 
 def _check(path: Path, lab: Lab) -> None:

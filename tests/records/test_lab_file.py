@@ -130,3 +130,18 @@ def test_a_key_that_another_missing_key_would_silence_is_refused(
 def test_a_bandwidth_that_nothing_has_is_refused_with_its_number(tmp_path: Path) -> None:
     with pytest.raises(LabFileError, match="bandwidth_Hz is 1e-20"):
         lab_of("[amplifier]\nbandwidth_Hz = 1e-20\n", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        ("[acquisition]\nsampling_rate_hz = 1000\n", "sampling_rate_Hz"),
+        ("[amplifer]\ngain_V_per_V = 15\n", "amplifier"),
+        ('[[recording]]\nfile = "a.csv"\ncolumn = {}\n', "columns"),
+    ],
+)
+def test_a_misspelt_name_is_refused_with_the_one_that_was_meant(
+    text: str, meant: str, tmp_path: Path
+) -> None:
+    with pytest.raises(LabFileError, match=rf"did you mean {meant}\?"):
+        lab_of(text, tmp_path)
