@@ -1,7 +1,7 @@
-"""The first lab.toml: what recordings say of themselves, and the questions they leave open.
+"""Draft a first lab.toml: an entry for each recording, and comments for what only the user knows.
 
-What is understood is written as entries; what only the laboratory knows stands there as comments
-with an example, so that nothing is claimed that nobody said.
+What the files state is written as entries; the rest is written as comments with an example, so
+that the draft claims nothing that is not known.
 """
 
 import os
@@ -72,7 +72,7 @@ class LabDraft:
     """A lab.toml to begin with.
 
     text        TOML with comments
-    incomplete  names of files that cannot be used before somebody completes their entry
+    incomplete  names of files that need their entry completed before they can be used
     """
 
     text: str
@@ -82,14 +82,13 @@ class LabDraft:
 def draft_lab(paths: Sequence[Path], folder: Path) -> LabDraft:
     """Return a lab.toml for these recordings, to be written into a folder.
 
-    A file that is read without doubt becomes an entry which reads it the same way again; any
+    A file that is read unambiguously becomes an entry which reads it the same way again; any
     other one becomes the entry to complete, as a comment under the reason.
     """
     parts, incomplete = [HEAD], []
     for path in paths:
         # Other than Path.resolve, this goes through links that lead back to themselves.
-        whole, start = os.path.realpath(path), os.path.realpath(folder)
-        name = Path(os.path.relpath(whole, start)).as_posix()
+        name = Path(os.path.relpath(os.path.realpath(path), os.path.realpath(folder))).as_posix()
         text, is_usable = _about(path, name)
         parts.append(text)
         if not is_usable:
@@ -111,40 +110,40 @@ def _about(path: Path, name: str) -> tuple[str, bool]:
     try:
         return _entry(table, ingest_parts(table, Lab(), None), name), True
     except PiezoidError as error:
-        asked = str(error).partition("\n")[0]
-        _, found, lines = error.remedy.partition("[[recording]]")
-        block = f"{found}{lines.rstrip()}" if found else entry_template(table)
-        return commented(asked) + commented(_named(block, name)), False
+        reason = str(error).partition("\n")[0]
+        _, header, lines = error.remedy.partition("[[recording]]")
+        block = f"{header}{lines.rstrip()}" if header else entry_template(table)
+        return commented(reason) + commented(_with_file_name(block, name)), False
 
 
 def _about_response(table: RawTable, name: str) -> tuple[str, bool]:
     """Return the entry of a frequency response: to complete where it is refused."""
-    block = _named(response_block(table), name)
+    block = _with_file_name(response_block(table), name)
     try:
-        found = ingest_response(table, Lab(), None)
+        response = ingest_response(table, Lab(), None)
     except PiezoidError as error:
         return commented(str(error).partition("\n")[0]) + commented(block), False
-    axes = ", ".join(found.axes)
-    said = (
-        f"{table.name}: a frequency response of {axes}, {found.frequency_Hz[0]:.6g} to "
-        f"{found.frequency_Hz[-1]:.6g} Hz, {len(found.frequency_Hz)} lines; it is read by its "
-        "headings"
+    axes = ", ".join(response.axes)
+    summary = (
+        f"{table.name}: a frequency response of {axes}, {response.frequency_Hz[0]:.6g} to "
+        f"{response.frequency_Hz[-1]:.6g} Hz, {len(response.frequency_Hz)} lines; it is read by "
+        "its headings"
     )
     includes = 'includes = ["amplifier", "sensor"]  # poles it was measured through'
     entry = f"[[recording]]\nfile = {_toml(name)}\n{includes}\n"
-    axis = "" if found.axis_is_named else '# axis = "x"\n'
-    return commented(said) + entry + axis, True
+    axis = "" if response.axis_is_named else '# axis = "x"\n'
+    return commented(summary) + entry + axis, True
 
 
-def _named(block: str, name: str) -> str:
+def _with_file_name(block: str, name: str) -> str:
     """Return an entry under the file's name from the folder of lab.toml."""
     return re.sub(r"^file = .*$", lambda _: f"file = {_toml(name)}", block, count=1, flags=re.M)
 
 
 def _entry(table: RawTable, recordings: Sequence[Recording], name: str) -> str:
-    found = assign_columns(table, Lab(), RecordingEntry(file=table.name))
-    clock = [("time", found.time)] if found.time is not None else []
-    read = [*clock, *((_key(channel), channel) for channel in found.channels)]
+    assignment = assign_columns(table, Lab(), RecordingEntry(file=table.name))
+    clock = [("time", assignment.time)] if assignment.time is not None else []
+    read = [*clock, *((_key(channel), channel) for channel in assignment.channels)]
     columns = ", ".join(f"{key} = {_heading(table, a.column)}" for key, a in read)
     units = ", ".join(
         f"{key} = {_toml(a.unit.symbol)}" for key, a in read if unit_of(a.unit.symbol) == a.unit
@@ -166,9 +165,11 @@ def _key(channel: AssignedColumn) -> str:
 
 def _heading(table: RawTable, column: Column) -> str:
     """Name a column by its heading, or by its number where the heading is not its own."""
-    plain = column.label == column.label.strip() and column.label.isprintable()
+    is_plain = column.label == column.label.strip() and column.label.isprintable()
     return (
-        _toml(column.label) if plain and table.find(column.label) is column else str(column.number)
+        _toml(column.label)
+        if is_plain and table.find(column.label) is column
+        else str(column.number)
     )
 
 
@@ -198,6 +199,6 @@ def _harmless(line: str) -> str:
 
 
 def _toml(text: str) -> str:
-    """Return a TOML basic string; every character that is none of ours as its code."""
+    """Return a TOML basic string; characters that are not printable as codes."""
     escaped = (c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in text)
     return '"' + "".join(escaped) + '"'

@@ -1,4 +1,4 @@
-"""Archives, containers and other programs' files that are not read: named for what they are."""
+"""Recognise archives and files of other programs that are not read, to refuse them by name."""
 
 import re
 import zipfile
@@ -14,9 +14,9 @@ _AFM = (
     "Export it as text from the microscope's program, the drive in volts beside the measured "
     "height."
 )
-_SHOWN = 3
+_MAX_NAMES = 3
 # By the first bytes, which these formats define, and by the suffix where the bytes alone are weak.
-_OTHERS: tuple[tuple[re.Pattern[bytes], str, str, str], ...] = (
+_OTHER_FORMATS: tuple[tuple[re.Pattern[bytes], str, str, str], ...] = (
     (re.compile(rb'\s*(?:\{\s*"|\[\s*[\[{])'), "", "it is JSON", "Write its arrays as columns "
      "of a CSV file, with pandas.DataFrame(json.load(...)).to_csv(...), say."),
     (re.compile(rb"\s*<(?:\?xml|!DOCTYPE|html|table)", re.IGNORECASE), "",
@@ -44,12 +44,12 @@ def members(source: Source) -> tuple[str, ...]:
 
 def recognises(source: Source) -> bool:
     """Take zip archives that no other reader has taken, and whatever else is known by sight."""
-    return source.head.startswith((ZIP, _OLE)) or _other(source) is not None
+    return source.head.startswith((ZIP, _OLE)) or _other_format(source) is not None
 
 
-def _other(source: Source) -> tuple[str, str] | None:
+def _other_format(source: Source) -> tuple[str, str] | None:
     """Return what a file is and how to make it a recording, None where sight does not tell."""
-    for begins, suffix, kind, remedy in _OTHERS:
+    for begins, suffix, kind, remedy in _OTHER_FORMATS:
         if suffix in ("", source.suffix) and begins.match(source.head):
             return kind, remedy
     return None
@@ -57,7 +57,7 @@ def _other(source: Source) -> tuple[str, str] | None:
 
 def read(source: Source) -> RawTable:
     """Refuse with the name of what it is."""
-    other = _other(source)
+    other = _other_format(source)
     if other is not None:
         kind, remedy = other
         raise unreadable(
@@ -71,7 +71,7 @@ def read(source: Source) -> RawTable:
             remedy="Save it as .xlsx or CSV.",
         )
     names = members(source)
-    shown = ", ".join(map(repr, names[:_SHOWN])) + (", ..." if len(names) > _SHOWN else "")
+    shown = ", ".join(map(repr, names[:_MAX_NAMES])) + (", ..." if len(names) > _MAX_NAMES else "")
     raise unreadable(
         source.name,
         f"it is a zip archive that holds {shown or 'nothing'}",

@@ -18,7 +18,7 @@ from piezoid.statement import finding
 
 # What SciPy makes of an object: its name, MCOS, its class, and numbers of its bookkeeping.
 _OBJECT = frozenset({"s0", "s1", "s2", "arr"})
-_PLAIN = frozenset({"char", "cell", "struct", "logical", "double", "single", "function_handle"})
+_CLASSES = frozenset({"char", "cell", "struct", "logical", "double", "single", "function_handle"})
 _SAVE = (
     "In MATLAB, save columns as vectors (time_s = seconds(T.Time); voltage_V = T.Voltage), or "
     "write the table with writetable or writetimetable as CSV."
@@ -29,7 +29,7 @@ _PIECE = 1 << 20
 
 
 def recognises(source: Source) -> bool:
-    """Tell it by the text every such file starts with; version 7.3 is HDF5 behind 512 bytes."""
+    """Recognise the text every such file starts with; version 7.3 is HDF5 behind 512 bytes."""
     is_bare_hdf5 = source.head.startswith(SIGNATURE) and source.suffix == ".mat"
     return source.head.startswith(b"MATLAB ") or is_bare_hdf5
 
@@ -48,20 +48,20 @@ def read(source: Source) -> RawTable:
 
         _check_sizes(source)
         opaque = {} if source.head.startswith(b"MATLAB 5") else _objects_of_hdf5(source)
-        held = dict(_flat("", read_mat(str(source.path)), opaque))
-        arrays = {name: value for name, value in held.items() if name not in opaque}
-    said = ", ".join(f"{name!r} ({kind})" for name, kind in opaque.items())
+        variables = dict(_flat("", read_mat(str(source.path)), opaque))
+        arrays = {name: value for name, value in variables.items() if name not in opaque}
+    objects = ", ".join(f"{name!r} ({kind})" for name, kind in opaque.items())
     if opaque and not any(value.size > 1 for value in arrays.values()):
         raise unreadable(
             source.name,
-            f"it holds objects that only MATLAB can open: {said}",
+            f"it holds objects that only MATLAB can open: {objects}",
             needed="vectors of numbers, alone or in a structure",
             remedy=_SAVE,
         )
     table = table_of(source, "MATLAB", arrays)
     if not opaque:
         return table
-    text = f"{said} are objects that only MATLAB can open, and are not read. {_SAVE}"
+    text = f"{objects} are objects that only MATLAB can open, and are not read. {_SAVE}"
     statement = finding(quantity="opaque", place=next(iter(opaque)), text=text)
     return replace(table, statements=(statement, *table.statements))
 
@@ -73,8 +73,8 @@ def _check_sizes(source: Source) -> None:
 
         # An object has no size to tell, at which SciPy stumbles; what is in the file is counted.
         with suppress(TypeError):
-            found = whosmat(str(source.path))
-            check_growth(source, 8 * sum(int(np.prod(s, dtype=object)) for _, s, _ in found))
+            variables = whosmat(str(source.path))
+            check_growth(source, 8 * sum(int(np.prod(s, dtype=object)) for _, s, _ in variables))
         _check_elements(source)
     else:
         check_datasets(source)
@@ -110,39 +110,41 @@ def _objects_of_hdf5(source: Source) -> dict[str, str]:
     """Return the class of every object: what is in its place are numbers of its bookkeeping."""
     import h5py
 
-    found: dict[str, str] = {}
+    classes: dict[str, str] = {}
 
     def keep(path: str, item: Any) -> None:
         kind = item.attrs.get("MATLAB_class", b"")
         kind = kind.decode("utf-8", "replace") if isinstance(kind, bytes) else str(kind)
-        if "MATLAB_object_decode" in item.attrs and kind not in _PLAIN and path[0] != "#":
-            found[path.replace("/", ".")] = kind or "object"
+        if "MATLAB_object_decode" in item.attrs and kind not in _CLASSES and path[0] != "#":
+            classes[path.replace("/", ".")] = kind or "object"
 
     with source.open() as stream:
         h5py.File(stream, "r").visititems(keep)
-    return found
+    return classes
 
 
 def _flat(
-    prefix: str, held: Mapping[str, object], opaque: dict[str, str]
+    prefix: str, variables: Mapping[str, object], opaque: dict[str, str]
 ) -> Iterator[tuple[str, np.ndarray]]:
     """Yield the variables, fields of structures by ``structure.field``; note what is an object."""
-    for key, value in held.items():
+    for key, value in variables.items():
         if str(key).startswith(("__", "#")):
             continue
         name = f"{prefix}.{key}" if prefix else str(key)
         if isinstance(value, Mapping) and set(value) >= _OBJECT:
-            own, kind = (_word(value[field]) for field in ("s0", "s2"))
-            opaque[own or name] = kind
+            object_name, kind = (_word(value[field]) for field in ("s0", "s2"))
+            opaque[object_name or name] = kind
         elif isinstance(value, Mapping):
             yield from _flat(name, value, opaque)
         else:
             yield name, value if isinstance(value, np.ndarray) else np.asarray(value)
 
 
-def _word(held: object) -> str:
+def _word(field: object) -> str:
     """Return the one word in a field of an object."""
-    word = held[0] if isinstance(held, list | tuple | np.ndarray) and len(held) else held
+    word = field
+    if isinstance(field, list | tuple | np.ndarray) and len(field):
+        word = field[0]
     return word.decode("utf-8", "replace") if isinstance(word, bytes) else str(word)
 
 
