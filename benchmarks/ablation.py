@@ -143,7 +143,7 @@ RULES = (
     ),
     Rule(
         name="what has no name",
-        places=((diagnose, "explained"),),
+        places=((diagnose, "search_all"),),
         without=lambda view, hands: without_names(view, selection.search(view, hands)),
         matters=lambda said, _: said.discovered is not None or said.otherwise is not None,
         dear=True,

@@ -11,7 +11,7 @@ import numpy as np
 from piezoid.diagnosis.budget import relative_scatter
 from piezoid.diagnosis.effect import Found
 from piezoid.diagnosis.refit import Refitted, refitted
-from piezoid.diagnosis.residual_structure import Explained, with_it
+from piezoid.diagnosis.residual_structure import SearchResult, with_it
 from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.selection import Outcome
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Scales
@@ -22,7 +22,7 @@ from piezoid.records.recording import Quantity, Recording
 
 
 @dataclass(frozen=True, kw_only=True)
-class Simulated:
+class ModelErrors:
     """Errors on rows left out, in scaled units.
 
     baseline  of the raw recordings
@@ -42,22 +42,22 @@ class Simulated:
 Tracks = Sequence[Track]
 
 
-def attributed(
-    explained: Explained,
+def attribute_errors(
+    result: SearchResult,
     recordings: Sequence[Recording],
     *,
     model: AxisModel,
     lab: Lab,
     scales: Scales,
     progress: Callable[[str], None] = lambda _: None,
-) -> Simulated:
+) -> ModelErrors:
     """Return what the model leaves before, after, and without each thing that was found.
 
     recordings  those of the search, as they came
     model       the axis as fitted to them, or to earlier ones
     scales      of the search
     """
-    outcome = explained.outcome
+    outcome = result.outcome
     found = [
         Found(
             effect=cause.effect.name,
@@ -68,10 +68,10 @@ def attributed(
         for cause in outcome.causes
     ]
     mended = mending(outcome)
-    clean, raw, whole = outcome.clean.tracks, explained.raw.tracks, None
+    clean, raw, whole = outcome.clean.tracks, result.raw.tracks, None
     before = clean
-    if explained.discovered is not None:
-        before = with_it(outcome.clean, explained.discovered).tracks
+    if result.discovered is not None:
+        before = with_it(outcome.clean, result.discovered).tracks
         whole = repaired(recordings, model.axis, raw, before, scales)
     left_out = any(len(a.place) > len(b.place) for a, b in zip(before, clean, strict=True))
     numbers = refitted(
@@ -104,8 +104,8 @@ def mending(outcome: Outcome) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _scaled(numbers: Refitted, stroke_m: float) -> Simulated:
-    return Simulated(
+def _scaled(numbers: Refitted, stroke_m: float) -> ModelErrors:
+    return ModelErrors(
         baseline=numbers.baseline.held_out_rms_m / stroke_m,
         final=numbers.final.held_out_rms_m / stroke_m,
         without={n: one.held_out_rms_m / stroke_m for n, one in numbers.without.items()},

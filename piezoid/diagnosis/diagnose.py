@@ -1,46 +1,33 @@
-"""From recordings to a Diagnosis: what the simulation gets wrong, and why."""
+"""Diagnose one axis: explain the difference between its simulation and its recordings.
+
+recordings -> repaired view -> effects selected against the widest class of hysteresis
+-> model refitted with the effects -> findings, detection limits and error budget
+"""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from piezoid.counts import refusing_in_counts
-from piezoid.diagnosis.attribution import Simulated, attributed
-from piezoid.diagnosis.budget import (
-    RemainingErrors,
-    corrected,
-    with_budget,
-)
-from piezoid.diagnosis.candidate import Candidate
+from piezoid.diagnosis.attribution import ModelErrors, attribute_errors
+from piezoid.diagnosis.budget import RemainingErrors, corrected, with_budget
 from piezoid.diagnosis.closed_loop_recordings import with_creep_of_holds
 from piezoid.diagnosis.constant_drive import diagnose_at_rest
 from piezoid.diagnosis.detection_limits import absent, not_sought
-from piezoid.diagnosis.diagnosis import (
-    Diagnosis,
-    FinalError,
-    Finding,
-    HeldOut,
-    Size,
-    Unexplained,
-    fraction_explained,
-)
-from piezoid.diagnosis.effect import Effect, Fault
-from piezoid.diagnosis.effect_size import size_of
-from piezoid.diagnosis.effects import effect_named, every_effect
+from piezoid.diagnosis.diagnosis import Diagnosis, FinalError, Unexplained, fraction_explained
+from piezoid.diagnosis.effects import every_effect
+from piezoid.diagnosis.findings import findings_of, held_out
 from piezoid.diagnosis.forward_selection import SLIP
-from piezoid.diagnosis.identified_modes import told_apart, with_modes
+from piezoid.diagnosis.identified_modes import split_known_modes, with_modes
 from piezoid.diagnosis.ingest_faults import with_ingested
-from piezoid.diagnosis.noise_level import noise_level
-from piezoid.diagnosis.null_distribution import chance_of, strengths_of_healthy
 from piezoid.diagnosis.residual_structure import NAME as SOMETHING_ELSE
-from piezoid.diagnosis.residual_structure import SURE, Explained, explained, without_names
+from piezoid.diagnosis.residual_structure import SearchResult, search_all, without_names
 from piezoid.diagnosis.residual_view import View, view_of
 from piezoid.diagnosis.segments import tracks_of
 from piezoid.diagnosis.selection import Outcome, without_causes
 from piezoid.diagnosis.step_responses import behind_jumps
-from piezoid.diagnosis.structure_findings import of_discovered, of_noise
 from piezoid.formatting import words
 from piezoid.identification.fit import (
     axes_of,
@@ -62,9 +49,7 @@ from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording, counted_in
 
 Progress = Callable[[str], None]
-
-MOST_PLACES = 5  # that are told of a fault
-CERTAIN = 8.0  # standard errors: so sure a cause holds no part of another
+AttributeErrors = Callable[[SearchResult], ModelErrors]
 
 
 def diagnose(
@@ -95,126 +80,134 @@ def diagnose(
     """
     counted = counted_in(recordings)
     with refusing_in_counts(counted):
-        found = _diagnosed(recordings, axis, lab or Lab(), model, response, progress, threads)
-        return found.told_in_counts(counted)
+        selected_axis = _select_axis(recordings, axis)
+        constant = recorded_of(recordings, selected_axis)
+        if constant and all(is_at_rest(recording, selected_axis) for recording in constant):
+            progress("diagnosing recordings at constant drive")
+            return diagnose_at_rest(constant, selected_axis).told_in_counts(counted)
+        declared = lab or Lab()
+        if model is None:
+            model = fit_axis(
+                recordings, selected_axis, declared, response=response, progress=progress
+            )
+        start = model.without_minor_loops()
+        executor = Executor(progress=progress, threads=threads)
+        selection = _select_effects(recordings, selected_axis, start, declared, executor)
+        progress("fitting dynamics and loop shape of the extended model")
+        final = refined(selection.errors.model, recordings, declared, response)
+        diagnosis = _assembled(selection, start, final, recordings)
+        return diagnosis.told_in_counts(counted)
 
 
-def _diagnosed(
-    recordings: Sequence[Recording],
-    axis: str | None,
-    declared: Lab,
-    model: AxisModel | None,
-    response: FrequencyResponseRecord | None,
-    progress: Progress,
-    threads: int,
-) -> Diagnosis:
+def _select_axis(recordings: Sequence[Recording], requested: str | None) -> str:
     axes = axes_of(recordings)
-    wanted = next(iter(axes), "") if axis is None else axis
-    if wanted not in axes:
-        what = f" of axis {wanted}" if wanted else " of the same axis"
-        raise lacking(recordings, f"a drive voltage and a displacement{what}")
-    resting = recorded_of(recordings, wanted)
-    if resting and all(is_at_rest(recording, wanted) for recording in resting):
-        progress("looking at a stage at rest")
-        return diagnose_at_rest(resting, wanted)
-    if model is None:
-        model = fit_axis(recordings, wanted, declared, response=response, progress=progress)
-    model = model.without_minor_loops()
-    progress("fitting the envelope")
-    chosen, shaped = told_apart(moving(recordings, wanted), wanted, model, declared)
-    scales, executor = scales_of(chosen, wanted), Executor(progress=progress, threads=threads)
-    view = view_on(chosen, axis=wanted, lab=declared)
-    against = "" if model.verdict.applies else model.verdict.reason
-    found = _nothing_in(view, against, executor) if against else explained(view, executor)
-    progress("refitting the simulation")
-    weighed = partial(
-        attributed,
-        recordings=chosen,
+    axis = next(iter(axes), "") if requested is None else requested
+    if axis not in axes:
+        of_axis = f" of axis {axis}" if axis else " of the same axis"
+        raise lacking(recordings, f"a drive voltage and a displacement{of_axis}")
+    return axis
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Selection:
+    """Effects that explain the recordings, and the errors of the model with them.
+
+    recordings  that were searched
+    mode_recordings  that a known mode shapes; they are not searched
+    """
+
+    axis: str
+    result: SearchResult
+    errors: ModelErrors
+    recordings: tuple[Recording, ...]
+    mode_recordings: tuple[Recording, ...]
+    scales: Scales
+
+
+def _select_effects(
+    recordings: Sequence[Recording],
+    axis: str,
+    model: AxisModel,
+    lab: Lab,
+    executor: Executor,
+) -> _Selection:
+    """Select faults and effects, and refit the model with them.
+
+    Where the class of the model does not apply, or leaves too much with everything selected, only
+    faults of the data are reported: an effect would stand for the missing class.
+    """
+    executor.report("fitting the widest class of hysteresis")
+    searched, mode_recordings = split_known_modes(moving(recordings, axis), axis, model, lab)
+    scales, view = scales_of(searched, axis), view_on(searched, axis=axis, lab=lab)
+    attribute = partial(
+        attribute_errors,
+        recordings=searched,
         model=model,
-        lab=declared,
+        lab=lab,
         scales=scales,
-        progress=progress,
+        progress=executor.report,
     )
-    found, numbers = _worth_most(found, weighed)
-    if numbers.final > 2.0 * UNEXPLAINED and not against:
-        against = f"everything found leaves {50.0 * numbers.final:.1f} % of the range"
-        found = _nothing_in(view, against, executor)
-        numbers = weighed(found)
-    found = _without_idle_slips(found, numbers)
-    found = replace(found, outcome=with_ingested(found.outcome, chosen, view.stroke_m))
-    progress("dynamics and loop shape of the extended model")
-    final = refined(numbers.model, recordings, declared, response)
-    diagnosis = _diagnosis(wanted, found, numbers, final, chosen, scales)
-    in_budget = set(diagnosis.names)
-    gain_m_per_V = scales.displacement_m / scales.voltage_V
-    diagnosis = with_creep_of_holds(diagnosis, recorded_of(recordings, wanted), gain_m_per_V)
-    diagnosis = with_modes(diagnosis, model, shaped, len(every_effect()))
-    return with_budget(
-        diagnosis,
-        _remaining_errors(found.outcome, numbers, final),
-        {
-            name: f"{words(name).capitalize()}: its error is not part of the baseline's."
-            for name in diagnosis.names
-            if name not in in_budget
-        },
+    if model.verdict.applies:
+        result, errors = _prefer_named_effects(search_all(view, executor), attribute)
+        if errors.final > 2.0 * UNEXPLAINED:
+            rejection = f"everything found leaves {50.0 * errors.final:.1f} % of the range"
+            result = _data_faults_only(view, rejection, executor)
+            errors = attribute(result)
+    else:
+        result = _data_faults_only(view, model.verdict.reason, executor)
+        errors = attribute(result)
+    repaired = _drop_useless_slips(result, errors)
+    return _Selection(
+        axis=axis,
+        result=replace(repaired, outcome=with_ingested(repaired.outcome, searched, view.stroke_m)),
+        errors=errors,
+        recordings=searched,
+        mode_recordings=mode_recordings,
+        scales=scales,
     )
 
 
-def _remaining_errors(outcome: Outcome, numbers: Simulated, final: AxisModel) -> RemainingErrors:
-    null, plain = outcome.final.null, final.minor_loops
-    rows, columns = null.every.shape
-    return RemainingErrors(
-        explained_m=final.quality.explained_rms_m,
-        wide_m=outcome.final.rms * outcome.first.stroke_m * corrected(rows, columns),
-        scatter=numbers.scatter,
-        before_m=None if plain is None else plain.plain.held_out_rms_m,
-        is_compared=not outcome.against,
-    )
+def _prefer_named_effects(
+    result: SearchResult, attribute: AttributeErrors
+) -> tuple[SearchResult, ModelErrors]:
+    """Prefer the named effects if they predict held-out data as well as the free curve.
 
-
-def _worth_most(
-    found: Explained, weighed: Callable[[Explained], Simulated]
-) -> tuple[Explained, Simulated]:
-    """Return what was discovered, or what names alone make of it where that is no worse.
-
-    On data left out the simulation may be as good without the curve: the class of the search then
-    did not follow the hysteresis, and the simulation does, unless no healthy stage of any law
-    leaves as much. Or it may be as good with the names in whose place the curve stands. Beyond the
-    end of a sensor's range the rows are not the same, and the second comparison is not made.
+    If the model is as good without the curve, the class of the search did not follow the
+    hysteresis and the model does, unless no healthy stage of any law leaves as much. Beyond the
+    end of a sensor's range the rows are not the same, and the two are not compared.
     """
-    numbers, otherwise, discovered = weighed(found), found.otherwise, found.discovered
-    if otherwise is None or discovered is None:
-        return found, numbers
-    if not discovered.is_unheard_of and numbers.final >= numbers.without[SOMETHING_ELSE]:
-        return otherwise, weighed(otherwise)
-    if discovered.end is None and _names_of(otherwise) - _names_of(found):
-        named = weighed(otherwise)
-        if named.final <= numbers.final:
-            return otherwise, named
-    return found, numbers
+    errors, named, curve = attribute(result), result.otherwise, result.discovered
+    if named is None or curve is None:
+        return result, errors
+    if not curve.is_unheard_of and errors.final >= errors.without[SOMETHING_ELSE]:
+        return named, attribute(named)
+    if curve.end is None and _names_of(named) - _names_of(result):
+        named_errors = attribute(named)
+        if named_errors.final <= errors.final:
+            return named, named_errors
+    return result, errors
 
 
-def _without_idle_slips(found: Explained, numbers: Simulated) -> Explained:
-    """Return what was found, slips of a clock only where undoing them helps the simulation.
+def _drop_useless_slips(result: SearchResult, errors: ModelErrors) -> SearchResult:
+    """Keep slips of a clock only where undoing them reduces the held-out error of the model.
 
-    They are told by readings against the nuisance class, whose own error may look like one: on
-    fresh stages of the zoo undoing two wrong ones raised the held-out error, and undoing ten right
-    ones lowered it.
+    They are found against the nuisance class, whose own error may look like one: on fresh stages
+    of the zoo undoing two wrong ones raised the held-out error, and undoing ten right ones lowered
+    it.
     """
-    faults = found.outcome.faults
-    if SLIP not in faults or numbers.without.get(SLIP, np.inf) > numbers.final:
-        return found
+    faults = result.outcome.faults
+    if SLIP not in faults or errors.without.get(SLIP, np.inf) > errors.final:
+        return result
     others = {name: fault for name, fault in faults.items() if name != SLIP}
-    return replace(found, outcome=replace(found.outcome, faults=others))
+    return replace(result, outcome=replace(result.outcome, faults=others))
 
 
-def _names_of(found: Explained) -> set[str]:
-    return {cause.effect.name for cause in found.outcome.causes}
+def _names_of(result: SearchResult) -> set[str]:
+    return {cause.effect.name for cause in result.outcome.causes}
 
 
-def _nothing_in(view: View, against: str, executor: Executor) -> Explained:
-    """Look for faults of the data alone, and name no cause."""
-    return without_names(view, without_causes(view, against, executor))
+def _data_faults_only(view: View, rejection: str, executor: Executor) -> SearchResult:
+    return without_names(view, without_causes(view, rejection, executor))
 
 
 def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
@@ -230,58 +223,36 @@ def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
     return replace(view, one_speed=scope.has_one_speed and behind_jumps(view) is None)
 
 
-def _diagnosis(
-    axis: str,
-    found: Explained,
-    numbers: Simulated,
-    model: AxisModel,
+def _assembled(
+    selection: _Selection,
+    start: AxisModel,
+    final: AxisModel,
     recordings: Sequence[Recording],
-    scales: Scales,
 ) -> Diagnosis:
-    outcome, rest = found.outcome, found.unexplained
-    stroke_m = found.raw.stroke_m
-    noise = model.quality.noise_rms_m / stroke_m
-    final = model.quality.held_out_rms_m / stroke_m
-    findings = [
-        *(_of_fault(name, fault, numbers, stroke_m) for name, fault in outcome.faults.items()),
-        *(_of_cause(cause, outcome, numbers) for cause in outcome.causes),
-    ]
-    if found.discovered is not None:
-        findings.append(
-            of_discovered(
-                found.discovered,
-                before=_held_out(numbers.without[SOMETHING_ELSE], stroke_m),
-                after=_held_out(numbers.final, stroke_m),
-                scale_m=scales.displacement_m,
-                middle_m=_middle_m(found.discovered.view, recordings, axis, scales),
-            )
-        )
-    elif _only_structure(outcome) and (level := noise_level(outcome.final, SURE)) is not None:
-        findings.append(
-            of_noise(
-                level,
-                error=_held_out(numbers.final, stroke_m),
-                scale_m=scales.displacement_m,
-                middle_m=_middle_m(outcome.final, recordings, axis, scales),
-            )
-        )
-    findings.sort(key=lambda finding: finding.held_out_gain, reverse=True)
-    named = {finding.effect for finding in findings}
-    unseen = [
-        not_sought(effect, outcome.against) if outcome.against else absent(effect, outcome)
-        for effect in every_effect()
-        if effect.name not in named
-    ]
-    return Diagnosis(
+    """Put together findings, detection limits and the error budget."""
+    axis, result, scales = selection.axis, selection.result, selection.scales
+    errors, outcome, stroke_m = selection.errors, result.outcome, result.raw.stroke_m
+    searched = findings_of(result, errors, selection.recordings, axis, scales)
+    named = {finding.effect for finding in searched}
+    quality, rest = final.quality, result.unexplained
+    diagnosis = Diagnosis(
         axis=axis,
         stroke_m=2.0 * stroke_m,
-        baseline=_held_out(numbers.baseline, stroke_m),
-        final=FinalError(rms_m=final * stroke_m, rms_percent=50.0 * final),
+        baseline=held_out(errors.baseline, stroke_m),
+        final=FinalError(
+            rms_m=quality.held_out_rms_m, rms_percent=50.0 * quality.held_out_rms_m / stroke_m
+        ),
         envelope_rms_m=outcome.final.rms * stroke_m,
-        noise_floor_rms_m=noise * stroke_m,
-        explained_fraction=fraction_explained(numbers.baseline, final, noise),
-        findings=tuple(findings),
-        not_detected=tuple(unseen),
+        noise_floor_rms_m=quality.noise_rms_m,
+        explained_fraction=fraction_explained(
+            errors.baseline * stroke_m, quality.held_out_rms_m, quality.noise_rms_m
+        ),
+        findings=searched,
+        not_detected=tuple(
+            not_sought(effect, outcome.against) if outcome.against else absent(effect, outcome)
+            for effect in every_effect()
+            if effect.name not in named
+        ),
         unexplained=Unexplained(
             rms_m=rest.rms * stroke_m,
             share=rest.share,
@@ -289,114 +260,33 @@ def _diagnosis(
             coordinate=rest.coordinate,
             gain=rest.gain,
         ),
-        model=model,
+        model=final,
         strengths={
-            one.effect.name: one.strength
-            for one in sorted((*outcome.causes, *outcome.dismissed), key=lambda one: one.strength)
+            cause.effect.name: cause.strength
+            for cause in sorted(
+                (*outcome.causes, *outcome.dismissed), key=lambda cause: cause.strength
+            )
         },
     )
-
-
-def _only_structure(outcome: Outcome) -> bool:
-    """Tell whether nothing named acts beside the static response: it could pass for noise."""
-    others = (cause for cause in outcome.causes if cause.effect.structural is None)
-    return not (outcome.against or outcome.faults or any(others))
-
-
-def _middle_m(view: View, recordings: Sequence[Recording], axis: str, scales: Scales) -> float:
-    """Return the displacement that 0 of the static response stands for."""
-    first = recordings[0].displacement_m(axis)[: len(view.tracks[0].drive)]
-    return float(np.median(first - scales.displacement_m * view.static[0][: len(first)]))
-
-
-def _held_out(rms: float, stroke_m: float) -> HeldOut:
-    return HeldOut(rms_m=rms * stroke_m, rms_percent=50.0 * rms)
-
-
-def _of_fault(name: str, fault: Fault, numbers: Simulated, stroke_m: float) -> Finding:
-    effect = effect_named(name)
-    # what ingest repaired, and what cannot be repaired, changes nothing here
-    before, after = numbers.without.get(name, numbers.final), numbers.final
-    reach = 1.96 * fault.spread
-    return Finding(
-        effect=name,
-        held_out_gain=_gain(before, after),
-        held_out_rms_before_m=before * stroke_m,
-        held_out_rms_after_m=after * stroke_m,
-        p_value=min(1.0, fault.p_value * len(every_effect())),
-        rms_percent=50.0 * _gain(before, after) * before,
-        size=Size(
-            value=fault.value, unit=effect.unit, ci95=(fault.value - reach, fault.value + reach)
-        ),
-        not_separable_from=fault.alike,
-        explanation=effect.summary + (f" {_seen_in(fault)}" if fault.where else ""),
-        next_experiment=effect.experiment,
-        parameters={},
+    gain_m_per_V = scales.displacement_m / scales.voltage_V
+    diagnosis = with_creep_of_holds(diagnosis, recorded_of(recordings, axis), gain_m_per_V)
+    diagnosis = with_modes(diagnosis, start, selection.mode_recordings, len(every_effect()))
+    others = {finding.effect for finding in diagnosis.findings} - named
+    note = "{}: its error is not part of the baseline's."
+    return with_budget(
+        diagnosis,
+        _remaining_errors(outcome, errors, final),
+        {name: note.format(words(name).capitalize()) for name in sorted(others)},
     )
 
 
-def _of_cause(cause: Candidate, outcome: Outcome, numbers: Simulated) -> Finding:
-    effect = cause.effect
-    stroke_m = outcome.first.stroke_m
-    before, after = numbers.without[effect.name], numbers.final
-    confounded = outcome.confounded.get(effect.name, ())
-    structure = _structure([*confounded, *_named_beside(cause, outcome)])
-    return Finding(
-        effect=effect.name,
-        held_out_gain=_gain(before, after),
-        held_out_rms_before_m=before * stroke_m,
-        held_out_rms_after_m=after * stroke_m,
-        p_value=chance_of(cause.strength, strengths_of_healthy()),
-        rms_percent=100.0 * cause.share,
-        size=_or_none_at_all(size_of(cause)) if structure else size_of(cause),
-        not_separable_from=(*confounded, *(s.name for s in structure if s.name not in confounded)),
-        explanation=effect.summary
-        + f" {'Behind jumps of the drive' if cause.selected.from_jumps else 'Here'} "
-        f"{100 * cause.share:.3g} % of the stroke (rms) of it is what no hysteresis could be; "
-        f"beside everything else found it takes {100 * cause.cv.gain:.3g} % off the error that "
-        "is left there."
-        f"{_or_a_part(structure)}"
-        + ("" if effect.note is None else f" {effect.note(cause.selected.parameters)}"),
-        next_experiment=" ".join(one.experiment for one in (effect, *structure)),
-        parameters=dict(cause.selected.parameters),
+def _remaining_errors(outcome: Outcome, errors: ModelErrors, final: AxisModel) -> RemainingErrors:
+    null, plain = outcome.final.null, final.minor_loops
+    rows, columns = null.every.shape
+    return RemainingErrors(
+        explained_m=final.quality.explained_rms_m,
+        wide_m=outcome.final.rms * outcome.first.stroke_m * corrected(rows, columns),
+        scatter=errors.scatter,
+        before_m=None if plain is None else plain.plain.held_out_rms_m,
+        is_compared=not outcome.against,
     )
-
-
-def _structure(confounded: Sequence[str]) -> list[Effect]:
-    """Return the confounded effects that are hysteresis, which needs its own experiment."""
-    return [
-        alternative
-        for alternative in map(effect_named, confounded)
-        if alternative.structural is not None
-    ]
-
-
-def _named_beside(cause: Candidate, outcome: Outcome) -> list[str]:
-    """Return causes that may hold a part of this one, where it is not sure beyond doubt."""
-    if cause.cv.z > CERTAIN or cause.effect.structural is not None:
-        return []
-    others = [other.effect for other in outcome.causes if other is not cause]
-    return [other.name for other in others if other.resembles(cause.effect)]
-
-
-def _or_none_at_all(size: Size) -> Size:
-    """Let the interval of a size reach to zero: hysteresis of that kind may be all of it."""
-    low, high = size.ci95
-    return replace(size, ci95=(min(low, 0.0), max(high, 0.0)))
-
-
-def _or_a_part(structure: Sequence[Effect]) -> str:
-    if not structure:
-        return ""
-    names = " or ".join(words(one.name) for one in structure)
-    return f" A part of it, or all, may be {names}: hence an interval that holds zero."
-
-
-def _gain(before: float, after: float) -> float:
-    return float(np.clip(1.0 - after / before, 0.0, 1.0)) if before > 0.0 else 0.0
-
-
-def _seen_in(fault: Fault) -> str:
-    more = len(fault.where) - MOST_PLACES
-    rest = f" and {more} places more" if more > 0 else ""
-    return f"Seen in {', '.join(fault.where[:MOST_PLACES])}{rest}."

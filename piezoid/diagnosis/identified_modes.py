@@ -34,7 +34,7 @@ MIN_RISE = 1.5  # noise and distortion raise a gain by up to 1.2
 RISING_P = 1e-3  # four standard deviations of the largest of some hundred lines
 
 
-def told_apart(
+def split_known_modes(
     recordings: Sequence[Recording], axis: str, model: AxisModel | None, lab: Lab
 ) -> tuple[tuple[Recording, ...], tuple[Recording, ...]]:
     """Split recordings into those to be searched, and those that an identified mode shapes.

@@ -188,7 +188,7 @@ class Discovered:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Explained:
+class SearchResult:
     """A search, with what it has no name for taken off before.
 
     raw          the view of the recordings as they came
@@ -202,23 +202,23 @@ class Explained:
     outcome: Outcome
     unexplained: Rest
     discovered: Discovered | None = None
-    otherwise: "Explained | None" = None
+    otherwise: "SearchResult | None" = None
 
 
-def explained(view: View, executor: Executor) -> Explained:
-    """Search for causes, and for what is none of them."""
+def search_all(view: View, executor: Executor) -> SearchResult:
+    """Search for effects, and for structure of the residual that no effect explains."""
     first = search(view, executor)
     return with_something_else(view, first, executor)
 
 
-def without_names(view: View, outcome: Outcome) -> Explained:
-    """Say where the rest lives where the class of model does not apply, and name nothing."""
+def without_names(view: View, outcome: Outcome) -> SearchResult:
+    """Locate the residual without naming effects; used where the model class is rejected."""
     lives = everywhere(Remainder.of(outcome.final, ()))
-    return Explained(raw=view, outcome=outcome, unexplained=rest_of(outcome, lives))
+    return SearchResult(raw=view, outcome=outcome, unexplained=rest_of(outcome, lives))
 
 
-def with_something_else(view: View, first: Outcome, executor: Executor) -> Explained:
-    """Ask a search for what it has no name for.
+def with_something_else(view: View, first: Outcome, executor: Executor) -> SearchResult:
+    """Test the residual of a search for structure that no known effect explains.
 
     view   of the recordings as they came
     first  the search on it
@@ -226,7 +226,7 @@ def with_something_else(view: View, first: Outcome, executor: Executor) -> Expla
     executor.report("asking where the rest lives")
     remainder = Remainder.of(first.final, tangents_of(first, first.final))
     lives = everywhere(remainder)
-    plain = Explained(raw=view, outcome=first, unexplained=rest_of(first, lives))
+    plain = SearchResult(raw=view, outcome=first, unexplained=rest_of(first, lives))
     best, least = plain, BETTER * first.final.rms
     for found in _sought(remainder, lives, first):
         executor.report("searching again without it")

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.attribution import attributed, mending, repaired
+from piezoid.diagnosis.attribution import attribute_errors, mending, repaired
 from piezoid.diagnosis.blocked_regression import compared
 from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.diagnose import diagnose, view_on
@@ -14,7 +14,7 @@ from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effect_size import size_of
 from piezoid.diagnosis.effects import delay, rate_dependence
 from piezoid.diagnosis.refitted_view import SelectedEffect, extended
-from piezoid.diagnosis.residual_structure import Explained, Rest
+from piezoid.diagnosis.residual_structure import Rest, SearchResult
 from piezoid.diagnosis.selection import Outcome
 from piezoid.identification.extensions import Delay
 from piezoid.identification.hysteresis.pieces import scales_of
@@ -62,8 +62,8 @@ def test_a_model_is_returned_with_what_a_search_came_to() -> None:
     )
     outcome = outcome_of(recordings, late)
     rest = Rest(rms=0.0, share=0.0, p_value=1.0, coordinate="", gain=0.0)
-    numbers = attributed(
-        Explained(raw=outcome.first, outcome=outcome, unexplained=rest),
+    numbers = attribute_errors(
+        SearchResult(raw=outcome.first, outcome=outcome, unexplained=rest),
         recordings,
         model=known_model(),
         lab=Lab(),
