@@ -9,6 +9,7 @@ from piezoid.diagnosis.diagnose import diagnose
 from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.records.ingest import ingest
 from piezoid.records.recording import Recording
+from tests.diagnosis.bench import causes
 from tests.laws import LAWS, RATE_Hz, triangles, write
 
 LAG_s = 0.01
@@ -29,7 +30,7 @@ def test_a_lag_is_no_cause_where_speeds_hardly_differ(tmp_path: Path) -> None:
     first = late(tmp_path, 16, 250, 1.0, DRIFT_um)
     grown = late(tmp_path, 10, 180, 1.0 + GREW_percent / 100.0, 0.0)
     found = diagnose([first, grown])
-    assert set(found.names) == {"thermal_drift", "gain_change"}
+    assert set(causes(found)) == {"thermal_drift", "gain_change"}
     size = next(one.size for one in found.findings if one.effect == "gain_change")
     assert size.value == pytest.approx(GREW_percent, abs=1.0)
     for name, others in (("lag", "delay"), ("delay", "lag"), ("rate_dependence", "lag")):
@@ -46,6 +47,6 @@ def test_a_lag_is_named_where_one_loop_was_slow(tmp_path: Path) -> None:
         late(tmp_path, 3, 1500, 1.0, 0.0),
     ]
     found = diagnose(recordings)
-    assert set(found.names) == {"thermal_drift", "lag"}
+    assert set(causes(found)) == {"thermal_drift", "lag"}
     size = next(one.size for one in found.findings if one.effect == "lag")
     assert size.value == pytest.approx(1e6 * LAG_s, rel=0.12)

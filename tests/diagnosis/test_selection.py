@@ -144,7 +144,7 @@ def test_a_doubtful_cause_beside_structure_that_was_found_may_be_a_part_of_it() 
 
 def test_a_sure_cause_beside_structure_that_was_found_is_no_part_of_it() -> None:
     found = creep_and_an_unknown_memory(0.02)
-    assert set(found.names) == {"initial_state", "creep"}
+    assert set(causes(found)) == {"initial_state", "creep"}
     sure, memory = finding_of(found, "creep"), finding_of(found, "initial_state")
     assert (sure.not_separable_from, memory.not_separable_from) == ((), ())
     assert sure.size.ci95[0] > 0.5 * sure.size.value
