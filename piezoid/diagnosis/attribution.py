@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.diagnosis.budget import relative_scatter
-from piezoid.diagnosis.effect import Found
+from piezoid.diagnosis.effect import EffectEstimate
 from piezoid.diagnosis.refit import Refitted, refitted
 from piezoid.diagnosis.residual_structure import SearchResult, with_it
 from piezoid.diagnosis.segments import Track
@@ -59,7 +59,7 @@ def attribute_errors(
     """
     outcome = result.outcome
     found = [
-        Found(
+        EffectEstimate(
             effect=cause.effect.name,
             parameters=cause.selected.parameters,
             coefficient=cause.cv.coefficient,

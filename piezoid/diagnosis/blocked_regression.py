@@ -189,7 +189,7 @@ class Null:
             rms=sqrt(max(float(loss.sum()), 0.0) / len(residual)),
         )
 
-    def doubt(self, columns: Array) -> Array:
+    def clustered_covariance(self, columns: Array) -> Array:
         """Return the covariance of coefficients beside the null, blocks being independent.
 
             cov = G^-1 (sum_b s_b s_b') G^-1 n / (n - 1),   G = C'C,  s_b = C_b' e_b

@@ -229,5 +229,5 @@ def is_consistent(one: SelectedEffect, view: View) -> bool:
     columns = columns[:, length > TELLING * length.max()]
     across = view.null.without(columns)
     apart = np.linalg.lstsq(across, view.null.residual, rcond=1e-9)[0]
-    error = np.sqrt(np.diag(view.null.doubt(columns)))
+    error = np.sqrt(np.diag(view.null.clustered_covariance(columns)))
     return not bool(np.any((np.abs(apart) > APART) & (np.abs(apart) > SURE * error)))

@@ -212,10 +212,10 @@ def _seen(name: str, found: Rest, design: Array, y: Array) -> Seen:
     coefficients = _coefficients(design, y)
     curve = every[:, -width:] @ coefficients[-width:]
     left = y - y.mean() - every @ coefficients + curve
-    reversals = (found.time_s * found.line_Hz) % 1.0
+    phase = (found.time_s * found.line_Hz) % 1.0
     if name == JUMP:
         return seen_in_classes(found.time_s, left, curve, unit="s", recording=found.recording)
-    return seen_in_classes(reversals, left, curve, unit="")
+    return seen_in_classes(phase, left, curve, unit="")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,8 +31,8 @@ BETWEEN = "between recordings"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Found:
-    """One effect as a search left it.
+class EffectEstimate:
+    """Estimate of one effect by the search: start values of its extension.
 
     effect       its name
     parameters   nonlinear ones, by name with unit; drives in half ranges
@@ -46,14 +46,14 @@ class Found:
     from_jumps: bool = False
 
     @property
-    def share(self) -> float:
-        """Return the first coefficient, 1 where there is none."""
+    def first_coefficient(self) -> float:
+        """The first linear coefficient; 1 for an effect without any."""
         return float(self.coefficient[0]) if len(self.coefficient) else 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Setting:
-    """What the numbers of a search mean, and the pieces they were found on.
+class SearchScaling:
+    """Units of the scaled numbers of a search, and the pieces it ran on.
 
     voltage_V         half the range of the drive: what 1 means
     voltage_offset_V  its middle: what 0 means
@@ -74,14 +74,14 @@ class Setting:
         return max(piece.samples / piece.rate_Hz for piece in self.pieces)
 
 
-def setting_of(
+def scaling_of(
     model: AxisModel, recordings: Sequence[Recording], scales: Mapping[str, float]
-) -> Setting:
+) -> SearchScaling:
     """Return the setting of a search on these recordings.
 
     scales  ``voltage_V``, ``voltage_offset_V`` and ``stroke_m`` of the search's view
     """
-    return Setting(
+    return SearchScaling(
         voltage_V=scales["voltage_V"],
         voltage_offset_V=scales["voltage_offset_V"],
         stroke_m=scales["stroke_m"],
@@ -175,8 +175,8 @@ class Tangent:
     found: str = ""
 
 
-def late(response_filter: Filter, name: str) -> Tangent:
-    """Return the tangent of a filter that is late by its one parameter, a time in s."""
+def delay_tangent(response_filter: Filter, name: str) -> Tangent:
+    """Return the tangent of a filter that delays by its one parameter, a time in s."""
 
     def columns(drive: Driven, time_s: float) -> Array:
         read_m = response_filter(drive.static_m, drive.rate_Hz, {name: time_s})
@@ -186,8 +186,8 @@ def late(response_filter: Filter, name: str) -> Tangent:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Standing:
-    """Readings of a stage whose drive rests, for causes that need no drive.
+class ConstantDriveData:
+    """Displacement recorded at constant drive.
 
     recording  whose they are
     axis       of the stage
@@ -316,8 +316,8 @@ class Effect:
     fault: FaultTest | None = None
     size: Callable[[View, Parameters, Array], float] | None = None
     note: Callable[[Parameters], str] | None = None
-    at_rest: Callable[[Standing], Array | str] | None = None
-    extend: Callable[[Found, Setting], tuple[Extension, ...]] | None = None
+    at_rest: Callable[[ConstantDriveData], Array | str] | None = None
+    extend: Callable[[EffectEstimate, SearchScaling], tuple[Extension, ...]] | None = None
     structural: Structural | None = None
     without: Without = lambda *_: None
     model_error: float = 0.02

@@ -67,7 +67,7 @@ def _spread(cause: Candidate, value: float) -> float:
     # a parameter that moves nothing here is in no reading, nor in what the cause adds to them
     moving = [k for k, column in enumerate(columns) if np.any(column)]
     null = replace(view, selected=cause.without.selected).null
-    cov = null.doubt(np.column_stack([columns[k] for k in moving]))
+    cov = null.clustered_covariance(np.column_stack([columns[k] for k in moving]))
     slope = np.array([gradient[k] for k in moving])
     return sqrt(max(float(slope @ cov @ slope), 0.0))
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from piezoid.diagnosis.effect import Found, setting_of
+from piezoid.diagnosis.effect import EffectEstimate, scaling_of
 from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.residual_structure import NAME
 from piezoid.formatting import words
@@ -53,7 +53,7 @@ class Refitted:
 
 def refitted(
     recordings: Sequence[Recording],
-    found: Sequence[Found],
+    found: Sequence[EffectEstimate],
     *,
     model: AxisModel,
     lab: Lab,
@@ -79,7 +79,7 @@ def refitted(
     places_of_whole  those of ``whole``
     progress    told what is being done
     """
-    setting = setting_of(model, recordings, scales)
+    setting = scaling_of(model, recordings, scales)
     declared = _declared(lab)
     effects = {effect.name: effect for effect in every_effect()}
     given, structure = {}, STATIC

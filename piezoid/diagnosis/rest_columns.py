@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from piezoid.diagnosis.coordinate_tests import highest
-from piezoid.diagnosis.effect import Effect, Standing
+from piezoid.diagnosis.effect import ConstantDriveData, Effect
 from piezoid.diagnosis.segments import Places
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
@@ -79,7 +79,9 @@ def rest_columns(
     least = min(_left(y, slow[:, k : k + 1], block) for k in range(len(SLOW)))
     drift = found[DRIFT]
     calm_m = y - drift @ np.linalg.lstsq(drift, y, rcond=None)[0]
-    standing = Standing(recording=recording, axis=axis, keep=keep, time_s=time_s, calm_m=calm_m)
+    standing = ConstantDriveData(
+        recording=recording, axis=axis, keep=keep, time_s=time_s, calm_m=calm_m
+    )
     said = {one.name: one.at_rest(standing) for one in effects if one.at_rest is not None}
     unseen = {name: why for name, why in said.items() if isinstance(why, str)}
     found |= {name: added for name, added in said.items() if not isinstance(added, str)}
@@ -111,9 +113,9 @@ def _left(y: Array, columns: Array, block: Places) -> float:
 
 def waves(time_s: Array, frequencies_Hz: Sequence[float]) -> Array:
     """Return cosine and sine of each frequency, about their means, (rows, 2 frequencies)."""
-    reversals = [2.0 * np.pi * frequency * time_s for frequency in frequencies_Hz]
-    found = np.column_stack([wave(turn) for turn in reversals for wave in (np.cos, np.sin)])
-    return np.asarray(found - found.mean(axis=0))
+    angles_rad = [2.0 * np.pi * frequency_Hz * time_s for frequency_Hz in frequencies_Hz]
+    columns = np.column_stack([wave(angle) for angle in angles_rad for wave in (np.cos, np.sin)])
+    return np.asarray(columns - columns.mean(axis=0))
 
 
 def spectrum_of(left: Array) -> Array:

@@ -347,7 +347,7 @@ def slips_in_place(
     place = without.tracks[first.track].place
     change = late(without.static[first.track], place, int(first.samples))
     column = without.of_track(first.track, np.where(place >= first.instant, change, 0.0))[:, None]
-    spread = abs(first.samples) * float(np.sqrt(without.null.doubt(column)[0, 0]))
+    spread = abs(first.samples) * float(np.sqrt(without.null.clustered_covariance(column)[0, 0]))
     return there, Fault(
         tracks=there.tracks,
         value=first.samples,

@@ -108,8 +108,8 @@ def behind_jumps(view: View) -> View | None:
     if not kept:
         return None
     tracks = [_only(view.tracks[k], there[k]) for k in kept]
-    hypotheses = [view.nuisance.reversals[k] for k in kept]
-    histories = [History(track=t, reversals=p) for t, p in zip(tracks, hypotheses, strict=True)]
+    reversals = [view.nuisance.reversals[k] for k in kept]
+    histories = [History(track=t, reversals=p) for t, p in zip(tracks, reversals, strict=True)]
     trend = Trend(histories=tuple(histories))
     known = tuple(view.static[k] for k in kept)
     return replace(with_tracks(replace(view, nuisance=trend), tracks), guess=known)

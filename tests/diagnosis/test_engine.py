@@ -120,7 +120,7 @@ def test_errors_of_coefficients_know_that_rows_of_a_block_are_not_independent():
         null = Null(columns=np.ones((2000, 1)), response=error, block=block)
         across = null.without(column)[:, 0]
         found.append(float(across @ error / (across @ across)))
-        said.append(float(null.doubt(column)[0, 0]) ** 0.5)
+        said.append(float(null.clustered_covariance(column)[0, 0]) ** 0.5)
     # rows counted one by one would say a seventh of it
     assert np.mean(said) == pytest.approx(np.std(found), rel=0.2)
 

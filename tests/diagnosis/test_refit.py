@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import piezoid.diagnosis.effects as effects
-from piezoid.diagnosis.effect import Found
+from piezoid.diagnosis.effect import EffectEstimate
 from piezoid.diagnosis.refit import refitted
 from piezoid.identification.extensions import CreepLadder, Delay, SlewLimit
 from piezoid.identification.simulation import simulate_recording
@@ -15,9 +15,9 @@ SCALES = {"voltage_V": 5.0, "voltage_offset_V": 5.0, "stroke_m": 1.2e-5}
 CREEP = CreepLadder(time_s=tuple(np.geomspace(0.02, 200.0, 12).tolist()), share=(0.008,) * 12)
 TRUE = (SlewLimit(limit_V_per_s=80.0), Delay(delay_s=5e-4), CREEP)
 FOUND = (
-    Found(effect="slew_limit", parameters={"limit_per_s": 15.5}, coefficient=np.zeros(0)),
-    Found(effect="delay", parameters={"delay_s": 3e-4}, coefficient=np.array([1.2])),
-    Found(effect="creep", coefficient=np.array([0.02])),
+    EffectEstimate(effect="slew_limit", parameters={"limit_per_s": 15.5}, coefficient=np.zeros(0)),
+    EffectEstimate(effect="delay", parameters={"delay_s": 3e-4}, coefficient=np.array([1.2])),
+    EffectEstimate(effect="creep", coefficient=np.array([0.02])),
 )
 
 

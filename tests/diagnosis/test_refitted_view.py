@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.effect import Found, Parameters, Setting
+from piezoid.diagnosis.effect import EffectEstimate, Parameters, SearchScaling
 from piezoid.diagnosis.effects import amplifier_saturation, lag, slew_limit
 from piezoid.diagnosis.refinement import initial_guess, refined, stepped
 from piezoid.diagnosis.refitted_view import SETTLED, SelectedEffect, driven, extended
@@ -94,12 +94,16 @@ def test_no_limit_that_is_tried_stops_the_drive_altogether() -> None:
 
 
 def test_a_limit_that_no_drive_came_to_is_no_part_of_the_model() -> None:
-    setting = Setting(voltage_V=5.0, voltage_offset_V=5.0, stroke_m=1e-5, pieces=(), recordings=())
+    setting = SearchScaling(
+        voltage_V=5.0, voltage_offset_V=5.0, stroke_m=1e-5, pieces=(), recordings=()
+    )
     extend = amplifier_saturation.EFFECT.extend
     assert extend is not None
 
     def parts(**limits: float) -> list[tuple[float | None, float | None]]:
-        found = Found(effect="amplifier_saturation", parameters=limits, coefficient=np.ones(1))
+        found = EffectEstimate(
+            effect="amplifier_saturation", parameters=limits, coefficient=np.ones(1)
+        )
         return [(part.low_V, part.high_V) for part in extend(found, setting)]  # type: ignore[attr-defined]
 
     assert parts(high=0.8, low=-1.005) == [(None, 9.0)]

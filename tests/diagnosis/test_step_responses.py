@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.diagnose import view_on
-from piezoid.diagnosis.effect import Found
+from piezoid.diagnosis.effect import EffectEstimate
 from piezoid.diagnosis.effects import resonance
 from piezoid.diagnosis.selection import Outcome, search
 from piezoid.diagnosis.step_responses import SETTLED, behind_jumps, modes_behind_jumps
@@ -149,7 +149,7 @@ def test_a_recorded_actuator_that_a_step_struck_rings_near_970_hertz(
 
 def test_a_model_keeps_a_struck_mode_as_the_jump_has_shown_it() -> None:
     numbers = {"frequency_Hz": 961.0, "quality": 12.0}
-    found = Found(
+    found = EffectEstimate(
         effect="resonance", parameters=numbers, coefficient=np.array([0.1, 0.4]), from_jumps=True
     )
     (mode,) = resonance.EFFECT.extend(found, None)

@@ -115,7 +115,9 @@ EFFECT = Effect(
     columns=columns,
     size=lambda view, way, coefficient: 100.0 * float(coefficient[0]),
     inject=lambda recording, share: through(recording, ChargeLeak(share=share, time_s=0.4)),
-    extend=lambda found, _: (ChargeLeak(share=found.share, time_s=found.parameters["time_s"]),),
+    extend=lambda estimate, _: (
+        ChargeLeak(share=estimate.first_coefficient, time_s=estimate.parameters["time_s"]),
+    ),
     without=without_part(ChargeLeak),
 )
 '''

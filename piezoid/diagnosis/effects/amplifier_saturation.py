@@ -18,9 +18,9 @@ import numpy as np
 from piezoid.diagnosis.appearance import OVER_DRIVE
 from piezoid.diagnosis.effect import (
     Effect,
-    Found,
+    EffectEstimate,
     Parameters,
-    Setting,
+    SearchScaling,
     Tangent,
     Trial,
     without_part,
@@ -101,7 +101,7 @@ def inject(recording: Recording, share: float) -> Recording:
     )
 
 
-def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
+def extend(found: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
     """Return the part of the model that begins where a search found it.
 
     A limit that no drive came to, all of which lie between -1 and 1, is not in the data.

@@ -28,9 +28,9 @@ import numpy as np
 from piezoid.diagnosis.appearance import Appearance
 from piezoid.diagnosis.effect import (
     Effect,
-    Found,
+    EffectEstimate,
     Parameters,
-    Setting,
+    SearchScaling,
     Tangent,
     Trial,
     without_part,
@@ -143,10 +143,10 @@ def inject(recording: Recording, share: float) -> Recording:
     return with_added(recording, crept_m - crept_m.mean(), share)
 
 
-def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
+def extend(found: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
     """Return the part of the model that begins with the share that a search found."""
     time_s = np.geomspace(FASTEST_s, LONGER * setting.longest_s, RUNGS)
-    share = np.clip(found.share * np.log10(time_s[1] / time_s[0]), 1e-4, 0.1)
+    share = np.clip(found.first_coefficient * np.log10(time_s[1] / time_s[0]), 1e-4, 0.1)
     return (CreepLadder(time_s=tuple(time_s.tolist()), share=(float(share),) * RUNGS, even=True),)
 
 

@@ -17,10 +17,10 @@ import numpy as np
 
 from piezoid.diagnosis.appearance import Appearance, unsigned
 from piezoid.diagnosis.effect import (
+    ConstantDriveData,
     Effect,
-    Found,
-    Setting,
-    Standing,
+    EffectEstimate,
+    SearchScaling,
     Tangent,
     Trial,
     without_part,
@@ -61,7 +61,7 @@ def _other_drive(recording: Recording) -> tuple[Array, Array]:
     return unsigned(np.full(recording.samples, np.nan))
 
 
-def _at_rest(standing: Standing) -> Array | str:
+def _at_rest(standing: ConstantDriveData) -> Array | str:
     others = [
         channel.values[standing.keep]
         for channel in standing.recording.channels
@@ -90,13 +90,13 @@ def inject(recording: Recording, share: float) -> Recording:
     return with_added(recording, change_m, share)
 
 
-def extend(_: Found, setting: Setting) -> tuple[Extension, ...]:
+def extend(_: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
     """Return the part of the model that begins where a search found it."""
     axes = sorted({axis for piece in setting.pieces for axis in piece.others_V})
     return tuple(_coupled(axis, setting) for axis in axes)
 
 
-def _coupled(axis: str, setting: Setting) -> Extension:
+def _coupled(axis: str, setting: SearchScaling) -> Extension:
     drives = [piece.others_V[axis] for piece in setting.pieces if axis in piece.others_V]
     low, high = min(float(u.min()) for u in drives), max(float(u.max()) for u in drives)
     return CrossAxis(

@@ -1,4 +1,4 @@
-"""Delay: the reading comes late, at every frequency by the same time.
+"""Delay: the reading comes delay_tangent, at every frequency by the same time.
 
 What you see
     Loops open with the speed of the drive, large and small ones alike; nothing is attenuated.
@@ -16,7 +16,15 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_SPEED
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial, late, without_part
+from piezoid.diagnosis.effect import (
+    Effect,
+    EffectEstimate,
+    Parameters,
+    SearchScaling,
+    Trial,
+    delay_tangent,
+    without_part,
+)
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import filtered_change, through
 from piezoid.identification.extensions.delay import Delay
@@ -62,7 +70,7 @@ def _size(view: View, parameters: Parameters, _: Array) -> float:
     return 1e6 * time_s
 
 
-def extend(found: Found, _: Setting) -> tuple[Extension, ...]:
+def extend(found: EffectEstimate, _: SearchScaling) -> tuple[Extension, ...]:
     """Return the part of the model that begins where a search found it."""
     samples = found.parameters.get("delay_samples", 0.0)
     if samples > 0.0:
@@ -80,7 +88,7 @@ EFFECT = Effect(
     control="It takes phase in proportion to frequency and so bounds the bandwidth; a constant "
     "delay can be taken off the reference.",
     shows=OVER_SPEED,
-    tangent=late(_passed, "delay_s"),
+    tangent=delay_tangent(_passed, "delay_s"),
     confounded=("lag", "rate_dependence", "resonance"),
     trials=_trials,
     response_filter=_passed,

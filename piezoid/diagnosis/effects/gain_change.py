@@ -27,9 +27,9 @@ import numpy as np
 from piezoid.diagnosis.appearance import Appearance
 from piezoid.diagnosis.effect import (
     Effect,
-    Found,
+    EffectEstimate,
     Parameters,
-    Setting,
+    SearchScaling,
     Tangent,
     Trial,
     without_part,
@@ -172,7 +172,7 @@ def inject(recording: Recording, share: float) -> Recording:
     return through(recording, change)
 
 
-def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
+def extend(found: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
     """Return the part of the model that begins where a search found it."""
     piece = setting.pieces[int(found.parameters["track"])]
     whole_s = piece.samples / piece.rate_Hz
@@ -182,7 +182,7 @@ def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
         GainChange(
             recording=piece.recording,
             instant_s=instant_s,
-            ratio=float(np.clip(1.0 + found.share, 0.5, 2.0)),
+            ratio=float(np.clip(1.0 + found.first_coefficient, 0.5, 2.0)),
             later=setting.recordings[after:],
             lasts_s=found.parameters.get("lasts", 0.0) * whole_s,
         ),

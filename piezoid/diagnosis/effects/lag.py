@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_SPEED
-from piezoid.diagnosis.effect import Effect, Parameters, Trial, late, without_part
+from piezoid.diagnosis.effect import Effect, Parameters, Trial, delay_tangent, without_part
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import filtered_change, through
 from piezoid.identification.extensions.first_order_lag import FirstOrderLag
@@ -64,7 +64,7 @@ BEHIND = Effect(
     control="It takes phase and gain; declare the filter in lab.toml or let the plant carry it, "
     "or the loop is designed on the wrong plant.",
     shows=OVER_SPEED,
-    tangent=late(_passed, "time_s"),
+    tangent=delay_tangent(_passed, "time_s"),
     confounded=("delay", "rate_dependence", "resonance"),
     trials=_trials,
     response_filter=_passed,

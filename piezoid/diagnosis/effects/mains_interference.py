@@ -21,9 +21,9 @@ import numpy as np
 
 from piezoid.diagnosis.appearance import IN_SPECTRUM
 from piezoid.diagnosis.effect import (
+    ConstantDriveData,
     Effect,
     Parameters,
-    Standing,
     Tangent,
     Trial,
     without_part,
@@ -189,7 +189,7 @@ def _tangent(drive: Driven, _: float) -> Array:
     return 1e-6 * np.column_stack(lines or [np.zeros(len(drive.voltage_V))])
 
 
-def _at_rest(standing: Standing) -> Array | str:
+def _at_rest(standing: ConstantDriveData) -> Array | str:
     """Return the lines of the grid that fits best, at its own frequency."""
     recording, time_s, calm_m = standing.recording, standing.time_s, standing.calm_m
     rate_Hz, span_s = recording.sampling_rate_Hz, float(np.ptp(time_s))

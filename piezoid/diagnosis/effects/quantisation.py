@@ -117,9 +117,9 @@ def _step_near(usual: float, values: Array) -> float:
     enough to count hundreds by.
     """
     width = float(np.ptp(values)) / usual
-    reversals = np.linspace(1.0 - UNEVEN, 1.0 + UNEVEN, int(2.0 * UNEVEN * width * PHASES) + 2)
-    phase = np.exp(2j * np.pi * np.outer(reversals / usual, values))
-    return usual / float(reversals[int(np.argmax(np.abs(phase.sum(axis=1))))])
+    step_ratios = np.linspace(1.0 - UNEVEN, 1.0 + UNEVEN, int(2.0 * UNEVEN * width * PHASES) + 2)
+    phase = np.exp(2j * np.pi * np.outer(step_ratios / usual, values))
+    return usual / float(step_ratios[int(np.argmax(np.abs(phase.sum(axis=1))))])
 
 
 def _evidence(response: Array, step: float) -> float:

@@ -19,9 +19,9 @@ import numpy as np
 from piezoid.diagnosis.appearance import OVER_SPEED
 from piezoid.diagnosis.effect import (
     Effect,
-    Found,
+    EffectEstimate,
     Parameters,
-    Setting,
+    SearchScaling,
     Tangent,
     Trial,
     without_part,
@@ -116,9 +116,9 @@ def inject(recording: Recording, share: float) -> Recording:
     return with_displacement(recording, moved_m + (late_m - walls_m))
 
 
-def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
+def extend(found: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
     """A share of the lag is a lag of a shorter time and a smaller strain, where motion is slow."""
-    strain, share = found.parameters["strain"], float(np.clip(found.share, *SHARES))
+    strain, share = found.parameters["strain"], float(np.clip(found.first_coefficient, *SHARES))
     bends = strain < LINEAR_STRAIN
     return (
         RateDependence(

@@ -18,9 +18,9 @@ import numpy as np
 from piezoid.diagnosis.appearance import IN_SPECTRUM
 from piezoid.diagnosis.effect import (
     Effect,
-    Found,
+    EffectEstimate,
     Parameters,
-    Setting,
+    SearchScaling,
     Tangent,
     Trial,
     without_part,
@@ -127,13 +127,13 @@ def inject(recording: Recording, share: float) -> Recording:
     return through(recording, ringing)
 
 
-def extend(found: Found, _: Setting) -> tuple[Extension, ...]:
+def extend(found: EffectEstimate, _: SearchScaling) -> tuple[Extension, ...]:
     """Return the part of the model that begins where a search found it."""
     # behind a jump it has two columns, a sample apart: of one mode the sum
     kind, share = (
         (StruckMode, float(np.sum(found.coefficient)))
         if found.from_jumps
-        else (LinearMode, found.share)
+        else (LinearMode, found.first_coefficient)
     )
     mode = kind(
         frequency_Hz=found.parameters["frequency_Hz"],

@@ -20,9 +20,9 @@ import numpy as np
 from piezoid.diagnosis.appearance import Appearance, unsigned
 from piezoid.diagnosis.effect import (
     Effect,
-    Found,
+    EffectEstimate,
     Parameters,
-    Setting,
+    SearchScaling,
     Tangent,
     Trial,
     without_part,
@@ -174,7 +174,7 @@ def inject(recording: Recording, share: float) -> Recording:
     return with_displacement(recording, moved_m + ripple)
 
 
-def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
+def extend(found: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
     """Return the part of the model that begins where a search found it."""
     wavelength_m = 2.0 * setting.stroke_m / found.parameters["periods"]
     return (PeriodicError(wavelength_m=wavelength_m, cosine_m=(0.0, 0.0), sine_m=(0.0, 0.0)),)
