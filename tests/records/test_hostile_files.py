@@ -16,8 +16,8 @@ from piezoid.digests import unseal
 from piezoid.errors import ParameterFileError, PiezoidError, UnreadableFileError
 from piezoid.records.inspection import inspect_file
 from piezoid.records.readers import read_table
-from piezoid.records.readers.block import Layout, parse_block
 from piezoid.records.readers.source import _read_to, open_source
+from piezoid.records.readers.text_numbers import Layout, parse_numbers
 from tests.records.formats import SILENT, SPEAKING
 
 MUTATIONS = 60  # for each of nineteen formats; 1000 for each were tried once as well
@@ -220,7 +220,7 @@ def test_groups_without_end_are_not_walked_through(tmp_path: Path) -> None:
 
 def test_a_table_without_any_row_is_unreadable() -> None:
     with pytest.raises(UnreadableFileError, match="no row from line 7 on"):
-        parse_block("\n\n", Layout(separator=",", decimal=".", fields=2), "run.lvm", 7)
+        parse_numbers("\n\n", Layout(separator=",", decimal=".", fields=2), "run.lvm", 7)
 
 
 def test_a_compressed_file_is_read_in_pieces() -> None:

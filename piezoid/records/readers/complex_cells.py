@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.records.readers.heading_lines import HEAD_LINES
+from piezoid.records.readers.text_layout import HEAD_LINES
 from piezoid.records.table import Column, RawTable
 from piezoid.statement import finding
 
@@ -26,7 +26,7 @@ _WITH_POINTS = _pattern(r"(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][+-]?\d++)?")
 _WITH_COMMAS = _pattern(r"(?:\d++(?:[.,]\d*+)?|[.,]\d++)(?:[eE][+-]?\d++)?")
 
 
-def parts_of(text: str) -> tuple[str, str] | None:
+def real_and_imaginary_text(text: str) -> tuple[str, str] | None:
     """Return a table of complex cells twice, of real and imaginary parts; None where none is."""
     head = [line for line in text.split("\n", HEAD_LINES)[:HEAD_LINES] if line.strip()][-_SEEN:]
     if not head:
@@ -41,7 +41,7 @@ def _imaginary(cell: re.Match[str]) -> str:
     return f"{cell['apart'] or cell['sign']}{cell['imaginary']}"
 
 
-def joined(real: RawTable, imaginary: RawTable) -> RawTable:
+def join_complex_columns(real: RawTable, imaginary: RawTable) -> RawTable:
     """Return one table, in which a column of complex numbers is two, named as those of MATLAB."""
     columns: list[Column] = []
     held: list[Column] = []

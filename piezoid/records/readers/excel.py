@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from piezoid.errors import UnreadableFileError
 from piezoid.records.readers.archive import members
-from piezoid.records.readers.heading_lines import HEAD_LINES, find_start
 from piezoid.records.readers.optional_readers import reading
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, check_growth, unreadable
+from piezoid.records.readers.text_layout import HEAD_LINES, find_table
 from piezoid.records.readers.text_table import read_text
 from piezoid.records.table import RawTable
 from piezoid.statement import Statement, finding
@@ -101,7 +101,7 @@ def _unread(held: list[str]) -> tuple[Statement, ...]:
 
 def _has_rows(source: Source, text: str) -> bool:
     try:
-        find_start(text.split("\n", HEAD_LINES)[:HEAD_LINES], source.name, source.text)
+        find_table(text.split("\n", HEAD_LINES)[:HEAD_LINES], source.name, source.text)
     except UnreadableFileError:
         return False
     return True

@@ -6,9 +6,9 @@ character code, the clock by ``SAMPLE_TIME`` in seconds, the columns by ``NAME0`
 
 import re
 
-from piezoid.records.readers.block import Layout, count_of, number_of, parse_block
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
+from piezoid.records.readers.text_numbers import Layout, count_of, number_of, parse_numbers
 from piezoid.records.table import Column, RawTable, rate_of
 
 _KEY = re.compile(r"\s*#\s*([A-Z_]+\d*)\s*")
@@ -38,7 +38,7 @@ def read(source: Source) -> RawTable:
             line=end + 1,
         )
     layout = Layout(separator="" if code == 32 else chr(code), decimal=".", fields=fields)
-    block = parse_block(body, layout, source.name, end + 2)
+    block = parse_numbers(body, layout, source.name, end + 2)
     interval_s = number_of(pairs.get("SAMPLE_TIME", ""), ".")
     return RawTable(
         name=source.name,

@@ -11,9 +11,9 @@ from itertools import pairwise
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.records.readers.block import Layout, count_of, number_of, parse_block
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
+from piezoid.records.readers.text_numbers import Layout, count_of, number_of, parse_numbers
 from piezoid.records.readers.text_table import metadata_of
 from piezoid.records.table import Column, RawTable, rate_of
 from piezoid.statement import Statement, finding
@@ -96,7 +96,7 @@ def _segment(
             remedy="Write the file again from LabVIEW.",
             line=end + 2,
         )
-    block = parse_block("\n".join(rows), layout, name, end + 3)
+    block = parse_numbers("\n".join(rows), layout, name, end + 3)
     return _Segment(
         labels=tuple(labels),
         header={pair[0].strip(): [cell.strip() for cell in pair[1:]] for pair in pairs},

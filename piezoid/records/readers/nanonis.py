@@ -1,9 +1,9 @@
 """Nanonis ``.dat``: pairs of key and value, then ``[DATA]``, a heading and a table behind tabs."""
 
 from piezoid.records.column_roles import Role, meaning_of
-from piezoid.records.readers.block import Layout, parse_block
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
+from piezoid.records.readers.text_numbers import Layout, parse_numbers
 from piezoid.records.readers.text_table import metadata_of
 from piezoid.records.table import Column, RawTable
 
@@ -45,7 +45,7 @@ def read(source: Source) -> RawTable:
             remedy="Save the measurement in Nanonis after the sweep has run.",
             line=row + 1,
         )
-    block = parse_block(body, layout, source.name, row + 2)
+    block = parse_numbers(body, layout, source.name, row + 2)
     columns = tuple(
         Column(number=k + 1, label=label, values=values)
         for k, (label, values) in enumerate(zip(labels, block.columns, strict=True))

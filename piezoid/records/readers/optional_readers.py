@@ -63,7 +63,7 @@ def table_of(
     become metadata.
     """
     arrays, units = _in_seconds(arrays, units or {})
-    vectors, metadata, statements = _sorted_out(source, arrays)
+    vectors, metadata, statements = _vectors_of(source, arrays)
     if not vectors:
         raise unreadable(
             source.name,
@@ -127,7 +127,7 @@ def _in_seconds(
     return found, known
 
 
-def _sorted_out(
+def _vectors_of(
     source: Source, arrays: Mapping[str, object]
 ) -> tuple[list[tuple[str, str, np.ndarray]], dict[str, str], list[Statement]]:
     vectors: list[tuple[str, str, np.ndarray]] = []
@@ -146,7 +146,7 @@ def _sorted_out(
                 vectors += [(f"real({label})", key, path.real), (f"imag({label})", key, path.imag)]
         elif array.dtype.kind not in "biuf" or array.size <= 1:
             metadata[key] = str(value)[:200]
-        elif _square_sides(array) is not None:
+        elif _response_sides(array) is not None:
             vectors += [(label, key, path) for label, path in _paths(key, array)]
         elif array.ndim > 2 and max(array.shape) != array.size:
             text = f"{key!r} has {array.ndim} axes {array.shape}: which is time, which channel?"
@@ -154,7 +154,7 @@ def _sorted_out(
         elif max(array.shape) == array.size:
             vectors.append((key, key, array.reshape(-1)))
         else:
-            array, said = _upright(source, key, array, shapes)
+            array, said = _with_a_row_per_sample(source, key, array, shapes)
             statements += said
             label = f"{key}(:,{{}})" if key else ""
             vectors += [(label.format(k + 1), key, array[:, k]) for k in range(array.shape[1])]
@@ -163,7 +163,7 @@ def _sorted_out(
 
 def _paths(key: str, array: np.ndarray) -> list[tuple[str, np.ndarray]]:
     """Return the vectors of an array under their names: of (n, n, lines) each path by itself."""
-    sides = _square_sides(array)
+    sides = _response_sides(array)
     if sides is None:
         return [(key, array.reshape(-1))]
     by_path = array if sides == (0, 1) else np.moveaxis(array, 0, -1)
@@ -171,7 +171,7 @@ def _paths(key: str, array: np.ndarray) -> list[tuple[str, np.ndarray]]:
     return [(f"{key}({i + 1},{j + 1})", by_path[i, j]) for i in range(size) for j in range(size)]
 
 
-def _square_sides(array: np.ndarray) -> tuple[int, int] | None:
+def _response_sides(array: np.ndarray) -> tuple[int, int] | None:
     """Return the two axes of a response of several outputs and inputs, None where it is none.
 
     MATLAB has (outputs, inputs, lines), NumPy's habit is (lines, outputs, inputs).
@@ -185,7 +185,7 @@ def _square_sides(array: np.ndarray) -> tuple[int, int] | None:
     return None
 
 
-def _upright(
+def _with_a_row_per_sample(
     source: Source, key: str, array: np.ndarray, shapes: Mapping[str, tuple[int, ...]]
 ) -> tuple[np.ndarray, list[Statement]]:
     """Return a matrix with a row for each sample, turned where it can only be read that way."""

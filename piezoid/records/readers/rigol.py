@@ -1,9 +1,9 @@
 """Rigol oscilloscope CSV: a time column called X, or a sequence with a start and an increment."""
 
 from piezoid.numerics.arrays import Array
-from piezoid.records.readers.block import Layout, number_of, parse_block, split
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
+from piezoid.records.readers.text_numbers import Layout, number_of, parse_numbers, split
 from piezoid.records.table import Column, RawTable, rate_of
 
 
@@ -37,7 +37,7 @@ def read(source: Source) -> RawTable:
     channels = [label for label in labels if label not in ("Start", "Increment")]
     body = "\n".join(lines[skipped:])
     fields = max(len(channels), len(split(lines[skipped], ",")))
-    block = parse_block(
+    block = parse_numbers(
         body, Layout(separator=",", decimal=".", fields=fields), source.name, skipped + 1
     )
     increment_s, start_s = _clock(source, labels, second) if clocked else (None, 0.0)

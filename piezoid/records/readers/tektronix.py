@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.records.readers import text_table
-from piezoid.records.readers.block import Layout, number_of, parse_block, split
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
+from piezoid.records.readers.text_numbers import Layout, number_of, parse_numbers, split
 from piezoid.records.table import Column, RawTable
 from piezoid.statement import Statement, finding
 
@@ -74,7 +74,7 @@ def _columns(
         for cells in (split(line, ",") for line in lines)
     )
     layout = Layout(separator=",", decimal=".", fields=len(wanted))
-    values = parse_block(body, layout, source.name, 1).columns
+    values = parse_numbers(body, layout, source.name, 1).columns
     for k in range(2, len(wanted), 2):
         if not np.array_equal(values[k], values[0], equal_nan=True):
             raise unreadable(

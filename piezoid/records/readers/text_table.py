@@ -10,21 +10,7 @@ from typing import BinaryIO
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.records.readers.block import (
-    Block,
-    lines_are_rows,
-    parse_block,
-    without_comments,
-)
-from piezoid.records.readers.complex_cells import joined, parts_of
-from piezoid.records.readers.heading_lines import (
-    HEAD_LINES,
-    Start,
-    find_start,
-    names_but_first,
-    unit_cell,
-    without_headings,
-)
+from piezoid.records.readers.complex_cells import join_complex_columns, real_and_imaginary_text
 from piezoid.records.readers.optional_readers import reading
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import (
@@ -35,6 +21,20 @@ from piezoid.records.readers.source import (
     text_of,
     unreadable,
     with_hyphens,
+)
+from piezoid.records.readers.text_layout import (
+    HEAD_LINES,
+    TableStart,
+    drop_repeated_headings,
+    find_table,
+    headings_beside_row_numbers,
+    unit_cell,
+)
+from piezoid.records.readers.text_numbers import (
+    NumberTable,
+    lines_are_rows,
+    parse_numbers,
+    without_comments,
 )
 from piezoid.records.table import Column, RawTable
 from piezoid.statement import Statement, finding
@@ -55,18 +55,18 @@ def read(source: Source) -> RawTable:
 
 def read_text(source: Source, text: str, format_name: str) -> RawTable:
     """Read the text of a table, whatever file it came in."""
-    parts = parts_of(text)
+    parts = real_and_imaginary_text(text)
     if parts is None:
         return _read_numbers(source, text, format_name)
-    return joined(*(_read_numbers(source, part, format_name) for part in parts))
+    return join_complex_columns(*(_read_numbers(source, part, format_name) for part in parts))
 
 
 def _read_numbers(source: Source, text: str, format_name: str) -> RawTable:
     """Read a table of real numbers."""
-    start = find_start(text.split("\n", HEAD_LINES)[:HEAD_LINES], source.name, source.text)
+    start = find_table(text.split("\n", HEAD_LINES)[:HEAD_LINES], source.name, source.text)
     body = text.split("\n", start.row)[-1] if start.row else text
-    block, begins, told = parsed(body, start, source.name, start.row + 1)
-    named = names_but_first(start)
+    block, begins, told = parse_rows(body, start, source.name, start.row + 1)
+    named = headings_beside_row_numbers(start)
     if named is not None and are_row_numbers(block.columns[0]):
         start = replace(start, labels=named, above=start.above[:-1])
     return RawTable(
@@ -79,17 +79,17 @@ def _read_numbers(source: Source, text: str, format_name: str) -> RawTable:
         segment_starts=begins,
         metadata=metadata_of(start.above),
         statements=(
-            *stray_problems(start),
+            *stray_row_statements(start),
             *told,
             *block.statements,
-            *textual_problems(start, block),
+            *text_column_statements(start, block),
         ),
     )
 
 
-def parsed(
-    body: str, start: Start, name: str, line: int
-) -> tuple[Block, tuple[int, ...], tuple[Statement, ...]]:
+def parse_rows(
+    body: str, start: TableStart, name: str, line: int
+) -> tuple[NumberTable, tuple[int, ...], tuple[Statement, ...]]:
     """Return the numbers of a table, without comments and headings among its rows.
 
     line      of the first row
@@ -99,12 +99,12 @@ def parsed(
     things from there on.
     """
     rows, remarks = without_comments(body, line)
-    block = parse_block(rows, start.layout, name, line)
+    block = parse_numbers(rows, start.layout, name, line)
     if not remarks and not any(
         statement.quantity == "not_a_number" for statement in block.statements
     ):
         return block, (), ()
-    kept, begins, at = without_headings(body, start, name, line)
+    kept, begins, at = drop_repeated_headings(body, start, name, line)
     if not at:
         return block, (), remarks
     rows, remarks = without_comments(kept, line)
@@ -113,10 +113,10 @@ def parsed(
         "each begins with a memory of its own"
     )
     statement = finding(quantity="repeated_heading", place=f"line {at[0]}", text=text)
-    return parse_block(rows, start.layout, name, line), begins, (*remarks, statement)
+    return parse_numbers(rows, start.layout, name, line), begins, (*remarks, statement)
 
 
-def columns_of(start: Start, block: Block) -> tuple[Column, ...]:
+def columns_of(start: TableStart, block: NumberTable) -> tuple[Column, ...]:
     """Return the columns of numbers, each under its heading."""
     return tuple(
         Column(
@@ -137,7 +137,7 @@ def are_row_numbers(values: Array) -> bool:
     return bool(values[0] in (0, 1) and (np.diff(values) == 1).all())
 
 
-def stray_problems(start: Start) -> tuple[Statement, ...]:
+def stray_row_statements(start: TableStart) -> tuple[Statement, ...]:
     """Return what is odd about the lines above the table."""
     if not start.strays:
         return ()
@@ -148,7 +148,7 @@ def stray_problems(start: Start) -> tuple[Statement, ...]:
     return (finding(quantity="rows_above", place=f"line {start.strays[0]}", text=text),)
 
 
-def textual_problems(start: Start, block: Block) -> tuple[Statement, ...]:
+def text_column_statements(start: TableStart, block: NumberTable) -> tuple[Statement, ...]:
     """Name the columns of text."""
     return tuple(
         finding(
@@ -181,17 +181,21 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
     """
     with _decoded(source) as stream:
         start = _start_in_stream(stream, source)
-        first: Block | None = None
+        first: NumberTable | None = None
         line, first_row = start.row + 1, 0
         for text in _line_chunks(stream, rows, source):
-            block, begins, statements = parsed(text, start, source.name, line)
+            block, begins, statements = parse_rows(text, start, source.name, line)
             _refuse_dates(block, source.name, line)
             if first is None:
-                named = names_but_first(start)
+                named = headings_beside_row_numbers(start)
                 if named is not None and are_row_numbers(block.columns[0]):
                     start = replace(start, labels=named, above=start.above[:-1])
                 first = block
-                statements = (*stray_problems(start), *textual_problems(start, block), *statements)
+                statements = (
+                    *stray_row_statements(start),
+                    *text_column_statements(start, block),
+                    *statements,
+                )
             yield RawTable(
                 name=source.name,
                 digest=source.digest,
@@ -228,7 +232,7 @@ class _BoundedGzip(gzip.GzipFile):
         return content
 
 
-def _start_in_stream(stream: io.TextIOWrapper, source: Source) -> Start:
+def _start_in_stream(stream: io.TextIOWrapper, source: Source) -> TableStart:
     """Find the table, and leave the stream at its first row."""
     lines: list[str] = []
     while len(lines) < HEAD_LINES and sum(map(len, lines)) < _LONGEST_HEAD:
@@ -236,7 +240,7 @@ def _start_in_stream(stream: io.TextIOWrapper, source: Source) -> Start:
         if not line:
             break
         lines.append(line.removesuffix("\n"))
-    start = find_start(lines, source.name, source.text)
+    start = find_table(lines, source.name, source.text)
     stream.seek(0)
     for _ in range(start.row):
         stream.readline()
@@ -277,7 +281,7 @@ def _whole_lines(stream: io.TextIOWrapper, characters: int, source: Source) -> s
     return with_hyphens(text + end_of_line)
 
 
-def _with_columns_of(first: Block, block: Block) -> Block:
+def _with_columns_of(first: NumberTable, block: NumberTable) -> NumberTable:
     """Return a block whose columns of text are those of the first block."""
     columns = tuple(
         np.full_like(values, np.nan) if k in block.textual else values
@@ -286,7 +290,7 @@ def _with_columns_of(first: Block, block: Block) -> Block:
     return replace(block, columns=columns, textual=first.textual)
 
 
-def _refuse_dates(block: Block, name: str, line: int) -> None:
+def _refuse_dates(block: NumberTable, name: str, line: int) -> None:
     if block.stamped:
         raise unreadable(
             name,

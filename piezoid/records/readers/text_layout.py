@@ -1,4 +1,4 @@
-"""The lines above a text table: where it starts, how its rows are written, what heads them."""
+"""Layout of a text table: its first row, separator and decimal mark, headings and units."""
 
 import json
 import re
@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 from piezoid.errors import LabFileError
 from piezoid.records.column_roles import Role, meaning_of
-from piezoid.records.readers.block import Layout, cells_of, number_of, refuse_prefix, split
 from piezoid.records.readers.source import TextFormat, check_columns, unreadable
+from piezoid.records.readers.text_numbers import Layout, cells_of, number_of, refuse_prefix, split
 from piezoid.records.units import heading_of, unit_of
 
 # Longer preambles than this have their own formats.
@@ -39,7 +39,7 @@ _NAME_AND_BRACKET = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\[\]]*\]|\([^()]*\)))?")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Start:
+class TableStart:
     """Where a table starts.
 
     layout   how its rows are written
@@ -58,7 +58,7 @@ class Start:
     strays: tuple[int, ...] = ()
 
 
-def find_start(lines: list[str], name: str, declared: TextFormat | None = None) -> Start:
+def find_table(lines: list[str], name: str, declared: TextFormat | None = None) -> TableStart:
     """Find the table among the first lines of a text, trying every layout.
 
     declared  what lab.toml says of the layout
@@ -75,8 +75,8 @@ def find_start(lines: list[str], name: str, declared: TextFormat | None = None) 
         check_columns(name, max((_widest(x) for x in tried if len(x) > _LONGEST_LINE), default=0))
         raise unreadable(
             name,
-            f"its first {len(lines)} lines hold no row of numbers{_as_declared(declared)}; line 1 "
-            f"is {lines[0][:60]!r}{_hexadecimal(tried)}",
+            f"its first {len(lines)} lines hold no row of numbers{_declared_text(declared)}; line "
+            f"1 is {lines[0][:60]!r}{_hexadecimal(tried)}",
             needed="a table of numbers separated by tabs, semicolons, bars, commas or blanks",
             remedy="Export the recording as CSV, in decimal numbers, without units or other words "
             "in the cells.",
@@ -97,7 +97,7 @@ def _hexadecimal(lines: list[str]) -> str:
     return "" if found is None else f", and {found[0]!r} is a hexadecimal number"
 
 
-def _as_declared(declared: TextFormat) -> str:
+def _declared_text(declared: TextFormat) -> str:
     said = [f"{key} = {value!r}" for key, value in declared.keys.items()]
     return f" with {', '.join(said)} of lab.toml" if said else ""
 
@@ -123,7 +123,7 @@ def _refuse_prefixed_rows(lines: list[str], layout: Layout, name: str) -> None:
                 refuse_prefix(cell, name, row + 1, column)
 
 
-def _refuse_other_fields_than_headings(lines: list[str], start: Start, name: str) -> None:
+def _refuse_other_fields_than_headings(lines: list[str], start: TableStart, name: str) -> None:
     """Refuse rows that have other numbers of cells than the heading has names."""
     layout = start.layout
     for row in reversed(range(start.row)):
@@ -181,7 +181,7 @@ def _with_decimal_comma(line: str) -> str:
     return match[0] if match else ""
 
 
-def _refuse_possible_thousands(lines: list[str], start: Start, name: str) -> None:
+def _refuse_possible_thousands(lines: list[str], start: TableStart, name: str) -> None:
     """Refuse numbers of which nobody can tell whether a comma marks thousands or decimals.
 
     With three digits behind every comma, and none but whole numbers below a thousand beside
@@ -221,8 +221,8 @@ def _widest(line: str) -> int:
     return 1 + max(line.count(separator) for separator in "\t;, ")
 
 
-def _best_start(lines: list[str], share: float, declared: TextFormat) -> Start | None:
-    best: Start | None = None
+def _best_start(lines: list[str], share: float, declared: TextFormat) -> TableStart | None:
+    best: TableStart | None = None
     best_score = (0, False)
     for tried in _layouts(declared):
         rows = _numeric_rows(lines, tried, share, declared.heading_row or 0)
@@ -231,7 +231,7 @@ def _best_start(lines: list[str], share: float, declared: TextFormat) -> Start |
         fields = Counter(rows.values()).most_common(1)[0][0]
         first = min(row for row, count in rows.items() if count == fields)
         start = replace(
-            _headed(lines, first, replace(tried, fields=fields), declared.heading_row),
+            _with_headings(lines, first, replace(tried, fields=fields), declared.heading_row),
             strays=tuple(row + 1 for row in rows if row < first),
         )
         score = (sum(count == fields for count in rows.values()), any(start.labels))
@@ -276,29 +276,31 @@ def _is_digit(field: str) -> bool:
     return any(character.isdigit() for character in field)
 
 
-def _headed(lines: list[str], first: int, layout: Layout, heading_row: int | None) -> Start:
+def _with_headings(
+    lines: list[str], first: int, layout: Layout, heading_row: int | None
+) -> TableStart:
     end = first if heading_row is None else heading_row
     above = [row for row in range(end) if lines[row].strip()]
     none = ("",) * layout.fields
     if not above:
-        return Start(layout=layout, row=first, labels=none, units=none, above=())
+        return TableStart(layout=layout, row=first, labels=none, units=none, above=())
     ends = all(split(line, layout.separator)[-1:] == [""] for line in lines[first : first + 20])
     is_open = bool(layout.separator) and ends
     last = _cells(lines[above[-1]], layout, is_open)
     names = _cells(lines[above[-2]], layout, is_open) if len(above) > 1 else None
     if last and names and _are_units(last) and not _are_units(names):
-        return Start(
+        return TableStart(
             layout=layout, row=first, labels=names, units=last,
             above=tuple(lines[row] for row in above[:-2]),
         )  # fmt: skip
     if last and any(re.search(r"[^\W\d_]", cell) for cell in last):
         kept = tuple(lines[row] for row in above[:-1])
-        return Start(layout=layout, row=first, labels=last, units=none, above=kept)
+        return TableStart(layout=layout, row=first, labels=last, units=none, above=kept)
     kept = tuple(lines[row] for row in above)
-    return Start(layout=layout, row=first, labels=none, units=none, above=kept)
+    return TableStart(layout=layout, row=first, labels=none, units=none, above=kept)
 
 
-def names_but_first(start: Start) -> tuple[str, ...] | None:
+def headings_beside_row_numbers(start: TableStart) -> tuple[str, ...] | None:
     """Return the headings of a line that has one name less than the rows have fields.
 
     Programs that write row numbers leave them without a name: whether the numbers of the first
@@ -349,8 +351,8 @@ def _split_outside_brackets(line: str, separator: str) -> list[str]:
     return cells
 
 
-def without_headings(
-    text: str, start: Start, name: str, line: int
+def drop_repeated_headings(
+    text: str, start: TableStart, name: str, line: int
 ) -> tuple[str, tuple[int, ...], tuple[int, ...]]:
     """Return rows without the headings that stand again among them.
 
@@ -365,12 +367,12 @@ def without_headings(
     rows = 0
     for number, content in enumerate(text.split("\n"), start=line):
         cells = _heading_cells(content, start)
-        if cells and (_means(cells, start.labels) or cells == start.units):
+        if cells and (_are_same_headings(cells, start.labels) or cells == start.units):
             if cells != start.units:
                 at.append(number)
                 begins.append(rows)
             continue
-        if cells and sum(_is_named(cell) for cell in cells) > 1:
+        if cells and sum(_has_name_and_unit(cell) for cell in cells) > 1:
             raise unreadable(
                 name,
                 f"line {number} heads the columns anew, {' | '.join(cells)[:200]!r}, which were "
@@ -384,7 +386,7 @@ def without_headings(
     return "\n".join(kept), tuple(row for row in begins if row), tuple(at)
 
 
-def _heading_cells(line: str, start: Start) -> tuple[str, ...]:
+def _heading_cells(line: str, start: TableStart) -> tuple[str, ...]:
     """Return the cells of a line of as many words as there are columns, none where it is none."""
     if len(line) > _LONGEST_LINE or not re.search(r"[^\W\d_]", line):
         return ()
@@ -394,13 +396,13 @@ def _heading_cells(line: str, start: Start) -> tuple[str, ...]:
     return cells if is_heading else ()
 
 
-def _means(cells: tuple[str, ...], labels: tuple[str, ...]) -> bool:
+def _are_same_headings(cells: tuple[str, ...], labels: tuple[str, ...]) -> bool:
     """Tell whether headings say the same, in whichever case."""
     pairs = zip(map(heading_of, cells), map(heading_of, labels), strict=True)
     return all(a.stem.lower() == b.stem.lower() and a.unit == b.unit for a, b in pairs)
 
 
-def _is_named(cell: str) -> bool:
+def _has_name_and_unit(cell: str) -> bool:
     """Tell whether a cell heads a column: it says what it is, and in which unit."""
     heading = heading_of(cell)
     return heading.unit is not None and bool(heading.stem)

@@ -1,4 +1,4 @@
-"""The numbers of a text table: fast where all is in order, with line and column where not."""
+"""Parse the numbers of a text table: fast if it is whole, else cell by cell with its faults."""
 
 import csv
 import io
@@ -60,7 +60,7 @@ class Layout:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Block:
+class NumberTable:
     """The numbers of a table.
 
     columns   (fields,) arrays of equal length; NaN where a field holds no number
@@ -130,7 +130,7 @@ def count_of(text: str) -> int | None:
     return int(text) if _COUNT.fullmatch(text) else None
 
 
-def parse_block(text: str, layout: Layout, name: str, first_line: int) -> Block:
+def parse_numbers(text: str, layout: Layout, name: str, first_line: int) -> NumberTable:
     """Read the rows of a table; ``first_line`` is the line its first row stands on."""
     check_columns(name, layout.fields)
     if not text.strip():
@@ -184,16 +184,16 @@ def without_comments(text: str, first_line: int) -> tuple[str, tuple[Statement, 
     return "\n".join(line for line in lines if not _COMMENT.match(line)), (statement,)
 
 
-def _parse_fast(text: str, layout: Layout) -> Block | None:
+def _parse_fast(text: str, layout: Layout) -> NumberTable | None:
     """Read a table in which every field is a number or empty, or return None."""
     frame = _frame(text, layout, np.float64)
     if frame is None:
         return None
     columns = tuple(frame[k].to_numpy(dtype=np.float64) for k in frame.columns)
-    return Block(columns=columns, textual=frozenset(), statements=())
+    return NumberTable(columns=columns, textual=frozenset(), statements=())
 
 
-def _parse_mixed(text: str, layout: Layout, first_line: int) -> Block | None:
+def _parse_mixed(text: str, layout: Layout, first_line: int) -> NumberTable | None:
     """Read a table of whole rows in which some fields hold text or dates, or return None."""
     import pandas as pd
 
@@ -216,11 +216,11 @@ def _parse_mixed(text: str, layout: Layout, first_line: int) -> Block | None:
         columns.append(numbers.to_numpy(dtype=np.float64))
     wrong = np.array(texts)
     textual = frozenset(np.flatnonzero(2 * wrong.sum(axis=1) > len(frame)).tolist())
-    if len(textual) == layout.fields or 4 * _most(wrong, textual) > len(frame):
+    if len(textual) == layout.fields or 4 * _max_text_cells(wrong, textual) > len(frame):
         return None
     first = [first_line + int(np.argmax(row)) for row in wrong]
-    statements = _text_problems(wrong.sum(axis=1), first, textual)
-    return Block(
+    statements = _text_statements(wrong.sum(axis=1), first, textual)
+    return NumberTable(
         columns=tuple(columns), textual=textual, stamped=frozenset(stamped), statements=statements
     )
 
@@ -242,18 +242,20 @@ def _seconds_of(held: "Series[str]") -> "Series[float] | None":
         hours = parts["h"].astype(float)
         if parts["half"].notna().any():
             hours = hours % 12 + 12 * parts["half"].str.lower().eq("p")
-        return _running(3600 * hours + _of_hour(parts), 86400.0)
+        return _without_wraps(3600 * hours + _seconds_of_hour(parts), 86400.0)
     parts = held.str.strip().str.extract(f"^{_MINUTES}$")
-    return None if parts.isna().to_numpy().any() else _running(_of_hour(parts), 3600.0)
+    return (
+        None if parts.isna().to_numpy().any() else _without_wraps(_seconds_of_hour(parts), 3600.0)
+    )
 
 
-def _of_hour(parts: "DataFrame") -> "Series[float]":
+def _seconds_of_hour(parts: "DataFrame") -> "Series[float]":
     """Return the seconds of minutes ``m`` and seconds ``s``."""
     second = parts["s"].str.replace(",", ".").astype(float)
     return 60 * parts["m"].astype(float) + second
 
 
-def _running(seconds: "Series[float]", turn_s: float) -> "Series[float]":
+def _without_wraps(seconds: "Series[float]", turn_s: float) -> "Series[float]":
     """Return seconds from the first of a clock that begins anew after each turn."""
     step = seconds.diff()
     turns = step.lt(-turn_s / 2).astype(int).cumsum() - step.gt(turn_s / 2).astype(int).cumsum()
@@ -262,12 +264,12 @@ def _running(seconds: "Series[float]", turn_s: float) -> "Series[float]":
     return (running - running.iloc[0]).round(9)
 
 
-def _most(wrong: np.ndarray, textual: frozenset[int]) -> int:
+def _max_text_cells(wrong: np.ndarray, textual: frozenset[int]) -> int:
     counts = wrong.sum(axis=1)
     return max((int(counts[k]) for k in range(len(counts)) if k not in textual), default=0)
 
 
-def _text_problems(
+def _text_statements(
     texts: np.ndarray, first: list[int], textual: frozenset[int]
 ) -> tuple[Statement, ...]:
     return tuple(
@@ -303,7 +305,7 @@ def _frame(text: str, layout: Layout, dtype: type) -> "DataFrame | None":
         return None
 
 
-def _parse_slowly(text: str, layout: Layout, name: str, first_line: int) -> Block:
+def _parse_slowly(text: str, layout: Layout, name: str, first_line: int) -> NumberTable:
     rows, lines, strange, cells = [], [], [], []
     for line, content in enumerate(text.split("\n"), start=first_line):
         if not content.strip():
@@ -324,7 +326,7 @@ def _parse_slowly(text: str, layout: Layout, name: str, first_line: int) -> Bloc
     for k, seconds in stamps.items():
         numbers[:, k] = seconds
     lines = [(line, [k for k in where if k not in stamps]) for line, where in lines]
-    return replace(_judge(numbers, lines, strange, name), stamped=frozenset(stamps))
+    return replace(_checked_numbers(numbers, lines, strange, name), stamped=frozenset(stamps))
 
 
 def _stamps(cells: list[list[str]], lines: list[tuple[int, list[int]]]) -> dict[int, Array]:
@@ -339,9 +341,9 @@ def _stamps(cells: list[list[str]], lines: list[tuple[int, list[int]]]) -> dict[
     return found
 
 
-def _judge(
+def _checked_numbers(
     rows: Array, lines: list[tuple[int, list[int]]], strange: list[tuple[int, int]], name: str
-) -> Block:
+) -> NumberTable:
     count, fields = rows.shape
     texts = np.zeros(fields, dtype=int)
     first = [0] * fields
@@ -350,7 +352,7 @@ def _judge(
             first[k] = first[k] or line
             texts[k] += 1
     textual = frozenset(np.flatnonzero(2 * texts > count).tolist())
-    statements = list(_text_problems(texts, first, textual))
+    statements = list(_text_statements(texts, first, textual))
     if strange:
         line, found = strange[0]
         wide = {at for at, _ in strange}
@@ -372,7 +374,7 @@ def _judge(
             remedy="Export the recording again, or remove the rows that are no data.",
             line=line,
         )
-    return Block(
+    return NumberTable(
         columns=tuple(rows[:, k].copy() for k in range(fields)),
         textual=textual,
         statements=tuple(statements),
