@@ -22,7 +22,8 @@ SHAPE_EXPERIMENT = (
 
 def diagnosis_statements(diagnosis: Diagnosis) -> tuple[Statement, ...]:
     """Return the statements about one diagnosis, most important first."""
-    remaining = _remaining(diagnosis)
+    is_tested = any(one.upper_bound_m is not None for one in diagnosis.not_detected)
+    remaining = _remaining(diagnosis) if is_tested or diagnosis.findings else []
     return (
         *(
             _unnamed(diagnosis, finding)

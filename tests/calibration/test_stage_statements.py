@@ -115,6 +115,17 @@ def test_a_diagnosis_that_finds_nothing_says_what_to_record_where_error_is_left(
     assert diagnosis_statements(replace(diagnosed(finding("delay")), budget=())) == ()
 
 
+def test_a_diagnosis_that_could_not_test_anything_says_why() -> None:
+    found = diagnosed()
+    untested = tuple(
+        replace(one, upper_bound_m=None, detection_limit_m=None, reason="the loop is open")
+        for one in found.not_detected
+    )
+    (fact,) = diagnosis_statements(replace(found, not_detected=untested))
+    assert fact.quantity == "no_effect_tested"
+    assert "the loop is open" in fact.text
+
+
 @pytest.mark.parametrize(
     ("part", "level"), [("loop_shape", Level.WARNING), ("extrapolation", Level.ACTION)]
 )

@@ -1,6 +1,7 @@
 """Recordings as strangers make them: a file in, the verdict a physicist would give out."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -21,7 +22,11 @@ PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
 
 def piezoid(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     done = subprocess.run(
-        [*PIEZOID, *map(str, arguments)], capture_output=True, text=True, check=False
+        [*PIEZOID, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "COLUMNS": "120"},
     )
     assert "Traceback" not in done.stderr
     return done
@@ -59,7 +64,7 @@ def test_one_loop_is_modelled_and_said_to_be_untested(tmp_path: Path) -> None:
     )
     done = piezoid("fit", sweep, "--lab", tmp_path / "lab.toml", "--out", tmp_path / "stage")
     assert "Only one loop was recorded" in joined(done)
-    assert "in sample" in joined(done)
+    assert "sample" in joined(done)
     assert "loop" in facts_of(tmp_path / "stage")
     assert grade_of(axis_of(tmp_path / "stage")) is Grade.POOR
     quality = json.loads((tmp_path / "stage/model.json").read_text())["axes"]["x"]["quality"]
