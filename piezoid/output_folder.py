@@ -324,7 +324,8 @@ def _write(
             _fill(fresh / MANIFEST, manifest_of(dict.fromkeys((*contents, *kept), "")))
             digests = {n: _fill(fresh / n, content) for n, content in contents.items()}
             digests |= {name: _digest_of(target / name, listed[name]) for name in kept}
-            _fill(fresh / MANIFEST, manifest_of(digests))
+            _fill(fresh / _UNION, manifest_of(digests))
+            (fresh / _UNION).replace(fresh / MANIFEST)  # killed here, the files are listed
             with _undisturbed():
                 _check_names(target, listed, (*contents, *gone), force=force)
                 _put(fresh, target, digests, listed, gone)

@@ -337,6 +337,28 @@ def test_what_killed_runs_left_is_removed_and_nothing_else(tmp_path: Path) -> No
     assert (tmp_path / ".stage.y8.unfinished/precious").read_text() == "mine"
 
 
+@pytest.mark.parametrize("written", range(6))
+def test_what_is_left_of_a_run_killed_at_any_step_is_removed(written: int, tmp_path: Path) -> None:
+    """The process ends when its n-th file is still empty, and removes nothing itself."""
+    write_folder(tmp_path / "stage", OLD)
+    (tmp_path / "stage/notes").write_text("mine")
+    child = os.fork()
+    if child == 0:
+        opened, count = Path.open, iter(range(99))
+
+        def killed(place: Path, mode: str = "r") -> object:
+            stream = opened(place, mode)
+            return os._exit(9) if mode == "w+b" and next(count) == written else stream
+
+        Path.open = killed  # type: ignore[method-assign, assignment]
+        write_folder(tmp_path / "stage", NEW, force=True)
+        os._exit(0)
+    os.waitpid(child, 0)
+    write_folder(tmp_path / "stage", NEW, force=True)
+    assert os.listdir(tmp_path) == ["stage"]
+    assert held(tmp_path / "stage") == {**NEW, "notes": b"mine"}
+
+
 def test_runs_that_add_at_the_same_time_lose_nothing_of_each_other(tmp_path: Path) -> None:
     write_folder(tmp_path / "stage", NEW)
     code = (
