@@ -115,7 +115,7 @@ def compensators_of(
         yield Compensator(method=method, bandwidth_Hz=loop.bandwidth_Hz, started=started)
     if "mpi_dob" in axis.methods:
         operator = generalised_model(recordings, model)
-        values = hysteresis_values(replace(model.without_minor_loops(), hysteresis=operator))
+        values = hysteresis_values(replace(model.without_loop_shape(), hysteresis=operator))
         yield Compensator(
             method="gpi_dob",
             bandwidth_Hz=design.loop("mpi_dob").bandwidth_Hz,

@@ -157,7 +157,8 @@ def run_job(job: "AxisJob | TipJob", told: Told) -> "AxisFound | TipFound":
 
 
 def _run_axis(job: AxisJob, told: Told) -> AxisFound:
-    from piezoid.identification.fit import fit_axis
+    from piezoid.identification.fit import fit_axis, moving
+    from piezoid.identification.loop_shape_fit import with_loop_shape
     from piezoid.records.lab import Lab
 
     def of_axis(text: str) -> None:
@@ -170,11 +171,15 @@ def _run_axis(job: AxisJob, told: Told) -> AxisFound:
         job.lab or Lab(),
         response=job.response,
         elsewhere=elsewhere,
+        has_loop_shape=False,
         progress=of_axis,
     )
     diagnosis, missing, stumbled = _diagnosed(job, model, of_axis)
     if diagnosis is not None and diagnosis.model is not None:
         model = diagnosis.model
+    else:
+        of_axis("loop shape")
+        model = with_loop_shape(model, moving(job.recordings, job.axis))
     return AxisFound(
         model=model,
         diagnosis=diagnosis,

@@ -203,7 +203,7 @@ def compare(
             remedy="Write scale = { ... } into lab.toml as at the fit.",
         )
     progress("simulating the model as it was")
-    model = model.without_minor_loops()  # what is refitted is plays with dead zones
+    model = model.without_loop_shape()  # what is refitted is plays with dead zones
     lasting = tuple(e for e in model.extensions if not isinstance(e, RECORDING_EFFECTS))
     start = replace(model, extensions=lasting, starts=())
     unchanged = fit_extended(start, recordings, lasting, structure=FIXED_OPERATOR)

@@ -48,6 +48,8 @@ from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording, counted_in
 
+# Held-out error without loop shape over that with it: a smaller gain names no effect.
+LOOP_SHAPE_WORTH = 1.3
 Progress = Callable[[str], None]
 AttributeErrors = Callable[[SearchResult], ModelErrors]
 
@@ -88,9 +90,14 @@ def diagnose(
         declared = lab or Lab()
         if model is None:
             model = fit_axis(
-                recordings, selected_axis, declared, response=response, progress=progress
+                recordings,
+                selected_axis,
+                declared,
+                response=response,
+                has_loop_shape=False,
+                progress=progress,
             )
-        start = model.without_minor_loops()
+        start = model.without_loop_shape()
         executor = Executor(progress=progress, threads=threads)
         selection = _select_effects(recordings, selected_axis, start, declared, executor)
         progress("fitting dynamics and loop shape of the extended model")
@@ -281,12 +288,13 @@ def _assembled(
 
 
 def _remaining_errors(outcome: Outcome, errors: ModelErrors, final: AxisModel) -> RemainingErrors:
-    null, plain = outcome.final.null, final.minor_loops
-    rows, columns = null.every.shape
+    rows, columns = outcome.final.null.every.shape
+    plain_m = final.without_loop_shape().quality.held_out_rms_m
+    is_named = plain_m > LOOP_SHAPE_WORTH * final.quality.held_out_rms_m
     return RemainingErrors(
         explained_m=final.quality.explained_rms_m,
         wide_m=outcome.final.rms * outcome.first.stroke_m * corrected(rows, columns),
         scatter=errors.scatter,
-        before_m=None if plain is None else plain.plain.held_out_rms_m,
+        before_m=plain_m if is_named else None,
         is_compared=not outcome.against,
     )

@@ -22,6 +22,7 @@ from piezoid.identification.dynamics.axis_dynamics import quasi_static, with_dyn
 from piezoid.identification.hysteresis.estimate import bent_trials, estimate_axis
 from piezoid.identification.hysteresis.order import Elsewhere, Trial
 from piezoid.identification.hysteresis.pieces import Rig
+from piezoid.identification.loop_shape_fit import with_loop_shape
 from piezoid.identification.minor_loops import with_minor_loops
 from piezoid.identification.model import AxisModel
 from piezoid.identification.tunnelling.junction import fit_junction, remarks_on_currents
@@ -244,6 +245,7 @@ def fit_axis(
     *,
     response: FrequencyResponseRecord | None = None,
     elsewhere: Elsewhere = lambda _: None,
+    has_loop_shape: bool = True,
     progress: Callable[[str], None] = lambda _: None,
 ) -> AxisModel:
     """Fit one axis: its hysteresis, then its dynamics where a recording excites them.
@@ -252,6 +254,7 @@ def fit_axis(
                 that a mode shapes tell the dynamics only, where there are others
     response    of the axis, where it was measured: the dynamics then are its
     elsewhere   the trials of ``trials_of``, where somebody else has made them meanwhile
+    has_loop_shape  whether loop shape is fitted; a diagnosis fits it to the extended model
 
     Raises ``ExcitationError`` where drive or displacement does not move.
     """
@@ -262,7 +265,11 @@ def fit_axis(
         found = with_dynamics(
             fitted, recordings, stated_Hz=lab.actuator_of(axis).bandwidth_Hz, response=response
         )
-        return with_discrepancy(_remarked(found, shaped), calm).told_in_counts(counted)
+        complete = with_discrepancy(_remarked(found, shaped), calm)
+        if has_loop_shape:
+            progress("loop shape")
+            complete = with_loop_shape(complete, calm)
+        return complete.told_in_counts(counted)
 
 
 def refined(
@@ -281,8 +288,8 @@ def refined(
         stated_Hz = lab.actuator_of(axis.axis).bandwidth_Hz
         found = with_dynamics(axis, recordings, stated_Hz=stated_Hz, response=response)
     held = moving(recordings, axis.axis)
-    told = with_discrepancy(with_minor_loops(found, held), held)
-    return told.told_in_counts(counted_in(recordings))
+    complete = with_discrepancy(with_minor_loops(found, held), held)
+    return with_loop_shape(complete, held).told_in_counts(counted_in(recordings))
 
 
 def trials_of(recordings: Sequence[Recording], axis: str, lab: Lab) -> tuple[Trial, ...]:

@@ -114,6 +114,11 @@ class Forward:
         """Return a signal, or columns, behind the own lag and the declared sensor."""
         return behind_pole(lagged(moved, self.lag, self.lag_s, rate_Hz), self.sensor_Hz, rate_Hz)
 
+    @property
+    def is_memoryless(self) -> bool:
+        """Whether nothing but a delay acts behind the hysteresis."""
+        return self.lag != "first_order" and self.sensor_Hz is None and not self.extensions
+
     def late_s(self, rate_Hz: float) -> float:
         """Return by how much the filters make slow motion late."""
         declared_s = 0.0 if self.sensor_Hz is None else 1.0 / (2.0 * np.pi * self.sensor_Hz)

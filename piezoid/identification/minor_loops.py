@@ -150,7 +150,7 @@ def with_minor_loops(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMo
 
     recordings  of the fit; one that the model does not know is passed over
     """
-    bare = axis.without_minor_loops()
+    bare = axis.without_loop_shape()
     late = any(isinstance(extension, RateDependence) for extension in bare.extensions)
     if late or not bare.quality.is_tested:  # walls that come late are not linear in functions
         return bare

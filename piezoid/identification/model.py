@@ -14,6 +14,7 @@ from piezoid.identification.dynamics.records import JointFit, ResponseFit
 from piezoid.identification.extensions.extension import Extension, Where
 from piezoid.identification.forward import Forward
 from piezoid.identification.hysteresis.pieces import Rig, Scales
+from piezoid.identification.loop_shape import LoopShape, histories, history_of, remembered
 from piezoid.identification.minor_loops_known import FunctionOrder, MinorLoops
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import Certificate, FitQuality, Uncertainty, Verdict
@@ -98,6 +99,8 @@ class AxisModel:
     minor_loops  what simulates, ships and is bounded in place of ``hysteresis``, by which a
                  diagnosis still goes; None where it predicts no better
     function_orders  plays behind functions that were tried, the largest first
+    loop_shape   hysteresis that no controller inverts, beside the operator; None where it
+                 predicts no better
     discrepancy  what this class leaves of the recordings, for verification; None: not known
     dynamics_remarks  those of the verdict's remarks that tell how the dynamics were found
     counted      what was recorded in counts of a converter, of ``displacement`` and ``voltage``:
@@ -122,6 +125,7 @@ class AxisModel:
     extensions: tuple[Extension, ...] = ()
     minor_loops: MinorLoops | None = None
     function_orders: tuple[FunctionOrder, ...] = ()
+    loop_shape: LoopShape | None = None
     discrepancy: Discrepancy | None = None
     dynamics_remarks: tuple[str, ...] = ()
     counted: tuple[str, ...] = ()
@@ -167,27 +171,37 @@ class AxisModel:
         """
         return self.hysteresis if self.minor_loops is None else self.minor_loops.operator
 
-    def without_minor_loops(self) -> "AxisModel":
+    def without_loop_shape(self) -> "AxisModel":
         """Return the axis as plays with dead zones describe it.
 
-        >>> model["x"].without_minor_loops().minor_loops is None
+        >>> model["x"].without_loop_shape().loop_shape is None
         True
         """
+        if self.loop_shape is not None:
+            plain = self.loop_shape.plain
+            axis = replace(
+                self,
+                loop_shape=None,
+                lag=replace(self.lag, time_s=plain.lag_s),
+                quality=plain.quality,
+                starts=plain.starts,
+            )
+            return axis.without_loop_shape()
         if self.minor_loops is None:
             return self
-        plain = self.minor_loops.plain
+        before = self.minor_loops.plain
         quality = replace(
             self.quality,
-            rms_m=plain.rms_m,
-            held_out_rms_m=plain.held_out_rms_m,
-            held_out_kind=plain.held_out_kind,
+            rms_m=before.rms_m,
+            held_out_rms_m=before.held_out_rms_m,
+            held_out_kind=before.held_out_kind,
         )
         return replace(
             self,
             minor_loops=None,
             quality=quality,
-            certificate=plain.certificate,
-            starts=plain.starts,
+            certificate=before.certificate,
+            starts=before.starts,
         )
 
     @property
@@ -299,8 +313,16 @@ class AxisModel:
             )
         return memory_V
 
-    def moved(self, voltage_V: Array, memory_V: Array, where: Where) -> Array:
+    def moved(
+        self,
+        voltage_V: Array,
+        memory_V: Array,
+        where: Where,
+        history_weight: Array | None = None,
+    ) -> Array:
         """Return the displacement away from the zero, before the sensor reads it, (samples,).
+
+        history_weight  as in ``PieceStart``; None: the memory is all that is known
 
         >>> from piezoid.identification.extensions.extension import Where
         >>> where = Where(recording="", rate_Hz=1000.0, samples=3)
@@ -309,7 +331,11 @@ class AxisModel:
         """
         forward = self.forward
         driven_V = forward.driven_V(voltage_V, where.rate_Hz)
-        return forward.position(self.static_m(driven_V, memory_V, where.rate_Hz), where)
+        static_m = self.static_m(driven_V, memory_V, where.rate_Hz)
+        if history_weight is not None and np.any(history_weight):
+            changes_m = self.history_changes_m(driven_V, memory_V, where.rate_Hz)
+            static_m = static_m + changes_m @ history_weight
+        return forward.position(static_m, where)
 
     @property
     def forward(self) -> Forward:
@@ -333,10 +359,23 @@ class AxisModel:
         )
 
     def static_m(self, driven_V: Array, memory_V: Array, rate_Hz: float) -> Array:
-        """Return Psi(H[gamma(u - u_off)]), with what delays the irreversible part.
+        """Return Psi(H[gamma(u - u_off)]) + L[u], with what delays the irreversible part.
 
         >>> u, memory = np.array([0.0, 5.0]), model["x"].virgin_memory_V
         >>> model["x"].static_m(u, memory, 1000.0).shape
+        (2,)
+        """
+        static_m = self.invertible_m(driven_V, memory_V, rate_Hz)
+        if self.loop_shape is None:
+            return static_m
+        history = history_of(self.hysteresis, memory_V, self.loop_shape)
+        return static_m + self.loop_shape.response(driven_V, history)
+
+    def invertible_m(self, driven_V: Array, memory_V: Array, rate_Hz: float) -> Array:
+        """Return the response of the part that a controller inverts, (samples,).
+
+        >>> u, memory = np.array([0.0, 5.0]), model["x"].virgin_memory_V
+        >>> model["x"].invertible_m(u, memory, 1000.0).shape
         (2,)
         """
         if self.minor_loops is not None:
@@ -344,6 +383,44 @@ class AxisModel:
             return moved_m - self.hysteresis.displacement_offset_m
         drive_V = driven_V - self.hysteresis.voltage_offset_V
         return self.forward.static(drive_V, memory_V, rate_Hz)[0]
+
+    def memory_after(self, turns_V: Array) -> Array:
+        """Return the states of the plays behind turning points of the drive, (plays,).
+
+        >>> x = model["x"]
+        >>> x.memory_after(np.array([10.0, 0.0])).shape == x.virgin_memory_V.shape
+        True
+        """
+        inner_V = self.forward.inner(turns_V - self.hysteresis.voltage_offset_V)
+        return self.hysteresis.plays.run(inner_V, self.virgin_memory_V)[1]
+
+    def history_changes_m(self, driven_V: Array, memory_V: Array, rate_Hz: float) -> Array:
+        """Return by how much other histories change the response, (samples, histories).
+
+        driven_V  (samples,)  V, in front of the hysteresis
+        memory_V  (plays,)    V, of the history that they are compared with
+
+        >>> u, memory = np.array([0.0, 5.0]), model["x"].virgin_memory_V
+        >>> model["x"].history_changes_m(u, memory, 1000.0).shape
+        (2, 0)
+        """
+        shape = self.loop_shape
+        if shape is None:
+            return np.zeros((len(driven_V), 0))
+        scaled = shape.scaled(driven_V)
+        stop = remembered(scaled)
+        drive_V = driven_V[:stop]
+        base_m = self.static_m(drive_V, memory_V, rate_Hz)
+        tried = histories(float(scaled[0]))
+        changes_m = np.zeros((len(driven_V), len(tried)))
+        for number, history in enumerate(tried):
+            begun_V = self.memory_after(shape.turns_V(history))
+            changes_m[:stop, number] = (
+                self.invertible_m(drive_V, begun_V, rate_Hz)
+                + shape.response(drive_V, history)
+                - base_m
+            )
+        return changes_m
 
 
 def _drive(given: ArrayLike, place: str, unit: str) -> Array:

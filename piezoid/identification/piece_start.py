@@ -1,7 +1,7 @@
 """Where the pieces of recordings begin: memory and zero, which no model can know."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -21,6 +21,7 @@ class PieceStart:
     memory_V     (plays,)  admissible states of u - u_off before the first sample
     zero_m       (knots,)  displacement at which the operator's output is 0, spread over the rows
     first, last  rows of the piece that counted
+    history_weight  (histories,)  weights of ``AxisModel.history_changes_m``; empty: none
     """
 
     recording: str
@@ -28,9 +29,10 @@ class PieceStart:
     zero_m: Array
     first: int
     last: int
+    history_weight: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        freeze(self, "memory_V", "zero_m")
+        freeze(self, "memory_V", "zero_m", "history_weight")
 
 
 def wandering_zeros(

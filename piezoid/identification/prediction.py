@@ -4,7 +4,7 @@ A recording begins somewhere: with a memory and at a zero that no model can know
 from its own displacement, and nothing else of it; the operator stays what was fitted.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -135,14 +135,46 @@ def _followed(model: AxisModel, voltage_V: Array, measured_m: Array, where: Wher
     found = _from_own_start(model, voltage_V, measured_m, where)
     for start in model.starts:
         if start.recording == where.recording and start.last <= len(voltage_V):
-            moved_m = model.moved(voltage_V, start.memory_V, where)
+            moved_m = model.moved(voltage_V, start.memory_V, where, start.history_weight)
             again = model.forward.read(zero_of(start, where.samples) + moved_m)
             found = min(found, again, key=lambda made: float(np.sum((made - measured_m) ** 2)))
     return found
 
 
 def _from_own_start(model: AxisModel, voltage_V: Array, measured_m: Array, where: Where) -> Array:
-    """Return a piece from the memory and the zero that fit it best.
+    """Return a piece from the memory, the history and the zero that fit it best.
+
+    The memory of the plays is fitted first, beside loop shape from a de-poled state; then the
+    weights of histories, numbers of order one, by ridge regression.
+    """
+    if model.loop_shape is None:
+        memory_V, zero_m = _fitted_start(model, voltage_V, measured_m, where)
+        return model.forward.read(zero_m + model.moved(voltage_V, memory_V, where))
+    plain, depoled_V = replace(model, loop_shape=None), model.virgin_memory_V
+    shape_m = model.moved(voltage_V, depoled_V, where) - plain.moved(voltage_V, depoled_V, where)
+    memory_V, zero_m = _fitted_start(plain, voltage_V, measured_m - shape_m, where)
+    driven_V = model.forward.driven_V(voltage_V, where.rate_Hz)
+    changes_m = model.history_changes_m(driven_V, memory_V, where.rate_Hz)
+    columns_m = model.polarity * model.forward.behind(changes_m, where)
+    residual_m = measured_m - model.forward.read(zero_m + model.moved(voltage_V, memory_V, where))
+    weight = _history_weight(columns_m, residual_m, model.quality.held_out_rms_m)
+    moved_m = model.moved(voltage_V, memory_V, where, weight)
+    zero_m += float(np.mean(measured_m - model.forward.read(zero_m + moved_m)))
+    return model.forward.read(zero_m + moved_m)
+
+
+def _history_weight(columns_m: Array, residual_m: Array, error_m: float) -> Array:
+    """Return the a with |residual - columns a|^2 / error^2 + |a|^2 least, beside a constant."""
+    error_m = max(error_m, np.finfo(float).tiny)
+    columns = (columns_m - columns_m.mean(axis=0)) / error_m
+    normal = columns.T @ columns + np.eye(columns.shape[1])
+    return np.asarray(np.linalg.solve(normal, columns.T @ residual_m / error_m))
+
+
+def _fitted_start(
+    model: AxisModel, voltage_V: Array, measured_m: Array, where: Where
+) -> tuple[Array, float]:
+    """Return the memory and the zero that fit a piece best.
 
         z_i(0) = v(0) + sum_(j<=i) d_j s_j,   -1 <= s_j <= 1, d_j between thresholds
 
@@ -174,4 +206,4 @@ def _from_own_start(model: AxisModel, voltage_V: Array, measured_m: Array, where
         diff_step=1e-4,
         max_nfev=STEPS,
     )
-    return forward.read(found.x[-1] * scale_m + moved(found.x[:-1]))
+    return forward.memory(first, found.x[:-1]), float(found.x[-1] * scale_m)

@@ -40,7 +40,7 @@ def simulate_recording(axis_model: AxisModel, recording: Recording) -> Array:
     for part, start in zip(pieces, starts, strict=True):
         where = where_of(recording, axis_model.axis, part)
         voltage_V = recording.voltage_V(axis_model.axis)[part]
-        moved_m = axis_model.moved(voltage_V, start.memory_V, where)
+        moved_m = axis_model.moved(voltage_V, start.memory_V, where, start.history_weight)
         displacement_m[part] = axis_model.forward.read(zero_of(start, where.samples) + moved_m)
     return displacement_m
 

@@ -58,7 +58,7 @@ def _axis_entry(axis: AxisModel) -> dict[str, Any]:
     held = fields_of(axis)
     held["valid_range"] = {"voltage_V": held.pop("voltage_V")}
     # Entries that most stages lack: files of theirs stay as they are.
-    few = ("counted", "minor_loops", "function_orders")
+    few = ("counted", "loop_shape", "minor_loops", "function_orders")
     later = {name: held[name] for name in few}
     asked = {name: value for name, value in later.items() if value}
     return {name: held[name] for name in names} | asked

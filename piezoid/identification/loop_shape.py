@@ -1,0 +1,156 @@
+"""Loop shape: the part of the hysteresis that plays with dead zones cannot represent.
+
+    static displacement = Psi(H[u - u_off]) + L[u]
+
+L is a function of the wide class of ``operators.wide_hysteresis``, fitted to the recordings by
+``loop_shape_fit``. Simulation, prediction, held-out error and the verification plant include it. A
+controller inverts the first term exactly; L is what that inverse leaves.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.identification.piece_start import PieceStart
+from piezoid.identification.quality import FitQuality
+from piezoid.numerics.arrays import Array, freeze
+from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from piezoid.operators.wide_hysteresis import (
+    CHUNK,
+    CYCLES,
+    EDGES,
+    HysteresisStates,
+    States,
+    smooth_columns,
+)
+
+History = tuple[float, ...]
+"""Scaled drives at which the drive turned before its first sample, -1 to 1."""
+
+DECAYING: History = tuple(
+    float(a) for a in np.linspace(1.0, 0.02, 30) * (-1.0) ** np.arange(1, 31)
+)
+FORGOTTEN = 20.0  # half ranges travelled: no initial state shows after ten full swings
+COVERED = 1.94  # half ranges, of 2: every play has forgotten its initial state
+ROUNDING = 1e-9  # of half the range
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlainFit:
+    """The fit without loop shape.
+
+    lag_s           s
+    rms_m           residual on the rows with which loop shape was fitted, m
+    held_out_rms_m  on left-out blocks of them, m; plays were fitted to these as well
+    quality         as it was stated
+    starts          of the pieces
+    """
+
+    lag_s: float
+    rms_m: float
+    held_out_rms_m: float
+    quality: FitQuality
+    starts: tuple[PieceStart, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoopShape:
+    """A hysteresis of the wide class.
+
+    centre_V, reach_V  middle and half of the range of the recorded drive
+    density_m          (widths, cells)  of the plays, m
+    smooth_m           (columns,)       coefficients of all other families in their order, m
+    plain              the fit without it
+    """
+
+    centre_V: float
+    reach_V: float
+    density_m: Array
+    smooth_m: Array
+    plain: PlainFit
+
+    def __post_init__(self) -> None:
+        freeze(self, "smooth_m")
+        freeze(self, "density_m", ndim=2)
+
+    def scaled(self, voltage_V: Array) -> Array:
+        """Return a drive in half ranges; beyond the recorded range it stays at its end."""
+        return np.clip((voltage_V - self.centre_V) / self.reach_V, -1.0, 1.0)
+
+    def response(self, voltage_V: Array, history: Sequence[float] = DECAYING) -> Array:
+        """Return L along a drive, (samples,) m.
+
+        voltage_V  (samples,)  V, behind everything that acts in front of the hysteresis
+        history    turning points of the scaled drive before the first sample
+        """
+        drive = self.scaled(voltage_V)
+        states = HysteresisStates((*history, float(drive[0])))
+        chunks = (drive[first : first + CHUNK] for first in range(0, len(drive), CHUNK))
+        return np.concatenate([self.of_states(part, states.follow(part)) for part in chunks])
+
+    def of_states(self, drive: Array, states: States) -> Array:
+        """Return L from a scaled drive and the states of the wide class, (samples,) m."""
+        rises_m = self.density_m * np.diff(EDGES)
+        knots_m = np.hstack([np.zeros((len(rises_m), 1)), rises_m.cumsum(axis=1)])
+        total_m = -np.interp(drive, EDGES, knots_m.sum(axis=0))
+        for play, knot_m in zip(states[0].T, knots_m, strict=True):
+            total_m += np.interp(play, EDGES, knot_m)
+        columns = np.hstack(list(smooth_columns(drive, states).values()))
+        return np.asarray(total_m + columns @ self.smooth_m)
+
+    def turns_V(self, history: Sequence[float]) -> Array:
+        """Return the full cycles and the history as a drive, V."""
+        return np.asarray(self.centre_V + self.reach_V * np.array([*CYCLES, *history]))
+
+
+def histories(first: float) -> tuple[History, ...]:
+    """Return histories from which a drive may have come to its first sample, scaled."""
+    returns: tuple[History, ...] = (
+        DECAYING,
+        (-1.0,),
+        (),
+        (-0.5,),
+        (-1.0, 0.5),
+        (-0.5, 0.25),
+        (-1.0, 0.5, -0.25),
+        (-1.0, 0.0),
+        (0.0,),
+        (-1.0, min(first + 0.2, 1.0), max(first - 0.1, -1.0)),
+        (max(first - 0.2, -1.0), min(first + 0.1, 1.0)),
+    )
+    return returns
+
+
+def remembered(drive: Array) -> int:
+    """Return the number of samples at which the initial state of a scaled drive may still show."""
+    span = np.maximum.accumulate(drive) - np.minimum.accumulate(drive)
+    covered = int(np.searchsorted(span, COVERED))
+    travelled = np.cumsum(np.abs(np.diff(drive[covered:], prepend=drive[covered:][:1])))
+    return covered + int(np.searchsorted(travelled, FORGOTTEN))
+
+
+def history_of(
+    hysteresis: ModifiedPrandtlIshlinskii, memory_V: Array, shape: LoopShape
+) -> History:
+    """Return turning points that leave the plays of a hysteresis in these states.
+
+    From the widest play to the narrowest, the drive goes to z_i + r_i or z_i - r_i where play i
+    does not stand at z_i yet. In an admissible memory that moves no wider play.
+
+    memory_V  (plays,)  states behind the envelope, V
+    """
+    threshold_V = hysteresis.plays.threshold
+    turns_V = []
+    top_V = hysteresis.envelope.run(
+        np.array([shape.centre_V + shape.reach_V - hysteresis.voltage_offset_V])
+    )[0]
+    state_V = top_V - threshold_V
+    for i in np.argsort(-threshold_V, kind="stable"):
+        away_V = memory_V[i] - state_V[i]
+        if abs(away_V) > ROUNDING * shape.reach_V:
+            turn_V = memory_V[i] + np.copysign(threshold_V[i], away_V)
+            state_V = np.clip(state_V, turn_V - threshold_V, turn_V + threshold_V)
+            turns_V.append(turn_V)
+    drive_V = hysteresis.envelope.inverse().run(np.array(turns_V)) if turns_V else np.zeros(0)
+    return tuple(shape.scaled(drive_V + hysteresis.voltage_offset_V).tolist())

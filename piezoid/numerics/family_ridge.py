@@ -1,0 +1,127 @@
+"""Ridge regression with one prior variance for each family of columns.
+
+    y = X w + e,   w_k ~ N(0, v_f),   e ~ N(0, s^2),   f the family of column k
+
+The variances maximise the marginal likelihood by MacKay's fixed point,
+
+    v_f <- sum_f w_k^2 / g_f,   g_f = n_f - sum_f S_kk / v_f
+    s^2 <- |y - X w|^2 / (n - sum_f g_f)
+
+with S the posterior covariance; g_f is the number of parameters that the data determine.
+Everything is computed from X'X, X'y and y'y.
+
+Source: MacKay, Neural Computation 4 (1992) 415; Tipping, J. Machine Learning Research 1 (2001).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
+
+from piezoid.numerics.arrays import Array
+
+SETTLED = 1e-4  # relative change of the noise variance that ends the fixed point
+FEWEST_STEPS = 15
+JITTER = (0.0, 1e-14, 1e-12, 1e-10)  # of the trace, where rounding makes the matrix indefinite
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Moments:
+    """Sums over rows of a regression.
+
+    gram    (columns, columns)  X'X
+    moment  (columns,)          X'y
+    square  y'y
+    count   rows
+    """
+
+    gram: Array
+    moment: Array
+    square: float
+    count: int
+
+    def __add__(self, rows: "Moments") -> "Moments":
+        """Return the moments with further rows."""
+        return Moments(
+            gram=self.gram + rows.gram,
+            moment=self.moment + rows.moment,
+            square=self.square + rows.square,
+            count=self.count + rows.count,
+        )
+
+    def __sub__(self, rows: "Moments") -> "Moments":
+        """Return the moments without some of the rows."""
+        return Moments(
+            gram=self.gram - rows.gram,
+            moment=self.moment - rows.moment,
+            square=self.square - rows.square,
+            count=self.count - rows.count,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FamilyRidge:
+    """Prior of the coefficients and noise of the rows.
+
+    family    (columns,)   number of the family of each column
+    variance  (families,)  v_f; infinite: not penalised
+    noise     s^2
+    """
+
+    family: NDArray[np.intp]
+    variance: Array
+    noise: float
+
+    def mean(self, moments: Moments) -> Array:
+        """Return the posterior mean of the coefficients, (columns,)."""
+        return self._posterior(moments)[0]
+
+    def maximised(
+        self, moments: Moments, *, ceiling: Array, steps: int = 40
+    ) -> tuple["FamilyRidge", Array, float]:
+        """Return the ridge of largest marginal likelihood, its coefficients and sum_f g_f.
+
+        ceiling  (families,)  largest prior variance of each family
+        """
+        ridge, before = self, np.inf
+        power = moments.square / max(moments.count, 1)
+        w, determined = ridge._determined(moments)
+        for step in range(steps):
+            energy = np.bincount(self.family, w**2, len(self.variance))
+            variance = np.clip(energy / determined, 1e-12 * power, ceiling)
+            variance = np.where(np.isinf(ridge.variance), np.inf, variance)
+            left = moments.square - 2.0 * w @ moments.moment + w @ moments.gram @ w
+            free = max(moments.count - float(determined.sum()), 1.0)
+            noise = max(float(left) / free, 1e-18 * power)
+            ridge = replace(ridge, variance=variance, noise=noise)
+            w, determined = ridge._determined(moments)
+            if step > FEWEST_STEPS and abs(np.log(noise / before)) < SETTLED:
+                break
+            before = noise
+        return ridge, w, float(determined.sum())
+
+    def _determined(self, moments: Moments) -> tuple[Array, Array]:
+        """Return the coefficients and how many of each family the data determine."""
+        w, spread = self._posterior(moments)
+        sizes = np.bincount(self.family, minlength=len(self.variance))
+        vague = np.bincount(self.family, spread, len(self.variance)) / self.variance
+        return w, np.maximum(sizes - vague, 1e-3)
+
+    def _posterior(self, moments: Moments) -> tuple[Array, Array]:
+        """Return mean and variance of every coefficient."""
+        largest = 1e4 * moments.square / max(moments.count, 1)
+        scale = np.sqrt(np.minimum(self.variance, largest))[self.family]
+        matrix = moments.gram * (scale[:, None] * scale) / self.noise
+        diagonal = np.diag_indices(len(matrix))
+        matrix[diagonal] += 1.0
+        for jitter in JITTER:
+            matrix[diagonal] += jitter * np.trace(matrix)
+            try:
+                factor = cho_factor(matrix, lower=True)
+                break
+            except LinAlgError:
+                continue
+        mean = scale * cho_solve(factor, scale * moments.moment / self.noise)
+        inverse = solve_triangular(factor[0], np.eye(len(matrix)), lower=True)
+        return mean, (inverse**2).sum(axis=0) * scale**2

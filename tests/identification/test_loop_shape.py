@@ -1,0 +1,164 @@
+"""Loop shape: what plays with dead zones leave is followed, stored, and never invented."""
+
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.hysteresis.estimate import estimate_axis
+from piezoid.identification.hysteresis.pieces import Rig
+from piezoid.identification.loop_shape import history_of
+from piezoid.identification.loop_shape_fit import with_loop_shape
+from piezoid.identification.model import AxisModel
+from piezoid.identification.prediction import compare
+from piezoid.identification.simulation import simulate_recording
+from piezoid.identification.store import read_model, write_model
+from piezoid.numerics.arrays import Array
+from piezoid.records.frames import from_arrays
+from piezoid.records.recording import Recording
+from piezoid_datasets.virtual_lab.truths import ZOO
+from tests.laws import LAWS, Law
+
+NOISE_M = 8e-9
+BEGINNING = 500  # samples of the cycle that wipes out the initial state
+
+
+def through(levels: Array) -> Array:
+    runs = [np.linspace(a, b, int(120 * abs(b - a)) + 3)[1:] for a, b in pairwise(levels)]
+    return np.concatenate([levels[:1], *runs])
+
+
+def walk(seed: int) -> Array:
+    turns = np.random.default_rng(seed).uniform(-1.0, 1.0, 30)
+    return through(np.concatenate([[-1.0, 1.0, -1.0], turns]))
+
+
+SWEEP = through(np.concatenate([[-1.0], np.linspace(1.0, 0.05, 31) * (-1.0) ** np.arange(31)]))
+
+
+def law_of(name: str) -> Law:
+    """Return a sum of plays, or a ceramic of the virtual laboratory."""
+    if name == "plays":
+        return LAWS[name]
+    names = [truth.name for truth in ZOO]
+    ceramic = ZOO[names.index(name)].draw(np.random.default_rng(5))
+    return lambda field: np.add(*ceramic.respond(field, np.zeros(0)))
+
+
+def recorded(law: str, field: Array, name: str, polarity: float = 1.0) -> Recording:
+    before = np.tile(through(np.array([0.0, 1.0, -1.0, 1.0, -1.0])), 2)
+    moved_m = 2e-5 * law_of(law)(np.concatenate([before, field]))[len(before) :]
+    noise_m = NOISE_M * np.random.default_rng(len(field)).standard_normal(len(field))
+    return from_arrays(
+        voltage_V=5.0 * field,
+        displacement_m=polarity * moved_m + noise_m,
+        sampling_rate_Hz=400.0,
+        axis="x",
+        name=name,
+    )
+
+
+@cache
+def fitted(law: str, polarity: float = 1.0) -> tuple[tuple[Recording, ...], AxisModel, AxisModel]:
+    """Return recordings, the axis as plays describe it, and the axis with loop shape."""
+    recordings = (
+        recorded(law, SWEEP, "sweep", polarity),
+        recorded(law, walk(3), "walk", polarity),
+    )
+    plain = estimate_axis(recordings, "x", Rig(), orders=((8, 2),))
+    return recordings, plain, with_loop_shape(plain, recordings)
+
+
+@pytest.mark.parametrize(("law", "polarity"), [("dahl", 1.0), ("dahl", -1.0), ("bouc_wen", 1.0)])
+def test_a_law_that_is_no_sum_of_plays_is_explained_to_the_noise(
+    law: str, polarity: float
+) -> None:
+    recordings, plain, axis = fitted(law, polarity)
+    assert plain.quality.rms_m > 3.0 * NOISE_M
+    assert axis.quality.explained_rms_m < 1.2 * NOISE_M
+    assert axis.quality.held_out_rms_m < 3.0 * NOISE_M
+    errors_m = [
+        (r.displacement_m("x") - simulate_recording(axis, r))[start.first : start.last]
+        for r, start in zip(recordings, axis.starts, strict=True)
+    ]
+    rms_m = np.sqrt(np.mean(np.concatenate(errors_m) ** 2))
+    assert rms_m == pytest.approx(axis.quality.rms_m, rel=0.1)
+
+
+def test_a_recording_that_was_not_fitted_is_predicted_better() -> None:
+    _, plain, axis = fitted("dahl")
+    unseen = recorded("dahl", walk(4), "unseen")
+    plain_m, wide_m = (
+        float(np.std(compare(model, unseen).error_m[BEGINNING:])) for model in (plain, axis)
+    )
+    assert wide_m < 0.5 * plain_m
+
+
+def test_a_sum_of_plays_is_predicted_no_worse() -> None:
+    _, plain, axis = fitted("plays")
+    assert axis.quality.held_out_rms_m <= plain.quality.held_out_rms_m
+    assert axis.quality.explained_rms_m < 1.5 * NOISE_M
+
+
+def test_a_step_of_the_zero_is_not_taken_for_hysteresis() -> None:
+    step_m, noise_m = 5e-7, 6e-8
+    cycles = np.concatenate([np.ones(4), np.linspace(1.0, 0.3, 8)])
+    field = through(np.append(np.repeat(cycles, 2) * np.tile([-1.0, 1.0], 12), -1.0))
+    middle = len(field) // 2 + 40
+    moved_m = 2e-5 * law_of("dahl")(np.concatenate([field, field]))[len(field) :]
+    moved_m[middle:] += step_m
+    recording = from_arrays(
+        voltage_V=5.0 * field,
+        displacement_m=moved_m + noise_m * np.random.default_rng(1).standard_normal(len(field)),
+        sampling_rate_Hz=400.0,
+        axis="x",
+        name="jump",
+    )
+    assert len(recording.pieces) == 1
+    plain = estimate_axis([recording], "x", Rig(), orders=((8, 2),))
+    axis = with_loop_shape(plain, [recording])
+    assert axis.loop_shape is not None
+    error_m = recording.displacement_m("x") - simulate_recording(axis, recording)
+    jump_m = np.mean(error_m[middle : middle + 300]) - np.mean(error_m[middle - 300 : middle])
+    assert jump_m == pytest.approx(step_m, rel=0.2)
+
+
+def test_without_loop_shape_the_axis_is_what_it_was() -> None:
+    recordings, plain, axis = fitted("dahl")
+    before = axis.without_loop_shape()
+    assert before.loop_shape is None
+    assert before.quality == plain.quality
+    for recording in recordings:
+        assert np.array_equal(
+            simulate_recording(before, recording), simulate_recording(plain, recording)
+        )
+
+
+def test_loop_shape_comes_back_from_a_file_to_the_last_bit() -> None:
+    recordings, _, axis = fitted("dahl")
+    stage = ActuatorModel(stage="s", axes={"x": axis}, sources={}, lab=None, tunnelling=None)
+    read = read_model(write_model(stage)).axes["x"]
+    assert np.array_equal(
+        simulate_recording(read, recordings[0]), simulate_recording(axis, recordings[0])
+    )
+    assert read.quality == axis.quality
+
+
+def test_the_history_of_a_memory_leaves_the_plays_there() -> None:
+    _, _, axis = fitted("dahl")
+    shape = axis.loop_shape
+    assert shape is not None
+    walked_V = 4.0 * np.random.default_rng(2).uniform(-1.0, 1.0, 40)
+    memory_V = axis.memory_after(walked_V)
+    history = history_of(axis.hysteresis, memory_V, shape)
+    turns_V = np.append(shape.turns_V(history), walked_V[-1])
+    assert axis.memory_after(turns_V) == pytest.approx(memory_V, abs=1e-9)
+
+
+def test_loop_shape_is_fitted_once() -> None:
+    recordings, _, axis = fitted("dahl")
+    with pytest.raises(ValueError, match="has loop shape already"):
+        with_loop_shape(replace(axis), recordings)
