@@ -8,7 +8,7 @@ uniform to within one row there. Where thinning would leave branches too short, 
 """
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,21 @@ _BRANCH_QUANTILE = 0.1  # the fastest tenth of the branches may be shorter
 _SMALLEST_TURN = 0.02  # of the drive's range
 _NOISE_BAND = 4.0  # standard deviations of the drive's noise: less is no turning point
 _NOISE_ROWS = 4096
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Block:
+    """Rows of a fixed number of samples of the file.
+
+    number           in the file
+    rows             (2, samples) V and m
+    before_V, after_V  drive of the samples beside the block, NaN at the ends of a piece
+    """
+
+    number: int
+    rows: Array
+    before_V: float
+    after_V: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,7 +69,8 @@ class Thinning:
         """Begin without samples; ``max_rows`` is a power of two, at least ``STRETCHES``."""
         self._max_rows = max_rows
         self._block = max_rows // STRETCHES  # samples of the file
-        self._blocks: list[tuple[int, Array]] = []  # number of the block in the file, and its rows
+        self._blocks: list[_Block] = []
+        self._before_V = np.nan
         self._pending = np.empty((2, 0))
         self._number = self._samples = self._rows = 0
         self._level = self._skip = 0  # powers of two: stride, and one stretch in so many is kept
@@ -66,19 +82,20 @@ class Thinning:
             self._end_piece()
         self._samples += len(voltage_V)
         self._pending = np.hstack([self._pending, np.array([voltage_V, displacement_m])])
-        while self._pending.shape[1] >= self._block:
-            self._add_block(self._pending[:, : self._block].copy())
+        while self._pending.shape[1] > self._block:
+            after_V = float(self._pending[0, self._block])
+            self._add_block(self._pending[:, : self._block].copy(), after_V)
             self._pending = self._pending[:, self._block :]
 
     def result(self) -> ThinnedRows:
         """Return the rows of all samples that were appended."""
         self._end_piece()
-        lengths = [block.shape[1] for _, block in self._blocks]
+        lengths = [block.rows.shape[1] for block in self._blocks]
         ends = np.cumsum(lengths)
-        numbers = [number for number, _ in self._blocks]
+        numbers = [block.number for block in self._blocks]
         joined = [after == before + 1 for before, after in itertools.pairwise(numbers)]
         starts = [0, *ends[:-1][~np.array(joined, dtype=bool)].tolist()]
-        rows = np.hstack([block for _, block in self._blocks]) if lengths else self._pending
+        rows = np.hstack([block.rows for block in self._blocks]) if lengths else self._pending
         stride = 1 << self._level
         return ThinnedRows(
             rows=rows,
@@ -90,19 +107,20 @@ class Thinning:
     def _end_piece(self) -> None:
         """Add what is pending as a shorter block, and leave a number out: a gap follows."""
         if self._pending.shape[1] >> self._level:
-            self._add_block(self._pending)
-        self._pending = np.empty((2, 0))
+            self._add_block(self._pending, np.nan)
+        self._pending, self._before_V = np.empty((2, 0)), np.nan
         self._number += 1
 
-    def _add_block(self, samples: Array) -> None:
+    def _add_block(self, samples: Array, after_V: float) -> None:
         if self._noise_V is None:
             self._noise_V = white_noise_rms(samples[0, :_NOISE_ROWS])
-        rows = samples
+        block = _Block(number=self._number, rows=samples, before_V=self._before_V, after_V=after_V)
         for _ in range(self._level):
-            rows = self._halved(rows)
-        if self._is_kept(self._number):
-            self._blocks.append((self._number, rows))
-            self._rows += rows.shape[1]
+            block = self._halved(block)
+        if self._is_kept(block.number) and block.rows.size:
+            self._blocks.append(block)
+            self._rows += block.rows.shape[1]
+        self._before_V = float(samples[0, -1])
         self._number += 1
         while self._rows > self._max_rows:
             self._reduce()
@@ -113,34 +131,41 @@ class Thinning:
     def _reduce(self) -> None:
         can_halve = self._skip == 0 and self._block >> self._level > 1
         if can_halve and self._fastest_branch() >= 2 * MIN_BRANCH_ROWS:
-            halved = [(number, self._halved(block)) for number, block in self._blocks]
-            self._blocks = [(number, block) for number, block in halved if block.size]
+            halved = map(self._halved, self._blocks)
+            self._blocks = [block for block in halved if block.rows.size]
             self._level += 1
         else:
             self._skip += 1
-            self._blocks = [(n, block) for n, block in self._blocks if self._is_kept(n)]
-        self._rows = sum(block.shape[1] for _, block in self._blocks)
+            self._blocks = [block for block in self._blocks if self._is_kept(block.number)]
+        self._rows = sum(block.rows.shape[1] for block in self._blocks)
 
     def _fastest_branch(self) -> float:
         """Return the rows of the shorter branches of the drive."""
-        drive_V = np.concatenate([block[0] for _, block in self._blocks])
+        drive_V = np.concatenate([block.rows[0] for block in self._blocks])
         smallest_V = max(noise_of(drive_V), _SMALLEST_TURN * float(np.ptp(drive_V)))
         turns = reversals_of(drive_V, smallest_V)
         lengths = np.diff([0, *turns, len(drive_V)])
         return float(np.quantile(lengths, _BRANCH_QUANTILE))
 
-    def _halved(self, rows: Array) -> Array:
+    def _halved(self, block: _Block) -> _Block:
         """Return the first of every two rows, or the turning point of the drive among them."""
+        rows = block.rows
         pairs = rows[:, : rows.shape[1] // 2 * 2].reshape(2, -1, 2)
         margin_V = _NOISE_BAND * (self._noise_V or 0.0)
-        choice = np.where(_is_top(pairs[0], margin_V) | _is_top(-pairs[0], margin_V), 1, 0)
-        return np.take_along_axis(pairs, choice[None, :, None], axis=2)[:, :, 0]
+        is_second = _is_top(pairs[0], block.before_V, block.after_V, margin_V) | _is_top(
+            -pairs[0], -block.before_V, -block.after_V, margin_V
+        )
+        choice = is_second.astype(int)[None, :, None]
+        return replace(block, rows=np.take_along_axis(pairs, choice, axis=2)[:, :, 0])
 
 
-def _is_top(drive_V: Array, margin_V: float) -> NDArray[np.bool_]:
-    """Tell of which pairs the second value is a maximum that the first does not stand for."""
+def _is_top(drive_V: Array, before_V: float, after_V: float, margin_V: float) -> NDArray[np.bool_]:
+    """Tell of which pairs the second value is a maximum that the first does not stand for.
+
+    before_V, after_V  values beside the pairs; where they are NaN, the pair there is no maximum
+    """
     high_V = drive_V.max(axis=1)
-    before = np.concatenate([[-np.inf], high_V[:-1]])
-    after = np.concatenate([high_V[1:], [-np.inf]])
+    before = np.concatenate([[before_V], high_V[:-1]])
+    after = np.concatenate([high_V[1:], [after_V]])
     is_highest = (high_V > before) & (high_V > after)
     return np.asarray(is_highest & (drive_V[:, 1] > drive_V[:, 0] + margin_V))
