@@ -401,8 +401,8 @@ class AxisModel:
         memory_V  (plays,)    V, of the history that they are compared with
 
         >>> u, memory = np.array([0.0, 5.0]), model["x"].virgin_memory_V
-        >>> model["x"].history_changes_m(u, memory, 1000.0).shape
-        (2, 0)
+        >>> model["x"].history_changes_m(u, memory, 1000.0).shape[0]
+        2
         """
         shape = self.loop_shape
         if shape is None:
