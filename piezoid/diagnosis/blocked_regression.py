@@ -21,8 +21,6 @@ from piezoid.numerics.executor import Once
 FOLDS = 5
 TESTS = 3  # of the mean, of signs, of the likelihood ratio
 RIDGE = 1e-9
-SHORT = 4  # rows left out together where all columns are refitted: no state may be lost whole
-HELD_RIDGE = 1e-6  # rows left out may ask columns for what they never saw
 TELLING = 0.95  # of what columns explain
 FEWEST = 6  # blocks to judge by
 
@@ -144,19 +142,6 @@ class Null:
         """Return the rows of every block."""
         ends = [*self.edges[1:], len(self.block)]
         return tuple(slice(int(a), int(b)) for a, b in zip(self.edges, ends, strict=True))
-
-    @Once
-    def held_out_rms(self) -> float:
-        """Return the rms of all columns on rows they were not fitted to."""
-        columns = self.every / self.scale
-        fold = np.arange(len(self.response)) // SHORT % FOLDS
-        whole, target = columns.T @ columns, columns.T @ self.response
-        loss, ridge = 0.0, HELD_RIDGE * np.eye(len(whole))
-        for out in range(FOLDS):
-            left, measured = columns[fold == out], self.response[fold == out]
-            beta = np.linalg.solve(whole - left.T @ left + ridge, target - left.T @ measured)
-            loss += float(np.sum((measured - left @ beta) ** 2))
-        return sqrt(loss / len(self.response))
 
     def cross_validated(self, columns: Array, *, projected: bool = False) -> CrossValidated:
         """Return what columns bring beside the null, judged on rows left out."""

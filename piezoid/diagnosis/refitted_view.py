@@ -61,16 +61,6 @@ class SelectedEffect:
             and effect.drive_filter is None
         )
 
-    @property
-    def is_active(self) -> bool:
-        """Whether it changes drive or response; the nuisance class has the other ones already."""
-        effect = self.effect
-        return (
-            self.adds_columns
-            or effect.response_filter is not None
-            or effect.drive_filter is not None
-        )
-
 
 def extended(clean: View, selected: Sequence[SelectedEffect], near: View | None = None) -> View:
     """Return the view in which these effects are at work.
