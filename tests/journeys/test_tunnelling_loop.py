@@ -24,6 +24,7 @@ from piezoid.records.lab import Lab, read_lab
 from piezoid_cli.fit import fit
 from piezoid_cli.simulate import simulate
 
+RANGE = ("input_range_V", "dac_bits", "adc_bits")  # of the converters
 APP = typer.Typer()
 APP.command()(fit)
 APP.command()(simulate)
@@ -42,7 +43,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert status == 0, shown
     lab = out / "recordings" / "lab.toml"
     lines = lab.read_text().splitlines(keepends=True)
-    lab.write_text("".join(line for line in lines if not line.startswith("input_range_V")))
+    lab.write_text("".join(line for line in lines if not line.startswith(RANGE)))
     return out
 
 
