@@ -21,7 +21,7 @@ READERS: dict[str, Callable[[bytes, str], object]] = {
     "batch.json": stage_from_json,
 }
 # Written for people and other programmes; computed again from the rest, or free by name.
-UNREAD = {"schema", "digest", "passed", "gauge", "held_out_rms_percent"}
+UNREAD = {"schema", "digest", "passed", "gauge", "held_out_rms_percent", "explained_rms_m"}
 
 
 def leaves(record: Any) -> Iterator[tuple[Any, Any]]:
