@@ -21,18 +21,18 @@ def calibrate(
     calibration without one.
     """
     told("reading recordings")
-    from piezoid.calibration.stage_jobs import jobs_of, ready, run_job, weight_of
+    from piezoid.calibration.stage_jobs import estimated_cost, jobs_of, preload, run_job
     from piezoid_cli.workers import map_jobs, worker_pool
 
     # A worker loads while the recordings are read: a single file is one axis and needs none.
-    with worker_pool(processes - 1 if len(files) > 1 else 0, ready) as pool:
+    with worker_pool(processes - 1 if len(files) > 1 else 0, preload) as pool:
         from piezoid.records.collection import collect
         from piezoid.records.lab import read_lab
 
         declared = None if lab is None else read_lab(lab)
         held = collect(files, declared)
         blank, ways = jobs_of(held, declared, processes, told)
-        found = map_jobs(run_job, ways, told, pool=pool, cost=weight_of)
+        found = map_jobs(run_job, ways, told, pool=pool, cost=estimated_cost)
     from piezoid.calibration.calibrate import finished, stage_of
     from piezoid_reports.render import with_report
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from piezoid.calibration.controllers import Controllers, controllers_of, files_of
-from piezoid.calibration.stage_jobs import AxisFound, Designed, TipFound, jobs_of, run_job
+from piezoid.calibration.stage_jobs import AxisResult, Designed, TipResult, jobs_of, run_job
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.identification.actuator_model import ActuatorModel
@@ -87,13 +87,13 @@ def calibrate(
     return finished(stage_of(blank, [run_job(job, told) for job in jobs]), lab, told, threads)
 
 
-def stage_of(blank: ActuatorModel, found: Sequence[AxisFound | TipFound]) -> FittedStage:
+def stage_of(blank: ActuatorModel, found: Sequence[AxisResult | TipResult]) -> FittedStage:
     """Put together what came of the jobs of a stage.
 
     blank  the stage before any fit
     """
-    axes = [one for one in found if isinstance(one, AxisFound)]
-    tips = [one for one in found if isinstance(one, TipFound)]
+    axes = [one for one in found if isinstance(one, AxisResult)]
+    tips = [one for one in found if isinstance(one, TipResult)]
     return FittedStage(
         model=replace(
             blank,

@@ -1,4 +1,4 @@
-"""What of a stage can be done apart: the way of each axis, and that of the tip."""
+"""Independent jobs of a stage: fit, diagnose and design one axis, or the tip."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from piezoid.design.design_stage import AxisDesignResult
     from piezoid.diagnosis.diagnosis import Diagnosis
     from piezoid.identification.actuator_model import ActuatorModel
-    from piezoid.identification.hysteresis.order import Elsewhere
     from piezoid.identification.model import AxisModel
     from piezoid.identification.tunnelling.model import TunnellingModel
     from piezoid.records.collection import Collection
@@ -27,7 +26,6 @@ class AxisJob:
     stage       without any axis
     recordings  that hold the axis, and no others
     response    of the axis, where one was measured
-    elsewhere   trials of the fit that somebody else makes
     threads     so many diagnose it; what they find does not depend on it
     """
 
@@ -36,7 +34,6 @@ class AxisJob:
     recordings: "Sequence[Recording]"
     lab: "Lab | None"
     response: "FrequencyResponseRecord | None" = None
-    elsewhere: "Elsewhere | None" = None
     threads: int = 1
 
 
@@ -70,7 +67,7 @@ class Designed:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AxisFound:
+class AxisResult:
     """What one axis is.
 
     model        with everything in it that the diagnosis found
@@ -86,7 +83,7 @@ class AxisFound:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TipFound:
+class TipResult:
     """What the tip is; None where there is none."""
 
     tunnelling: "TunnellingModel | None"
@@ -133,21 +130,21 @@ def jobs_of(
     return stage, [*([tip] if tip.recordings or tip.sweeps else []), *ways]
 
 
-def ready() -> None:
-    """Load what doing a job needs, while somebody else still reads the recordings."""
+def preload() -> None:
+    """Load the modules that a job needs, while the recordings are still being read."""
     import piezoid.design.design_stage
     import piezoid.diagnosis.diagnose
     import piezoid.identification.fit  # noqa: F401
 
 
-def weight_of(job: "AxisJob | TipJob") -> float:
-    """Return how long a job takes beside the others: samples of axes, and the tip last."""
+def estimated_cost(job: "AxisJob | TipJob") -> float:
+    """Return the relative run time of a job: samples of the axis, and 0 for the tip."""
     if isinstance(job, TipJob):
         return 0.0
     return float(sum(recording.samples for recording in job.recordings))
 
 
-def run_job(job: "AxisJob | TipJob", told: Told) -> "AxisFound | TipFound":
+def run_job(job: "AxisJob | TipJob", told: Told) -> "AxisResult | TipResult":
     """Do all that needs nothing of the other axes.
 
     Raises what fitting raises; whatever a diagnosis or a design stumbles over, the model is there
@@ -156,7 +153,7 @@ def run_job(job: "AxisJob | TipJob", told: Told) -> "AxisFound | TipFound":
     return _run_axis(job, told) if isinstance(job, AxisJob) else _run_tip(job, told)
 
 
-def _run_axis(job: AxisJob, told: Told) -> AxisFound:
+def _run_axis(job: AxisJob, told: Told) -> AxisResult:
     from piezoid.identification.fit import fit_axis, moving
     from piezoid.identification.loop_shape_fit import with_loop_shape
     from piezoid.records.lab import Lab
@@ -164,13 +161,11 @@ def _run_axis(job: AxisJob, told: Told) -> AxisFound:
     def of_axis(text: str) -> None:
         told(f"axis {job.axis}: {text}")
 
-    elsewhere = job.elsewhere or (lambda _: None)
     model = fit_axis(
         job.recordings,
         job.axis,
         job.lab or Lab(),
         response=job.response,
-        elsewhere=elsewhere,
         has_loop_shape=False,
         progress=of_axis,
     )
@@ -180,7 +175,7 @@ def _run_axis(job: AxisJob, told: Told) -> AxisFound:
     else:
         of_axis("loop shape")
         model = with_loop_shape(model, moving(job.recordings, job.axis))
-    return AxisFound(
+    return AxisResult(
         model=model,
         diagnosis=diagnosis,
         undiagnosed=missing,
@@ -214,7 +209,7 @@ def _diagnosed(
     return found, "", False
 
 
-def _run_tip(job: TipJob, told: Told) -> TipFound:
+def _run_tip(job: TipJob, told: Told) -> TipResult:
     from piezoid.design.junction_task import axis_of
     from piezoid.identification.tunnelling.junction import fit_junction
     from piezoid.records.lab import Lab
@@ -222,9 +217,9 @@ def _run_tip(job: TipJob, told: Told) -> TipFound:
     told("fitting the tunnelling current")
     tunnelling = fit_junction(job.sweeps, job.recordings, job.lab or Lab())
     if tunnelling is None or axis_of(tunnelling) in job.axes:
-        return TipFound(tunnelling=tunnelling, designed=Designed())
+        return TipResult(tunnelling=tunnelling, designed=Designed())
     stage = replace(job.stage, tunnelling=tunnelling)
-    return TipFound(tunnelling=tunnelling, designed=_designed(stage, job.lab, told))
+    return TipResult(tunnelling=tunnelling, designed=_designed(stage, job.lab, told))
 
 
 def _designed(stage: "ActuatorModel", lab: "Lab | None", told: Told) -> Designed:

@@ -19,8 +19,7 @@ from piezoid.identification.coupled.from_recordings import (
 )
 from piezoid.identification.discrepancy import with_discrepancy
 from piezoid.identification.dynamics.axis_dynamics import quasi_static, with_dynamics
-from piezoid.identification.hysteresis.estimate import bent_trials, estimate_axis
-from piezoid.identification.hysteresis.order import Elsewhere, Trial
+from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.loop_shape_fit import with_loop_shape
 from piezoid.identification.minor_loops import with_minor_loops
@@ -244,7 +243,6 @@ def fit_axis(
     lab: Lab,
     *,
     response: FrequencyResponseRecord | None = None,
-    elsewhere: Elsewhere = lambda _: None,
     has_loop_shape: bool = True,
     progress: Callable[[str], None] = lambda _: None,
 ) -> AxisModel:
@@ -253,7 +251,6 @@ def fit_axis(
     recordings  any; those without drive and displacement of the axis are passed over, and those
                 that a mode shapes tell the dynamics only, where there are others
     response    of the axis, where it was measured: the dynamics then are its
-    elsewhere   the trials of ``trials_of``, where somebody else has made them meanwhile
     has_loop_shape  whether loop shape is fitted; a diagnosis fits it to the extended model
 
     Raises ``ExcitationError`` where drive or displacement does not move.
@@ -261,7 +258,7 @@ def fit_axis(
     rig, counted = rig_of(lab, axis), counted_in(recordings)
     with refusing_in_counts(counted):
         calm, shaped = quasi_static(moving(recordings, axis), axis, rig)
-        fitted = estimate_axis(calm, axis, rig, elsewhere=elsewhere, progress=progress)
+        fitted = estimate_axis(calm, axis, rig, progress=progress)
         found = with_dynamics(
             fitted, recordings, stated_Hz=lab.actuator_of(axis).bandwidth_Hz, response=response
         )
@@ -290,12 +287,6 @@ def refined(
     held = moving(recordings, axis.axis)
     complete = with_discrepancy(with_minor_loops(found, held), held)
     return with_loop_shape(complete, held).told_in_counts(counted_in(recordings))
-
-
-def trials_of(recordings: Sequence[Recording], axis: str, lab: Lab) -> tuple[Trial, ...]:
-    """Return those trials of ``fit_axis`` that need nothing of the others."""
-    rig = rig_of(lab, axis)
-    return bent_trials(quasi_static(moving(recordings, axis), axis, rig)[0], axis, rig)
 
 
 def _remarked(axis: AxisModel, shaped: Sequence[Recording]) -> AxisModel:

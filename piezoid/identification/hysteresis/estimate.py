@@ -26,10 +26,6 @@ from piezoid.identification.hysteresis.lag_rivals import EXPLAINED, lag_rivals
 from piezoid.identification.hysteresis.order import (
     ORDERS,
     Choice,
-    Elsewhere,
-    Trial,
-    attempted,
-    bent_shapes,
     choose_shape,
     without_bends,
 )
@@ -79,7 +75,6 @@ def estimate_axis(
     rig: Rig,
     *,
     orders: Orders = ORDERS,
-    elsewhere: Elsewhere = lambda _: None,
     progress: Progress = lambda _: None,
 ) -> AxisModel:
     """Fit one axis: convex start, Gauss-Newton, order by held-out error, uncertainty, verdict.
@@ -89,7 +84,6 @@ def estimate_axis(
     axis        name
     rig         poles the laboratory declares
     orders      (plays, dead zones per side) to choose from
-    elsewhere   the trials of ``bent_trials``, where somebody else has made them meanwhile
     progress    told what is being done, for whoever waits
 
     Raises ``ExcitationError`` where drive or displacement does not move.
@@ -97,9 +91,7 @@ def estimate_axis(
     ordered = by_name(recordings)
     ready = _prepare(ordered, axis, rig, progress)
     choosing, tried, in_loops = _choosing(ready, orders)
-    choice = choose_shape(
-        ready.pieces, choosing, orders=tried, elsewhere=elsewhere, progress=progress
-    )
+    choice = choose_shape(ready.pieces, choosing, orders=tried, progress=progress)
     cycles = [one for one in map(cycles_of, ready.pieces) if one is not None]
     slides = limits_of_cycles(cycles)
     # Where lag or gain change from cycle to cycle, what they leave hides by how much plays do
@@ -166,18 +158,6 @@ def _limits(ready: Prepared, choice: Choice, progress: Progress) -> tuple[tuple[
     )
     only = f"the loop is phase lag, not hysteresis: {left}{bent}" if is_lag else ""
     return scope.limits(f" ({left})"), only
-
-
-def bent_trials(
-    recordings: Sequence[Recording], axis: str, rig: Rig, *, orders: Orders = ORDERS
-) -> tuple[Trial, ...]:
-    """Return the trials with an envelope as ``estimate_axis`` makes them, and nothing else.
-
-    For another process: they are a third of the choice and need nothing of the rest of it.
-    """
-    ready = _prepare(by_name(recordings), axis, rig, lambda _: None)
-    choosing, tried, _ = _choosing(ready, orders)
-    return tuple(attempted(ready.pieces, shape, choosing) for shape in bent_shapes(tried))
 
 
 def _choosing(ready: Prepared, orders: Orders) -> tuple[Settings, Orders, str]:

@@ -89,23 +89,14 @@ class Choice:
     kind: str
 
 
-Elsewhere = Callable[[Shape], Trial | None]
-"""What somebody else has tried meanwhile; None: try it here."""
-
-
 def choose_shape(
     pieces: Sequence[Piece],
     settings: Settings,
     *,
     orders: Sequence[tuple[int, int]] = ORDERS,
-    elsewhere: Elsewhere = lambda _: None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Choice:
-    """Try orders, then envelopes and lags, and take the smallest that predicts as well.
-
-    elsewhere  gives the trials of ``bent_shapes``, which need nothing of the others; it is asked
-               last, when they have had the most time
-    """
+    """Try orders, then envelopes and lags, and take the smallest that predicts as well."""
     untested = is_untested(pieces)
 
     def tried(shape: Shape) -> Trial:
@@ -115,7 +106,7 @@ def choose_shape(
     trials = _ladder(shapes, tried, untested)
     straight = _smallest_as_good(trials, untested)
     late = [tried(replace(straight.shape, lag=lag)) for lag in LAGS[1:]]
-    bent = bent_shapes(orders)
+    bent = _bent_shapes(orders)
     least = min(late, key=lambda trial: trial.held_out_rms)
     if not _is_as_good(straight, least, untested):  # beside the wrong lag no size helps
         lag = least.shape.lag
@@ -124,7 +115,7 @@ def choose_shape(
         larger = [shape for shape in shapes if shape.plays > straight.shape.plays]
         trials += _ladder(larger, tried, untested)
         straight = _smallest_as_good((*trials, least), untested)
-    trials += [elsewhere(shape) or tried(shape) for shape in bent]
+    trials += [tried(shape) for shape in bent]
     best = _smallest_as_good(trials, untested)
     if best.shape.bends:
         begun = straight.shape.plays
@@ -161,7 +152,7 @@ def _shapes_of(orders: Sequence[tuple[int, int]]) -> tuple[Shape, ...]:
     return tuple(Shape(plays=plays, below=zones, above=zones) for plays, zones in orders)
 
 
-def bent_shapes(orders: Sequence[tuple[int, int]]) -> tuple[Shape, ...]:
+def _bent_shapes(orders: Sequence[tuple[int, int]]) -> tuple[Shape, ...]:
     """Return the shapes with an envelope.
 
     It has something to bend only where minor loops stand at several biases, and then it needs the
@@ -216,11 +207,6 @@ def _try(
         f"{shape.plays} plays, {shape.below + shape.above} dead zones, {2 * shape.bends} bends, "
         f"{shape.lag.replace('_', ' ')}"
     )
-    return attempted(pieces, shape, settings)
-
-
-def attempted(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> Trial:
-    """Try a shape on every fold."""
     return Trial.of(shape, list(_folded(pieces, shape, settings)))
 
 
