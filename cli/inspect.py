@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from piezoid_cli.progress import shown
 from piezoid_cli.terminal import Json, Quiet, hand_over, plain, say
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
 
 _MOST_PEAKS = 8
+_FIRST_LINE_s = 2.0  # without a terminal
 
 # Only these take a prefix: a unit of the file may have its own, and kilo-nanonewtons are none.
 _TAKE_PREFIX = ("s", "V", "m", "A", "K", "Hz")
@@ -49,7 +51,10 @@ def inspect(
     from piezoid.records.inspection import inspect_files
     from piezoid.records.lab import read_lab
 
-    inspections = inspect_files(files, None if lab is None else read_lab(lab))
+    with shown(quiet=quiet or json, every_s=_FIRST_LINE_s) as report:
+        names = files[0].name if len(files) == 1 else f"{len(files)} files"
+        report(f"reading {names}")
+        inspections = inspect_files(files, None if lab is None else read_lab(lab))
     if json:
         hand_over(_json(inspections))
     elif quiet:

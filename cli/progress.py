@@ -16,8 +16,11 @@ EVERYTHING: ContextVar[bool] = ContextVar("EVERYTHING", default=False)
 
 
 @contextmanager
-def shown(*, quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Show on stderr what is being done: a bar on a terminal, lines where nobody watches."""
+def shown(*, quiet: bool, every_s: float = EVERY_s) -> Iterator[Callable[[str], None]]:
+    """Show progress on standard error: a moving line on a terminal, lines elsewhere.
+
+    every_s  least time between two lines where there is no terminal
+    """
     from rich.console import Console
 
     console = Console(stderr=True, quiet=quiet)
@@ -29,7 +32,7 @@ def shown(*, quiet: bool) -> Iterator[Callable[[str], None]]:
         with _bar(console) as told:
             yield told
     else:
-        with Log(say_line).kept(EVERY_s) as told:
+        with Log(say_line).kept(every_s) as told:
             yield told
 
 

@@ -53,3 +53,15 @@ def test_everything_is_told_as_it_begins_where_it_is_asked_for(
         "fitting",
         r"writing \x1b[2J",
     ]
+
+
+def test_the_time_to_the_first_line_is_chosen_by_the_verb(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    with shown(quiet=False, every_s=0.05) as report:
+        report("reading big.csv")
+        time.sleep(0.4)
+    assert "reading big.csv" in capfd.readouterr().err
+    with shown(quiet=False, every_s=5.0) as report:
+        report("reading small.csv")
+    assert capfd.readouterr().err == ""

@@ -77,12 +77,18 @@ def test_a_wrong_word_is_a_usage_error_that_lists_the_right_ones(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_that_holds_something_is_not_replaced_unasked(tmp_path: Path) -> None:
+def test_a_folder_of_other_files_is_never_written_and_results_only_with_force(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "mine.txt").write_text("mine")
-    arguments = ("--out", str(tmp_path), "--recording", "check")
-    assert run(*arguments)[0] == 2
-    assert (tmp_path / "mine.txt").exists()
-    assert run(*arguments, "--force")[0] == 0
+    arguments = ("--recording", "check")
+    for words in (arguments, (*arguments, "--force")):
+        assert run("--out", str(tmp_path), *words)[0] != 0
+        assert (tmp_path / "mine.txt").read_text() == "mine"
+    results = str(tmp_path / "made")
+    assert run("--out", results, *arguments)[0] == 0
+    assert run("--out", results, *arguments)[0] != 0
+    assert run("--out", results, *arguments, "--force")[0] == 0
 
 
 def test_the_laboratory_imports_nothing_of_the_model() -> None:
