@@ -88,6 +88,7 @@ def diagnose(
             progress("diagnosing recordings at constant drive")
             return diagnose_at_rest(constant, selected_axis).told_in_counts(counted)
         declared = lab or Lab()
+        is_rejected = model is not None and not model.verdict.applies
         if model is None:
             model = fit_axis(
                 recordings,
@@ -99,7 +100,9 @@ def diagnose(
             )
         start = model.without_loop_shape()
         executor = Executor(progress=progress, threads=threads)
-        selection = _select_effects(recordings, selected_axis, start, declared, executor)
+        selection = _select_effects(
+            recordings, selected_axis, start, declared, executor, is_rejected=is_rejected
+        )
         progress("fitting dynamics and loop shape of the extended model")
         final = refined(selection.errors.model, recordings, declared, response)
         diagnosis = _assembled(selection, start, final, recordings)
@@ -137,11 +140,14 @@ def _select_effects(
     model: AxisModel,
     lab: Lab,
     executor: Executor,
+    *,
+    is_rejected: bool,
 ) -> _Selection:
     """Select faults and effects, and refit the model with them.
 
-    Where the class of the model does not apply, or leaves too much with everything selected, only
-    faults of the data are reported: an effect would stand for the missing class.
+    Only faults of the data are reported where the class of a given model does not apply
+    (``is_rejected``), or where the model leaves too much with everything selected: an effect would
+    stand for the missing class. A model that was fitted here may not apply because of an effect.
     """
     executor.report("fitting the widest class of hysteresis")
     searched, mode_recordings = split_known_modes(moving(recordings, axis), axis, model, lab)
@@ -154,7 +160,7 @@ def _select_effects(
         scales=scales,
         progress=executor.report,
     )
-    if model.verdict.applies:
+    if not is_rejected:
         result, errors = _prefer_named_effects(search_all(view, executor), attribute)
         if errors.final > 2.0 * UNEXPLAINED:
             rejection = f"everything found leaves {50.0 * errors.final:.1f} % of the range"

@@ -124,7 +124,7 @@ def refitted(
         extensions=fitted,
         spread={name: _spread_of(parts, final) for name, parts in fitted.items()},
         model=_shipped(model, recordings, final, structure, places)
-        if model.verdict.applies
+        if model.verdict.applies or found
         else model,
     )
 

@@ -4,7 +4,7 @@ from functools import cache
 
 from benchmarks.zoo.score import recorded as recorded
 from piezoid.diagnosis.diagnose import view_on
-from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid.diagnosis.residual_view import View
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
@@ -16,6 +16,15 @@ PLANS = ("sweep", "rates", "staircase", "chirp", "other_axis")
 def causes(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Return the findings that accuse the stage: the shape of its loops is no fault."""
     return tuple(name for name in diagnosis.names if name != "loop_shape")
+
+
+def effects_of(diagnosis: Diagnosis) -> tuple[Finding, ...]:
+    """Return the findings that name an effect of the stage or its instruments.
+
+    Loop shape and something else say what the class of hysteresis leaves on this stage.
+    """
+    rest = ("loop_shape", "something_else")
+    return tuple(finding for finding in diagnosis.findings if finding.effect not in rest)
 
 
 @cache

@@ -12,7 +12,7 @@ from zlib import crc32
 import numpy as np
 from scipy.optimize import nnls
 
-from piezoid.diagnosis.diagnosis import Diagnosis, FinalError, Finding, NotDetected, Size
+from piezoid.diagnosis.diagnosis import Diagnosis, FinalError, Finding, HeldOut, NotDetected, Size
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel
@@ -141,7 +141,7 @@ def diagnosis_of(
     return Diagnosis(
         axis="x",
         stroke_m=stroke_m,
-        baseline=left,
+        baseline=HeldOut(rms_m=left.rms_m, rms_percent=left_percent),
         final=left,
         envelope_rms_m=left.rms_m,
         noise_floor_rms_m=case.rig.noise_rms_m,

@@ -15,6 +15,7 @@ from piezoid.diagnosis.refinement import initial_guess, refined
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.signals import with_displacement
 from piezoid_datasets.virtual_lab.campaign import Campaign, draw_campaign
+from tests.diagnosis.bench import effects_of
 
 from .bench import recorded, view_of_recordings
 from .play_stage import recording
@@ -129,7 +130,7 @@ def test_a_periodic_error_is_stated_over_where_the_stage_stood_and_leaves_nothin
         moved_m = one.displacement_m()
         error_m = 1e-9 * amplitude_nm * np.sin(2e9 * np.pi * moved_m / period_nm + 1.0)
         stage.append(with_displacement(one, moved_m + error_m))
-    (found,) = piezoid.diagnose(stage, axis="x").findings
+    (found,) = effects_of(piezoid.diagnose(stage, axis="x"))
     assert found.effect == "sensor_periodic_error"
     assert found.size.value == pytest.approx(amplitude_nm, rel=0.02)
     assert found.size.ci95[0] < amplitude_nm < found.size.ci95[1]

@@ -20,7 +20,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
-from tests.diagnosis.bench import causes
+from tests.diagnosis.bench import causes, effects_of
 
 from .played import HALF_STROKE_m, memory_after, moved, recorded_as, with_another_axis
 
@@ -246,7 +246,7 @@ def test_a_supply_that_ends_far_below_the_command_is_found_with_its_past(highest
     """Half of the command never comes, nor did it before: all turns are at the end."""
     recordings = ended_at(highest)
     found = diagnose(recordings)
-    (finding,) = found.findings
+    (finding,) = effects_of(found)
     assert finding.effect == "amplifier_saturation"
     top_V = max(float(one.voltage_V().max()) for one in recordings)
     cut_percent = 100.0 * (top_V - 5.0 - 5.0 * highest) / top_V
@@ -268,8 +268,8 @@ def test_an_amplifier_many_times_too_slow_is_found_and_is_no_butterfly(
 ) -> None:
     """The fastest recording goes against its drive; slow ones say that the ceramic does not."""
     step = limit_V_per_s / (5.0 * RATE_Hz)
-    found = diagnose(recorded(drives, as_it_is, reaches=lambda drive: slewed(drive, step)))
-    (finding,) = found.findings
+    diagnosis = diagnose(recorded(drives, as_it_is, reaches=lambda drive: slewed(drive, step)))
+    (finding,) = effects_of(diagnosis)
     assert finding.effect == "slew_limit"
     assert finding.size.value == pytest.approx(limit_V_per_s, rel=2e-3)
     assert finding.size.ci95[0] < limit_V_per_s < finding.size.ci95[1]
