@@ -5,8 +5,8 @@
 P_i are plays of 24 half-widths and f_i piecewise-linear functions: a Preisach density over width
 and position [Krejci 1996]. Its prior is a Gaussian process of three correlation lengths,
 represented by the leading eigenvectors of its covariance. l_j = P_j - u enter with powers and
-products. Friction states forget exponentially with the distance travelled [Dahl 1968; Coleman &
-Hodgdon 1986], and Bouc-Wen states have minor loops that do not close [Wen 1976].
+products. Friction states forget exponentially with the distance travelled [Dahl 1968],
+[Coleman & Hodgdon 1986], and Bouc-Wen states have minor loops that do not close [Wen 1976].
 
 The drive is scaled to -1 .. 1. All states are rate independent, and all start from full cycles.
 """

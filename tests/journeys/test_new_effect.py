@@ -18,6 +18,7 @@ from piezoid.operators.linear import sample
 from piezoid.verification.plant import lateral_plant
 from piezoid_reports.effect_comparison import compare_effects
 from piezoid_reports.traces import rms, traces_of
+from tests.diagnosis.bench import effects_of
 from tests.reports.anatomy import Anatomy
 
 SHARE, TIME_s = 0.03, 0.4
@@ -165,12 +166,12 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Known]:
 
 
 def test_diagnose_finds_it_and_measures_it_in_the_refitted_model(known: Known) -> None:
-    (finding,) = known.found.findings
+    (finding,) = effects_of(known.found)
     assert finding.effect == "charge_leak"
     assert finding.size.ci95[0] < 100.0 * SHARE < finding.size.ci95[1]
     assert finding.held_out_gain > 0.3
     assert finding.explanation.startswith("Charge leak: what was moved fast")
-    assert read_diagnosis(write_diagnosis(known.found)).names == ("charge_leak",)
+    assert read_diagnosis(write_diagnosis(known.found)).names == known.found.names
 
 
 def test_the_model_holds_it_fitted_and_comes_back_from_its_file(known: Known) -> None:
