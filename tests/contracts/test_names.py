@@ -1,0 +1,91 @@
+"""Names are nouns and verbs of the field, and messages are short sentences.
+
+The number of bad names in a room may fall and never rise. A name that is right for once says so
+in a comment on its line: ``# name: why``. A room that got better lowers its number in the table.
+"""
+
+import ast
+import re
+import tomllib
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+ALLOWED = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+# Pronouns, participles and prepositions that say nothing about the value they stand for.
+EMPTY_NAMES = frozenset(ALLOWED["empty"])
+LONGEST_SENTENCE = 30  # words of a message
+
+
+def room_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).parts
+    return "/".join(parts[:2]) if parts[0] == "piezoid" and len(parts) > 2 else parts[0]
+
+
+def sources() -> list[Path]:
+    folders = ("piezoid", "cli", "reports")
+    return [path for folder in folders for path in sorted((ROOT / folder).rglob("*.py"))]
+
+
+def empty_names(text: str) -> int:
+    """Count how often names are bound that say nothing."""
+    lines, count = text.splitlines(), 0
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            name = node.id
+        elif isinstance(node, ast.arg):
+            name = node.arg
+        elif isinstance(node, ast.FunctionDef | ast.ClassDef):
+            name = node.name
+        else:
+            continue
+        excused = "# name:" in lines[node.lineno - 1]
+        count += name.lstrip("_").lower() in EMPTY_NAMES and not excused
+    return count
+
+
+def long_sentences(text: str) -> int:
+    """Count sentences of more than ``LONGEST_SENTENCE`` words in errors and statements."""
+    count = 0
+    for node in ast.walk(ast.parse(text)):
+        if not isinstance(node, ast.Call):
+            continue
+        name = getattr(node.func, "id", getattr(node.func, "attr", ""))
+        if not (name.endswith("Error") or name == "Statement"):
+            continue
+        for part in (*node.args, *(keyword.value for keyword in node.keywords)):
+            for sentence in re.split(r"[.;:]\s", written(part)):
+                count += len(sentence.split()) > LONGEST_SENTENCE
+    return count
+
+
+def written(node: ast.expr) -> str:
+    """Return the words of a string or f-string, one for each formatted value."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return node.value
+    if isinstance(node, ast.JoinedStr):
+        return "".join(written(part) or "value" for part in node.values)
+    return ""
+
+
+@pytest.mark.parametrize(
+    ("table", "count"), [("names", empty_names), ("sentences", long_sentences)]
+)
+def test_no_room_gets_more_bad_names_or_long_sentences(table: str, count) -> None:
+    counted: Counter[str] = Counter()
+    for path in sources():
+        counted[room_of(path)] += count(path.read_text(encoding="utf-8"))
+    allowed = ALLOWED[table]
+    worse = {room: n for room, n in counted.items() if n > allowed.get(room, 0)}
+    assert not worse, (
+        f"{table}: {worse}, allowed { ({room: allowed.get(room, 0) for room in worse}) }"
+    )
+
+
+def test_a_bad_name_and_a_long_sentence_are_counted() -> None:
+    assert empty_names("found = 1\nfor one in x:\n    residual_m = one\n") == 2
+    assert empty_names("found = 1  # name: a quotation\n") == 0
+    assert long_sentences(f"raise DesignError('{'word ' * 31}')") == 1
+    assert long_sentences(f"raise DesignError('{'word ' * 20}. {'word ' * 20}')") == 0
