@@ -166,8 +166,10 @@ def _show(found: "Diagnosis", out: Path) -> None:
     noise = with_unit(found.noise_floor_rms_m, "m")
     line = f"axis {found.axis}: held-out error {before} without, {after} with what was found; "
     console.print(plain(in_counts(f"{line}sensor noise {noise}", found.counted)))
-    least = Level.ACTION if found.findings else Level.NOTE
     facts = diagnosis_statements(found)
+    least = Level.ACTION if found.findings else Level.NOTE
+    if any(fact.quantity == "no_effect_tested" for fact in facts):
+        least = min(least, Level.WARNING)
     show_statements(record_in_counts(facts, found.counted), least)
     console.print(plain(f"all that was tested: {out / 'diagnosis.html'}"))
 

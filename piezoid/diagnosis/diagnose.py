@@ -163,7 +163,11 @@ def _select_effects(
     if not is_rejected:
         result, errors = _prefer_named_effects(search_all(view, executor), attribute)
         if errors.final > 2.0 * UNEXPLAINED:
-            rejection = f"everything found leaves {50.0 * errors.final:.1f} % of the range"
+            rejection = (
+                f"everything found leaves {50.0 * errors.final:.1f} % of the range"
+                if model.verdict.applies
+                else model.verdict.reason
+            )
             result = _data_faults_only(view, rejection, executor)
             errors = attribute(result)
     else:

@@ -6,6 +6,7 @@ more than a size.
 
 from piezoid.diagnosis.constant_drive import RESTS
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
+from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
 from piezoid.diagnosis.residual_structure import NAME
 from piezoid.diagnosis.structure_findings import words as coordinate_words
 from piezoid.formatting import significant, with_unit, words
@@ -23,8 +24,11 @@ SHAPE_EXPERIMENT = (
 def diagnosis_statements(diagnosis: Diagnosis) -> tuple[Statement, ...]:
     """Return the statements about one diagnosis, most important first."""
     is_tested = any(one.upper_bound_m is not None for one in diagnosis.not_detected)
+    is_named = any(f.effect not in (NAME, LOOP_SHAPE) for f in diagnosis.findings)
+    untested = [] if is_tested or is_named else _nothing_found(diagnosis)
     remaining = _remaining(diagnosis) if is_tested or diagnosis.findings else []
     return (
+        *untested,
         *(
             _unnamed(diagnosis, finding)
             for finding in diagnosis.findings
@@ -32,7 +36,7 @@ def diagnosis_statements(diagnosis: Diagnosis) -> tuple[Statement, ...]:
         ),
         *(_confounded(diagnosis, f) for f in diagnosis.findings if f.not_separable_from),
         *remaining,
-        *([] if remaining or diagnosis.findings else _nothing_found(diagnosis)),
+        *([] if untested or remaining or diagnosis.findings else _nothing_found(diagnosis)),
     )
 
 
@@ -77,7 +81,10 @@ def _nothing_found(diagnosis: Diagnosis) -> list[Statement]:
     n_tested = sum(one.upper_bound_m is not None for one in diagnosis.not_detected)
     if not n_tested:
         reasons = {one.reason for one in diagnosis.not_detected}
-        why = f" because {reasons.pop().rstrip('.')}" if len(reasons) == 1 else ""
+        why = ""
+        if len(reasons) == 1:
+            reason = reasons.pop().removeprefix("not looked for, because ")
+            why = f" because {reason.rstrip('.')}"
         text = f"No effect was tested{why}."
         return [_statement(diagnosis, Kind.LIMIT, Level.WARNING, "no_effect_tested", text)]
     residual_m, noise_m = diagnosis.envelope_rms_m, diagnosis.noise_floor_rms_m

@@ -33,7 +33,7 @@ from piezoid.identification.loop_shape import (
 )
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
-from piezoid.identification.quality import BLOCKS
+from piezoid.identification.quality import BLOCKS, IN_SAMPLE
 from piezoid.identification.simulation import starts_of, where_of, zero_of
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.family_ridge import FamilyRidge, Moments
@@ -588,11 +588,13 @@ def _accepted(
     shape = final.model.loop_shape
     assert shape is not None
     rms_m = float(np.sqrt(np.mean(explained_m**2)))
+    held_out_m = float(np.hypot(scale_m * errors.held_out, _step_m(final, explained_m)))
+    tested = axis.quality.is_tested  # blocks of a single loop leave nothing that is like them
     quality = replace(
         axis.quality,
         rms_m=rms_m,
-        held_out_rms_m=float(np.hypot(scale_m * errors.held_out, _step_m(final, explained_m))),
-        held_out_kind=BLOCKS,
+        held_out_rms_m=held_out_m if tested else rms_m,
+        held_out_kind=BLOCKS if tested else IN_SAMPLE,
         rows=len(explained_m),
         effective_parameters=final.parameters,
     )

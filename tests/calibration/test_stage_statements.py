@@ -124,6 +124,8 @@ def test_a_diagnosis_that_could_not_test_anything_says_why() -> None:
     (fact,) = diagnosis_statements(replace(found, not_detected=untested))
     assert fact.quantity == "no_effect_tested"
     assert "the loop is open" in fact.text
+    unnamed = replace(diagnosed(finding("something_else")), not_detected=untested, budget=())
+    assert "no_effect_tested" in {fact.quantity for fact in diagnosis_statements(unnamed)}
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ import pytest
 import piezoid as piezoid_library
 from piezoid.identification.fit_statements import Grade, fit_statements, grade_of
 from piezoid.identification.model import AxisModel
+from piezoid.identification.quality import IN_SAMPLE
 from piezoid.numerics.arrays import Array
 from piezoid_datasets.virtual_lab.signals import first_order
 from tests.laws import LAWS, RATE_Hz, swept_um, triangles, write
@@ -64,10 +65,10 @@ def test_one_loop_is_modelled_and_said_to_be_untested(tmp_path: Path) -> None:
     )
     done = piezoid("fit", sweep, "--lab", tmp_path / "lab.toml", "--out", tmp_path / "stage")
     assert "Only one loop was recorded" in joined(done)
-    assert "sample" in joined(done)
     assert "loop" in facts_of(tmp_path / "stage")
     assert grade_of(axis_of(tmp_path / "stage")) is Grade.POOR
     quality = json.loads((tmp_path / "stage/model.json").read_text())["axes"]["x"]["quality"]
+    assert quality["held_out_kind"] == IN_SAMPLE
     assert quality["held_out_rms_percent"] < 0.3
     assert "no useful bound" in joined(done)
     (axis,) = json.loads((tmp_path / "stage/design.json").read_text())["axes"]
@@ -168,7 +169,7 @@ def test_a_model_meets_a_stage_that_moves_less_and_a_walk_that_is_none(tmp_path:
     model = tmp_path / "stage/model.json"
     today = write(tmp_path / "less.csv", field, 8.8 * law(field) + noise_um(len(field))[::-1])
     said = joined(piezoid("diagnose", model, today, "--out", tmp_path / "less"))
-    assert re.search(r"alone changed: the stage moves 1[12]\.\d+ % .* less than", said)
+    assert re.search(r"the sensitivity changed: the stage moves 1[12]\.\d+ % .* less than", said)
     walk_um = np.cumsum(np.random.default_rng(3).standard_normal(len(field))) / 2
     today = write(tmp_path / "walk.csv", field, walk_um)
     said = joined(piezoid("diagnose", model, today, "--out", tmp_path / "walk"))
