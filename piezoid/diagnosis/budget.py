@@ -43,6 +43,7 @@ from piezoid.numerics.arrays import Array
 RESONANCE = "resonance"  # unresolved, it widens loops as another shape would
 BLOCKS = 20  # of the residual, for the scatter of its mean square
 ONE_SIDED_95 = 1.645
+ALPHA = 0.05  # of the rank among 52 healthy stages, whose smallest p-value is 1/53
 EXTRAPOLATION_TEXT = (
     "The held-out error exceeds the error in sample: left-out blocks go beyond the amplitudes or "
     "speeds of all others. Record every amplitude and speed at least twice."
@@ -129,6 +130,8 @@ def _with_something_else(
 ) -> tuple[Diagnosis, dict[str, float]]:
     """Name the coordinate of an unexplained residual that dominates the final error.
 
+    A coordinate that healthy stages show as often is not named: the budget states the size alone.
+
     Returns the diagnosis with that finding, and the parts with its own taken off ``unexplained``.
     """
     powers = dict(remaining)
@@ -136,6 +139,8 @@ def _with_something_else(
     far = diagnosis.final.rms_m > NOISE_RATIO * diagnosis.noise_floor_rms_m
     is_named = SOMETHING_ELSE in diagnosis.names
     if rest is None or is_named or not far or dominant != "unexplained":
+        return diagnosis, powers
+    if rest.p_value > ALPHA:
         return diagnosis, powers
     powers[SOMETHING_ELSE] = rest.gain * powers["unexplained"]
     powers["unexplained"] -= powers[SOMETHING_ELSE]

@@ -11,6 +11,7 @@ from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.numerics.arrays import Array
 
+from .bench import effects_of
 from .play_stage import NOISE_m, STROKE_m, clean, drive, moved, recording
 
 KINDS = ("sweep", "walk", "waves")
@@ -45,7 +46,7 @@ def diagnosed(*, in_front: bool) -> Diagnosis:
 
 @pytest.mark.parametrize("in_front", [True, False], ids=["in front", "behind"])
 def test_a_lag_is_named_alone_and_sized_on_either_side_of_the_walls(in_front) -> None:
-    lag, memory_after = diagnosed(in_front=in_front).findings
+    lag, memory_after = effects_of(diagnosed(in_front=in_front))
     assert (lag.effect, memory_after.effect) == ("lag", "initial_state")
     low_us, high_us = lag.size.ci95
     assert low_us < 1e6 * LAG_s < high_us
@@ -57,7 +58,7 @@ def with_gains(*gains: float) -> list[str]:
     made = [
         recording(kind, clean(kind)[2] * gain) for kind, gain in zip(ORDER, gains, strict=True)
     ]
-    found = diagnose([replace(one, name=f"{k}") for k, one in enumerate(made)]).findings
+    found = effects_of(diagnose([replace(one, name=f"{k}") for k, one in enumerate(made)]))
     return [f"{one.effect} {one.size.value:.1f}" for one in found if one.effect != "initial_state"]
 
 
