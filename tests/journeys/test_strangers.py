@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,6 +47,12 @@ def axis_of(stage: Path) -> AxisModel:
 def facts_of(stage: Path) -> set[str]:
     """Return the quantities of the statements about the fit."""
     return {fact.quantity for fact in fit_statements(axis_of(stage))}
+
+
+def causes_of(folder: Path) -> list[dict[str, Any]]:
+    """Return the findings that accuse the stage: the shape of its loops is no fault."""
+    findings = json.loads((folder / "diagnosis.json").read_text())["findings"]
+    return [finding for finding in findings if finding["effect"] != "loop_shape"]
 
 
 def calibrated(folder: Path, field: Array, reading_um: Array) -> tuple[Path, str]:
@@ -216,7 +223,7 @@ def test_cycles_that_grow_ever_smaller_are_a_change_of_gain(tmp_path: Path) -> N
     moved_um = 10 * gain * LAWS["preisach"](field)
     sweep = write(tmp_path / "sweep.csv", field, moved_um + noise_um(len(field)))
     done = piezoid("diagnose", sweep, "--out", tmp_path / "diagnosis")
-    (found,) = json.loads((tmp_path / "diagnosis/diagnosis.json").read_text())["findings"]
+    (found,) = causes_of(tmp_path / "diagnosis")
     assert found["effect"] == "gain_change"
     low, high = found["size"]["ci95"]
     assert -3.4 < low < -2.96 < high < -2.6
@@ -250,7 +257,7 @@ def test_another_machine_beside_the_loop_is_no_lag_and_told_by_its_frequency(
     sweep = write(tmp_path / "sweep.csv", field, reading_um + noise_um(len(field)))
     piezoid("fit", sweep, "--out", tmp_path / "stage")
     assert axis_of(tmp_path / "stage").verdict.applies
-    (finding,) = json.loads((tmp_path / "stage/diagnosis.json").read_text())["findings"]
+    (finding,) = causes_of(tmp_path / "stage")
     assert finding["effect"] == "something_else"
     assert finding["coordinate"] == "frequency"
     assert finding["parameters"]["frequency_Hz"] == pytest.approx(2.83 * RATE_Hz / 500, rel=0.02)
