@@ -12,7 +12,7 @@ from piezoid.digests import unseal
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from piezoid_datasets.virtual_lab.effects import EFFECTS as LABORATORY
 
-from .bench import causes, healthy, recorded
+from .bench import causes, effects_of, healthy, recorded
 
 DAY = 20261121  # drawn from once, and kept whatever came out
 SINGLES = 6
@@ -40,7 +40,10 @@ def named(seed: int, hidden: tuple[str, ...], plans: tuple[str, ...]) -> Diagnos
 
 def test_drawn_causes_are_named_and_hardly_anything_else():
     *singles, null = drawn()
-    found = {hidden: causes(named(seed, hidden, plans)) for seed, hidden, plans in singles}
+    found = {
+        hidden: [finding.effect for finding in effects_of(named(seed, hidden, plans))]
+        for seed, hidden, plans in singles
+    }
     hits = sum(hidden[0] in names for hidden, names in found.items())
     false = sum(len(set(names) - set(hidden)) for hidden, names in found.items())
     assert hits >= SINGLES - 1, found
@@ -64,6 +67,7 @@ def test_what_is_explained_leaves_less():
         for finding in found.findings:
             low, high = finding.size.ci95
             assert low <= finding.size.value <= high
+        for finding in effects_of(found):
             assert 0.0 <= finding.p_value <= 0.1  # of healthy stages that show evidence at all
 
 

@@ -18,7 +18,7 @@ from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from tests.journeys.test_batch import write_night
 
-from .bench import recorded
+from .bench import causes, recorded
 
 LOUD_m = 60e-9  # beyond the sensor's own noise
 Level = Callable[[Recording], Array]  # (recording) -> (samples,) parts of LOUD_m
@@ -59,8 +59,8 @@ def test_noise_that_lives_somewhere_is_told_with_its_place(
     level: Level, coordinates: set[str]
 ) -> None:
     found, more_m = diagnosed(level)
-    (finding,) = found.findings
-    assert finding.effect == "something_else"
+    assert causes(found) == ("something_else",)
+    (finding,) = (named for named in found.findings if named.effect == "something_else")
     assert finding.coordinate in coordinates
     assert finding.size.value == pytest.approx(1e9 * more_m, rel=0.25)
     assert finding.held_out_gain == 0.0
