@@ -21,6 +21,7 @@ from piezoid.identification.extensions.first_order_lag import FirstOrderLag
 from piezoid.identification.joint.fit_extended import Extended, fit_extended
 from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel, Lag
+from piezoid.identification.piece_start import wandering_zeros
 from piezoid.numerics.arrays import Array
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
@@ -124,9 +125,15 @@ def refitted(
         extensions=fitted,
         spread={name: _spread_of(parts, final) for name, parts in fitted.items()},
         model=_shipped(model, recordings, final, structure, places)
-        if model.verdict.applies or found
+        if given or (not _drifts(model) and (model.verdict.applies or found))
         else model,
     )
+
+
+def _drifts(model: AxisModel) -> bool:
+    """Return whether the zero of a piece moves, which a refit without a drift would leave out."""
+    quality = model.quality
+    return bool(wandering_zeros(model.starts, quality.rms_m, quality.range_m))
 
 
 def _loosened(
