@@ -95,6 +95,8 @@ def _stop_raising() -> None:
     if hasattr(signal, "setitimer"):
         signal.setitimer(signal.ITIMER_REAL, 0.0)
     _State.is_postponed = True
+    if signal.getsignal(signal.SIGINT) is _handle:  # Python drops the handler before it unloads
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _end() -> None:

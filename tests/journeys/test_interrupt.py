@@ -124,3 +124,19 @@ with interruptible():
         raise ImportError("cannot load") from None
 """
     assert interrupted(code, tmp_path, 0.1) == 130
+
+
+def test_an_interruption_after_the_end_of_the_work_changes_nothing(tmp_path: Path) -> None:
+    """While Python unloads its modules the command is done already."""
+    code = """
+import time
+from piezoid_cli.interrupt import install, interruptible
+install()
+class Late:
+    def __del__(self, sleep=time.sleep, show=print):
+        show("working", flush=True)
+        sleep(0.5)
+with interruptible():
+    late = Late()
+"""
+    assert interrupted(code, tmp_path, 0.1) == 0
