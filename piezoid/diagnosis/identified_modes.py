@@ -31,6 +31,9 @@ TREND = 3  # degree of the slow motion that no dynamics explain
 _LEAST_P = 1e-12
 RATIO_DOUBT = 0.8  # of the gain ratio: what damping and the gain at rest leave open
 MIN_RISE = 1.5  # noise and distortion raise a gain by up to 1.2
+# A mode so close that the gain rises further lies within 10 % of the band and would be resolved;
+# noise that grows with speed raised a single line by 24.
+MAX_RISE = 6.0
 RISING_P = 1e-3  # four standard deviations of the largest of some hundred lines
 
 
@@ -96,7 +99,7 @@ def _with_rising_gain(diagnosis: Diagnosis, bandwidth: BandwidthVerdict | None) 
     if bandwidth is None or bandwidth.kind == "first_order" or NAME in diagnosis.names:
         return diagnosis
     ratio, peak_Hz = bandwidth.peak_ratio or 0.0, bandwidth.peak_Hz or 0.0
-    if ratio < MIN_RISE:
+    if not MIN_RISE <= ratio <= MAX_RISE:
         return diagnosis
     frequency_Hz, high_Hz = (peak_Hz / sqrt(1.0 - 1.0 / r) for r in (ratio, RATIO_DOUBT * ratio))
     effect, final = effect_named(NAME), diagnosis.final
