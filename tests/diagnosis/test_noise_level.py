@@ -71,20 +71,20 @@ def test_noise_that_lives_somewhere_is_told_with_its_place(
 
 def test_noise_that_is_the_same_everywhere_is_no_finding() -> None:
     found, _ = diagnosed(lambda one: np.full(len(one.voltage_V()), 0.3))
-    assert not found.findings
+    assert not causes(found)
 
 
 def test_a_healthy_stage_on_which_chance_signs_alone_would_accuse_the_noise_is_not_accused() -> (
     None
 ):
     recordings, lab = recorded(drawn(stage("lugre", "healthy", 1, 3_300_000)))
-    assert not diagnose(recordings, lab=lab).findings
+    assert not causes(diagnose(recordings, lab=lab))
 
 
 def test_a_loop_of_few_samples_has_no_noise_that_lives_in_its_corners(tmp_path: Path) -> None:
     stage = write_night(tmp_path) / "unit-1"
     lab = read_lab(stage / "lab.toml")
-    assert not diagnose(ingest_all([stage / "sweep.csv"], lab), lab=lab).findings
+    assert not causes(diagnose(ingest_all([stage / "sweep.csv"], lab), lab=lab))
 
 
 @pytest.mark.parametrize(("wave_m", "is_told"), [(0.0, True), (20 * LOUD_m, False)])

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.zoo.score import recorded
 from benchmarks.zoo.stages import drawn, stage
-from piezoid.diagnosis.diagnose import _seen_in, diagnose, view_on
+from piezoid.diagnosis.diagnose import diagnose, view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import timestamp_fault
 from piezoid.diagnosis.effects.timestamp_fault import evidence_of
@@ -130,13 +130,6 @@ def test_what_the_drive_of_another_axis_explains_as_well_is_no_slip(is_driven) -
     view = view_on([recording("sweep"), coupled, recording("waves")], axis="x", lab=Lab())
     fault = timestamp_fault.EFFECT.fault.find(view)
     assert fault is None if is_driven else within(fault, 10)
-
-
-def test_where_a_fault_is_is_told_of_five_places_and_the_rest_is_counted():
-    fault = Fault(tracks=(), value=1.0, spread=0.1, p_value=0.0, where=tuple("abcdefg"))
-    assert _seen_in(fault) == "Seen in a, b, c, d, e and 2 places more."
-    assert _seen_in(replace(fault, where=("a",))) == "Seen in a."
-    assert fault.after(replace(fault, where=("h", "a"))).where == ("h", *"abcdefg")
 
 
 def test_a_time_is_told_only_of_recordings_that_are_whole():

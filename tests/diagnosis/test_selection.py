@@ -151,7 +151,7 @@ def test_a_sure_cause_beside_structure_that_was_found_is_no_part_of_it() -> None
     assert "Not separable" not in sure.explanation
     assert sure.next_experiment == creep.EFFECT.experiment
     for one in (sure, memory):
-        assert one.held_out_rms_after_m == found.final.rms_m
+        assert one.held_out_rms_after_m < one.held_out_rms_before_m
         assert one.held_out_gain == 1.0 - found.final.rms_m / one.held_out_rms_before_m
 
 
