@@ -138,7 +138,6 @@ def test_a_delay_is_named_though_a_curve_along_the_speed_leaves_less_of_the_clas
     assert [name for name in findings if name != "loop_shape"] == ["delay"]
 
 
-@pytest.mark.xfail(reason="the end of the reading is named amplifier_saturation", strict=True)
 def test_a_reading_that_ends_is_told_with_its_level():
     campaign = draw_campaign(401, truth="bouc_wen", plans=PLANS, uncatalogued={"range_end": 4.0})
     recordings, lab = recorded(campaign)
