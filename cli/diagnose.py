@@ -64,9 +64,11 @@ def diagnose(
         from piezoid.diagnosis.diagnose import diagnose as find
         from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
         from piezoid.identification.coupled.from_recordings import as_single_axes
+        from piezoid.raw_counts import errors_in_counts, in_counts, texts_in_counts
         from piezoid.records.checks.consistency import refuse_inconsistent
         from piezoid.records.collection import collect
         from piezoid.records.lab import read_lab
+        from piezoid.records.recording import counted_in
 
         declared = None if lab is None else read_lab(lab)
         model, rest = _model_in_front(files)
@@ -74,16 +76,17 @@ def diagnose(
         held = collect(rest, declared).recordings
         recordings = as_single_axes(held, declared, coupled, progress=told)
         refuse_inconsistent(recordings)
-        known = None if model is None else _known(model, axis)
-        found = find(
-            recordings,
-            axis=axis or _first(model),
-            lab=declared,
-            model=known,
-            progress=told,
-            threads=usable_cores(),
-        )
-        comparison = None if model is None else _compared(model, recordings, found.axis, told)
+        with errors_in_counts(counted_in(recordings)):
+            found = find(
+                recordings,
+                axis=axis or _first(model),
+                lab=declared,
+                model=None if model is None else _known(model, axis),
+                progress=told,
+                threads=usable_cores(),
+            )
+            comparison = None if model is None else _compared(model, recordings, found.axis, told)
+        found = texts_in_counts(found)
         since = None if comparison is None else comparison.to_json()
         content = write_diagnosis(found, since=since)
         page = diagnosis_page(found, recordings, declared, content, comparison)
@@ -95,7 +98,7 @@ def diagnose(
         _show(found, out)
         _tell_unused(recordings, found.axis)
         if comparison is not None:
-            say(comparison.statement.text)
+            say(in_counts(comparison.statement.text, comparison.counted))
 
 
 def _model_in_front(files: list[Path]) -> "tuple[_Model | None, list[Path]]":
@@ -154,9 +157,9 @@ def _tell_unused(recordings: "Sequence[Recording]", axis: str) -> None:
 def _show(found: "Diagnosis", out: Path) -> None:
     from rich.console import Console
 
-    from piezoid.counts import in_counts, record_in_counts
     from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
     from piezoid.formatting import with_unit
+    from piezoid.raw_counts import in_counts, record_in_counts
     from piezoid.statement import Level
 
     console = Console()

@@ -183,8 +183,8 @@ def _table(found: "Calibration") -> "Table":
 
 def _fit_cells(axis: "AxisModel | None") -> tuple[str, str, str]:
     """Return held-out error, sensor noise and their ratio."""
-    from piezoid.counts import in_counts
     from piezoid.formatting import significant, with_unit
+    from piezoid.raw_counts import in_counts
 
     if axis is None:
         return "", "", ""
@@ -203,10 +203,10 @@ def _loop_cells(
     found: "Calibration", name: str, loop: "LoopDesign | None"
 ) -> tuple[str, str, str]:
     """Return bandwidth, guaranteed error and verdict."""
-    from piezoid.counts import in_counts
     from piezoid.design.design_statements import useful_bound_m
     from piezoid.formatting import with_unit
     from piezoid.identification.fit_statements import grade_of
+    from piezoid.raw_counts import in_counts
 
     axis, ships = found.model.axes.get(name), name in found.controllers.shipped
     grade = "" if axis is None else f"{grade_of(axis).value}; "
@@ -225,8 +225,8 @@ def _loop_cells(
 
 def _budgets(found: "Calibration") -> list[str]:
     """Return the error budget of each diagnosed axis as a line."""
-    from piezoid.counts import in_counts
     from piezoid.formatting import with_unit
+    from piezoid.raw_counts import in_counts
     from piezoid_reports.sections.error_budget import label_of, visible_parts
 
     lines = []
@@ -279,15 +279,19 @@ def calibrate_streamed(
 
     from piezoid.calibration.calibrate import FittedStage, finished
     from piezoid.identification.fit import fit as fit_stage
+    from piezoid.raw_counts import errors_in_counts, texts_in_counts
     from piezoid.records.chunked_reader import read_thinned
     from piezoid.records.lab import read_lab
+    from piezoid.records.recording import counted_in
     from piezoid_reports.render import with_report
 
     declared = None if lab is None else read_lab(lab)
     recordings = read_thinned(files, declared, progress=told)
-    model = fit_stage(recordings, lab=declared, progress=told)
+    with errors_in_counts(counted_in(recordings)):
+        model = fit_stage(recordings, lab=declared, progress=told)
     notes = dict.fromkeys(f"{r.name}: {s.text}" for r in recordings for s in r.statements)
-    model = replace(model, remarks=(*notes, *model.remarks))
+    axes = {name: texts_in_counts(axis) for name, axis in model.axes.items()}
+    model = replace(model, axes=axes, remarks=(*notes, *model.remarks))
     done = finished(
         FittedStage(model=model, undiagnosed=(UNDIAGNOSED,)), declared, told, processes
     )

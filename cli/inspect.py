@@ -131,7 +131,7 @@ def _headline(inspection: "Inspection") -> str:
 
 
 def _clock_line(inspection: "Inspection") -> str:
-    from piezoid.counts import in_counts
+    from piezoid.raw_counts import in_counts
 
     line = (
         f"  axis {inspection.axis}, {inspection.sampling_rate_Hz:.9g} Hz for "

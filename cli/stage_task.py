@@ -257,7 +257,7 @@ def _axis(axis: "AxisModel", found: "Calibration") -> FleetAxis:
 
 def _is_counted(unit: str, axis: "AxisModel") -> bool:
     """Tell whether a quantity of this axis is in counts: stages are compared in units."""
-    from piezoid.counts import in_counts
+    from piezoid.raw_counts import in_counts
 
     return in_counts(unit, axis.counted) != unit
 

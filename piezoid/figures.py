@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from piezoid.counts import in_counts
 from piezoid.design.design import AxisDesign, Design, LoopDesign
 from piezoid.design.sensitivity import sensitivities
 from piezoid.diagnosis.diagnosis import Diagnosis
@@ -21,6 +20,7 @@ from piezoid.identification.interchange import linear_part
 from piezoid.identification.model import AxisModel
 from piezoid.identification.prediction import Comparison, compare
 from piezoid.numerics.arrays import Array
+from piezoid.raw_counts import in_counts
 from piezoid.records.recording import Quantity, Recording
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.verification import Verification

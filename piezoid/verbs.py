@@ -32,12 +32,13 @@ from piezoid.identification.model import AxisModel
 from piezoid.identification.store import write_model
 from piezoid.learning.learn import Learned, first_table, next_table, refuse_changed
 from piezoid.numerics.executor import on_one_thread
+from piezoid.raw_counts import errors_in_counts, refuse_counts, texts_in_counts
 from piezoid.records import lab as laboratory
 from piezoid.records.checks.consistency import refuse_inconsistent
 from piezoid.records.collection import Collection, collect, collection_of
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
-from piezoid.records.recording import Recording
+from piezoid.records.recording import Recording, counted_in
 from piezoid.records.table import RawTable
 from piezoid.sealed_files import Place, digest_of, path_of
 from piezoid.verification.axis_simulation import (
@@ -110,13 +111,15 @@ def fit(
     (True, True)
     """
     held = collection_of(recordings)
-    return identification.fit(
-        held.recordings,
-        lab=_lab(lab),
-        sweeps=(*held.sweeps, *sweeps),
-        responses=(*held.responses, *responses),
-        progress=_told(progress),
-    )
+    with errors_in_counts(counted_in(held.recordings)):
+        model = identification.fit(
+            held.recordings,
+            lab=_lab(lab),
+            sweeps=(*held.sweeps, *sweeps),
+            responses=(*held.responses, *responses),
+            progress=_told(progress),
+        )
+    return replace(model, axes={n: texts_in_counts(axis) for n, axis in model.axes.items()})
 
 
 @on_one_thread
@@ -148,15 +151,16 @@ def diagnose(
     held = as_single_axes(collection_of(recordings).recordings, declared, coupled)
     refuse_inconsistent(held)
     wanted = axis or (next(iter(model.axes), None) if model is not None else None)
-    known = None if model is None else _known(model, wanted, held)
-    return engine.diagnose(
-        held,
-        axis=wanted,
-        lab=declared,
-        model=known,
-        progress=_told(progress),
-        threads=threads,
-    )
+    with errors_in_counts(counted_in(held)):
+        diagnosis = engine.diagnose(
+            held,
+            axis=wanted,
+            lab=declared,
+            model=None if model is None else _known(model, wanted, held),
+            progress=_told(progress),
+            threads=threads,
+        )
+    return texts_in_counts(diagnosis)
 
 
 @on_one_thread
@@ -366,7 +370,7 @@ def learn(
     declared = _lab(lab)
     own = None if controller is None else axis_parameters(controller, model, declared, axis)
     known = model[axis or (next(iter(model.axes)) if own is None else own.axis)]
-    known.refuse_counts()
+    refuse_counts(known.axis, known.counted)
     sources = {"model": digest_of(model)}
     if own is None:
         asked_Hz = controller_rate_Hz(model, sampling_rate_Hz)

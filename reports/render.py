@@ -14,7 +14,6 @@ from markupsafe import Markup, escape
 
 from piezoid.calibration.calibrate import Calibration
 from piezoid.calibration.stage_statements import stage_statements
-from piezoid.counts import in_counts
 from piezoid.design.design import Design
 from piezoid.design.design_statements import design_statements
 from piezoid.diagnosis.compare import ModelComparison
@@ -23,6 +22,7 @@ from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.from_recordings import as_single_axes
 from piezoid.identification.store import write_model
+from piezoid.raw_counts import in_counts
 from piezoid.records.collection import Collection
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab

@@ -156,19 +156,22 @@ def run_job(job: "AxisJob | TipJob", told: Told) -> "AxisResult | TipResult":
 def _run_axis(job: AxisJob, told: Told) -> AxisResult:
     from piezoid.identification.fit import fit_axis, moving
     from piezoid.identification.loop_shape_fit import with_loop_shape
+    from piezoid.raw_counts import errors_in_counts, in_counts, texts_in_counts
     from piezoid.records.lab import Lab
+    from piezoid.records.recording import counted_in
 
     def of_axis(text: str) -> None:
         told(f"axis {job.axis}: {text}")
 
-    model = fit_axis(
-        job.recordings,
-        job.axis,
-        job.lab or Lab(),
-        response=job.response,
-        has_loop_shape=False,
-        progress=of_axis,
-    )
+    with errors_in_counts(counted_in(job.recordings)):
+        model = fit_axis(
+            job.recordings,
+            job.axis,
+            job.lab or Lab(),
+            response=job.response,
+            has_loop_shape=False,
+            progress=of_axis,
+        )
     diagnosis, missing, stumbled = _diagnosed(job, model, of_axis)
     if diagnosis is not None and diagnosis.model is not None:
         model = diagnosis.model
@@ -176,9 +179,9 @@ def _run_axis(job: AxisJob, told: Told) -> AxisResult:
         of_axis("loop shape")
         model = with_loop_shape(model, moving(job.recordings, job.axis))
     return AxisResult(
-        model=model,
-        diagnosis=diagnosis,
-        undiagnosed=missing,
+        model=texts_in_counts(model),
+        diagnosis=None if diagnosis is None else texts_in_counts(diagnosis),
+        undiagnosed=in_counts(missing, model.counted),
         stumbled=stumbled,
         designed=_designed(replace(job.stage, axes={job.axis: model}), job.lab, told),
     )

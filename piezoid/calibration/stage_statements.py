@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from piezoid.counts import record_in_counts
 from piezoid.design.design import Design
 from piezoid.design.design_statements import design_statements
 from piezoid.diagnosis.diagnosis import Diagnosis
@@ -10,6 +9,7 @@ from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.fit_statements import fit_statements, sentence
 from piezoid.identification.tunnelling.confidence import Confidence
+from piezoid.raw_counts import record_in_counts
 from piezoid.records.recording import Recording
 from piezoid.statement import Kind, Level, Statement
 from piezoid.verification.criteria import describe_failure

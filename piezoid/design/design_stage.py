@@ -16,6 +16,7 @@ from piezoid.design.specification import Specification, specifications_from_toml
 from piezoid.errors import DesignError, LabFileError, PiezoidError, TemplateError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.coupled_stage import CoupledStage
+from piezoid.raw_counts import refuse_counts
 from piezoid.records.checks.command_range import amplifier_scale, exceeds_range
 from piezoid.records.lab import Lab
 
@@ -240,7 +241,7 @@ def _lateral_task(
     model: ActuatorModel, name: str, lab: Lab, rate_Hz: float | None, forms: Sequence[str]
 ) -> _Task:
     axis = model.axes[name]
-    axis.refuse_counts()
+    refuse_counts(name, axis.counted)
     if not axis.verdict.applies:
         raise DesignError(
             f"axis {name}: the model class does not apply, {axis.verdict.reason}",

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from piezoid.counts import in_counts
 from piezoid.errors import RecordingError
 from piezoid.formatting import significant, with_unit
 from piezoid.identification.extensions.gain_change import GainChange
@@ -101,7 +100,7 @@ class ModelComparison:
             kind=Kind.FINDING,
             level=Level.NOTE if self.holds and not self.sensitivity_changed else Level.ACTION,
             quantity="model_comparison",
-            text=in_counts(f"axis {self.axis}: {self._text()}", self.counted),
+            text=f"axis {self.axis}: {self._text()}",
             axis=self.axis,
             value=self.unchanged_error_m,
             unit="m",

@@ -10,7 +10,6 @@ from functools import partial
 
 import numpy as np
 
-from piezoid.counts import refusing_in_counts
 from piezoid.diagnosis.attribution import ModelErrors, attribute_errors
 from piezoid.diagnosis.budget import RemainingErrors, corrected, with_budget
 from piezoid.diagnosis.closed_loop_recordings import with_creep_of_holds
@@ -80,33 +79,31 @@ def diagnose(
     coordinate; where it lives in several, it may be given to the effect that resembles it most.
     ``unexplained`` tells how much is left.
     """
-    counted = counted_in(recordings)
-    with refusing_in_counts(counted):
-        selected_axis = _select_axis(recordings, axis)
-        constant = recorded_of(recordings, selected_axis)
-        if constant and all(is_at_rest(recording, selected_axis) for recording in constant):
-            progress("diagnosing recordings at constant drive")
-            return diagnose_at_rest(constant, selected_axis).told_in_counts(counted)
-        declared = lab or Lab()
-        is_rejected = model is not None and not model.verdict.applies
-        if model is None:
-            model = fit_axis(
-                recordings,
-                selected_axis,
-                declared,
-                response=response,
-                has_loop_shape=False,
-                progress=progress,
-            )
-        start = model.without_loop_shape()
-        executor = Executor(progress=progress, threads=threads)
-        selection = _select_effects(
-            recordings, selected_axis, start, declared, executor, is_rejected=is_rejected
+    selected_axis = _select_axis(recordings, axis)
+    constant = recorded_of(recordings, selected_axis)
+    if constant and all(is_at_rest(recording, selected_axis) for recording in constant):
+        progress("diagnosing recordings at constant drive")
+        resting = diagnose_at_rest(constant, selected_axis)
+        return replace(resting, counted=counted_in(recordings))
+    declared = lab or Lab()
+    is_rejected = model is not None and not model.verdict.applies
+    if model is None:
+        model = fit_axis(
+            recordings,
+            selected_axis,
+            declared,
+            response=response,
+            has_loop_shape=False,
+            progress=progress,
         )
-        progress("fitting dynamics and loop shape of the extended model")
-        final = refined(selection.errors.model, recordings, declared, response)
-        diagnosis = _assembled(selection, start, final, recordings)
-        return diagnosis.told_in_counts(counted)
+    start = model.without_loop_shape()
+    executor = Executor(progress=progress, threads=threads)
+    selection = _select_effects(
+        recordings, selected_axis, start, declared, executor, is_rejected=is_rejected
+    )
+    progress("fitting dynamics and loop shape of the extended model")
+    final = refined(selection.errors.model, recordings, declared, response)
+    return _assembled(selection, start, final, recordings)
 
 
 def _select_axis(recordings: Sequence[Recording], requested: str | None) -> str:
@@ -277,6 +274,7 @@ def _assembled(
             coordinate=rest.coordinate,
             gain=rest.gain,
         ),
+        counted=counted_in(recordings),
         model=final,
         strengths={
             cause.effect.name: cause.strength

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from piezoid.counts import record_in_counts
 from piezoid.html_repr import html_table
 from piezoid.identification.model import AxisModel
 
@@ -17,14 +16,6 @@ class Size:
     value: float
     unit: str
     ci95: tuple[float, float]
-
-
-def _without_prefix(size: Size) -> Size:
-    """Return a size in nanometres in metres, or in what stands in their place."""
-    if not size.unit.startswith("nm"):
-        return size
-    low, high = size.ci95
-    return Size(value=1e-9 * size.value, unit=size.unit[1:], ci95=(1e-9 * low, 1e-9 * high))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,28 +191,6 @@ class Diagnosis:
     strengths: Mapping[str, float] = field(default_factory=dict, compare=False, repr=False)
     model: AxisModel | None = field(default=None, compare=False, repr=False)
 
-    def told_in_counts(self, counted: tuple[str, ...]) -> "Diagnosis":
-        """Return the diagnosis with its sizes and sentences in counts.
-
-        counted  of ``displacement`` and ``voltage``, those that were recorded in counts
-
-        >>> found.told_in_counts(()) is found
-        True
-        """
-        if not counted:
-            return self
-        findings = self.findings
-        if "displacement" in counted:
-            findings = tuple(replace(one, size=_without_prefix(one.size)) for one in findings)
-        return replace(
-            self,
-            counted=counted,
-            findings=record_in_counts(findings, counted),
-            not_detected=record_in_counts(self.not_detected, counted),
-            budget=record_in_counts(self.budget, counted),
-            unexplained=record_in_counts(self.unexplained, counted),
-        )
-
     @property
     def names(self) -> tuple[str, ...]:
         """Return the names of what was found, largest gain first."""
@@ -250,6 +219,7 @@ class Diagnosis:
                 ("error before, after", f"{self.baseline.rms_m:.3g} m, {self.final.rms_m:.3g} m"),
                 ("explained", f"{100 * self.explained_fraction:.0f} %"),
             ),
+            counted=self.counted,
         )
 
 

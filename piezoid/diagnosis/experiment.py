@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from piezoid.counts import VOLTAGE
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.planning.drive_limits import Bench, bench_of
 from piezoid.diagnosis.planning.open_questions import Question, is_open, questions_of
@@ -21,6 +20,7 @@ from piezoid.diagnosis.planning.separation import Told
 from piezoid.diagnosis.planning.simulated_drives import driven_recording, drives_axis
 from piezoid.errors import ExcitationError
 from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.raw_counts import VOLTAGE, refuse_counts
 from piezoid.records.excitation import Drive, DriveLimits
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
@@ -90,7 +90,7 @@ def plan(
     real shape differs much from its tangent is told apart more or less well than is promised.
     """
     axis = model[diagnosis.axis]
-    axis.refuse_counts(of=(VOLTAGE,))
+    refuse_counts(axis.axis, axis.counted, quantities=(VOLTAGE,))
     bench = bench_of(model, axis, lab or Lab(), recordings, clock_Hz)
     recorded = [driven_recording(axis, one) for one in recordings if drives_axis(one, axis)]
 

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from piezoid.counts import in_counts
 from piezoid.diagnosis.diagnosis import (
     Diagnosis,
     FinalError,
@@ -65,7 +64,7 @@ def read_diagnoses(content: bytes, place: str = "diagnosis.json") -> tuple[Diagn
 
 
 def _diagnosis_entries(diagnosis: Diagnosis) -> dict[str, Any]:
-    unit = in_counts("m, rms", diagnosis.counted)
+    unit = "counts, rms" if "displacement" in diagnosis.counted else "m, rms"
     said = {n: v for n, v in fields_of(diagnosis).items() if n not in NOT_WRITTEN}
     absent = [_absent_entries(one, unit) for one in diagnosis.not_detected]
     return _telling({**said, "not_detected": absent}, "unexplained", "budget", "counted")

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from numpy.typing import ArrayLike
 
-from piezoid.counts import in_counts
 from piezoid.errors import IdentificationError
 from piezoid.formatting import with_unit
 from piezoid.html_repr import html_table
@@ -71,7 +70,8 @@ class ActuatorModel:
         return self.axes[axis]
 
     def _repr_html_(self) -> str:
-        return html_table(f"Stage {self.stage}", [_shown(axis) for axis in self.axes.values()])
+        rows = [_shown(axis) for axis in self.axes.values()]
+        return html_table(f"Stage {self.stage}", rows, counted=self.counted)
 
     @property
     def counted(self) -> tuple[str, ...]:
@@ -236,4 +236,4 @@ def _shown(axis: AxisModel) -> tuple[str, str]:
         f"error {with_unit(quality.held_out_rms_m, 'm')} rms, {quality.held_out_rms_percent:.3f} "
         f"% of the range; noise {with_unit(quality.noise_rms_m, 'm')} rms"
     )
-    return f"axis {axis.axis}", in_counts(said, axis.counted)
+    return f"axis {axis.axis}", said

@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 
-from piezoid.counts import refusing_in_counts
 from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.from_recordings import (
@@ -255,18 +254,17 @@ def fit_axis(
 
     Raises ``ExcitationError`` where drive or displacement does not move.
     """
-    rig, counted = rig_of(lab, axis), counted_in(recordings)
-    with refusing_in_counts(counted):
-        calm, shaped = quasi_static(moving(recordings, axis), axis, rig)
-        fitted = estimate_axis(calm, axis, rig, progress=progress)
-        found = with_dynamics(
-            fitted, recordings, stated_Hz=lab.actuator_of(axis).bandwidth_Hz, response=response
-        )
-        complete = with_discrepancy(_remarked(found, shaped), calm)
-        if has_loop_shape:
-            progress("loop shape")
-            complete = with_loop_shape(complete, calm)
-        return complete.told_in_counts(counted)
+    rig = rig_of(lab, axis)
+    calm, shaped = quasi_static(moving(recordings, axis), axis, rig)
+    fitted = estimate_axis(calm, axis, rig, progress=progress)
+    found = with_dynamics(
+        fitted, recordings, stated_Hz=lab.actuator_of(axis).bandwidth_Hz, response=response
+    )
+    complete = with_discrepancy(_remarked(found, shaped), calm)
+    if has_loop_shape:
+        progress("loop shape")
+        complete = with_loop_shape(complete, calm)
+    return replace(complete, counted=counted_in(recordings))
 
 
 def refined(
@@ -286,7 +284,7 @@ def refined(
         found = with_dynamics(axis, recordings, stated_Hz=stated_Hz, response=response)
     held = moving(recordings, axis.axis)
     complete = with_discrepancy(with_minor_loops(found, held), held)
-    return with_loop_shape(complete, held).told_in_counts(counted_in(recordings))
+    return with_loop_shape(complete, held)
 
 
 def _remarked(axis: AxisModel, shaped: Sequence[Recording]) -> AxisModel:

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezoid.counts import DISPLACEMENT, VOLTAGE, record_in_counts
-from piezoid.errors import IdentificationError, LabFileError, NotInvertibleError, RecordingError
+from piezoid.errors import IdentificationError, NotInvertibleError, RecordingError
 from piezoid.identification.dynamics.bandwidth import BandwidthVerdict
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.records import JointFit, ResponseFit
@@ -22,7 +21,6 @@ from piezoid.numerics.arrays import Array, freeze
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
 from piezoid.operators.preisach_plays import PreisachPlays
-from piezoid.records.recording import Quantity
 
 if TYPE_CHECKING:
     pass
@@ -129,38 +127,6 @@ class AxisModel:
     discrepancy: Discrepancy | None = None
     dynamics_remarks: tuple[str, ...] = ()
     counted: tuple[str, ...] = ()
-
-    def told_in_counts(self, counted: tuple[str, ...]) -> "AxisModel":
-        """Return the axis with its sentences in counts, where it was recorded in counts.
-
-        counted  of ``displacement`` and ``voltage``, those that are in counts
-
-        >>> model["x"].told_in_counts(("displacement",)).counted
-        ('displacement',)
-        """
-        return replace(
-            self,
-            counted=counted,
-            verdict=record_in_counts(self.verdict, counted),
-            quality=record_in_counts(self.quality, counted),
-            dynamics_remarks=record_in_counts(self.dynamics_remarks, counted),
-        )
-
-    def refuse_counts(self, *, of: tuple[str, ...] = (DISPLACEMENT, VOLTAGE)) -> None:
-        """Raise ``LabFileError`` where one of these is in counts: what leaves here is in units.
-
-        of  the quantities that what follows needs in units
-
-        >>> model["x"].refuse_counts()
-        """
-        for one in (quantity for quantity in of if quantity in self.counted):
-            si = Quantity[one.upper()].value
-            raise LabFileError(
-                f"axis {self.axis}: its {one} is recorded in counts of the converter",
-                needed=f"how many {si} one count is: nothing can be played or shipped in counts",
-                remedy="Write into the [[recording]] of each file in lab.toml, and fit again:\n\n"
-                f"scale = {{ {one} = ... }}\n",
-            )
 
     @property
     def operator(self) -> ModifiedPrandtlIshlinskii | PreisachPlays:

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from piezoid.counts import in_counts
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.robust import NORMAL_95
+from piezoid.raw_counts import in_counts
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -89,6 +89,7 @@ class Comparison:
                 ("largest", f"{self.largest_m:.3g} m"),
                 ("samples", str(len(self.time_s))),
             ),
+            counted=self.counted,
         )
 
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezoid.counts import COUNTS
 from piezoid.digests import digest_of_bytes
 from piezoid.errors import RecordingError, UnitError
 from piezoid.numerics.arrays import Array
@@ -183,7 +182,7 @@ def to_frame(recording: Recording) -> "DataFrame":
         if channel.quantity is Quantity.HUMIDITY:
             columns[f"{label} [%]"] = _PERCENT * values
         elif channel.is_counted:
-            columns[f"{label} [{COUNTS}]"] = values
+            columns[f"{label} [{channel.unit}]"] = values
         else:
             symbol = _SYMBOL[channel.quantity]
             columns[f"{label}_{symbol}" if symbol else label] = values

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from msgspec import structs
 
-from piezoid.counts import record_in_counts
 from piezoid.errors import LabFileError, RecordingError, UnitError
+from piezoid.raw_counts import record_in_counts
 from piezoid.records.baseline_steps import split_at_baseline_steps
 from piezoid.records.checks import check_recording
 from piezoid.records.checks.columns import check_columns

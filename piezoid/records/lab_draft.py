@@ -14,7 +14,6 @@ from textwrap import fill
 
 import numpy as np
 
-from piezoid.counts import COUNTS
 from piezoid.errors import PiezoidError
 from piezoid.records.checks.command_range import DRIVE_VOLTAGE_NOTE
 from piezoid.records.collection import is_over_height
@@ -179,8 +178,7 @@ def _summary(recording: Recording) -> str:
         f"{recording.duration_s:.6g} s"
     ]
     for channel in recording.channels:
-        symbol = COUNTS if channel.is_counted else channel.quantity.value
-        unit = "" if channel.quantity is Quantity.HUMIDITY else f" {symbol}"
+        unit = "" if channel.quantity is Quantity.HUMIDITY else f" {channel.unit}"
         low, high = float(np.min(channel.values)), float(np.max(channel.values))
         lines.append(
             f"  {channel.quantity.name.lower()} of {channel.axis}: {low:.4g} to {high:.4g}{unit}"

@@ -11,6 +11,7 @@ from piezoid.digests import digest_of_bytes
 from piezoid.errors import RecordingError
 from piezoid.html_repr import html_table
 from piezoid.numerics.arrays import Array, frozen, same_length
+from piezoid.raw_counts import COUNTS
 from piezoid.statement import Statement
 
 
@@ -47,6 +48,11 @@ class Channel:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", frozen(self.values, self.label))
+
+    @property
+    def unit(self) -> str:
+        """Unit of the values: ``counts``, or the SI symbol of the quantity."""
+        return COUNTS if self.is_counted else self.quantity.value
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -11,6 +11,7 @@ from piezoid.diagnosis.diagnosis import Diagnosis, Size
 from piezoid.diagnosis.effects import EFFECTS, effect_named
 from piezoid.diagnosis.rest_columns import BLOCKS, held, rest_columns, waves
 from piezoid.numerics.arrays import Array
+from piezoid.raw_counts import texts_in_counts
 from piezoid.records.frames import from_arrays
 from piezoid.records.ingest import ingest
 from piezoid_datasets.virtual_lab.signals import coloured_noise
@@ -212,12 +213,12 @@ def test_sizes_of_a_reading_in_counts_are_counts() -> None:
     found = at_rest(4e-9 * np.sin(2.0 * np.pi * 50.0 * TIME_s))
     (told,), (size,) = (
         [one.size for one in each.findings]
-        for each in (found, found.told_in_counts(("displacement",)))
+        for each in (found, texts_in_counts(replace(found, counted=("displacement",))))
     )
     assert size.value == pytest.approx(1e-9 * told.value)
     assert size.ci95 == pytest.approx((1e-9 * told.ci95[0], 1e-9 * told.ci95[1]))
     assert "nm" not in size.unit
     (finding,) = found.findings
     slope = Size(value=3.0, unit="percent", ci95=(1.0, 5.0))
-    beside = replace(found, findings=(replace(finding, size=slope),))
-    assert beside.told_in_counts(("displacement",)).findings[0].size == slope
+    beside = replace(found, counted=("displacement",), findings=(replace(finding, size=slope),))
+    assert texts_in_counts(beside).findings[0].size == slope

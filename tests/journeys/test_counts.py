@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import piezoid
-from piezoid.counts import in_counts
 from piezoid.identification.parameters import parameters_of
 from piezoid.identification.store import read_model
+from piezoid.raw_counts import in_counts
 from piezoid_cli.stage_task import StageTask, run_stage
 from tests.journeys.test_strangers import piezoid as run
 from tests.laws import RATE_Hz, swept_um

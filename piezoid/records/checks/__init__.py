@@ -9,7 +9,7 @@ To add a check, add a file and its line in ``CHECKS`` or ``SET_CHECKS``;
 
 from collections.abc import Callable, Sequence
 
-from piezoid.counts import record_in_counts
+from piezoid.raw_counts import record_in_counts
 from piezoid.records.checks.command_range import check_command_range
 from piezoid.records.checks.consistency import check_consistency
 from piezoid.records.checks.copies import check_copies

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from piezoid.counts import record_in_counts
 from piezoid.errors import RecordingError
 from piezoid.formatting import significant, with_unit
 from piezoid.numerics.arrays import Array
+from piezoid.raw_counts import record_in_counts
 from piezoid.records.checks.drive_ranges import MIN_RANGE
 from piezoid.records.checks.feedback import held_span
 from piezoid.records.checks.gain import MIN_MOTION_NOISE
