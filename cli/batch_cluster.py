@@ -17,6 +17,7 @@ from piezoid.errors import RecordingError
 from piezoid.output_folder import lists_results
 from piezoid_cli.results_place import results_place
 from piezoid_cli.stage_task import LAB, Known, StageTask
+from piezoid_cli.workers import interrupts_blocked
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -43,6 +44,7 @@ def workers(scheduler: str, processes: int | None) -> "Iterator[Client]":
     _check_installed()
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     import dask
+    from dask.system import CPU_COUNT
     from distributed import Client, LocalCluster
 
     with dask.config.set({"logging.distributed": "critical", **RESTFUL}):
@@ -50,18 +52,20 @@ def workers(scheduler: str, processes: int | None) -> "Iterator[Client]":
             with _client(scheduler) as client:
                 yield client
             return
-        with (
-            LocalCluster(
-                n_workers=processes,
+        with interrupts_blocked():  # workers are begun by its thread
+            cluster = LocalCluster(
+                n_workers=0,
                 threads_per_worker=1,
                 processes=True,
                 host="127.0.0.1",
                 dashboard_address="127.0.0.1:0",  # any free port: another batch may run here
                 memory_limit=0,
                 silence_logs=logging.CRITICAL,
-            ) as cluster,
-            Client(cluster) as client,
-        ):
+            )
+        with cluster, Client(cluster) as client:
+            count = processes or CPU_COUNT
+            cluster.scale(count)
+            client.wait_for_workers(count)
             yield client
 
 

@@ -34,7 +34,6 @@ from piezoid_cli.simulate import simulate
 from piezoid_cli.terminal import guard_output, one_line, plain
 from piezoid_cli.verify import verify
 
-_OURS = "This is a mistake of ours; run the same command with --debug and send us what it prints."
 ASKS_FOR_ALL = ("-v", "--verbose")
 USAGE = 2
 
@@ -164,10 +163,17 @@ def _told(error: Exception) -> int:
     elif isinstance(error, MemoryError):
         status, said = 3, _OUT_OF_MEMORY
     else:
-        status, said = 70, f"piezoid failed with {type(error).__name__}: {error}. {_OURS}"
+        status, said = 70, _internal(error)
     console = Console(stderr=True)
     console.print(Text.assemble(("error: ", "bold red"), plain(said)))
     return status
+
+
+def _internal(error: Exception) -> str:
+    return (
+        f"internal error ({type(error).__name__}: {error}). Please report it with the output of "
+        "the same command with --debug."
+    )
 
 
 def _about_disk(error: OSError) -> str:

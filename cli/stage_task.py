@@ -162,7 +162,7 @@ def _is_of(stage: FleetStage, task: StageTask, inputs: Mapping[str, str]) -> boo
 def run_stage(
     task: StageTask, inputs: Mapping[str, str]
 ) -> tuple[FleetStage, Mapping[str, bytes]]:
-    """Calibrate one stage; data that cannot be used is an outcome, and so is a mistake of ours.
+    """Calibrate one stage; data that cannot be used is an outcome, and so is an internal error.
 
     Returns the record, and the files of the stage's folder. Raises only what may be gone the next
     time: a file that cannot be read, memory that is full.
@@ -180,7 +180,7 @@ def run_stage(
     except PiezoidError as error:
         return broken(task, REFUSED, str(error), inputs), {}
     except Exception as error:
-        reason = f"a mistake of ours, {type(error).__name__}: {error}"
+        reason = f"internal error ({type(error).__name__}: {error})"
         return broken(task, CRASHED, reason, inputs), {}
 
 

@@ -6,9 +6,10 @@ set its title, turn the text. Whatever people read is made here, with such chara
 """
 
 import io
+import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 
@@ -30,16 +31,19 @@ StageLab = Annotated[Path | None, typer.Option(help="lab.toml; by default the on
 Json = Annotated[bool, typer.Option("--json", help="For scripts: one JSON text.")]
 
 
-class StandardOutput(io.RawIOBase):
-    """Standard output that may be closed while a command works, or lie on a full disk.
+class StandardStream(io.RawIOBase):
+    """Standard output or error that may be closed while a command works, or lie on a full disk.
 
     Nothing more is written once the reader of a pipe has gone: the command does its work all the
-    same. Any other failure names standard output.
+    same. Any other failure names standard output; of standard error nothing can be said.
     """
 
-    def __init__(self, stream: io.RawIOBase | io.BufferedIOBase) -> None:
-        """Write to a binary stream."""
-        self._stream = stream
+    def __init__(self, stream: io.RawIOBase | io.BufferedIOBase, name: str = "") -> None:
+        """Write to a binary stream.
+
+        name  in the error about a write that fails; without one there is no error
+        """
+        self._stream, self._name = stream, name
         self.is_discarded = False
 
     def writable(self) -> bool:
@@ -65,21 +69,27 @@ class StandardOutput(io.RawIOBase):
             self.is_discarded = True
         except OSError as error:
             self.is_discarded = True
-            raise OSError(error.errno, error.strerror, "standard output") from error
+            if self._name:
+                raise OSError(error.errno, error.strerror, self._name) from error
         return size
 
 
 def guard_output() -> None:
-    """Let no pipe that is closed and no terminal of few characters end a command."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        encoding, buffered = sys.stdout.encoding, sys.stdout.line_buffering
-        binary = io.BufferedWriter(StandardOutput(sys.stdout.detach()))
-        sys.stdout = io.TextIOWrapper(
-            binary, encoding, errors="replace", line_buffering=buffered, write_through=True
-        )
+    """Let no stream that is closed and no terminal of few characters end a command."""
+    sys.stdout = _guarded(sys.stdout, "standard output")
+    sys.stderr = _guarded(sys.stderr)
+
+
+def _guarded(stream: TextIO | None, name: str = "") -> TextIO:
+    if stream is None:  # it was closed before the command began
+        return Path(os.devnull).open("w", encoding="utf-8")
+    if not isinstance(stream, io.TextIOWrapper):
+        return stream
+    encoding, buffered = stream.encoding, stream.line_buffering
+    binary = io.BufferedWriter(StandardStream(stream.detach(), name))
+    return io.TextIOWrapper(
+        binary, encoding, errors="replace", line_buffering=buffered, write_through=True
+    )
 
 
 def say(said: str, *, err: bool = False) -> None:

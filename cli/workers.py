@@ -45,6 +45,23 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
+@contextmanager
+def interrupts_blocked() -> Iterator[None]:
+    """Begin threads and processes that Ctrl-C does not reach: it is for this process alone.
+
+    They inherit that the signal is blocked. Here it arrives at the end of the block.
+    """
+    ensure_running()  # beginning its process unblocks the signal
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
 class WorkerPool:
     """Worker processes and the channel through which they report what they do."""
 
@@ -59,16 +76,8 @@ class WorkerPool:
 
     def submit(self, work: Work[Job, Result], job: Job, index: int) -> "Future[bytes]":
         """Give a job to a worker; ``loads`` of what comes back is the result."""
-        # Ctrl-C is for this process: a worker inherits that the signal is blocked.
-        ensure_running()  # beginning its process unblocks the signal
-        with postponed():
-            blocked = {signal.SIGINT} if hasattr(signal, "pthread_sigmask") else set()
-            mask = signal.pthread_sigmask(signal.SIG_BLOCK, blocked) if blocked else set()
-            try:
-                return self._executor.submit(_work, dumps((work, job), protocol=5), index)
-            finally:
-                if blocked:
-                    signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        with postponed(), interrupts_blocked():
+            return self._executor.submit(_work, dumps((work, job), protocol=5), index)
 
     def report_to(self, report: Progress) -> None:
         """Say from now on what is being done, here and in the workers."""

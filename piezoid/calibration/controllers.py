@@ -106,8 +106,8 @@ def controllers_of(
     except PiezoidError as refusal:
         sought = design is not None or isinstance(refusal, TemplateError)
         return Controllers(design=design, reason=str(refusal), refused=sought)
-    except Exception as error:  # a fault of ours must not cost the lab its model
-        reason = f"a mistake of ours, {type(error).__name__}: {error}"
+    except Exception as error:  # an internal error must not cost the lab its model
+        reason = f"internal error ({type(error).__name__}: {error})"
         return Controllers(design=design, reason=reason, stumbled=True)
 
 

@@ -207,8 +207,8 @@ def _diagnosed(
         )
     except PiezoidError as refusal:
         return None, f"{refused}: {refusal}", False
-    except Exception as error:  # a fault of ours must not cost the lab its model
-        return None, f"{refused}: a mistake of ours, {type(error).__name__}: {error}", True
+    except Exception as error:  # an internal error must not cost the lab its model
+        return None, f"{refused}: internal error ({type(error).__name__}: {error})", True
     return found, "", False
 
 

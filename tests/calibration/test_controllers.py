@@ -120,7 +120,7 @@ def test_a_refusal_of_a_later_step_is_told_and_the_design_is_kept(
 
 
 @pytest.mark.parametrize("step", STEPS)
-def test_a_mistake_of_ours_is_told_as_one_and_nothing_ships(step: str, good: AxisDesign) -> None:
+def test_an_internal_error_is_named_and_nothing_ships(step: str, good: AxisDesign) -> None:
     """No filter at all in front of a loop, and errors of numbers that the model has not."""
     axis = fitted()["x"]
     unknown = replace(axis.uncertainty, names=tuple("abcdefghijkl"))
@@ -130,8 +130,8 @@ def test_a_mistake_of_ours_is_told_as_one_and_nothing_ships(step: str, good: Axi
     made = made_of(
         model, Designed(outcomes=(AxisDesignResult(axis="x", design=design),), fault=fault)
     )
-    assert made.reason.startswith("a mistake of ours, ")
-    assert (made.reason == "a mistake of ours, ValueError: 40 states") == (step == "design")
+    assert made.reason.startswith("internal error (")
+    assert (made.reason == "internal error (ValueError: 40 states)") == (step == "design")
     assert made.stumbled
     assert not made.passed
     assert (made.parameters, made.verification) == (None, None)

@@ -15,6 +15,7 @@ import pytest
 
 from piezoid.errors import TemplateError
 from piezoid.numerics.arrays import Array
+from piezoid_cli.batch_cluster import workers as batch_workers
 from piezoid_cli.workers import map_jobs, worker_pool
 
 HERE = os.getpid()
@@ -158,3 +159,15 @@ def in_session(leader: int) -> list[str]:
     """Return what still runs of a session."""
     listed = ["ps", "-o", "pid=,args=", "-s", str(leader)]
     return subprocess.run(listed, capture_output=True, text=True, check=False).stdout.split()
+
+
+def _blocked_signals(*_: object) -> set[int]:
+    return set(signal.pthread_sigmask(signal.SIG_BLOCK, ()))
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no masks of signals here")
+def test_ctrl_c_in_a_terminal_does_not_reach_the_workers_of_a_batch() -> None:
+    with batch_workers("", 1) as client:
+        assert signal.SIGINT not in _blocked_signals()
+        (blocked,) = client.run(_blocked_signals).values()
+    assert signal.SIGINT in blocked

@@ -123,7 +123,7 @@ def test_a_fault_of_ours_in_a_diagnosis_leaves_model_and_report_and_ends_with_st
     sweeps: Path, stumbled: Result
 ) -> None:
     assert stumbled.exit_code == 1, stumbled.output
-    said = "axis x is not diagnosed: a mistake of ours, RuntimeError: an index too far"
+    said = "axis x is not diagnosed: internal error (RuntimeError: an index too far)"
     assert said in " ".join(stumbled.output.split())
     assert set(read_model((sweeps / "stage/model.json").read_bytes()).axes) == {"x", "y"}
     page = Anatomy((sweeps / "stage/report.html").read_text())

@@ -62,3 +62,18 @@ def test_a_closed_pipe_ends_neither_the_work_nor_its_status(recording: Path) -> 
         )
     assert (done.returncode, done.stderr) == (0, b"")
     assert out.exists()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no full device")
+@pytest.mark.parametrize("stream", [">&-", "2>&-", "2>/dev/full"])
+def test_a_stream_that_cannot_be_written_changes_no_exit_status(
+    stream: str, recording: Path
+) -> None:
+    """Neither 1, a failed verdict, nor 70, an internal error."""
+    for words, status in (("inspect s.csv", 0), ("inspect gone.csv", 3), ("inspect --nope", 2)):
+        line = f'"{PIEZOID[0]}" -m {PIEZOID[2]} {words} {stream}'
+        done = subprocess.run(
+            line, shell=True, cwd=recording.parent, capture_output=True, check=False
+        )
+        assert done.returncode == status, (words, done.stderr)
+        assert b"Traceback" not in done.stderr

@@ -278,7 +278,10 @@ def _search(
 
 def _judged(end: _Point, bounds: tuple[Array, Array], converged: bool) -> _Reached:
     """Repeat a search that has ended on the rows kept of each fold."""
-    folds = [_on_fold(fold, end, bounds) for fold in range(FOLDS)]
+    # Added up, not subtracted from the whole: a column may lie in one fold but for rounding.
+    grams = [_gram_of_fold(end, fold) for fold in range(FOLDS)]
+    kept = [sum(grams[:k] + grams[k + 1 :], np.zeros((1, 1))) for k in range(FOLDS)]
+    folds = [_on_fold(fold, end, bounds, gram) for fold, gram in enumerate(kept)]
     return _Reached(
         state=end.state,
         rms=end.rms,
@@ -289,11 +292,20 @@ def _judged(end: _Point, bounds: tuple[Array, Array], converged: bool) -> _Reach
     )
 
 
-def _on_fold(fold: int, end: _Point, bounds: tuple[Array, Array]) -> tuple[Array, list[Array]]:
-    """Return where a few chords on the rows kept lead, and the residual at the rows left out."""
+def _gram_of_fold(end: _Point, fold: int) -> Array:
+    pairs = zip(end.tangents, end.parts, strict=True)
+    rows = [tangents[part.fold == fold] for tangents, part in pairs]
+    return sum((part.T @ part for part in rows), np.zeros((1, 1)))
+
+
+def _on_fold(
+    fold: int, end: _Point, bounds: tuple[Array, Array], gram: Array
+) -> tuple[Array, list[Array]]:
+    """Return where a few chords on the rows kept lead, and the residual at the rows left out.
+
+    gram  of the tangents at the rows kept
+    """
     kept = [part.fold != fold for part in end.parts]
-    out = [rows[~k] for rows, k in zip(end.tangents, kept, strict=True)]
-    gram = end.gram - sum((part.T @ part for part in out), np.zeros((1, 1)))
     start = end.state.vector
 
     def at(vector: Array) -> _OnFold:
