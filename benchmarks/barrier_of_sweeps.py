@@ -7,9 +7,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from piezoid.identification.tunnelling.approach import ApproachCurve, Direction
+from piezoid.identification.tunnelling.approach import (
+    ApproachCurve,
+    Direction,
+    read_z_spectroscopy,
+)
 from piezoid.identification.tunnelling.barrier_fit import BarrierFit, fit_barrier
-from piezoid.identification.tunnelling.junction import read_z_spectroscopy
 from piezoid.identification.tunnelling.sweep_pairs import compare_directions
 from piezoid.records.readers import read_table
 

@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.identification.tunnelling.joint_barrier import JointBarrier
-from piezoid.identification.tunnelling.junction import noise_of_loop
 from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig, is_loop, read_loop
 from piezoid.identification.tunnelling.loop_model import LoopPlant, LoopSummary
-from piezoid.identification.tunnelling.loop_noise import MainsLine, power_density
+from piezoid.identification.tunnelling.loop_noise import MainsLine, gap_motion, power_density
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, decades_over
@@ -193,32 +192,26 @@ def _curves(
     loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRecord
 ) -> list[tuple[str, str, Array, Array]]:
     """Return role, name, log10 of the frequency in Hz and of the density in pm/√Hz."""
+    from scipy.signal import detrend
+
     rate_Hz, per_V = record.sampling_rate_Hz, rig.drive_gain_m_per_V
-    current_m, drive_m = per_V / summary.gain * record.log_current, per_V * record.drive_V
-    shown = [
-        ("before", "current", *power_density(_level(current_m), rate_Hz)),
-        ("model", "drive", *power_density(_level(drive_m), rate_Hz)),
+    signals_m = [
+        ("before", "current", per_V / summary.gain * record.log_current),
+        ("model", "drive", per_V * record.drive_V),
     ]
-    noise = noise_of_loop(record, rig, replace(loop.plant, gain_nepers_per_V=summary.gain))
-    if noise is not None:
-        shown.append(("trend", "motion of the gap", noise.frequency_Hz, noise.density_m2_per_Hz))
-    return [
-        (role, name, np.log10(f_Hz[1:]), _in_pm(np.maximum(density[1:], LEAST_m2_per_Hz)))
-        for role, name, f_Hz, density in shown
-    ]
-
-
-def _in_pm(density_m2_per_Hz: Array) -> Array:
-    return np.asarray(0.5 * np.log10(density_m2_per_Hz) + 12.0)
+    if summary.unrest is not None:
+        plant = replace(loop.plant, gain_nepers_per_V=summary.gain)
+        motion_m = gap_motion(record, plant, summary.gain / per_V)
+        signals_m.append(("trend", "motion of the gap", motion_m))
+    curves = []
+    for role, name, signal_m in signals_m:
+        f_Hz, density = power_density(np.asarray(detrend(signal_m)), rate_Hz)
+        pm = 0.5 * np.log10(np.maximum(density[1:], LEAST_m2_per_Hz)) + 12.0
+        curves.append((role, name, np.log10(f_Hz[1:]), np.asarray(pm)))
+    return curves
 
 
 def _caption(summary: LoopSummary) -> str:
     if summary.unrest is None:
         return "The record is too short for drift and mains lines."
     return f"Mains lines found: {_mains(summary.unrest.mains)}."
-
-
-def _level(signal: Array) -> Array:
-    """The signal without its straight line: drift would leak over every frequency."""
-    place = np.arange(len(signal), dtype=np.float64)
-    return np.asarray(signal - np.polyval(np.polyfit(place, signal, 1), place))

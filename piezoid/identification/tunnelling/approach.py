@@ -1,6 +1,6 @@
-"""ApproachCurve: one sweep of the tunnelling current over the tip's height.
+"""Sweeps of the tunnelling current over the tip's height, from columns or a Z spectroscopy file.
 
-Rows at the preamplifier's limit are left out. They are recognised by their shape: next to the
+Rows at the preamplifier's limit are excluded. They are recognised by their shape: next to the
 surface an exponential falls from its largest value P to 0.9 P within a fixed share of the height
 it needs from 0.9 P to 0.45 P,
 
@@ -12,27 +12,38 @@ move them in height.
 """
 
 import math
+import re
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezoid.errors import ExcitationError, RecordingError
+from piezoid.errors import ExcitationError, RecordingError, UnitError
 from piezoid.numerics.arrays import Array, freeze, same_length
+from piezoid.records.column_roles import meaning_of
+from piezoid.records.recording import Quantity
+from piezoid.records.table import RawTable
+from piezoid.records.units import Dimension
+
+_SWEEP = re.compile(r"Current(?: \[(?!bwd)(?P<number>[^\]]+)\])?(?P<backward> \[bwd\])?")
+_AVERAGE = "AVG"
+_BIAS_KEY = "Bias>Bias (V)"
+_TIMES_OF_A_ROW = ("Settling time (s)", "Integration time (s)")
+_MODULES = ("", "Z Spectroscopy>")  # what Nanonis writes in front of its own settings
 
 _SHOULDER = 0.9
 _HALF = 0.5 * _SHOULDER
 _EXPONENTIAL = math.log(1.0 / _SHOULDER) / math.log(1.0 / 0.5)
 # 400 unclipped sweeps with 5 % noise and 3 % hysteresis: largest 2.4; clipped at half: 7.6.
 _TOO_LONG = 3.0
-_FEWEST = 5  # rows on a plateau of readings that differ
+_MIN_PLATEAU = 5  # rows on a plateau of readings that differ
 _REPEATED = 3  # neighbours in height with exactly the largest current: noise never does that
 # Averaged over a row, a current with hum or noise touches the limit before its mean gets there.
 _CLEAR = 0.8
 _SMOOTHED = 5  # rows of the running median
 
-FEWEST_POINTS = 8  # three parameters, two of noise, and something left over to judge them by
+MIN_POINTS = 8  # three parameters, two of noise, and something left over to judge them by
 
 
 class Direction(Enum):
@@ -91,6 +102,76 @@ class ApproachCurve:
         return math.copysign(1.0, float(self.current_A[farthest]) - middle_A)
 
 
+def read_z_spectroscopy(table: RawTable) -> tuple[ApproachCurve, ...]:
+    """Return every sweep of a Z spectroscopy file, in the order of its columns.
+
+    The height is the swept column, which must be a displacement that grows when the tip retracts,
+    as ``Z rel (m)`` of Nanonis does. Single sweeps are used; the average only where the file
+    holds nothing else, since it would count the same noise twice. The bias is that of the sweep's
+    own column or, without one, of the file's head. Where neither states a bias, or it is 0 V and
+    was applied elsewhere, the sign of the current stands in. In a table without a column of that
+    name, every column that means a current is one, as ``I (pA)``. A head that states settling and
+    integration time of a row tells how long a sweep took.
+    """
+    height = table.find(table.independent) if table.independent else None
+    unit = None if height is None else height.heading.unit
+    if height is None or unit is None or unit.dimension is not Dimension.LENGTH:
+        raise UnitError(
+            f"{table.name}: the swept column is {table.independent!r}",
+            needed="a height with a unit of length, as 'Z rel (m)'",
+            remedy="Take a Z spectroscopy; or build the sweep from two arrays.",
+        )
+    height_m = table.si(height.number)
+    sweeps = [  # column, number of the sweep, ' [bwd]' or nothing
+        (column, match["number"] or "", match["backward"] or "")
+        for column in table.columns
+        if (match := _SWEEP.fullmatch(column.heading.stem))
+    ] or [
+        (column, "", "")
+        for column in table.columns
+        if (role := meaning_of(column.heading)).quantity is Quantity.CURRENT and role.by_name
+    ]
+    if not sweeps:
+        labels = ", ".join(repr(column.label) for column in table.columns[:8])
+        raise RecordingError(
+            f"{table.name}: no current among {labels}",
+            needed="columns named 'Current (A)' or 'Current [00001] (A)', '[bwd]' for backward",
+            remedy="Save the sweep with its current, or build the sweep from two arrays.",
+        )
+    return tuple(
+        read_approach(
+            height_m,
+            column.si_values,
+            bias_V=_bias_V(table, number, backward),
+            direction=Direction.BACKWARD if backward else Direction.FORWARD,
+            label=f"{table.name}: {column.label}",
+            pair=f"{table.name}: {number}",
+            duration_s=_duration_s(table, len(height_m)),
+        )
+        for column, number, backward in [s for s in sweeps if s[1] != _AVERAGE] or sweeps
+    )
+
+
+def _duration_s(table: RawTable, rows: int) -> float | None:
+    """Return how long one direction took; None where the head does not state it readably."""
+    for module in _MODULES:
+        try:
+            row_s = sum(float(table.metadata[module + key]) for key in _TIMES_OF_A_ROW)
+        except (KeyError, ValueError):
+            continue
+        if math.isfinite(row_s) and row_s > 0.0:
+            return rows * row_s
+    return None
+
+
+def _bias_V(table: RawTable, number: str, backward: str) -> float | None:
+    column = table.find(f"Bias{f' [{number}]' if number else ''}{backward}")
+    if column is not None:
+        return float(np.nanmedian(column.si_values))
+    stated = table.metadata.get(_BIAS_KEY)
+    return None if stated is None else float(stated)
+
+
 def read_approach(
     height_m: ArrayLike,
     current_A: ArrayLike,
@@ -121,11 +202,22 @@ def read_approach(
         )
     present = np.isfinite(height) & np.isfinite(current)
     order = np.argsort(height[present], kind="stable")
-    clipped = np.zeros(len(order), dtype=bool)
-    lowest = rows_at_limit(current[present][order])
-    clipped[order[:lowest]] = True
-    used = np.flatnonzero(present)[~clipped]
-    _refuse_too_little(height[used], lowest, label)
+    saturated = rows_at_limit(current[present][order])
+    used = np.flatnonzero(present)[np.sort(order[saturated:])]
+    if len(used) < MIN_POINTS:
+        clipped = f", {saturated} more lie at the amplifier's limit" if saturated else ""
+        raise ExcitationError(
+            f"{label}: {len(used)} rows hold both a height and a current{clipped}",
+            needed=f"at least {MIN_POINTS}",
+            remedy="Record the sweep again with more points.",
+            points=len(used),
+        )
+    if not np.ptp(height[used]) > 0.0:
+        raise ExcitationError(
+            f"{label}: all heights are {height[used][0]:.6g} m",
+            needed="a height that moves",
+            remedy="Pass the relative height of the sweep, in metres.",
+        )
     return ApproachCurve(
         label=label,
         direction=direction,
@@ -133,27 +225,10 @@ def read_approach(
         height_m=height[used],
         current_A=current[used],
         rows=len(height),
-        saturated=lowest,
+        saturated=saturated,
         pair=pair,
         duration_s=duration_s,
     )
-
-
-def _refuse_too_little(height_m: Array, saturated: int, label: str) -> None:
-    if len(height_m) < FEWEST_POINTS:
-        beside = f", {saturated} more lie at the amplifier's limit" if saturated else ""
-        raise ExcitationError(
-            f"{label}: {len(height_m)} rows hold both a height and a current{beside}",
-            needed=f"at least {FEWEST_POINTS}",
-            remedy="Record the sweep again with more points.",
-            points=len(height_m),
-        )
-    if not np.ptp(height_m) > 0.0:
-        raise ExcitationError(
-            f"{label}: all heights are {height_m[0]:.6g} m",
-            needed="a height that moves",
-            remedy="Pass the relative height of the sweep, in metres.",
-        )
 
 
 def rows_at_limit(current_A: Array) -> int:
@@ -164,37 +239,26 @@ def rows_at_limit(current_A: Array) -> int:
     Zero where no plateau is seen, or no fall behind it to compare it with. Rows up to where the
     current falls to 0.8 of the limit count: part of their readings may have been cut.
     """
-    if len(current_A) < 2 * _FEWEST:
+    rows = len(current_A)
+    if rows < 2 * _MIN_PLATEAU:
         return 0
-    nearest = current_A[: max(len(current_A) // 20, _FEWEST)]
+    nearest = current_A[: max(rows // 20, _MIN_PLATEAU)]
     upright_A = math.copysign(1.0, float(np.median(nearest))) * current_A
-    smooth_A = _running_median(upright_A)
-    limit_A = float(np.median(upright_A[:_FEWEST]))
+    limit_A = float(np.median(upright_A[:_MIN_PLATEAU]))
     if not limit_A > 0.0:
         return 0
-    shoulder = _first_below(smooth_A, _SHOULDER * limit_A)
-    half = _first_below(smooth_A, _HALF * limit_A)
-    flat = shoulder > _TOO_LONG * _EXPONENTIAL * max(half - shoulder, 1)
-    falls = half < len(current_A)
-    if not (falls and (_repeats(upright_A) or (flat and shoulder >= _FEWEST))):
-        return 0
-    return _first_below(smooth_A, _CLEAR * limit_A)
+    padded = np.pad(upright_A, _SMOOTHED // 2, mode="edge")
+    smooth_A = np.median(np.lib.stride_tricks.sliding_window_view(padded, _SMOOTHED), axis=1)
 
+    def first_below(share: float) -> int:
+        below = np.flatnonzero(smooth_A < share * limit_A)
+        return int(below[0]) if len(below) else rows
 
-def _first_below(current_A: Array, level_A: float) -> int:
-    """The first row below a level; all rows where none is."""
-    below = np.flatnonzero(current_A < level_A)
-    return int(below[0]) if len(below) else len(current_A)
-
-
-def _repeats(upright_A: Array) -> bool:
-    at_limit = (upright_A >= upright_A.max()).astype(np.float64)
-    runs = np.convolve(at_limit, np.ones(_REPEATED), mode="valid")
-    return bool(np.any(runs >= _REPEATED)) and not bool(at_limit.all())
-
-
-def _running_median(values: Array) -> Array:
-    side = _SMOOTHED // 2
-    padded = np.concatenate([np.full(side, values[0]), values, np.full(side, values[-1])])
-    windows = np.lib.stride_tricks.sliding_window_view(padded, _SMOOTHED)
-    return np.asarray(np.median(windows, axis=1))
+    shoulder, half = first_below(_SHOULDER), first_below(_HALF)
+    is_flat = shoulder > _TOO_LONG * _EXPONENTIAL * max(half - shoulder, 1)
+    is_largest = upright_A >= upright_A.max()
+    neighbours = np.convolve(is_largest.astype(np.float64), np.ones(_REPEATED), mode="valid")
+    repeats = bool(np.any(neighbours >= _REPEATED)) and not bool(is_largest.all())
+    if half < rows and (repeats or (is_flat and shoulder >= _MIN_PLATEAU)):
+        return first_below(_CLEAR)
+    return 0

@@ -13,20 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.identification.tunnelling.approach import ApproachCurve
-from piezoid.identification.tunnelling.confidence import (
-    Confidence,
-    Reason,
-    SweepEvidence,
-    judge,
-)
+from piezoid.identification.tunnelling.confidence import Confidence, Reason, lowest_grade
 from piezoid.identification.tunnelling.current_noise import CurrentChain, CurrentNoise
-from piezoid.identification.tunnelling.exponential_fit import fit_exponential, profile_interval
 from piezoid.identification.tunnelling.weighted_fit import (
     CLEAR_OF_FLOOR,
     OUTLIER,
     TipJump,
     WeightedFit,
+    fit_exponential,
     fit_sweeps,
+    profile_interval,
 )
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.robust import NORMAL_95, student_quantile
@@ -37,6 +33,36 @@ from piezoid.operators.tunnelling import barrier_of_decay
 BLOCKS = 8
 MIN_POINTS = 20  # clear of the noise, to compare the slopes of both halves of a sweep
 TINY = 1e-300
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepEvidence:
+    """Properties of the sweeps and of their fit that decide how far the barrier may be trusted.
+
+    points             used in the fit
+    rows               of the recordings
+    saturated          rows excluded because the amplifier was at its limit
+    peak_A             largest modelled current
+    floor_A            rms noise without current
+    relative_noise     noise proportional to the current, 1
+    jumps              number of tip jumps
+    largest_jump       nepers, of the largest magnitude
+    reaches_floor      the sweep reaches heights at which the current is below the noise
+    slope_change       decay of the weak half over that of the strong half, minus one
+    outliers           fraction of the points beyond three standard deviations
+    """
+
+    points: int
+    rows: int
+    saturated: int
+    peak_A: float
+    floor_A: float
+    relative_noise: float
+    jumps: int
+    largest_jump: float
+    reaches_floor: bool
+    slope_change: float
+    outliers: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -128,8 +154,8 @@ def fit_barrier(
         max(decay - math.hypot(decay - low, calibration), 0.0),
         decay + math.hypot(high - decay, calibration),
     )
-    evidence = _evidence(state, curves, interval)
-    confidence, reasons = judge(evidence)
+    evidence = _evidence(state, curves)
+    confidence, reasons = lowest_grade(barrier_reasons(evidence, decay, interval))
     amplitude_A = [state.fit.amplitude_A[state.first_piece(n)] for n in range(sweeps)]
     log_current = float(np.mean(np.log(np.maximum(amplitude_A, TINY)))) + decay * state.lowest_m
     return BarrierFit(
@@ -163,41 +189,118 @@ def _decay_of_each_sweep(state: WeightedFit, sweeps: int) -> tuple[float, ...]:
             points,
             height_m=points.height_m[chosen],
             current_A=points.current_A[chosen],
-            piece=np.unique(points.piece[chosen], return_inverse=True)[1].astype(float),
+            piece=np.unique(points.piece[chosen], return_inverse=True)[1],
             weight=points.weight[chosen],
         )
         decays.append(fit_exponential(part).decay_per_m)
     return tuple(decays)
 
 
-def _evidence(
-    state: WeightedFit, curves: Sequence[ApproachCurve], interval: tuple[float, float]
-) -> SweepEvidence:
+def _evidence(state: WeightedFit, curves: Sequence[ApproachCurve]) -> SweepEvidence:
     mean_A, floor_A = state.mean_A, state.noise.floor_A
-    peak_A = float(mean_A.max())
     deviation = np.sqrt(state.noise.variance(mean_A))
     return SweepEvidence(
         points=sum(curve.points for curve in curves),
         rows=sum(curve.rows for curve in curves),
         saturated=sum(curve.saturated for curve in curves),
-        peak_A=peak_A,
+        peak_A=float(mean_A.max()),
         floor_A=floor_A,
-        decades=math.log10(max(peak_A, 1e-30) / (CLEAR_OF_FLOOR * floor_A)),
         relative_noise=state.noise.relative,
         jumps=len(state.jumps),
         largest_jump=max((jump.nepers for jump in state.jumps), key=abs, default=0.0),
-        barrier_eV=barrier_of_decay(state.fit.decay_per_m),
-        barrier_low_eV=barrier_of_decay(interval[0]),
-        barrier_high_eV=barrier_of_decay(interval[1]),
         reaches_floor=bool(mean_A.min() < floor_A),
         slope_change=_slope_change(state),
         outliers=float(np.mean(np.abs(state.residual_A) > OUTLIER * deviation)),
     )
 
 
+def barrier_reasons(
+    evidence: SweepEvidence, decay_per_m: float, interval_per_m: tuple[float, float]
+) -> tuple[Reason, ...]:
+    """Return what speaks against a barrier, in the order of these rules.
+
+    decay_per_m, interval_per_m  k and its 95 % interval, of these sweeps or of all of a tip
+    """
+    points, rows, saturated = evidence.points, evidence.rows, evidence.saturated
+    peak_A, floor_A = evidence.peak_A, evidence.floor_A
+    decades = math.log10(max(peak_A, 1e-30) / (CLEAR_OF_FLOOR * floor_A))
+    barrier_eV = barrier_of_decay(decay_per_m)
+    low_eV, high_eV = (barrier_of_decay(end) for end in interval_per_m)
+    jump, slope = evidence.largest_jump, evidence.slope_change
+    rules = (  # quantity; above it medium, above it low confidence; sentence
+        (saturated / rows, 0.0, 0.5, f"{saturated} of {rows} rows lie at the amplifier's limit"),
+        (
+            1.0 - (points + saturated) / rows,
+            0.1,
+            0.5,
+            f"{rows - points - saturated} of {rows} rows hold no number",
+        ),
+        (-points, -40, -20, f"only {points} points"),
+        (
+            -decades,
+            -2.5,
+            -1.5,
+            f"the current spans {decades:.2g} decades above three times its noise: "
+            f"{peak_A:.3g} A at most, noise {floor_A:.3g} A",
+        ),
+        (
+            (high_eV - low_eV) / barrier_eV,
+            0.2,
+            0.5,
+            f"the 95 % interval runs from {low_eV:.3g} to {high_eV:.3g} eV",
+        ),
+        (
+            evidence.relative_noise,
+            0.1,
+            0.3,
+            f"the current fluctuates by {100 * evidence.relative_noise:.2g} % of itself: "
+            "unstable tip",
+        ),
+        (
+            evidence.jumps,
+            0,
+            1,
+            f"{evidence.jumps} tip jump(s), the largest of {jump:.2g} nepers",
+        ),
+        (abs(jump), 0.3, 1.0, f"a tip jump of {jump:.2g} nepers"),
+        (
+            float(not evidence.reaches_floor),
+            0.5,
+            np.inf,
+            f"the sweep ends above the noise of {floor_A:.3g} A: the offset rests on the fitted "
+            "law",
+        ),
+        (
+            abs(slope),
+            0.1,
+            0.3,
+            f"the decay of the weaker half differs by {100 * slope:.2g} % from that of the "
+            "stronger: creep of the height, or not one exponential",
+        ),
+        (
+            evidence.outliers,
+            0.05,
+            0.2,
+            f"{100 * evidence.outliers:.2g} % of the points are outliers",
+        ),
+        (
+            max(barrier_eV / 7.0, 0.05 / barrier_eV),
+            1.0,
+            2.0,
+            f"a barrier of {barrier_eV:.3g} eV lies outside 0.05 to 7 eV: is the height in "
+            "metres, and is its calibration right?",
+        ),
+    )
+    return tuple(
+        Reason(grade=Confidence.MEDIUM if quantity <= low else Confidence.LOW, text=text)
+        for quantity, medium, low, text in rules
+        if not quantity <= medium
+    )
+
+
 def _slope_change(state: WeightedFit) -> float:
     """Return the relative difference of the decay of the far half to that of the near half."""
-    clear = state.clear > 0.0
+    clear = state.is_clear
     if clear.sum() < MIN_POINTS:
         return 0.0
     height_m = state.points.height_m

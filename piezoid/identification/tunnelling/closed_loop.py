@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.tunnelling.confidence import Confidence, Reason
+from piezoid.identification.tunnelling.confidence import Confidence, Reason, lowest_grade
 from piezoid.identification.tunnelling.instrument_fit import (
     HIGHEST_POLE_SHARE,
     MISFIT,
     InstrumentFit,
-    LEAST_POLE_Hz,
+    MIN_POLE_Hz,
     ModeEstimate,
     bounds_of_logs,
     fit_with_instrument,
@@ -135,11 +135,10 @@ def identify_closed_loop(
     """
     offset = offset_A or Offset(value_A=0.0, standard_A=_UNKNOWN_OFFSET_A)
     record = replace(record, current_A=record.current_A - offset.value_A)
+    rate_Hz = record.sampling_rate_Hz
     through = None
     for _ in range(_PASSES):
-        spectra = spectra_of_dither(
-            record, highest_Hz=_HIGHEST_SHARE * record.sampling_rate_Hz, through=through
-        )
+        spectra = spectra_of_dither(record, highest_Hz=_HIGHEST_SHARE * rate_Hz, through=through)
         if through is None:
             _refuse_falling(spectra, record)
         fit = fit_with_instrument(
@@ -148,18 +147,21 @@ def identify_closed_loop(
             amplifier_pole_Hz=amplifier_pole_Hz,
             sensor_pole_Hz=sensor_pole_Hz,
             known_mode=known_mode,
-            sampling_rate_Hz=record.sampling_rate_Hz,
+            sampling_rate_Hz=rate_Hz,
         )
         through = fit.plant
-    fit = _with_offset(fit, offset.standard_A / abs(record.set_point_A))
+    # An unknown offset moves ln i of every record by the same share.
+    of_offset = np.zeros((3, 3))
+    of_offset[0, 0] = (offset.standard_A / abs(record.set_point_A)) ** 2
+    fit = replace(fit, covariance=fit.covariance + of_offset, common=fit.common + of_offset)
     naive_gain, share = _naive(record)
     low, high = _intervals(fit, spectra.blocks, declared=sensor_pole_Hz is not None)
     decay = fit.plant.gain_nepers_per_V / drive_gain_m_per_V
     half = math.hypot(high[0] - fit.logs[0], 1.96 * drive_gain_relative_uncertainty)
-    period_s = 1.0 / record.sampling_rate_Hz
     confidence, reasons = _judge(
-        fit, high[0] - fit.logs[0], record, declared=sensor_pole_Hz is not None
+        fit, high[0] - fit.logs[0], rate_Hz, declared=sensor_pole_Hz is not None
     )
+    naive_error = 100.0 * (naive_gain / fit.plant.gain_nepers_per_V - 1.0)
     return ClosedLoopFit(
         label=record.label,
         plant=fit.plant,
@@ -167,10 +169,8 @@ def identify_closed_loop(
         covariance=fit.covariance,
         common=fit.common,
         gain_interval=(math.exp(low[0]), math.exp(high[0])),
-        sensor_pole_interval_Hz=pole_interval(
-            low[1], high[1], record.sampling_rate_Hz, sensor_pole_Hz
-        ),
-        delay_interval_s=(max(float(low[2]), 0.0) * period_s, float(high[2]) * period_s),
+        sensor_pole_interval_Hz=pole_interval(low[1], high[1], rate_Hz, sensor_pole_Hz),
+        delay_interval_s=(max(float(low[2]), 0.0) / rate_Hz, float(high[2]) / rate_Hz),
         decay_per_m=decay,
         barrier_eV=barrier_of_decay(decay),
         barrier_interval_eV=(
@@ -178,7 +178,12 @@ def identify_closed_loop(
             barrier_of_decay(decay * math.exp(half)),
         ),
         naive_gain=naive_gain,
-        naive_reason=_naive_reason(naive_gain / fit.plant.gain_nepers_per_V - 1.0, share),
+        naive_reason=(
+            f"{100.0 * share:.0f} % of the drive's movement is dither; the rest is converter "
+            "steps and the controller's answer to noise, which mixes minus the controller's "
+            "inverse into the plain transfer function: at low frequency its gain is off by "
+            f"{naive_error:+.0f} %"
+        ),
         dither_share=share,
         confidence=confidence,
         reasons=reasons,
@@ -188,14 +193,13 @@ def identify_closed_loop(
 
 
 def _refuse_falling(spectra: LoopSpectra, record: LoopRecord) -> None:
-    """A current that falls as the drive rises is of another sign of the drive than ours."""
+    """Refuse a current that falls as the drive rises: the drive has the opposite sign."""
     flat = spectra.frequency_Hz <= _FLAT_SHARE * record.sampling_rate_Hz
     instrument = spectra.reference.conj()
     drive = np.mean(spectra.drive * instrument, axis=0)[flat]
     output = np.mean(spectra.output * instrument, axis=0)[flat]
-    both = float(np.sqrt(np.sum(np.abs(drive) ** 2) * np.sum(np.abs(output) ** 2)))
-    along = float(np.sum(drive.conj() * output).real)
-    if along < -_OPPOSED * both:
+    power = float(np.sqrt(np.sum(np.abs(drive) ** 2) * np.sum(np.abs(output) ** 2)))
+    if float(np.sum(drive.conj() * output).real) < -_OPPOSED * power:
         raise ExcitationError(
             f"{record.label}: the current falls as the drive rises",
             needed="a drive counted positive where it extends the tip",
@@ -204,28 +208,13 @@ def _refuse_falling(spectra: LoopSpectra, record: LoopRecord) -> None:
 
 
 def _naive(record: LoopRecord) -> tuple[float, float]:
-    """The gain a plain transfer function shows where the plant is flat, and the dither's share."""
+    """Return the gain of a plain transfer function where the plant is flat, and dither's share."""
     rate_Hz = record.sampling_rate_Hz
     spectra = spectra_of_all(record, highest_Hz=_HIGHEST_SHARE * rate_Hz)
     cross = np.sum(spectra.output * spectra.drive.conj(), axis=0)
-    plain = np.abs(cross) / np.maximum(np.sum(np.abs(spectra.drive) ** 2, axis=0), 1e-300)
+    gain = np.abs(cross) / np.maximum(np.sum(np.abs(spectra.drive) ** 2, axis=0), 1e-300)
     flat = spectra.frequency_Hz <= _FLAT_SHARE * rate_Hz
-    return float(np.median(plain[flat])), spectra.dither_share
-
-
-def _naive_reason(error: float, share: float) -> str:
-    return (
-        f"{100.0 * share:.0f} % of the drive's movement is dither; the rest is converter steps "
-        "and the controller's answer to noise, which mixes minus the controller's inverse into "
-        f"the plain transfer function: at low frequency its gain is off by {100.0 * error:+.0f} %"
-    )
-
-
-def _with_offset(fit: InstrumentFit, relative: float) -> InstrumentFit:
-    """An offset that is not known moves ln i of every record by the same part of itself."""
-    more = np.zeros((3, 3))
-    more[0, 0] = relative**2
-    return replace(fit, covariance=fit.covariance + more, common=fit.common + more)
+    return float(np.median(gain[flat])), spectra.dither_share
 
 
 def _intervals(fit: InstrumentFit, blocks: int, *, declared: bool) -> tuple[Array, Array]:
@@ -253,7 +242,7 @@ def pole_interval(
 
 
 def _judge(
-    fit: InstrumentFit, half: float, record: LoopRecord, *, declared: bool
+    fit: InstrumentFit, half: float, rate_Hz: float, *, declared: bool
 ) -> tuple[Confidence, tuple[Reason, ...]]:
     reasons = []
     width = 2.0 * half
@@ -274,9 +263,8 @@ def _judge(
         )
         reasons.append(Reason(grade=Confidence.MEDIUM, text=text))
     pole_Hz = fit.plant.sensor_pole_Hz
-    highest_Hz = HIGHEST_POLE_SHARE * record.sampling_rate_Hz
-    if not declared and not 1.01 * LEAST_POLE_Hz < pole_Hz < 0.99 * highest_Hz:
+    highest_Hz = HIGHEST_POLE_SHARE * rate_Hz
+    if not declared and not 1.01 * MIN_POLE_Hz < pole_Hz < 0.99 * highest_Hz:
         text = f"sensor pole at {1e-3 * pole_Hz:.3g} kHz, the end of what is sought, or beyond"
         reasons.append(Reason(grade=Confidence.MEDIUM, text=text))
-    reasons.sort(key=lambda reason: reason.grade is not Confidence.LOW)
-    return (reasons[0].grade if reasons else Confidence.HIGH), tuple(reasons)
+    return lowest_grade(reasons)

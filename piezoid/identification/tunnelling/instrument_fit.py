@@ -37,7 +37,7 @@ from piezoid.numerics.arrays import Array
 
 ComplexArray = NDArray[np.complex128]
 
-LEAST_POLE_Hz = 100.0
+MIN_POLE_Hz = 100.0
 HIGHEST_POLE_SHARE = 0.5  # of the sampling rate
 # Standard deviation of ln(true pole / data sheet's): a tolerance of 10 %, anything inside alike.
 POLE_SPREAD = 0.1 / math.sqrt(3.0)
@@ -158,7 +158,7 @@ def bounds_of_logs(
     or at twice the pole that is declared.
     """
     highest_Hz = max(HIGHEST_POLE_SHARE * sampling_rate_Hz, 2.0 * (declared_pole_Hz or 0.0))
-    return [-60.0, math.log(LEAST_POLE_Hz), 0.0], [60.0, math.log(highest_Hz), 8.0]
+    return [-60.0, math.log(MIN_POLE_Hz), 0.0], [60.0, math.log(highest_Hz), 8.0]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

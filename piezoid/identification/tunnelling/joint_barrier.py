@@ -9,7 +9,6 @@ so that a disagreement says that one of the two calibrations, or the spot, is an
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from piezoid.numerics.robust import NORMAL_95
@@ -38,31 +37,31 @@ class JointBarrier:
     barrier_interval_eV: Interval
 
 
-def join_barriers(
-    sweeps: Sequence[tuple[float, Interval]], loop: tuple[float, Interval]
-) -> JointBarrier:
-    """Combine decays with their 95 % intervals, in the logarithm, by inverse variance.
+def join_barriers(sweeps: tuple[float, Interval], loop: tuple[float, Interval]) -> JointBarrier:
+    """Combine two decays with their 95 % intervals, in the logarithm, by inverse variance.
 
-    sweeps  (decay, interval), 1/m, of all sweeps together or of parts that tell nothing of drift
-    loop    (decay, interval), 1/m
+    sweeps, loop  decay and interval, 1/m; an interval without an end counts as no information
 
-    Parts that differ by more than their intervals allow widen the mean by that much
-    (Birge's ratio). An interval without an end counts as no information.
+    Decays that differ by more than their standard deviations widen the mean by that much
+    (Birge's ratio).
     """
-    sweep, sweep_variance = _mean([_log(*pair) for pair in sweeps])
-    loop_log, loop_variance = _log(*loop)
-    half = NORMAL_95 * math.sqrt(sweep_variance + loop_variance)
-    log_ratio = loop_log - sweep
+    variances = [_log_variance(interval) for _, interval in (sweeps, loop)]
+    log_ratio = math.log(loop[0]) - math.log(sweeps[0])
+    half = NORMAL_95 * math.sqrt(sum(variances))
     agree = abs(log_ratio) <= half
-    joint = _mean([(sweep, sweep_variance), (loop_log, loop_variance)]) if agree else None
-    decay = None if joint is None else math.exp(joint[0])
-    ends = [*(interval for _, interval in sweeps), loop[1]]
-    interval = min(low for low, _ in ends), max(high for _, high in ends)
-    if joint is not None:
-        interval = _ends(joint[0], NORMAL_95 * math.sqrt(joint[1]))
+    decay = None
+    interval = min(sweeps[1][0], loop[1][0]), max(sweeps[1][1], loop[1][1])
+    if agree:
+        weights = [1.0 / max(variance, 1e-30) for variance in variances]
+        total = sum(weights)
+        share = weights[1] / total if total > 0.0 else 0.5
+        mean = math.log(sweeps[0]) + share * log_ratio
+        excess = weights[0] * share * log_ratio**2 if total > 0.0 else 0.0
+        spread = math.sqrt(max(excess, 1.0) / total) if total > 0.0 else math.inf
+        decay, interval = math.exp(mean), _around(mean, NORMAL_95 * spread)
     return JointBarrier(
         ratio=math.exp(log_ratio),
-        ratio_interval=_ends(log_ratio, half),
+        ratio_interval=_around(log_ratio, half),
         agree=agree,
         decay_per_m=decay,
         decay_interval_per_m=interval,
@@ -71,26 +70,15 @@ def join_barriers(
     )
 
 
-def _log(decay: float, interval: Interval) -> tuple[float, float]:
+def _log_variance(interval: Interval) -> float:
     low, high = interval
     if not (low > 0.0 and math.isfinite(high)):
-        return math.log(decay), math.inf
-    return math.log(decay), (math.log(high / low) / (2.0 * NORMAL_95)) ** 2
+        return math.inf
+    return (math.log(high / low) / (2.0 * NORMAL_95)) ** 2
 
 
-def _mean(parts: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Mean and variance, widened where the parts scatter more than their variances say."""
-    weights = [1.0 / max(variance, 1e-30) for _, variance in parts]
-    total = sum(weights)
-    if not total > 0.0:
-        return sum(value for value, _ in parts) / len(parts), math.inf
-    mean = sum(w * value for w, (value, _) in zip(weights, parts, strict=True)) / total
-    known = [(w, value) for w, (value, _) in zip(weights, parts, strict=True) if w > 0.0]
-    excess = sum(w * (value - mean) ** 2 for w, value in known) / max(len(known) - 1, 1)
-    return mean, max(excess, 1.0) / total
-
-
-def _ends(center: float, half: float) -> Interval:
+def _around(center: float, half: float) -> Interval:
+    """Return exp(center -+ half); everything positive where half is infinite."""
     if not math.isfinite(half):
         return 0.0, math.inf
     return math.exp(center - half), math.exp(center + half)

@@ -15,7 +15,6 @@ declared. Positive drive extends the tip: K > 0.
 
 import cmath
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,50 +79,30 @@ class JunctionPlant:
         if not self.delay_s >= 0.0:
             raise ValueError(f"delay_s is {self.delay_s}, expected at least 0")
 
-    def _whole_samples(self) -> tuple[int, float]:
-        """Whole samples n not below the delay, and the rest rho in seconds."""
+    def _terms(self, mode: DriveMode | None) -> tuple[int, list[tuple[complex, complex]]]:
+        """Return n, and for each pole its pulse pole e^(-p Ts) and c_p e^(-p rho).
+
+        c_p is minus the residue of the step response at -p.
+        """
         period_s = 1.0 / self.sampling_rate_Hz
         samples = math.ceil(self.delay_s / period_s - 1e-9)
-        return samples, max(samples * period_s - self.delay_s, 0.0)
-
-    def _poles(self) -> tuple[float, float]:
-        """Amplifier's and sensor's, rad/s."""
+        rest_s = max(samples * period_s - self.delay_s, 0.0)
         amplifier = 2.0 * math.pi * self.amplifier_pole_Hz
         sensor = 2.0 * math.pi * self.sensor_pole_Hz
         if abs(sensor / amplifier - 1.0) < 1e-6:
             sensor = amplifier * (1.0 + 1e-6)  # a double pole, split by less than it matters
-        return amplifier, sensor
-
-    def _modes(self) -> tuple[int, Sequence[tuple[float, float]]]:
-        """Whole samples n, and for each pole its pulse pole and c_p e^(-p rho)."""
-        period_s = 1.0 / self.sampling_rate_Hz
-        samples, rest_s = self._whole_samples()
-        amplifier, sensor = self._poles()
-        shares = (
-            (amplifier, sensor / (sensor - amplifier)),
-            (sensor, amplifier / (amplifier - sensor)),
-        )
-        modes = [
-            (math.exp(-pole * period_s), share * math.exp(-pole * rest_s))
-            for pole, share in shares
-        ]
-        return samples, modes
-
-    def _modes_beside(self, mode: DriveMode) -> tuple[int, Sequence[tuple[complex, complex]]]:
-        """The same with a mode of the drive: c_p = -residue of the step response at -p."""
-        period_s = 1.0 / self.sampling_rate_Hz
-        samples, rest_s = self._whole_samples()
-        poles: list[complex] = [*self._poles(), *mode.poles]
-        stiff = (2.0 * math.pi * mode.frequency_Hz) ** 2
-        top = math.prod(poles[:2])
-        modes = []
+        poles: list[complex] = [amplifier, sensor, *(() if mode is None else mode.poles)]
+        terms = []
         for k, pole in enumerate(poles):
-            through = pole**2 - pole * math.sqrt(stiff) / mode.quality + stiff
-            zeros = top * ((1.0 - mode.share) * through + mode.share * stiff)
-            others = math.prod(other - pole for other in poles[:k] + poles[k + 1 :])
-            share = zeros / (pole * others)
-            modes.append((cmath.exp(-pole * period_s), share * cmath.exp(-pole * rest_s)))
-        return samples, modes
+            numerator: complex = amplifier * sensor
+            if mode is not None:
+                stiffness = (2.0 * math.pi * mode.frequency_Hz) ** 2
+                spring = pole**2 - pole * math.sqrt(stiffness) / mode.quality + stiffness
+                numerator *= (1.0 - mode.share) * spring + mode.share * stiffness
+            distance = math.prod(zero - pole for zero in poles[:k] + poles[k + 1 :])
+            share = numerator / (pole * distance)
+            terms.append((cmath.exp(-pole * period_s), share * cmath.exp(-pole * rest_s)))
+        return samples, terms
 
     def frequency_response(
         self, frequency_Hz: Array, mode: DriveMode | None = None
@@ -132,17 +111,18 @@ class JunctionPlant:
 
         mode  of the drive, sampled with the plant; None: none
         """
-        samples, modes = self._modes() if mode is None else self._modes_beside(mode)
-        back = np.exp(-2j * np.pi * frequency_Hz / self.sampling_rate_Hz)
-        remainder = sum(share / (1.0 - pulse * back) for pulse, share in modes)
+        samples, terms = self._terms(mode)
+        delay = np.exp(-2j * np.pi * frequency_Hz / self.sampling_rate_Hz)
+        remainder = sum(share / (1.0 - pulse * delay) for pulse, share in terms)
         response: ComplexArray = (
-            self.gain_nepers_per_V * back**samples * (1.0 - (1.0 - back) * remainder)
+            self.gain_nepers_per_V * delay**samples * (1.0 - (1.0 - delay) * remainder)
         )
         return response
 
     def polynomials(self) -> tuple[Array, Array]:
         """Return B and A in q^-1 with G = B / A, A[0] = 1; the delay leads B as zeros."""
-        samples, ((pulse_a, share_a), (pulse_i, share_i)) = self._modes()
+        samples, terms = self._terms(None)
+        (pulse_a, share_a), (pulse_i, share_i) = ((p.real, c.real) for p, c in terms)
         pole_a, pole_i = np.array([1.0, -pulse_a]), np.array([1.0, -pulse_i])
         denominator = np.convolve(pole_a, pole_i)
         missing = np.convolve([1.0, -1.0], share_a * pole_i + share_i * pole_a)

@@ -20,7 +20,7 @@ from piezoid.records.recording import Quantity, Recording
 _LOST_FRACTION = 0.01  # of the samples below the floor: then the tip was not tunnelling
 
 _LOOP = (Quantity.VOLTAGE, Quantity.CURRENT, Quantity.REFERENCE)
-_NEAR = 2.0  # factor between the declared set point and the median current
+_SET_POINT_FACTOR = 2.0  # factor between the declared set point and the median current
 _RATE_TOLERANCE = 0.01
 _REPEATS = 1e-6  # of the span: how well the periods of a dither agree, as files print them
 
@@ -59,9 +59,6 @@ class LoopRecord:
             raise ValueError(f"{self.label}: sampling_rate_Hz is {self.sampling_rate_Hz}")
         if not self.floor_A > 0.0:
             raise ValueError(f"{self.label}: floor_A is {self.floor_A}, expected more than 0")
-        self._refuse_lost()
-
-    def _refuse_lost(self) -> None:
         upright_A = math.copysign(1.0, self.set_point_A) * self.current_A
         lost = int(np.count_nonzero(upright_A < self.floor_A))
         if lost > _LOST_FRACTION * self.samples:
@@ -77,6 +74,11 @@ class LoopRecord:
     def samples(self) -> int:
         """Number of ticks."""
         return len(self.drive_V)
+
+    @property
+    def period_s(self) -> float | None:
+        """Period of the dither; None where it does not repeat itself."""
+        return None if self.period_samples is None else self.period_samples / self.sampling_rate_Hz
 
     @property
     def log_current(self) -> Array:
@@ -158,19 +160,26 @@ def loops_of(recordings: Sequence[Recording], lab: Lab) -> tuple[LoopRig, tuple[
 
     recordings  at least one ``is_loop``, all of one axis and one rate
     """
-    held = [recording for recording in recordings if is_loop(recording)]
-    kinds = sorted({(r.axis, r.sampling_rate_Hz) for r in held})
-    if len(kinds) != 1:
-        told = ", ".join(f"{axis} at {rate_Hz:g} Hz" for axis, rate_Hz in kinds)
+    loops = [recording for recording in recordings if is_loop(recording)]
+    axes_and_rates = sorted({(r.axis, r.sampling_rate_Hz) for r in loops})
+    if len(axes_and_rates) != 1:
+        listed = ", ".join(f"{axis} at {rate_Hz:g} Hz" for axis, rate_Hz in axes_and_rates)
         raise RecordingError(
-            f"the closed loops are of {told}",
+            f"the closed loops are of {listed}",
             needed="one tip, one axis and one rate of the controller",
             remedy="Fit the tips one by one.",
         )
-    axis, rate_Hz = kinds[0]
-    _refuse_decimated(lab, held[0].name, rate_Hz)
+    axis, rate_Hz = axes_and_rates[0]
+    declared_Hz = lab.acquisition.sampling_rate_Hz
+    if declared_Hz is not None and abs(rate_Hz / declared_Hz - 1.0) > _RATE_TOLERANCE:
+        raise LabFileError(
+            f"{lab.place}: the controller runs at {declared_Hz:g} Hz, {loops[0].name} is recorded "
+            f"at {rate_Hz:g} Hz",
+            needed="every tick of the loop: what happens between rows is folded into them",
+            remedy="Record each tick, or correct sampling_rate_Hz under [acquisition].",
+        )
     rig = rig_of_loop(lab, axis)
-    return rig, tuple(read_loop(recording, rig, place=lab.place) for recording in held)
+    return rig, tuple(read_loop(recording, rig, place=lab.place) for recording in loops)
 
 
 def read_loop(recording: Recording, rig: LoopRig, *, place: str = "lab.toml") -> LoopRecord:
@@ -178,15 +187,15 @@ def read_loop(recording: Recording, rig: LoopRig, *, place: str = "lab.toml") ->
 
     A reference that repeats itself is used period by period; any other as it is.
     """
-    stretch = max(recording.pieces, key=lambda part: part.stop - part.start)
-    found = [recording.find(quantity, rig.axis) for quantity in _LOOP]
-    drive_V, current_A, reference = (c.values[stretch] for c in found if c is not None)
+    longest = max(recording.pieces, key=lambda piece: piece.stop - piece.start)
+    channels = [recording.find(quantity, rig.axis) for quantity in _LOOP]
+    drive_V, current_A, reference = (c.values[longest] for c in channels if c is not None)
     median_A = float(np.median(current_A))
-    if not 1.0 / _NEAR < abs(median_A / rig.set_point_A) < _NEAR:
+    if not 1.0 / _SET_POINT_FACTOR < abs(median_A / rig.set_point_A) < _SET_POINT_FACTOR:
         raise LabFileError(
             f"{place}: [tunnelling] set_point_A is {rig.set_point_A:.3g} A, the median current of "
             f"{recording.name} is {median_A:.3g} A",
-            needed=f"a set point within a factor of {_NEAR:g} of the current the loop held",
+            needed=f"a set point within a factor of {_SET_POINT_FACTOR:g} of that current",
             remedy="Correct the set point, or the unit of the current's column.",
         )
     return LoopRecord(
@@ -216,15 +225,3 @@ def period_of(reference: Array) -> int | None:
         if shift > 1 and np.abs(level[shift:] - level[:-shift]).max() <= _REPEATS * span:
             return int(shift)
     return None
-
-
-def _refuse_decimated(lab: Lab, name: str, rate_Hz: float) -> None:
-    """A loop recorded at another rate than it ran at is not the loop."""
-    declared_Hz = lab.acquisition.sampling_rate_Hz
-    if declared_Hz is not None and abs(rate_Hz / declared_Hz - 1.0) > _RATE_TOLERANCE:
-        raise LabFileError(
-            f"{lab.place}: the controller runs at {declared_Hz:g} Hz, {name} is recorded at "
-            f"{rate_Hz:g} Hz",
-            needed="every tick of the loop: what happens between rows is folded into them",
-            remedy="Record each tick, or correct sampling_rate_Hz under [acquisition].",
-        )

@@ -1,43 +1,28 @@
-"""LoopPlant: what a model carries on of a closed loop, over all of its records."""
+"""LoopPlant: the plant of a tip over all of its closed-loop records, and the family around it.
+
+Two spreads add in the family: what each record leaves uncertain, and what truly differs from
+record to record (tip, spot, temperature).
+"""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit, pole_interval
 from piezoid.identification.tunnelling.confidence import Confidence
-from piezoid.identification.tunnelling.family import PlantFamily, mean_of
+from piezoid.identification.tunnelling.instrument_fit import bounds_of_logs
 from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRig
-from piezoid.identification.tunnelling.loop_noise import LoopNoise, MainsLine, NoiseSource
+from piezoid.identification.tunnelling.loop_noise import LoopNoise
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.robust import NORMAL_95, student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid.record_json import Interval
 
 _GRADES = (Confidence.LOW, Confidence.MEDIUM, Confidence.HIGH)
-
-
-@dataclass(frozen=True, kw_only=True)
-class GapUnrest:
-    """What moved the gap during one record, and what limits its resolution.
-
-    drift_m_per_s        > 0 where the gap opens, and its 95 % interval
-    mains                harmonics found
-    bandwidth_Hz         of the figures below
-    gap_rms_m            of the disturbance, drift taken out
-    sources              shot, johnson, adc_step, drive_step, gap; 0 where nothing is known of one
-    limiting_source      the largest of all
-    limiting_electronics the largest but for the gap's own unrest
-    """
-
-    drift_m_per_s: float
-    drift_interval_m_per_s: Interval
-    mains: tuple[MainsLine, ...]
-    bandwidth_Hz: float
-    gap_rms_m: float
-    sources: tuple[NoiseSource, ...]
-    limiting_source: str
-    limiting_electronics: str
+_MIN_RECORDS = 3  # to see the spread between records
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +36,7 @@ class LoopSummary:
     naive_reason  why it differs
     dither_share  how much of the drive's power is dither
     period_s      of the dither; None where it does not repeat itself
-    unrest        None where the record is too short for it
+    unrest        motion of the gap; None where the record is too short for it
     """
 
     recording: str
@@ -63,7 +48,7 @@ class LoopSummary:
     naive_reason: str
     dither_share: float
     period_s: float | None
-    unrest: GapUnrest | None
+    unrest: LoopNoise | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,25 +90,18 @@ class LoopPlant:
 
 
 def describe_loop_plant(
-    fits: Sequence[ClosedLoopFit],
-    family: PlantFamily,
-    *,
-    drive_gain_m_per_V: float,
-    drive_gain_relative_uncertainty: float = 0.0,
-    rig: LoopRig | None = None,
-    records: Sequence[LoopSummary] = (),
+    fits: Sequence[ClosedLoopFit], rig: LoopRig, records: Sequence[LoopSummary] = ()
 ) -> LoopPlant:
-    """Take from the fits of one tip's records and the family around them what a model carries on.
+    """Combine the fits of one tip's records into its plant and the family around it.
 
     A single record's own intervals are kept; those of a mean rest on the scatter of the records.
     """
-    nominal = family.members[0]
+    family = spread_family(fits)
     gain, pole_Hz, delay_s = _intervals(fits)
-    decay = nominal.gain_nepers_per_V / drive_gain_m_per_V
-    half = math.hypot(0.5 * math.log(gain[1] / gain[0]), 1.96 * drive_gain_relative_uncertainty)
-    worst = max(fits, key=lambda fit: abs(fit.naive_error))
+    decay = family[0].gain_nepers_per_V / rig.drive_gain_m_per_V
+    half = math.hypot(0.5 * math.log(gain[1] / gain[0]), 1.96 * rig.extension_uncertainty)
     return LoopPlant(
-        plant=nominal,
+        plant=family[0],
         gain_interval=gain,
         sensor_pole_interval_Hz=pole_Hz,
         delay_interval_s=delay_s,
@@ -133,12 +111,16 @@ def describe_loop_plant(
             barrier_of_decay(decay * math.exp(half)),
         ),
         naive_gain=math.exp(sum(math.log(fit.naive_gain) for fit in fits) / len(fits)),
-        naive_reason=worst.naive_reason,
-        family=family.members,
-        family_records=family.records,
+        naive_reason=max(fits, key=lambda fit: abs(fit.naive_error)).naive_reason,
+        family=family,
+        family_records=len(fits),
         confidence=min((fit.confidence for fit in fits), key=_GRADES.index),
-        reasons=_reasons(fits),
-        axis="" if rig is None else rig.axis,
+        reasons=tuple(
+            reason.text if len(fits) == 1 else f"{fit.label}: {reason.text}"
+            for fit in fits
+            for reason in fit.reasons
+        ),
+        axis=rig.axis,
         rig=rig,
         records=tuple(records),
         modes=tuple(fit.mode.mode for fit in fits if fit.mode is not None),
@@ -148,7 +130,7 @@ def describe_loop_plant(
 def summarise_record(
     fit: ClosedLoopFit, noise: LoopNoise | None, period_s: float | None
 ) -> LoopSummary:
-    """Take from one record's fit and noise what a model carries on."""
+    """Return what a model keeps of one record's fit and noise."""
     return LoopSummary(
         recording=fit.label,
         gain=fit.plant.gain_nepers_per_V,
@@ -159,42 +141,99 @@ def summarise_record(
         naive_reason=fit.naive_reason,
         dither_share=fit.dither_share,
         period_s=period_s,
-        unrest=None if noise is None else _unrest(noise),
+        unrest=noise,
     )
+
+
+def spread_family(fits: Sequence[ClosedLoopFit]) -> tuple[JunctionPlant, ...]:
+    """Return the family of plants that a controller for these junctions has to hold.
+
+        Sigma = within + between,   members theta +- q Sigma e_j / sqrt(Sigma_jj)
+
+    fits      of one rig; several spots, tips or days make the family representative
+    returned  the nominal plant, then those of lowest and highest gain, sensor pole and delay,
+              each with the others where the data put them in that case
+
+    ``q`` is Student's for one further junction. A member is where an ellipsoid touches its
+    bounding box: there gain, pole or delay is extreme and the others follow their correlation, no
+    further than a pole and a delay are ever sought: a record that cannot tell one from the other
+    allows neither to be anything.
+    """
+    mean = np.mean([fit.logs for fit in fits], axis=0)
+    own, between, common = _covariances(fits)
+    covariance, reach = own + common, NORMAL_95
+    if between is not None:
+        covariance = between + (between + own) / len(fits) + common
+        reach = float(student_quantile(0.975, len(fits) - 1))
+    nominal = _plant(mean, fits[0].plant)
+    low, high = bounds_of_logs(nominal.sampling_rate_Hz, fits[0].declared_pole_Hz)
+    members = [nominal]
+    for column in range(3):
+        arm = reach * covariance[:, column] / max(math.sqrt(covariance[column, column]), 1e-300)
+        for step in (-arm, arm):
+            # Pole and delay that look alike go up and down together: cut one by one at their
+            # bounds they would leave that line, and with it what the record does know.
+            room = np.where(step > 0.0, np.subtract(high, mean), np.subtract(mean, low))
+            share = min(1.0, *room[1:] / np.maximum(np.abs(step[1:]), 1e-300))
+            members.append(_plant(mean + step * np.array([1.0, share, share]), nominal))
+    return tuple(members)
+
+
+def mean_of(fits: Sequence[ClosedLoopFit]) -> tuple[Array, Array]:
+    """Return the mean of several records' logs and half its 95 % interval, (3,) each.
+
+    Where the spread between records cannot be seen, the uncertainty of each counts, or the
+    distance of two where that is more [Birge 1932]. What the declared poles leave open is the same
+    in all of them and does not average.
+    """
+    logs = np.array([fit.logs for fit in fits])
+    own, between, common = _covariances(fits)
+    if between is None:
+        reach = NORMAL_95
+        scatter = np.var(logs, axis=0, ddof=min(len(fits) - 1, 1))
+        total = np.maximum(np.diag(own), scatter)
+    else:
+        reach = float(student_quantile(0.975, len(fits) - 1))
+        total = np.diag(between + own)
+    alike = NORMAL_95**2 * np.diag(common)
+    return logs.mean(axis=0), np.sqrt(reach**2 * total / len(fits) + alike)
+
+
+def _covariances(fits: Sequence[ClosedLoopFit]) -> tuple[Array, Array | None, Array]:
+    """Return the covariance of a record's own, between records, and common to all of a rig.
+
+    The second is the scatter of the estimates less the first [DerSimonian & Laird 1986, in three
+    dimensions]; None with fewer than three records, which cannot show it.
+    """
+    common = np.mean([fit.common for fit in fits], axis=0)
+    own = np.mean([fit.covariance - fit.common for fit in fits], axis=0)
+    if len(fits) < _MIN_RECORDS:
+        return own, None, common
+    scatter = np.cov([fit.logs for fit in fits], rowvar=False)
+    values, vectors = np.linalg.eigh(scatter - own)
+    return own, (vectors * np.maximum(values, 0.0)) @ vectors.T, common
 
 
 def _intervals(fits: Sequence[ClosedLoopFit]) -> tuple[Interval, Interval, Interval]:
+    """Return the 95 % intervals of gain, sensor pole and delay."""
     if len(fits) == 1:
-        one = fits[0]
-        return one.gain_interval, one.sensor_pole_interval_Hz, one.delay_interval_s
+        fit = fits[0]
+        return fit.gain_interval, fit.sensor_pole_interval_Hz, fit.delay_interval_s
     center, half = mean_of(fits)
-    period_s = 1.0 / fits[0].plant.sampling_rate_Hz
-    ends: list[Array] = [center - half, center + half]
-    gain = (math.exp(ends[0][0]), math.exp(ends[1][0]))
-    pole_Hz = pole_interval(
-        ends[0][1], ends[1][1], fits[0].plant.sampling_rate_Hz, fits[0].declared_pole_Hz
-    )
-    longest_s = max(float(ends[1][2]), 0.0) * period_s
+    low, high = center - half, center + half
+    rate_Hz = fits[0].plant.sampling_rate_Hz
+    pole_Hz = pole_interval(low[1], high[1], rate_Hz, fits[0].declared_pole_Hz)
+    longest_s = max(float(high[2]), 0.0) / rate_Hz
     if not math.isfinite(pole_Hz[1]):  # then the pole may be a delay of its own
         longest_s = max(longest_s, *(fit.delay_interval_s[1] for fit in fits))
-    delay_s = (max(float(ends[0][2]), 0.0) * period_s, longest_s)
-    return gain, pole_Hz, delay_s
+    delay_s = (max(float(low[2]), 0.0) / rate_Hz, longest_s)
+    return (math.exp(low[0]), math.exp(high[0])), pole_Hz, delay_s
 
 
-def _reasons(fits: Sequence[ClosedLoopFit]) -> tuple[str, ...]:
-    if len(fits) == 1:
-        return tuple(reason.text for reason in fits[0].reasons)
-    return tuple(f"{fit.label}: {reason.text}" for fit in fits for reason in fit.reasons)
-
-
-def _unrest(noise: LoopNoise) -> GapUnrest:
-    return GapUnrest(
-        drift_m_per_s=noise.drift_m_per_s,
-        drift_interval_m_per_s=noise.drift_interval_m_per_s,
-        mains=noise.mains,
-        bandwidth_Hz=noise.bandwidth_Hz,
-        gap_rms_m=noise.gap_rms_m,
-        sources=noise.sources,
-        limiting_source=noise.limiting_source,
-        limiting_electronics=noise.limiting_electronics,
+def _plant(logs: Array, nominal: JunctionPlant) -> JunctionPlant:
+    return replace(
+        nominal,
+        gain_nepers_per_V=math.exp(float(logs[0])),
+        sensor_pole_Hz=math.exp(float(logs[1])),
+        delay_s=max(float(logs[2]), 0.0) / nominal.sampling_rate_Hz,
     )

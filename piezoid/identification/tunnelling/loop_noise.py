@@ -1,6 +1,6 @@
-"""What moves the gap while the loop is closed: spectrum, mains lines, drift, limit of resolution.
+"""Motion of the gap while the loop is closed: drift, mains lines, spectrum, limit of resolution.
 
-The disturbance is what the drive does not explain, turned into metres,
+The motion is what the drive does not explain of the log current, in metres,
 
     d = -(y - G u) / k        > 0 where the gap was opened
 
@@ -12,18 +12,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
-from piezoid.identification.tunnelling.loop_files import LoopRecord
-from piezoid.numerics.arrays import Array, freeze
+from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig
+from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import student_quantile
+from piezoid.record_json import Interval
+from piezoid.records.sample_statistics import step_size
 
 _MAINS_Hz = (50.0, 60.0)
 _HARMONICS = 6
-_SEEN = 10.0  # power over its expectation in noise; exceeded once in 20000
+_PEAK_RATIO = 10.0  # power over its expectation in noise; exceeded once in 20000
 _DRIFT_BLOCKS = 10
-_LEAST_DURATION_s = 0.5
+_MIN_DURATION_s = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,89 +51,81 @@ class NoiseSource:
     rms_m: float
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True)
 class LoopNoise:
-    """The disturbance of the gap and what limits the resolution.
+    """Motion of the gap during one record, and what limits its resolution.
 
-    frequency_Hz          (lines,)
-    density_m2_per_Hz     (lines,)  one-sided
-    mains                 lines found, none where none stands out
-    drift_m_per_s         > 0 where the gap opens
-    drift_interval_m_per_s  95 %
-    bandwidth_Hz          of the figures below
-    gap_rms_m             of the disturbance, drift taken out
-    sources               electronics first, then what is left: the gap itself
+    drift_m_per_s        > 0 where the gap opens, and its 95 % interval
+    mains                harmonics of the mains that stand out
+    bandwidth_Hz         of the figures below
+    gap_rms_m            of the motion, drift removed
+    sources              shot, johnson, adc_step, drive_step, gap; 0 where nothing is known of one
+    limiting_source      the largest of all
+    limiting_electronics the largest except for the motion of the gap itself
     """
 
-    frequency_Hz: Array
-    density_m2_per_Hz: Array
-    mains: tuple[MainsLine, ...]
     drift_m_per_s: float
-    drift_interval_m_per_s: tuple[float, float]
+    drift_interval_m_per_s: Interval
+    mains: tuple[MainsLine, ...]
     bandwidth_Hz: float
     gap_rms_m: float
     sources: tuple[NoiseSource, ...]
-
-    def __post_init__(self) -> None:
-        freeze(self, "frequency_Hz", "density_m2_per_Hz")
-
-    @property
-    def limiting_source(self) -> str:
-        """The source that moves or blurs the gap most, the gap's own unrest included."""
-        return max(self.sources, key=lambda source: source.rms_m).name
-
-    @property
-    def limiting_electronics(self) -> str:
-        """The largest of shot, Johnson, converter step and drive step."""
-        electronics = [source for source in self.sources if source.name != "gap"]
-        return max(electronics, key=lambda source: source.rms_m).name
+    limiting_source: str
+    limiting_electronics: str
 
 
-def measure_loop_noise(
-    record: LoopRecord,
-    plant: JunctionPlant,
-    *,
-    decay_per_m: float,
-    drive_step_V: float,
-    chain: CurrentChain,
-) -> LoopNoise:
-    """Take the disturbance of the gap from a closed-loop record and budget it.
+def measure_loop_noise(record: LoopRecord, plant: JunctionPlant, rig: LoopRig) -> LoopNoise | None:
+    """Measure the motion of the gap during a closed-loop record, and list its sources.
 
-    record        of at least half a second
-    plant         identified from it, or from one like it
-    decay_per_m   k
-    drive_step_V  of the converter
-    chain         bandwidth, resistor, converter step of the current; its bandwidth is the budget's
+    plant  identified from the record, or from one like it
 
-    Shot 2 e i B, Johnson 4 k T B / R and the share 2 B / f_s of the converter's step^2 / 12 are
-    divided by k i; a drive step counts as step / sqrt(12) times the extension per volt.
+    Returns None for a record of less than half a second, which cannot resolve mains lines.
+    Converter steps are those the columns show; a column without steps counts as none. Without a
+    declared bandwidth of the current sensor the plant's pole is used, half the rate at most.
     """
-    _refuse_short(record, chain)
-    disturbance_m = _disturbance(record, plant, decay_per_m)
-    drift, half = _drift(disturbance_m, record.sampling_rate_Hz)
-    time_s = np.arange(len(disturbance_m)) / record.sampling_rate_Hz
-    level_m = disturbance_m - np.polyval(np.polyfit(time_s, disturbance_m, 1), time_s)
-    frequency_Hz, density = power_density(level_m, record.sampling_rate_Hz)
+    from scipy.signal import detrend
+
+    rate_Hz = record.sampling_rate_Hz
+    if record.samples < _MIN_DURATION_s * rate_Hz:
+        return None
+    decay_per_m = plant.gain_nepers_per_V / rig.drive_gain_m_per_V
+    chain = CurrentChain(
+        bandwidth_Hz=rig.bandwidth_Hz or min(plant.sensor_pole_Hz, 0.5 * rate_Hz),
+        feedback_ohm=rig.feedback_ohm,
+        adc_step_A=step_size(record.current_A),
+    )
+    motion_m = gap_motion(record, plant, decay_per_m)
+    drift, half = _drift(motion_m, rate_Hz)
+    level_m = np.asarray(detrend(motion_m))  # drift would leak over every frequency
+    frequency_Hz, density = power_density(level_m, rate_Hz)
     bandwidth_Hz = float(chain.bandwidth_Hz or 0.0)
-    inside = frequency_Hz <= bandwidth_Hz
-    gap_rms_m = math.sqrt(float(np.sum(density[inside])) * float(frequency_Hz[1]))
+    in_band = density[frequency_Hz <= bandwidth_Hz]
+    gap_rms_m = math.sqrt(float(np.sum(in_band)) * float(frequency_Hz[1]))
+    sources = budget_resolution(
+        set_point_A=record.set_point_A,
+        decay_per_m=decay_per_m,
+        drive_step_m=step_size(record.drive_V) * plant.gain_nepers_per_V / decay_per_m,
+        sampling_rate_Hz=rate_Hz,
+        chain=chain,
+        gap_rms_m=gap_rms_m,
+    )
+    electronics = [source for source in sources if source.name != "gap"]
     return LoopNoise(
-        frequency_Hz=frequency_Hz,
-        density_m2_per_Hz=density,
-        mains=_mains_lines(level_m, record.sampling_rate_Hz),
         drift_m_per_s=drift,
         drift_interval_m_per_s=(drift - half, drift + half),
+        mains=_mains_lines(level_m, rate_Hz),
         bandwidth_Hz=bandwidth_Hz,
         gap_rms_m=gap_rms_m,
-        sources=budget_resolution(
-            set_point_A=record.set_point_A,
-            decay_per_m=decay_per_m,
-            drive_step_m=drive_step_V * plant.gain_nepers_per_V / decay_per_m,
-            sampling_rate_Hz=record.sampling_rate_Hz,
-            chain=chain,
-            gap_rms_m=gap_rms_m,
-        ),
+        sources=sources,
+        limiting_source=max(sources, key=lambda source: source.rms_m).name,
+        limiting_electronics=max(electronics, key=lambda source: source.rms_m).name,
     )
+
+
+def gap_motion(record: LoopRecord, plant: JunctionPlant, decay_per_m: float) -> Array:
+    """Return what the drive does not explain of the log current, (samples,) metres of gap."""
+    unexplained = record.log_current - plant.respond(record.drive_V - record.drive_V[0])
+    return np.asarray(-unexplained / decay_per_m)
 
 
 def budget_resolution(
@@ -144,22 +137,23 @@ def budget_resolution(
     chain: CurrentChain,
     gap_rms_m: float,
 ) -> tuple[NoiseSource, ...]:
-    """Return every source of noise in metres of gap, and what the electronics leave over.
+    """Return every source of noise in metres of gap.
 
-    The last source, the gap, is the measured unrest less what the current's electronics put
-    into it.
+    Shot 2 e i B, Johnson 4 k T B / R and the share 2 B / f_s of the converter's step^2 / 12 are
+    divided by k i; a drive step counts as step / sqrt(12) times the extension per volt. The last
+    source, the gap, is the measured motion less the noise of the current's electronics in it.
     """
     per_ampere = 1.0 / (decay_per_m * abs(set_point_A))
-    seen = min(2.0 * (chain.bandwidth_Hz or 0.0) / sampling_rate_Hz, 1.0)
+    in_band = min(2.0 * (chain.bandwidth_Hz or 0.0) / sampling_rate_Hz, 1.0)
     electronics = (
         NoiseSource(name="shot", rms_m=chain.shot_A(set_point_A) * per_ampere),
         NoiseSource(name="johnson", rms_m=chain.johnson_A * per_ampere),
-        NoiseSource(name="adc_step", rms_m=chain.quantisation_A * math.sqrt(seen) * per_ampere),
+        NoiseSource(name="adc_step", rms_m=chain.quantisation_A * math.sqrt(in_band) * per_ampere),
         NoiseSource(name="drive_step", rms_m=drive_step_m / math.sqrt(12.0)),
     )
     reading_m2 = sum(source.rms_m**2 for source in electronics[:3])
-    left_m = math.sqrt(max(gap_rms_m**2 - reading_m2, 0.0))
-    return (*electronics, NoiseSource(name="gap", rms_m=left_m))
+    gap_m = math.sqrt(max(gap_rms_m**2 - reading_m2, 0.0))
+    return (*electronics, NoiseSource(name="gap", rms_m=gap_m))
 
 
 def power_density(signal: Array, sampling_rate_Hz: float) -> tuple[Array, Array]:
@@ -175,37 +169,10 @@ def power_density(signal: Array, sampling_rate_Hz: float) -> tuple[Array, Array]
     return np.asarray(frequency_Hz), np.asarray(density)
 
 
-def is_long_enough(record: LoopRecord) -> bool:
-    """Whether a record lasts half a second, to tell mains lines apart."""
-    return record.samples >= _LEAST_DURATION_s * record.sampling_rate_Hz
-
-
-def _refuse_short(record: LoopRecord, chain: CurrentChain) -> None:
-    if not is_long_enough(record):
-        raise ExcitationError(
-            f"{record.label}: {record.samples / record.sampling_rate_Hz:.3g} s",
-            needed=f"at least {_LEAST_DURATION_s} s, to tell mains lines apart",
-            remedy="Record longer.",
-        )
-    if chain.bandwidth_Hz is None:
-        raise ExcitationError(
-            f"{record.label}: the bandwidth of the current is not declared",
-            needed="the bandwidth the noise budget is to be drawn up for",
-            remedy="Declare the current sensor's bandwidth.",
-        )
-
-
-def _disturbance(record: LoopRecord, plant: JunctionPlant, decay_per_m: float) -> Array:
-    drive_V = record.drive_V - record.drive_V[0]
-    unexplained = record.log_current - plant.respond(drive_V)
-    disturbance: Array = -unexplained / decay_per_m
-    return disturbance
-
-
-def _drift(disturbance_m: Array, sampling_rate_Hz: float) -> tuple[float, float]:
+def _drift(motion_m: Array, sampling_rate_Hz: float) -> tuple[float, float]:
     """Rate and half its interval, from the steps between block means: a walk has no trend line."""
-    length = len(disturbance_m) // _DRIFT_BLOCKS
-    means = disturbance_m[: length * _DRIFT_BLOCKS].reshape(_DRIFT_BLOCKS, length).mean(axis=1)
+    length = len(motion_m) // _DRIFT_BLOCKS
+    means = motion_m[: length * _DRIFT_BLOCKS].reshape(_DRIFT_BLOCKS, length).mean(axis=1)
     rates = np.diff(means) * sampling_rate_Hz / length
     standard = np.std(rates, ddof=1) / np.sqrt(len(rates))
     half = student_quantile(0.975, len(rates) - 1) * standard
@@ -214,26 +181,23 @@ def _drift(disturbance_m: Array, sampling_rate_Hz: float) -> tuple[float, float]
 
 def _mains_lines(level_m: Array, sampling_rate_Hz: float) -> tuple[MainsLine, ...]:
     """Harmonics of 50 and 60 Hz that stand out of the power around them."""
-    windowed = level_m * np.hanning(len(level_m))
-    spectrum = np.abs(np.fft.rfft(windowed)) ** 2
+    window = np.hanning(len(level_m))
+    power = np.abs(np.fft.rfft(level_m * window)) ** 2
     spacing_Hz = sampling_rate_Hz / len(level_m)
-    amplitude_scale = 2.0 / float(np.sum(np.hanning(len(level_m))))
     lines = []
-    wanted_Hz = {mains * n for mains in _MAINS_Hz for n in range(1, _HARMONICS + 1)}
-    for near_Hz in sorted(wanted_Hz):
+    for nominal_Hz in sorted({mains * n for mains in _MAINS_Hz for n in range(1, _HARMONICS + 1)}):
         around = np.arange(
-            int((near_Hz - 8.0) / spacing_Hz),
-            min(int((near_Hz + 8.0) / spacing_Hz), len(spectrum)),
+            int((nominal_Hz - 8.0) / spacing_Hz),
+            min(int((nominal_Hz + 8.0) / spacing_Hz), len(power)),
         )
-        off_Hz = np.abs(around * spacing_Hz - near_Hz)
-        reach_Hz = max(0.004 * near_Hz, spacing_Hz)  # networks keep their frequency to 0.4 %
+        off_Hz = np.abs(around * spacing_Hz - nominal_Hz)
+        reach_Hz = max(0.004 * nominal_Hz, spacing_Hz)  # networks keep their frequency to 0.4 %
         inside = around[off_Hz <= reach_Hz]
         outside = around[off_Hz > reach_Hz + 2.0 * spacing_Hz]
         if len(inside) == 0 or len(outside) < 8:
             continue
-        peak = int(inside[np.argmax(spectrum[inside])])
-        background = float(np.median(spectrum[outside])) / math.log(2.0)
-        if spectrum[peak] > _SEEN * background:
-            amplitude_m = float(np.sqrt(spectrum[peak])) * amplitude_scale
+        peak = int(inside[np.argmax(power[inside])])
+        if power[peak] > _PEAK_RATIO * float(np.median(power[outside])) / math.log(2.0):
+            amplitude_m = float(np.sqrt(power[peak])) * 2.0 / float(np.sum(window))
             lines.append(MainsLine(frequency_Hz=peak * spacing_Hz, amplitude_m=amplitude_m))
     return tuple(lines)

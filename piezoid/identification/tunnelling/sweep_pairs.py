@@ -17,22 +17,25 @@ cannot tell drift from barrier: its interval holds every drift that a laboratory
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.approach import ApproachCurve, Direction
-from piezoid.identification.tunnelling.barrier_fit import BarrierFit, fit_barrier
-from piezoid.identification.tunnelling.confidence import Confidence, Reason, judge
+from piezoid.identification.tunnelling.barrier_fit import (
+    BarrierFit,
+    barrier_reasons,
+    fit_barrier,
+)
+from piezoid.identification.tunnelling.confidence import Confidence, Reason, lowest_grade
 from piezoid.identification.tunnelling.weighted_fit import CLEAR_OF_FLOOR
 from piezoid.numerics.robust import NORMAL_95, student_quantile
-from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid.record_json import Interval
 
 _DRIFT_m_per_s = 50e-12  # standard deviation: 1 to 100 pm/s in the laboratories we know of
 _UNSTATED_s = 1.8  # of one way where no file says it: 95 % of what 0.1 to 5 s to and fro allow
-_MOST_DRIFT = 0.25  # of the travel, standard deviation: with more, nobody would call it a sweep
+_MAX_DRIFT = 0.25  # of the travel, standard deviation: with more, nobody would call it a sweep
 # 95 %, of the drift: creep that began 30 s ago changes by a tenth between both ways of 3 s, and
 # the mean of both takes up half of that.
 _INCONSTANT = 0.05
@@ -41,7 +44,7 @@ _STRONG_DRIFT = 0.1  # of the sweep's speed: beyond it second orders are percent
 # intervals held 91 % without it, 96 % with a half, 97 % with the whole; of 150 clipped ones 91 %
 # with a half.
 _UNCLOSED = 0.75
-_LEAST_CLEAR = 0.05  # of the decay: slower than this the height did not move against the drift
+_MIN_SPEED = 0.05  # of the decay: slower than this the height did not move against the drift
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,28 +157,25 @@ def decay_without_drift(curves: Sequence[ApproachCurve]) -> DriftFreeDecay:
     have had in its variance. Their mean and interval are those of random effects [DerSimonian &
     Laird 1986], what differs from pair to pair at Student's quantile of their number.
     """
-    estimates = [_estimate(pair) for pair in _by_pair(curves)]
+    estimates = tuple(_estimate(pair) for pair in _by_pair(curves))
     if len(estimates) == 1:
-        (single,) = estimates
-        low = single.decay_per_m * max(1.0 - single.below, 0.0)
-        interval = (low, single.decay_per_m * (1.0 + single.above))
-        return DriftFreeDecay(
-            decay_per_m=single.decay_per_m, interval_per_m=interval, estimates=(single,)
-        )
-    mean, half = _random_effects(estimates)
-    ends = (math.exp(mean - half), math.exp(mean + half)) if half < 50.0 else (0.0, math.inf)
-    return DriftFreeDecay(
-        decay_per_m=math.exp(mean), interval_per_m=ends, estimates=tuple(estimates)
-    )
+        decay, below, above = estimates[0].decay_per_m, estimates[0].below, estimates[0].above
+        interval = (decay * max(1.0 - below, 0.0), decay * (1.0 + above))
+    else:
+        mean, half = _random_effects(estimates)
+        decay, interval = math.exp(mean), (0.0, math.inf)
+        if half < 50.0:
+            interval = (math.exp(mean - half), math.exp(mean + half))
+    return DriftFreeDecay(decay_per_m=decay, interval_per_m=interval, estimates=estimates)
 
 
 def _by_pair(curves: Sequence[ApproachCurve]) -> list[list[ApproachCurve]]:
-    """Sweeps that went to and fro together, and each of the others alone."""
+    """Group forward and backward sweeps of one pair; every other sweep is a group of its own."""
     pairs: dict[str, list[ApproachCurve]] = {}
     singles = []
     for curve in curves:
         partners = pairs.setdefault(curve.pair, []) if curve.pair else []
-        if curve.pair and all(other.direction is not curve.direction for other in partners):
+        if curve.pair and all(partner.direction is not curve.direction for partner in partners):
             partners.append(curve)
         else:
             singles.append([curve])
@@ -183,116 +183,103 @@ def _by_pair(curves: Sequence[ApproachCurve]) -> list[list[ApproachCurve]]:
 
 
 def _estimate(curves: Sequence[ApproachCurve]) -> DecayEstimate:
+    """Estimate the decay from one sweep, or from a forward and a backward sweep of one pair."""
     fits = [fit_barrier([curve]) for curve in curves]
     decay = float(np.mean([fit.decay_per_m for fit in fits]))
     below = math.hypot(*(f.decay_per_m - f.decay_interval_per_m[0] for f in fits)) / len(fits)
     above = math.hypot(*(f.decay_interval_per_m[1] - f.decay_per_m for f in fits)) / len(fits)
     if len(fits) == 1:
         drift = None
-        share = NORMAL_95 * _unseen_drift(curves[0])
-        least, most = share / (1.0 + share), share / max(1.0 - share, _LEAST_CLEAR)
+        travel_m = float(np.ptp(curves[0].height_m))
+        duration_s = _UNSTATED_s if curves[0].duration_s is None else curves[0].duration_s
+        share = NORMAL_95 * min(_DRIFT_m_per_s * duration_s / travel_m, _MAX_DRIFT)
+        drift_below, drift_above = share / (1.0 + share), share / max(1.0 - share, _MIN_SPEED)
     else:
         drift = 0.5 * (fits[1].decay_per_m - fits[0].decay_per_m) / decay
-        unclosed = _unclosed(curves, fits) / decay
-        least = most = math.hypot(_INCONSTANT * drift, _UNCLOSED * unclosed)
+        mismatch = _closure_error(curves, fits) / decay
+        drift_below = drift_above = math.hypot(_INCONSTANT * drift, _UNCLOSED * mismatch)
     return DecayEstimate(
         decay_per_m=decay,
-        below=math.hypot(below / decay, least),
-        above=math.hypot(above / decay, most),
+        below=math.hypot(below / decay, drift_below),
+        above=math.hypot(above / decay, drift_above),
         drift=drift,
-        unseen=(least, most),
+        unseen=(drift_below, drift_above),
     )
 
 
-def _unclosed(curves: Sequence[ApproachCurve], fits: Sequence[BarrierFit]) -> float:
-    """Drift told by both decays less drift told by the shift of the way back, times k."""
-    one, other = fits
+def _closure_error(curves: Sequence[ApproachCurve], fits: Sequence[BarrierFit]) -> float:
+    """Return the drift from both decays minus that from the shift of the way back, times k."""
+    first, second = fits
     lowest_m = min(float(curve.height_m.min()) for curve in curves)
     turn_m = max(float(curve.height_m.max()) for curve in curves)
-    # In the middle of what stands clear of the noise, decay and shift are known apart.
-    clear = one.evidence.peak_A / (CLEAR_OF_FLOOR * one.noise.floor_A)
-    middle_m = lowest_m + 0.5 * math.log(max(clear, 1.0)) / one.decay_per_m
-    below_m = turn_m - min(middle_m, 0.5 * (lowest_m + turn_m))
-    at_zero = math.log(one.current_at_zero_height_A / other.current_at_zero_height_A)
-    steeper = one.decay_per_m - other.decay_per_m
-    shift = at_zero - steeper * (turn_m - below_m)
-    return 0.5 * (steeper - shift / below_m)
-
-
-def _unseen_drift(curve: ApproachCurve) -> float:
-    """Standard deviation of v/s for a sweep whose way back is missing."""
-    travel_m = float(np.ptp(curve.height_m))
-    duration_s = _UNSTATED_s if curve.duration_s is None else curve.duration_s
-    return min(_DRIFT_m_per_s * duration_s / travel_m, _MOST_DRIFT)
+    # In the middle of the clear range, the estimates of decay and shift are independent.
+    clear = first.evidence.peak_A / (CLEAR_OF_FLOOR * first.noise.floor_A)
+    middle_m = lowest_m + 0.5 * math.log(max(clear, 1.0)) / first.decay_per_m
+    below_turn_m = turn_m - min(middle_m, 0.5 * (lowest_m + turn_m))
+    log_ratio = math.log(first.current_at_zero_height_A / second.current_at_zero_height_A)
+    decay_difference = first.decay_per_m - second.decay_per_m
+    shift = log_ratio - decay_difference * (turn_m - below_turn_m)
+    return 0.5 * (decay_difference - shift / below_turn_m)
 
 
 def _random_effects(estimates: Sequence[DecayEstimate]) -> tuple[float, float]:
-    """Mean of ln k and half its 95 % interval."""
-    known = [estimate for estimate in estimates if math.isfinite(estimate.variance)]
-    if not known:
+    """Return the mean of ln k and half its 95 % interval."""
+    bounded = [estimate for estimate in estimates if math.isfinite(estimate.variance)]
+    if not bounded:
         return float(np.mean(np.log([e.decay_per_m for e in estimates]))), math.inf
-    logs = np.log([estimate.decay_per_m for estimate in known])
-    within = np.maximum([estimate.variance for estimate in known], 1e-16)
-    fixed = 1.0 / within
-    excess = float(np.sum(fixed * (logs - np.average(logs, weights=fixed)) ** 2)) - len(known) + 1
-    spread = fixed.sum() - np.sum(fixed**2) / fixed.sum()
-    between = max(excess / spread, 0.0) if len(known) > 1 else 0.0
+    logs = np.log([estimate.decay_per_m for estimate in bounded])
+    within = np.maximum([estimate.variance for estimate in bounded], 1e-16)
+    weight = 1.0 / within
+    between, quantile = 0.0, NORMAL_95
+    if len(bounded) > 1:
+        excess = float(np.sum(weight * (logs - np.average(logs, weights=weight)) ** 2))
+        spread = weight.sum() - np.sum(weight**2) / weight.sum()
+        between = max((excess - len(bounded) + 1) / spread, 0.0)
+        quantile = float(student_quantile(0.975, len(bounded) - 1))
     share = 1.0 / (within + between)
     share /= share.sum()
-    quantile = float(student_quantile(0.975, len(known) - 1)) if len(known) > 1 else NORMAL_95
     variance = NORMAL_95**2 * within + quantile**2 * between
     return float(share @ logs), math.sqrt(float(np.sum(share**2 * variance)))
 
 
 def judge_together(
-    fits: Mapping[Direction, BarrierFit], found: DriftFreeDecay
+    fits: Mapping[Direction, BarrierFit], common: DriftFreeDecay
 ) -> tuple[Confidence, tuple[Reason, ...]]:
     """Return how far the common barrier may be trusted: each direction's rules, then the drift's.
 
-    Widths are those of the common interval.
+    Widths are those of the common interval; a reason that all directions share is given once.
     """
-    low, high = (barrier_of_decay(end) for end in found.interval_per_m)
     reasons_by_direction = {
-        direction: judge(
-            replace(
-                fit.evidence,
-                barrier_eV=barrier_of_decay(found.decay_per_m),
-                barrier_low_eV=low,
-                barrier_high_eV=high,
-            )
-        )[1]
+        direction: barrier_reasons(fit.evidence, common.decay_per_m, common.interval_per_m)
         for direction, fit in fits.items()
     }
     shared = set.intersection(
-        *({reason.text for reason in each} for each in reasons_by_direction.values())
+        *({reason.text for reason in reasons} for reasons in reasons_by_direction.values())
     )
-    reasons = {
+    grade_by_text = {
         reason.text
         if len(fits) == 1 or reason.text in shared
         else f"{direction.value}: {reason.text}": reason.grade
-        for direction, each in reasons_by_direction.items()
-        for reason in each
+        for direction, reasons in reasons_by_direction.items()
+        for reason in reasons
     }
-    judged = [Reason(grade=grade, text=text) for text, grade in reasons.items()]
-    judged += _drift_reasons(found)
-    judged.sort(key=lambda reason: reason.grade is not Confidence.LOW)
-    return (judged[0].grade if judged else Confidence.HIGH), tuple(judged)
+    reasons = [Reason(grade=grade, text=text) for text, grade in grade_by_text.items()]
+    return lowest_grade([*reasons, *_drift_reasons(common)])
 
 
 def _drift_reasons(decay: DriftFreeDecay) -> list[Reason]:
     one_way = [estimate for estimate in decay.estimates if estimate.drift is None]
     if one_way:
-        least, most = one_way[0].unseen
+        below, above = one_way[0].unseen
         return [
             Reason(
                 grade=Confidence.MEDIUM,
                 text=f"{len(one_way)} sweep(s) went one way only, which cannot tell drift of the "
-                f"height from barrier: the interval holds a decay {100.0 * least:.2g} % smaller "
-                f"to {100.0 * most:.2g} % larger for it; sweep to and fro",
+                f"height from barrier: the interval holds a decay {100.0 * below:.2g} % smaller "
+                f"to {100.0 * above:.2g} % larger for it; sweep to and fro",
             )
         ]
-    drifts = [abs(e.drift) for e in decay.estimates if e.drift is not None]
-    drift = max(drifts, default=0.0)
+    drift = max((abs(e.drift) for e in decay.estimates if e.drift is not None), default=0.0)
     if drift <= _STRONG_DRIFT:
         return []
     return [

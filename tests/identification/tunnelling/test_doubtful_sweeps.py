@@ -8,8 +8,7 @@ from piezoid.identification.tunnelling.approach import Direction, read_approach
 from piezoid.identification.tunnelling.barrier_fit import fit_barrier
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.current_noise import CurrentChain
-from piezoid.identification.tunnelling.exponential_fit import profile_interval
-from piezoid.identification.tunnelling.weighted_fit import fit_sweeps
+from piezoid.identification.tunnelling.weighted_fit import fit_sweeps, profile_interval
 from tests.identification.tunnelling.sweeps import DECAY_PER_M, HEIGHT_M, OFFSET_A, sweep
 
 
@@ -43,14 +42,14 @@ def test_a_sweep_of_which_only_the_noise_is_left_is_wide_and_says_why(
         ]
     )
     assert fit.confidence is Confidence.LOW
-    assert fit.evidence.relative_width > 0.5
+    assert np.ptp(fit.barrier_interval_eV) > 0.5 * fit.barrier_eV
     assert any("decades above three times its noise" in reason.text for reason in fit.reasons)
 
 
 def test_a_weak_sweep_is_wide_and_says_why(rng: np.random.Generator) -> None:
     fit = fit_barrier([sweep(rng, peak_A=0.7e-12, floor_A=0.05e-12)])
     assert fit.confidence is Confidence.LOW
-    assert fit.evidence.relative_width > 0.2
+    assert np.ptp(fit.barrier_interval_eV) > 0.2 * fit.barrier_eV
     assert fit.decay_interval_per_m[0] < DECAY_PER_M < fit.decay_interval_per_m[1]
     assert any("decades above three times its noise" in reason.text for reason in fit.reasons)
 

@@ -5,15 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling import loop_noise
 from piezoid.identification.tunnelling.current_noise import CurrentChain
-from piezoid.identification.tunnelling.junction import noise_of_loop
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRig
 from piezoid.identification.tunnelling.loop_noise import (
     LoopNoise,
     budget_resolution,
+    gap_motion,
     measure_loop_noise,
     power_density,
 )
@@ -24,20 +23,27 @@ from tests.identification.tunnelling.loops import identified, loop_records
 CHAIN = CurrentChain(bandwidth_Hz=7000.0, feedback_ohm=1e9, adc_step_A=10.0 / 2**15 * 1e-9)
 
 
-def _noise(junction: Junction, *, seed: int, periods: int = 21) -> LoopNoise:
+RIG = LoopRig(
+    axis="z",
+    set_point_A=1e-9,
+    floor_A=1e-12,
+    amplifier_pole_Hz=4e3,
+    drive_gain_m_per_V=18e-9,
+    bandwidth_Hz=7e3,
+    feedback_ohm=1e9,
+    extension_uncertainty=0.0,
+)
+
+
+def measured(junction: Junction, *, seed: int, periods: int = 21) -> LoopNoise:
     record = loop_records([junction], periods=periods, seed=seed)[0]
-    fit = identified(record, junction)
-    return measure_loop_noise(
-        record,
-        fit.plant,
-        decay_per_m=fit.decay_per_m,
-        drive_step_V=junction.drive_range_V / 2**15,
-        chain=CHAIN,
-    )
+    noise = measure_loop_noise(record, identified(record, junction).plant, RIG)
+    assert noise is not None
+    return noise
 
 
 def test_the_drift_rate_lies_in_its_interval() -> None:
-    noise = _noise(Junction(drift_m_per_s=60e-12, wander_m_per_root_s=5e-12), seed=21)
+    noise = measured(Junction(drift_m_per_s=60e-12, wander_m_per_root_s=5e-12), seed=21)
     low, high = noise.drift_interval_m_per_s
     assert low < 60e-12 < high
     assert noise.drift_m_per_s == pytest.approx(60e-12, abs=10e-12)
@@ -54,21 +60,24 @@ def test_the_interval_of_a_drift_is_students_of_its_blocks() -> None:
 
 
 def test_the_hum_is_found_at_its_frequency_and_size() -> None:
-    noise = _noise(Junction(mains_Hz=60.0, mains_gap_m=6e-12), seed=23)
+    noise = measured(Junction(mains_Hz=60.0, mains_gap_m=6e-12), seed=23)
     assert noise.mains[0].frequency_Hz == pytest.approx(60.0, abs=0.3)
     assert noise.mains[0].amplitude_m == pytest.approx(6e-12, rel=0.15, abs=0.0)
 
 
 def test_without_hum_no_line_is_claimed() -> None:
-    noise = _noise(Junction(mains_gap_m=0.0, mains_current_A=0.0), seed=25)
+    noise = measured(Junction(mains_gap_m=0.0, mains_current_A=0.0), seed=25)
     assert noise.mains == ()
 
 
 def test_the_vibration_stands_in_the_spectrum() -> None:
-    noise = _noise(Junction(vibration_m=8e-12, wander_m_per_root_s=0.0), seed=27)
-    around = (noise.frequency_Hz > 70.0) & (noise.frequency_Hz < 1000.0)
-    peak_Hz = noise.frequency_Hz[around][np.argmax(noise.density_m2_per_Hz[around])]
-    assert peak_Hz == pytest.approx(140.0, abs=10.0)
+    junction = Junction(vibration_m=8e-12, wander_m_per_root_s=0.0)
+    record = loop_records([junction], periods=21, seed=27)[0]
+    fit = identified(record, junction)
+    motion_m = gap_motion(record, fit.plant, fit.decay_per_m)
+    frequency_Hz, density = power_density(motion_m, record.sampling_rate_Hz)
+    around = (frequency_Hz > 70.0) & (frequency_Hz < 1000.0)
+    assert frequency_Hz[around][np.argmax(density[around])] == pytest.approx(140.0, abs=10.0)
 
 
 def test_the_published_budget_at_one_nanoampere_and_ten_kilohertz() -> None:
@@ -110,7 +119,7 @@ def test_the_gap_is_what_the_electronics_of_the_current_leave_of_the_unrest(
 
 def test_the_limiting_electronics_change_with_an_attenuator() -> None:
     whole, attenuated = (
-        _noise(Junction(drive_range_V=volts), seed=29, periods=12) for volts in (10.0, 0.1)
+        measured(Junction(drive_range_V=volts), seed=29, periods=12) for volts in (10.0, 0.1)
     )
     assert whole.limiting_electronics == "drive_step"
     assert attenuated.limiting_electronics == "shot"
@@ -144,17 +153,7 @@ def test_a_sine_keeps_its_power_in_the_density() -> None:
 
 def test_the_budget_is_for_the_declared_bandwidth_or_for_the_pole_below_half_the_rate() -> None:
     record = loop_records([Junction()], periods=6, seed=31)[0]
-    rig = LoopRig(
-        axis="z",
-        set_point_A=record.set_point_A,
-        floor_A=1e-12,
-        amplifier_pole_Hz=4e3,
-        drive_gain_m_per_V=18e-9,
-        bandwidth_Hz=None,
-        feedback_ohm=1e9,
-        extension_uncertainty=0.0,
-    )
-    for declared_Hz, pole_Hz, taken_Hz in ((7e3, 3e3, 7e3), (None, 3e3, 3e3), (None, 3e4, 1e4)):
+    for declared_Hz, pole_Hz, expected_Hz in ((7e3, 3e3, 7e3), (None, 3e3, 3e3), (None, 3e4, 1e4)):
         plant = JunctionPlant(
             gain_nepers_per_V=400.0,
             sensor_pole_Hz=pole_Hz,
@@ -162,15 +161,19 @@ def test_the_budget_is_for_the_declared_bandwidth_or_for_the_pole_below_half_the
             amplifier_pole_Hz=4e3,
             sampling_rate_Hz=record.sampling_rate_Hz,
         )
-        found = noise_of_loop(record, replace(rig, bandwidth_Hz=declared_Hz), plant)
-        assert found is not None
-        assert found.bandwidth_Hz == pytest.approx(taken_Hz)
+        noise = measure_loop_noise(record, plant, replace(RIG, bandwidth_Hz=declared_Hz))
+        assert noise is not None
+        assert noise.bandwidth_Hz == pytest.approx(expected_Hz)
 
 
-def test_an_undeclared_bandwidth_is_refused() -> None:
-    record = loop_records([Junction()], periods=12, seed=31)[0]
+def test_a_record_too_short_for_mains_lines_has_no_budget() -> None:
+    record = loop_records([Junction()], periods=9, seed=31)[0]
     plant = identified(record, Junction()).plant
-    with pytest.raises(ExcitationError, match="bandwidth"):
-        measure_loop_noise(
-            record, plant, decay_per_m=2e10, drive_step_V=3e-4, chain=CurrentChain()
-        )
+    samples = int(0.49 * record.sampling_rate_Hz)
+    short = replace(
+        record,
+        **{
+            name: getattr(record, name)[:samples] for name in ("reference", "drive_V", "current_A")
+        },
+    )
+    assert measure_loop_noise(short, plant, RIG) is None

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from piezoid.errors import RecordingError, UnitError
-from piezoid.identification.tunnelling.approach import Direction
-from piezoid.identification.tunnelling.junction import curves_of, fit_junction, read_z_spectroscopy
+from piezoid.identification.tunnelling.approach import Direction, read_z_spectroscopy
+from piezoid.identification.tunnelling.junction import curves_of, fit_junction
 from piezoid.records.collection import collect
 from piezoid.records.inspection import inspect_file
 from piezoid.records.table import Column, RawTable
