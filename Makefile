@@ -1,7 +1,8 @@
 # Two commands for everybody: `make demo`, `make test`. One for whoever changes the code: `make check`.
 
 PYTHON ?= python3
-VENV := .venv
+# An environment that somebody else made, with a plain installation say, stays as it is.
+VENV := $(if $(and $(wildcard .venv),$(if $(wildcard .venv/ready .venv/by-make),,other)),build/venv,.venv)
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
 DEMO_OUT := build/demo
@@ -30,7 +31,8 @@ check: $(READY) build/names
 
 # Warnings are errors. The pages of the effects and the outputs of all commands are made here.
 docs: $(VENV)/docs-ready
-	$(BIN)/python -m sphinx -j 2 -q -W --keep-going -b html docs build/docs/html
+	@echo 'Building the pages, about two minutes: all commands on them are run'
+	$(BIN)/python -m sphinx -j 2 -W --keep-going -b html docs build/docs/html
 	@echo 'Open build/docs/html/index.html'
 
 format: $(READY)
@@ -48,7 +50,8 @@ benchmark: $(READY)
 
 # The environment: exactly the versions of constraints.txt, for the build as well.
 $(READY): pyproject.toml constraints.txt $(C_FILES)
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@echo 'Making the environment in $(VENV)/, one to two minutes'
+	test -x $(BIN)/python || { $(PYTHON) -m venv $(VENV) && touch $(VENV)/by-make; }
 	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[io,afm,batch,dev]'
 	touch $@
 

@@ -225,6 +225,8 @@ def _show(fleet: "Fleet", before: int, out: str) -> None:
     console.print(table(title, ("stages", "state", "meaning"), rows, left=3))
     if before:
         console.print(f"{before} were finished before and were not done again")
+    if bare := fleet.without_controller:
+        console.print(f"{bare} passed without a controller: their reports say what is missing")
     for stage in islice((stage for stage in fleet.stages if stage.reason), MOST_REASONS):
         console.print(plain(f"{stage.name}: {stage.state}: {stage.reason}", style="dim"))
     beyond = len(fleet.stages) - fleet.counts.get(PASSED, 0) - MOST_REASONS

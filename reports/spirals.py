@@ -36,14 +36,17 @@ def spiral(trace: SpiralTrace, found: Verification) -> Figure:
     other = f"axis {trace.axes[1]}" if len(trace.axes) > 1 else "where a second axis would be"
     x, y = axis_over(moving, [reach_m], "m"), axis_over(other, [reach_m], "m")
     canvas = Canvas(x=x, y=y, width=SQUARE, height=SQUARE)
-    limit_m = _shape_limit_m(found)
+    limit_m = _shape_limit_m(found, trace.frequency_Hz)
+    scale_m = (
+        Limits().aligned_percent / 100.0 * 2.0 * found.radius_m if limit_m is None else limit_m
+    )
     return Figure(
         title=f"Spiral of {number(trace.frequency_Hz, 'Hz')}: {METHODS[trace.method]}",
         caption=f"Colour is the shape error: median {number(float(np.median(error_m)), 'm')}, "
-        f"largest {number(float(error_m.max()), 'm')}, limit {number(limit_m, 'm')} rms.",
+        f"largest {number(float(error_m.max()), 'm')}{_limit_clause(limit_m)}.",
         guide="Good: the first colour everywhere. Bad: the last colours at the turning points.",
         canvas=canvas,
-        layers=tuple(_shaded(canvas, x_m, y_m, error_m, limit_m)),
+        layers=tuple(_shaded(canvas, x_m, y_m, error_m, scale_m)),
     )
 
 
@@ -59,10 +62,10 @@ def _error_in_time(frequency_Hz: float, found: Verification) -> Figure:
     traces.sort(key=lambda trace: trace.method in shipped)  # what ships is drawn on top
     along = [np.linspace(0.0, 100.0, len(trace.shape_error_m)) for trace in traces]
     logs = [np.log10(np.maximum(trace.shape_error_m, LEAST_m) / NANO) for trace in traces]
-    limit_m = _shape_limit_m(found)
-    limit = np.full(2, np.log10(limit_m / NANO))
+    limit_m = _shape_limit_m(found, frequency_Hz)
+    limits = [] if limit_m is None else [np.full(2, np.log10(limit_m / NANO))]
     x = axis_over("share of the path", along, "%")
-    y = decades_over("shape error", [*logs, limit], "nm")
+    y = decades_over("shape error", [*logs, *limits], "nm")
     canvas = Canvas(x=x, y=y)
     layers = [
         canvas.line("model" if t.method in shipped else "grey", METHODS[t.method], a, v)
@@ -74,17 +77,29 @@ def _error_in_time(frequency_Hz: float, found: Verification) -> Figure:
     )
     return Figure(
         title=f"Shape error along the spiral of {number(frequency_Hz, 'Hz')}",
-        caption=f"{sizes}; limit {number(limit_m, 'm')} rms.",
-        guide="Good: far below the dashed line. Bad: rising outwards, or a spike every turn.",
+        caption=f"{sizes}{_limit_clause(limit_m)}.",
+        guide="Good: far below the dashed line, or else below the static gain. Bad: rising "
+        "outwards, or a spike every turn.",
         canvas=canvas,
-        layers=(*layers, canvas.line("limit", "limit, rms", np.array([0.0, 100.0]), limit)),
+        layers=(
+            *layers,
+            *(canvas.line("limit", "limit, rms", np.array([0.0, 100.0]), v) for v in limits),
+        ),
     )
 
 
-def _shape_limit_m(found: Verification) -> float:
-    """Return what the shape of a spiral may be wrong by: the verdict's limit."""
-    percent = [v.limit for v in found.verdicts if v.name == SHAPE_ERROR]
-    return (percent[0] if percent else Limits().aligned_percent) / 100.0 * 2.0 * found.radius_m
+def _shape_limit_m(found: Verification, frequency_Hz: float) -> float | None:
+    """Return the limit of the verdict on the spiral of a rate; None where there is none.
+
+    Above ``Limits.judged_Hz`` a spiral is compared with no compensation only.
+    """
+    scenario = f"spiral, {frequency_Hz:g} Hz"
+    percent = [v.limit for v in found.verdicts if (v.name, v.scenario) == (SHAPE_ERROR, scenario)]
+    return percent[0] / 100.0 * 2.0 * found.radius_m if percent else None
+
+
+def _limit_clause(limit_m: float | None) -> str:
+    return "; no limit at this rate" if limit_m is None else f"; limit {number(limit_m, 'm')} rms"
 
 
 def _shaded(canvas: Canvas, x_m: Array, y_m: Array, error_m: Array, limit_m: float) -> list[Layer]:

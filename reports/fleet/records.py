@@ -73,6 +73,11 @@ class FleetStage:
             raise ValueError(f"{self.name}: state is {self.state!r}")
 
     @property
+    def has_controller(self) -> bool:
+        """Whether a controller was exported."""
+        return "params.json" in self.outputs
+
+    @property
     def serial(self) -> int | None:
         """The last number in the name: stages are numbered as they are made."""
         numbers = re.findall(r"\d+", self.name)
@@ -150,6 +155,11 @@ class Fleet:
     def passed(self) -> bool:
         """Whether every stage passed."""
         return self.counts.get(PASSED, 0) == len(self.stages)
+
+    @cached_property
+    def without_controller(self) -> int:
+        """How many stages passed although no controller was exported: none was asked for."""
+        return sum(s.state == PASSED and not s.has_controller for s in self.stages)
 
     def write_json(self, stream: BinaryIO) -> None:
         """Write the sealed batch.json, a stage a line; all parameters stand in the Parquet file.

@@ -71,3 +71,11 @@ def test_a_verb_that_is_not_there_is_answered_with_those_that_are() -> None:
     assert "Did you mean fit?" in shown.output
     unlike = CliRunner(env={"COLUMNS": "300"}).invoke(app, ["qqq"])
     assert "See piezoid --help." in unlike.output
+
+
+def test_no_table_of_lab_toml_is_lost_to_the_markup_and_every_status_is_named() -> None:
+    shown = CliRunner(env={"COLUMNS": "200"}).invoke(app, ["verify", "--help"]).output
+    assert "by default [verification] of lab.toml" in shown
+    overall = " ".join(CliRunner().invoke(app, ["--help"]).output.split())
+    for status in ("0 done", "1 a verdict", "2 usage", "3 data", "4 no", "70 internal", "130 int"):
+        assert status in overall

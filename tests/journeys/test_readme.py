@@ -14,6 +14,7 @@ import yaml
 
 import piezoid
 from piezoid_cli.main import VERBS, app
+from piezoid_cli.report import SEALED
 from tests.journeys.readme_walk import WALKED, lines_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -49,6 +50,29 @@ def test_the_python_example_runs_in_the_folder_of_the_shell_example(tmp_path: Pa
     )
     assert run.returncode == 0, run.stderr
     assert re.search(r"held-out error 0\.[0-3]\d % of the range", run.stdout)
+
+
+def test_the_readme_lists_every_file_that_a_stage_holds() -> None:
+    table = README.partition("## What you get")[2].partition("\n## ")[0]
+    for name in (*SEALED, "report.html", "lab.toml", "bundle/"):
+        assert f"| `{name}` |" in table
+
+
+@pytest.mark.parametrize("mark", ["", "ready", "by-make"])
+def test_make_leaves_an_environment_as_it_is_that_somebody_else_made(
+    mark: str, tmp_path: Path
+) -> None:
+    copyfile(ROOT / "Makefile", tmp_path / "Makefile")
+    for name in ("pyproject.toml", "constraints.txt", f".venv/{mark}", ".venv/bin/python"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        if not name.endswith("/"):
+            (tmp_path / name).touch()
+    planned = subprocess.run(
+        ["make", "--dry-run", "docs"], cwd=tmp_path, capture_output=True, text=True, check=True
+    ).stdout
+    assert (".venv/bin/python" in planned) == bool(mark)
+    assert ("build/venv/bin/python" in planned) == (not mark)
+    assert "minutes" in planned
 
 
 def test_every_piezoid_line_is_one_it_accepts() -> None:

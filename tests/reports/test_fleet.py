@@ -211,3 +211,14 @@ def test_many_stages_of_which_few_carry_a_number_still_make_a_page() -> None:
     text = render_fleet(replace(many, stages=tuple(named)))
     assert "over the serial numbers" in text
     assert "9 of 10 stages" not in text
+
+
+def test_stages_that_passed_without_a_controller_are_counted() -> None:
+    rng = np.random.default_rng(5)
+    bare = replace(stage(1, rng), outputs={"model.json": "sha256:1"})
+    shipped = replace(stage(2, rng), outputs={"model.json": "", "params.json": "sha256:2"})
+    fleet = Fleet(name="night", stages=(bare, shipped))
+    assert fleet.without_controller == 1
+    page = Anatomy(render_fleet(fleet))
+    (said,) = [e.text for e in page.elements if "All 2 stages passed." in e.text and e.tag == "p"]
+    assert "1 of them without a controller" in said

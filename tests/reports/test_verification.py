@@ -20,7 +20,7 @@ from piezoid_reports.quantities import number
 from piezoid_reports.render import render
 from piezoid_reports.sections import verification
 from piezoid_reports.sections.verification import MAX_VERDICTS
-from piezoid_reports.spirals import METHODS, SHADES, STEPS, motions, spiral
+from piezoid_reports.spirals import METHODS, SHADES, STEPS, errors_in_time, motions, spiral
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, recording, stage_model
 from tests.verification.rig import PLANTS, stage
@@ -146,3 +146,17 @@ def test_a_place_gets_the_colour_of_its_share_of_the_limit(found: Verification) 
     assert [layer.role for layer in figure.layers] == [f"error-{shade}" for shade in SHADES]
     alone = replace(made, shape_error_m=(0.0, 0.0, 0.0, 0.0))
     assert [layer.role for layer in spiral(alone, found).layers] == ["error-measured"]
+
+
+def test_a_limit_is_drawn_only_beside_the_spiral_that_it_was_the_limit_of(
+    found: Verification,
+) -> None:
+    """At 100 Hz a spiral is compared with no compensation; its error may exceed that of 10 Hz."""
+    (at_10_Hz,) = errors_in_time(found)
+    assert at_10_Hz.layers[-1].role == "limit"
+    assert "limit" in at_10_Hz.caption
+    faster = replace(found, traces=tuple(replace(t, frequency_Hz=100.0) for t in found.traces))
+    (at_100_Hz,) = errors_in_time(faster)
+    assert "limit" not in {layer.role for layer in at_100_Hz.layers}
+    for figure in (at_100_Hz, spiral(faster.traces[0], faster)):
+        assert figure.caption.endswith("no limit at this rate.")
