@@ -65,7 +65,7 @@ def diagnose(
         from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
         from piezoid.identification.coupled.from_recordings import as_single_axes
         from piezoid.raw_counts import errors_in_counts, in_counts, texts_in_counts
-        from piezoid.records.checks.consistency import refuse_inconsistent
+        from piezoid.records.checks import refuse_unusable
         from piezoid.records.collection import collect
         from piezoid.records.lab import read_lab
         from piezoid.records.recording import counted_in
@@ -75,7 +75,7 @@ def diagnose(
         coupled = None if model is None else model[0].coupled
         held = collect(rest, declared).recordings
         recordings = as_single_axes(held, declared, coupled, progress=told)
-        refuse_inconsistent(recordings)
+        refuse_unusable(recordings)
         with errors_in_counts(counted_in(recordings)):
             found = find(
                 recordings,

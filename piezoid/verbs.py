@@ -34,7 +34,7 @@ from piezoid.learning.learn import Learned, first_table, next_table, refuse_chan
 from piezoid.numerics.executor import on_one_thread
 from piezoid.raw_counts import errors_in_counts, refuse_counts, texts_in_counts
 from piezoid.records import lab as laboratory
-from piezoid.records.checks.consistency import refuse_inconsistent
+from piezoid.records.checks import refuse_unusable
 from piezoid.records.collection import Collection, collect, collection_of
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
@@ -149,7 +149,7 @@ def diagnose(
     declared = _lab(lab)
     coupled = None if model is None else model.coupled
     held = as_single_axes(collection_of(recordings).recordings, declared, coupled)
-    refuse_inconsistent(held)
+    refuse_unusable(held)
     wanted = axis or (next(iter(model.axes), None) if model is not None else None)
     with errors_in_counts(counted_in(held)):
         diagnosis = engine.diagnose(

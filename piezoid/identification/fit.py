@@ -25,8 +25,7 @@ from piezoid.identification.minor_loops import with_minor_loops
 from piezoid.identification.model import AxisModel
 from piezoid.identification.tunnelling.junction import fit_junction, remarks_on_currents
 from piezoid.identification.tunnelling.loop_files import is_loop
-from piezoid.records.checks import check_set
-from piezoid.records.checks.consistency import refuse_inconsistent
+from piezoid.records.checks import check_set, refuse_unusable
 from piezoid.records.checks.copies import copies
 from piezoid.records.checks.drive_ranges import MIN_RANGE
 from piezoid.records.checks.feedback import is_held_throughout
@@ -146,7 +145,7 @@ def unfitted(
     """
     refuse_one_name_twice(recordings, sweeps, responses)
     refuse_responses_alone(recordings, responses)
-    refuse_inconsistent(recordings)
+    refuse_unusable(recordings)
     statements = check_set(recordings)
     if not axes_of(recordings) and not sweeps and not any(map(is_loop, recordings)):
         raise lacking(

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import piezoid
+from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array
 from piezoid.records.ingest import ingest
 from piezoid.records.recording import Recording
@@ -75,16 +77,20 @@ def _file(tmp_path: Path, reading_um: Array, drive_V: Array) -> Recording:
     return ingest(place)
 
 
-def test_a_reading_that_overflows_is_told_with_its_first_row(
+def test_a_reading_that_overflows_is_reported_with_its_first_row_and_not_fitted(
     rng: np.random.Generator, tmp_path: Path
 ) -> None:
     drive_V = 50.0 * SINE
     reading_um = 20.0 * SINE + rng.normal(0, 2e-3, len(SINE))
     wrapped_um = np.where(reading_um > 15.0, reading_um - 35.0, reading_um)
-    told = [p for p in _file(tmp_path, wrapped_um, drive_V).statements if p.quantity == "wrapped"]
-    assert len(told) == 1
+    recording = _file(tmp_path, wrapped_um, drive_V)
+    (statement,) = (s for s in recording.statements if s.quantity == "wrapped")
     first = int(np.flatnonzero(np.abs(np.diff(wrapped_um)) > 30.0)[0]) + 1
-    assert f"row {first + 1}" in told[0].text
+    assert f"row {first + 1}" in statement.text
+    for verb in (piezoid.fit, piezoid.diagnose):
+        with pytest.raises(RecordingError) as refusal:
+            verb(recording)
+        assert statement.text.rstrip(".") in str(refusal.value)
 
 
 @pytest.mark.parametrize("lost_um", [0.0, 9999.0, -1.0])
@@ -101,3 +107,40 @@ def test_a_lost_reading_or_a_step_of_the_drive_is_no_overflow(
     for read_um, sent_V in pairs:
         found = _file(tmp_path, read_um, sent_V)
         assert "wrapped" not in {problem.quantity for problem in found.statements}
+
+
+TRIANGLE_V = 5.0 * np.abs(np.arange(6000) % 2000 - 1000) / 1000 + 0.123
+LEVEL_um = 8.0 / 4096
+
+
+@pytest.mark.parametrize(
+    "commanded_um",
+    [
+        LEVEL_um * np.round(1.7 * TRIANGLE_V / LEVEL_um),
+        8.0 - 1.7 * TRIANGLE_V,
+        np.roll(1.7 * TRIANGLE_V, 1),
+        1.7 * TRIANGLE_V + 0.02 * TRIANGLE_V**2,
+    ],
+    ids=["grid of 12 bits", "falling", "one sample late", "polynomial"],
+)
+def test_a_command_that_was_logged_as_displacement_is_not_fitted(
+    commanded_um: Array, tmp_path: Path
+) -> None:
+    recording = _file(tmp_path, commanded_um, TRIANGLE_V)
+    assert "not_measured" in {s.quantity for s in recording.statements}
+    with pytest.raises(RecordingError, match="nothing was measured"):
+        piezoid.fit(recording)
+
+
+def test_a_linear_stage_with_noise_or_a_single_branch_is_a_measurement(
+    rng: np.random.Generator, tmp_path: Path
+) -> None:
+    quiet_um = 1.7 * TRIANGLE_V + rng.normal(0, 1e-3, len(TRIANGLE_V))
+    coarse_um = LEVEL_um * np.round(quiet_um / LEVEL_um)
+    for reading_um, drive_V in (
+        (quiet_um, TRIANGLE_V),
+        (coarse_um, TRIANGLE_V),
+        (1.7 * TRIANGLE_V[:1000], TRIANGLE_V[:1000]),
+    ):
+        recording = _file(tmp_path, reading_um, drive_V)
+        assert "not_measured" not in {s.quantity for s in recording.statements}

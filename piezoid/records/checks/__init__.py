@@ -9,9 +9,11 @@ To add a check, add a file and its line in ``CHECKS`` or ``SET_CHECKS``;
 
 from collections.abc import Callable, Sequence
 
+from piezoid.errors import RecordingError
 from piezoid.raw_counts import record_in_counts
 from piezoid.records.checks.command_range import check_command_range
-from piezoid.records.checks.consistency import check_consistency
+from piezoid.records.checks.commanded_displacement import check_commanded_displacement
+from piezoid.records.checks.consistency import check_consistency, refuse_inconsistent
 from piezoid.records.checks.copies import check_copies
 from piezoid.records.checks.drive_ranges import check_drive_ranges
 from piezoid.records.checks.early_turns import check_early_turns
@@ -33,7 +35,10 @@ CHECKS: tuple[Callable[[Recording, Lab], list[Statement]], ...] = (
     check_feedback,
     check_saturation,
     check_command_range,
+    check_commanded_displacement,
 )
+# Statements about a displacement to which no model may be fitted.
+UNUSABLE = frozenset({"not_measured", "wrapped"})
 SetCheck = Callable[[Sequence[Recording]], list[Statement]]
 # Recordings that contradict the others are left out of the comparisons of the second list.
 SET_CHECKS: tuple[SetCheck, ...] = (check_mixed_units, check_consistency, check_copies)
@@ -55,3 +60,20 @@ def check_set(recordings: Sequence[Recording]) -> list[Statement]:
     consistent = [r for r in recordings if r.name not in inconsistent]
     statements += [s for check in SET_CHECKS_OF_CONSISTENT for s in check(consistent)]
     return list(record_in_counts(tuple(statements), counted_in(recordings)))
+
+
+def refuse_unusable(recordings: Sequence[Recording]) -> None:
+    """Refuse a displacement that no sensor measured, and recordings that contradict each other.
+
+    Raises ``RecordingError`` with the sentence that ``piezoid inspect`` shows.
+    """
+    for recording in recordings:
+        for statement in recording.statements:
+            if statement.quantity in UNUSABLE:
+                raise RecordingError(
+                    f"{recording.name}: {statement.text.rstrip('.')}",
+                    needed="a displacement as the sensor measured it, within its range",
+                    remedy="Correct the column or name another one in lab.toml, or leave the file "
+                    "out.",
+                )
+    refuse_inconsistent(recordings)
