@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.planning.drive_limits import Bench, bench_of
+from piezoid.diagnosis.planning.excitation import Drive, DriveLimits
 from piezoid.diagnosis.planning.open_questions import Question, is_open, questions_of
 from piezoid.diagnosis.planning.plan_ranking import Alternative, Choice, Table, table_of
 from piezoid.diagnosis.planning.separation import Told
@@ -21,7 +22,6 @@ from piezoid.diagnosis.planning.simulated_drives import driven_recording, drives
 from piezoid.errors import ExcitationError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.raw_counts import VOLTAGE, refuse_counts
-from piezoid.records.excitation import Drive, DriveLimits
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 

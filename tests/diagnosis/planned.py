@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from piezoid.diagnosis.diagnosis import Diagnosis, FinalError, Finding, HeldOut, NotDetected, Size
+from piezoid.diagnosis.planning.excitation import Drive
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel
@@ -21,7 +22,6 @@ from piezoid.operators.dead_zone import LINEAR
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from piezoid.records.excitation import Drive
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_datasets.virtual_lab.ablation import healthy, record_all
 from piezoid_datasets.virtual_lab.effects import EFFECTS

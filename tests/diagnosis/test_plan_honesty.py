@@ -15,6 +15,7 @@ from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.experiment import Plan, plan
 from piezoid.diagnosis.planning.candidate_drives import MENU, played
 from piezoid.diagnosis.planning.drive_limits import Bench, bench_of
+from piezoid.diagnosis.planning.excitation import DriveLimits
 from piezoid.diagnosis.planning.open_questions import (
     Question,
     answers,
@@ -26,7 +27,6 @@ from piezoid.diagnosis.planning.plan_file import plan_json, sentences
 from piezoid.diagnosis.planning.plan_ranking import Table, table_of
 from piezoid.diagnosis.planning.separation import Told
 from piezoid.errors import ExcitationError
-from piezoid.records.excitation import DriveLimits
 from piezoid.records.lab import Amplifier, Lab
 from tests.reports.known_diagnosis import diagnosed, finding
 from tests.reports.known_stage import axis_model, stage_model

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.diagnosis.planning.drive_limits import Bench
-from piezoid.numerics.arrays import Array
-from piezoid.records.excitation import Drive, DriveLimits, multisines, odd_lines
-from piezoid.records.full_range_drives import (
+from piezoid.diagnosis.planning.excitation import Drive, DriveLimits, multisines, odd_lines
+from piezoid.diagnosis.planning.full_range_drives import (
     between,
     decaying_loops,
     equal_cycles,
@@ -23,6 +22,7 @@ from piezoid.records.full_range_drives import (
     rising_ramps,
     sine_grid,
 )
+from piezoid.numerics.arrays import Array
 
 SLOW_Hz = 500.0
 SLOWER_Hz = 100.0

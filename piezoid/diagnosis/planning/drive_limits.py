@@ -5,10 +5,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from piezoid.diagnosis.planning.excitation import DriveLimits
 from piezoid.errors import LabFileError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
-from piezoid.records.excitation import DriveLimits
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 

@@ -7,12 +7,12 @@ from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.planning.candidate_drives import MENU, Experiment, played
 from piezoid.diagnosis.planning.drive_limits import Bench
 from piezoid.diagnosis.planning.drive_response import Driven
+from piezoid.diagnosis.planning.excitation import Drive
 from piezoid.diagnosis.planning.open_questions import Question, answers, left_open
 from piezoid.diagnosis.planning.separation import Errors, Told, told_apart
 from piezoid.diagnosis.planning.simulated_drives import driven_drive, usual_drives
 from piezoid.errors import ExcitationError
 from piezoid.identification.model import AxisModel
-from piezoid.records.excitation import Drive
 
 ENOUGH = 5.0  # standard errors; beyond, it is likeness of shape that misleads, not noise
 NEARLY = 0.9  # of the best: a shorter drive that reaches it is taken

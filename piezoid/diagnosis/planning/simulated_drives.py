@@ -7,11 +7,11 @@ import numpy as np
 
 from piezoid.diagnosis.planning.drive_limits import Bench
 from piezoid.diagnosis.planning.drive_response import Driven, rows_of
+from piezoid.diagnosis.planning.excitation import Drive
+from piezoid.diagnosis.planning.full_range_drives import equal_cycles
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import starts_of
 from piezoid.numerics.arrays import Array
-from piezoid.records.excitation import Drive
-from piezoid.records.full_range_drives import equal_cycles
 from piezoid.records.recording import Quantity, Recording
 
 ROWS = 700  # of each drive that are compared

@@ -113,9 +113,9 @@ def estimate_response(
     LEAST_COHERENCE  below, an output's line is rejected; so are single lines whose residual
                      stands out of their neighbourhood, where something else interferes
 
-    Orthogonal multisines (see ``piezoid.records.excitation``) keep U U^H well conditioned. With
-    as many realisations as inputs distortion cannot be seen; with one period, noise cannot be
-    told from it and all variance is called distortion.
+    Orthogonal multisines keep U U^H well conditioned. With as many realisations as inputs
+    distortion cannot be seen; with one period, noise cannot be told from it and all variance is
+    called distortion.
     """
     used = data.excited_lines() if lines is None else np.asarray(lines, dtype=np.int64)
     drive, moved = data.spectra(used)

@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from piezoid.diagnosis.planning.excitation import DriveLimits, multisines, odd_lines
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
 from piezoid.identification.dynamics.periodic_estimate import PeriodicData
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
-from piezoid.records.excitation import DriveLimits, multisines, odd_lines
 
 RATE_HZ = 20_000.0
 PERIOD = 2000  # samples: lines are 10 Hz apart

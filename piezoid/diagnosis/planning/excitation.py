@@ -113,7 +113,7 @@ def multisines(
     rms_V          of each axis about the offset
 
     Of several draws of phases the one with the lowest peak is kept. Refuses a drive that would
-    leave the limits: a clipped multisine excites lines nobody asked for.
+    leave the limits: a clipped multisine excites other lines as well.
     """
     count = len(axes)
     if realisations % count:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.planning.excitation import Drive, DriveLimits, multisines, odd_lines
 from piezoid.errors import ExcitationError
-from piezoid.records.excitation import Drive, DriveLimits, multisines, odd_lines
 
 RATE_HZ = 10_000.0
 LIMITS = DriveLimits(voltage_min_V=-1.0, voltage_max_V=9.0, slew_V_per_s=2e4)

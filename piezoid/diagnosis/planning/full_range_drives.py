@@ -9,8 +9,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from piezoid.diagnosis.planning.excitation import DriveLimits
 from piezoid.numerics.arrays import Array
-from piezoid.records.excitation import DriveLimits
 
 CYCLES_BEFORE = 2
 CYCLE_s = 2.0  # of one such cycle, where the slew limit allows
@@ -24,12 +24,12 @@ def rest_V(limits: DriveLimits) -> float:
 
 
 def between(body_V: Array, rate_Hz: float, limits: DriveLimits) -> Array:
-    """Return a drive with cycles over the whole range before it, and the way back to rest."""
-    rest, ends = rest_V(limits), (limits.voltage_max_V, limits.voltage_min_V)
-    stops = [rest, *ends * CYCLES_BEFORE, float(body_V[0])]
-    before = path_V(stops, limits, rate_Hz, move_s=CYCLE_s / 2)
-    after = path_V([float(body_V[-1]), rest], limits, rate_Hz, move_s=CYCLE_s / 2)
-    return np.concatenate([before, body_V, after])
+    """Return a drive with cycles over the whole range before it and a return to rest behind it."""
+    full_cycle_V = (limits.voltage_max_V, limits.voltage_min_V)
+    stops_V = [rest_V(limits), *full_cycle_V * CYCLES_BEFORE, float(body_V[0])]
+    lead_in_V = path_V(stops_V, limits, rate_Hz, move_s=CYCLE_s / 2)
+    return_V = path_V([float(body_V[-1]), rest_V(limits)], limits, rate_Hz, move_s=CYCLE_s / 2)
+    return np.concatenate([lead_in_V, body_V, return_V])
 
 
 def path_V(
@@ -40,16 +40,16 @@ def path_V(
     move_s: float,
     hold_s: float = 0.0,
 ) -> Array:
-    """Return the way along stops, each reached along half a cosine and held.
+    """Return a drive through voltages, each reached along half a cosine and held.
 
-    move_s  of each way; longer where the slew limit asks for it
+    move_s  of each move; longer where the slew limit asks for it
     """
     parts = [np.array([stops_V[0]])]
-    for here, there in pairwise(stops_V):
-        time_s = max(move_s, GLIDE * abs(there - here) / limits.slew_V_per_s)
+    for start_V, stop_V in pairwise(stops_V):
+        time_s = max(move_s, GLIDE * abs(stop_V - start_V) / limits.slew_V_per_s)
         count = max(int(np.ceil(time_s * rate_Hz)), 1)
-        along = 0.5 * (1.0 - np.cos(np.pi * np.arange(1, count + 1) / count))
-        parts += [here + (there - here) * along, np.full(round(hold_s * rate_Hz), there)]
+        share = 0.5 * (1.0 - np.cos(np.pi * np.arange(1, count + 1) / count))
+        parts += [start_V + (stop_V - start_V) * share, np.full(round(hold_s * rate_Hz), stop_V)]
     return np.concatenate(parts)
 
 
@@ -83,9 +83,9 @@ def held_levels(
 ) -> Array:
     """Return random levels, each held; ``mirrored``: then the same about the middle."""
     middle_V, reach_V = _middle(limits)
-    places = rng.uniform(-0.95, 0.95, levels)
-    ways = np.concatenate([places, -places]) if mirrored else places
-    stops_V = (middle_V + reach_V * ways).tolist()
+    shares = rng.uniform(-0.95, 0.95, levels)
+    shares = np.concatenate([shares, -shares]) if mirrored else shares
+    stops_V = (middle_V + reach_V * shares).tolist()
     return path_V([limits.voltage_min_V, *stops_V], limits, rate_Hz, move_s=0.05, hold_s=hold_s)
 
 
