@@ -4,11 +4,12 @@ import csv
 import io
 import re
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.errors import UnreadableFileError
 from piezoid.numerics.arrays import Array
@@ -141,17 +142,18 @@ def parse_numbers(text: str, layout: Layout, name: str, first_line: int) -> Numb
             remedy="Export the recording again.",
             line=first_line,
         )
-    block = None
-    if not layout.grouped and not layout.paired:
-        block = _parse_fast(text, layout) or _parse_mixed(text, layout, first_line)
+    frame = _frame(text, layout, np.float64)
+    if frame is not None:
+        columns = tuple(frame[k].to_numpy(dtype=np.float64) for k in frame.columns)
+        return NumberTable(columns=columns, textual=frozenset(), statements=())
     try:
-        block = _parse_slowly(text, layout, name, first_line) if block is None else block
+        table = _parse_cells(_cut_rows(text, layout, first_line), layout, name)
     except UnreadableFileError:
         _refuse_prefixes(text, layout, name, first_line, frozenset())  # the better reason
         raise
-    if any(statement.quantity == "not_a_number" for statement in block.statements):
-        _refuse_prefixes(text, layout, name, first_line, block.textual)
-    return block
+    if any(statement.quantity == "not_a_number" for statement in table.statements):
+        _refuse_prefixes(text, layout, name, first_line, table.textual)
+    return table
 
 
 def _refuse_prefixes(
@@ -184,45 +186,112 @@ def without_comments(text: str, first_line: int) -> tuple[str, tuple[Statement, 
     return "\n".join(line for line in lines if not _COMMENT.match(line)), (statement,)
 
 
-def _parse_fast(text: str, layout: Layout) -> NumberTable | None:
-    """Read a table in which every field is a number or empty, or return None."""
-    frame = _frame(text, layout, np.float64)
-    if frame is None:
-        return None
-    columns = tuple(frame[k].to_numpy(dtype=np.float64) for k in frame.columns)
-    return NumberTable(columns=columns, textual=frozenset(), statements=())
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Rows:
+    """The cells of a table as text.
+
+    cells   a column for each field, empty where a row is short
+    lines   (rows,)  on which each row stands
+    fields  (rows,)  of each row, up to its last filled one
+    """
+
+    cells: "DataFrame"
+    lines: NDArray[np.intp]
+    fields: NDArray[np.intp]
 
 
-def _parse_mixed(text: str, layout: Layout, first_line: int) -> NumberTable | None:
-    """Read a table of whole rows in which some fields hold text or dates, or return None."""
+def _cut_rows(text: str, layout: Layout, first_line: int) -> _Rows:
+    """Cut a table into cells; one by one only where rows are blank or of different lengths."""
     import pandas as pd
 
     frame = None if "\n\n" in text.rstrip("\n") else _frame(text, layout, str)
-    if frame is None:
-        return None
-    columns, texts, stamped = [], [], set()
-    for k in frame.columns:
-        held = frame[k].str.strip()
-        points = held.str.replace(",", ".") if layout.decimal == "," else held
-        numbers = pd.to_numeric(points, errors="coerce")
-        wrong_here = held.notna() & numbers.isna() & ~held.str.lower().isin(_EMPTY)
-        texts.append(np.array(wrong_here, dtype=bool))
-        if 2 * texts[-1].sum() > len(held):
-            seconds = _seconds_of(held)
-            if seconds is not None:
-                numbers = seconds
-                texts[-1][:] = False
-                stamped.add(int(k))
-        columns.append(numbers.to_numpy(dtype=np.float64))
-    wrong = np.array(texts)
-    textual = frozenset(np.flatnonzero(2 * wrong.sum(axis=1) > len(frame)).tolist())
-    if len(textual) == layout.fields or 4 * _max_text_cells(wrong, textual) > len(frame):
-        return None
-    first = [first_line + int(np.argmax(row)) for row in wrong]
-    statements = _text_statements(wrong.sum(axis=1), first, textual)
-    return NumberTable(
-        columns=tuple(columns), textual=textual, stamped=frozenset(stamped), statements=statements
+    if frame is not None:
+        lines = first_line + np.arange(len(frame))
+        return _Rows(
+            cells=frame.fillna(""), lines=lines, fields=np.full(len(frame), layout.fields)
+        )
+    rows = [
+        (line, cells_of(content, layout))
+        for line, content in enumerate(text.split("\n"), start=first_line)
+        if content.strip()
+    ]
+    cells = [row[: layout.fields] + [""] * (layout.fields - len(row)) for _, row in rows]
+    return _Rows(
+        cells=pd.DataFrame(cells, dtype=str),
+        lines=np.array([line for line, _ in rows]),
+        fields=np.array([len(row) if any(row[layout.fields :]) else 0 for _, row in rows]),
     )
+
+
+def _parse_cells(rows: _Rows, layout: Layout, name: str) -> NumberTable:
+    """Read cells as numbers or times of day, and state which hold neither.
+
+    Raises ``UnreadableFileError`` where text or surplus cells damage more than a quarter of the
+    rows.
+    """
+    numbers = np.empty((len(rows.lines), layout.fields))
+    is_text = np.zeros(numbers.shape, dtype=bool)
+    stamped = set()
+    for k in range(layout.fields):
+        cells = rows.cells[k].str.strip()
+        numbers[:, k], is_text[:, k] = _numbers_of(cells, layout)
+        if 2 * is_text[:, k].sum() > len(cells) and (seconds := _seconds_of(cells)) is not None:
+            numbers[:, k], is_text[:, k] = seconds, False
+            stamped.add(k)
+    counts = is_text.sum(axis=0)
+    textual = frozenset(np.flatnonzero(2 * counts > len(numbers)).tolist())
+    statements = [
+        finding(
+            quantity="not_a_number",
+            place=f"line {rows.lines[is_text[:, k].argmax()]}, column {k + 1}",
+            text=f"{counts[k]} fields of column {k + 1} hold text instead of a number",
+        )
+        for k in np.flatnonzero(counts).tolist()
+        if k not in textual
+    ]
+    wide = np.flatnonzero(rows.fields > layout.fields)
+    if len(wide):
+        numbers[wide] = np.nan
+        text = (
+            f"{len(wide)} rows have more fields than the table ({rows.fields[wide[0]]} > "
+            f"{layout.fields})"
+        )
+        place = f"line {rows.lines[wide[0]]}"
+        statements.append(finding(quantity="field_count", place=place, text=text))
+    others = [count for k, count in enumerate(counts.tolist()) if k not in textual]
+    damaged = len(wide) + max(others, default=0)
+    if not others or 4 * damaged > len(numbers):
+        first = wide[0] if len(wide) else is_text.any(axis=1).argmax()
+        raise unreadable(
+            name,
+            f"{damaged} of {len(numbers)} rows hold text or too many fields, the first on line "
+            f"{rows.lines[first]}",
+            needed="rows of numbers, as many in each",
+            remedy="Export the recording again, or remove the rows that are no data.",
+            line=int(rows.lines[first]),
+        )
+    return NumberTable(
+        columns=tuple(numbers[:, k].copy() for k in range(layout.fields)),
+        textual=textual,
+        stamped=frozenset(stamped),
+        statements=tuple(statements),
+    )
+
+
+def _numbers_of(cells: "Series[str]", layout: Layout) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the numbers of a column, NaN for empty cells and text, and which cells are text."""
+    import pandas as pd
+
+    numbers, is_text = np.full(len(cells), np.nan), np.zeros(len(cells), dtype=bool)
+    texts = cells.tolist()
+    if not layout.grouped:
+        points = cells.str.replace(",", ".") if layout.decimal == "," else cells
+        numbers = pd.to_numeric(points, errors="coerce").to_numpy(dtype=np.float64, copy=True)
+    for row in np.flatnonzero(np.isnan(numbers)).tolist():
+        value = number_of(texts[row], layout.decimal, grouped=layout.grouped)
+        is_text[row] = value is None
+        numbers[row] = np.nan if value is None else value
+    return numbers, is_text
 
 
 def _seconds_of(held: "Series[str]") -> "Series[float] | None":
@@ -264,30 +333,14 @@ def _without_wraps(seconds: "Series[float]", turn_s: float) -> "Series[float]":
     return (running - running.iloc[0]).round(9)
 
 
-def _max_text_cells(wrong: np.ndarray, textual: frozenset[int]) -> int:
-    counts = wrong.sum(axis=1)
-    return max((int(counts[k]) for k in range(len(counts)) if k not in textual), default=0)
-
-
-def _text_statements(
-    texts: np.ndarray, first: list[int], textual: frozenset[int]
-) -> tuple[Statement, ...]:
-    return tuple(
-        finding(
-            quantity="not_a_number",
-            place=f"line {first[k]}, column {k + 1}",
-            text=f"{texts[k]} fields of column {k + 1} hold text instead of a number",
-        )
-        for k in range(len(texts))
-        if texts[k] and k not in textual
-    )
-
-
 def _frame(text: str, layout: Layout, dtype: type) -> "DataFrame | None":
+    """Read rows of equal length without marks of thousands, or return None."""
     import pandas as pd
 
+    if layout.grouped or layout.paired:
+        return None
     try:
-        # The warning says that fields were dropped: that must send us the slow way, not be lost.
+        # The warning says that fields were dropped, which must not be lost.
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
             return pd.read_csv(
@@ -303,79 +356,3 @@ def _frame(text: str, layout: Layout, dtype: type) -> "DataFrame | None":
             )
     except (ValueError, OverflowError, pd.errors.ParserError, pd.errors.ParserWarning):
         return None
-
-
-def _parse_slowly(text: str, layout: Layout, name: str, first_line: int) -> NumberTable:
-    rows, lines, strange, cells = [], [], [], []
-    for line, content in enumerate(text.split("\n"), start=first_line):
-        if not content.strip():
-            continue
-        fields = cells_of(content, layout)
-        values = [
-            number_of(field, layout.decimal, grouped=layout.grouped)
-            for field in fields[: layout.fields]
-        ]
-        if len([field for field in fields[layout.fields :] if field]) > 0 or len(fields) == 0:
-            strange.append((line, len(fields)))
-        values += [np.nan] * (layout.fields - len(values))
-        rows.append([np.nan if value is None else value for value in values])
-        lines.append((line, [k for k, value in enumerate(values) if value is None]))
-        cells.append(fields)
-    numbers = np.array(rows, dtype=np.float64)
-    stamps = _stamps(cells, lines)
-    for k, seconds in stamps.items():
-        numbers[:, k] = seconds
-    lines = [(line, [k for k in where if k not in stamps]) for line, where in lines]
-    return replace(_checked_numbers(numbers, lines, strange, name), stamped=frozenset(stamps))
-
-
-def _stamps(cells: list[list[str]], lines: list[tuple[int, list[int]]]) -> dict[int, Array]:
-    """Return the seconds of the fields that hold times of day in every row."""
-    import pandas as pd
-
-    found: dict[int, Array] = {}
-    for k in sorted(set.intersection(*(set(where) for _, where in lines))):
-        seconds = _seconds_of(pd.Series([row[k] for row in cells], dtype=str))
-        if seconds is not None:
-            found[k] = np.asarray(seconds, dtype=np.float64)
-    return found
-
-
-def _checked_numbers(
-    rows: Array, lines: list[tuple[int, list[int]]], strange: list[tuple[int, int]], name: str
-) -> NumberTable:
-    count, fields = rows.shape
-    texts = np.zeros(fields, dtype=int)
-    first = [0] * fields
-    for line, where in lines:
-        for k in where:
-            first[k] = first[k] or line
-            texts[k] += 1
-    textual = frozenset(np.flatnonzero(2 * texts > count).tolist())
-    statements = list(_text_statements(texts, first, textual))
-    if strange:
-        line, found = strange[0]
-        wide = {at for at, _ in strange}
-        rows[[k for k, (at, _) in enumerate(lines) if at in wide]] = np.nan
-        statements.append(
-            finding(
-                quantity="field_count",
-                place=f"line {line}",
-                text=f"{len(strange)} rows have more fields than the table ({found} > {fields})",
-            )
-        )
-    damaged = len(strange) + max([0, *(texts[k] for k in range(fields) if k not in textual)])
-    if len(textual) == fields or 4 * damaged > count:
-        line = strange[0][0] if strange else min(at for at in first if at)
-        raise unreadable(
-            name,
-            f"{damaged} of {count} rows hold text or too many fields, the first on line {line}",
-            needed="rows of numbers, as many in each",
-            remedy="Export the recording again, or remove the rows that are no data.",
-            line=line,
-        )
-    return NumberTable(
-        columns=tuple(rows[:, k].copy() for k in range(fields)),
-        textual=textual,
-        statements=tuple(statements),
-    )
