@@ -160,3 +160,12 @@ def test_recordings_the_model_does_not_know_are_fitted_from_rest() -> None:
     found = fit_extended(unknown, recordings_of())
     assert found.held_out_rms_m < 1.3 * NOISE_m
     assert {start.recording for start in found.model.starts} == {"slow.csv", "fast.csv"}
+
+
+def test_an_extension_that_acts_in_one_fold_alone_leaves_the_held_out_error_as_it_is() -> None:
+    recordings = recordings_of()
+    changes = tuple(
+        GainChange(recording="slow.csv", instant_s=share * recordings[0].duration_s, ratio=1.0)
+        for share in (0.9, 0.901)
+    )
+    assert fit_extended(known_model(), recordings, changes).held_out_rms_m < 1.1 * NOISE_m
