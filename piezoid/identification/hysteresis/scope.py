@@ -104,8 +104,9 @@ class Scope:
             found.append(
                 (
                     "speed",
-                    "branches of one size were all driven at one speed: the width of the loop "
-                    f"cannot be told from a lag{lag}, and nothing is known at other speeds",
+                    "branches of one size and direction were all driven at one speed: the width "
+                    f"of the loop cannot be told from a lag{lag}, and nothing is known at other "
+                    "speeds",
                 )
             )
         if self.amplitudes < OTHER_SIZE:
