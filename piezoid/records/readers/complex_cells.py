@@ -9,7 +9,7 @@ from piezoid.records.readers.text_layout import HEAD_LINES
 from piezoid.records.table import Column, RawTable
 from piezoid.statement import finding
 
-_SEEN = 10  # rows at the end of the head: comments and headings stand before them
+TESTED_LINES = 10  # at the end of the head; comments and headings stand above them
 
 
 def _pattern(digits: str) -> re.Pattern[str]:
@@ -28,7 +28,9 @@ _WITH_COMMAS = _pattern(r"(?:\d++(?:[.,]\d*+)?|[.,]\d++)(?:[eE][+-]?\d++)?")
 
 def real_and_imaginary_text(text: str) -> tuple[str, str] | None:
     """Return a table of complex cells twice, of real and imaginary parts; None where none is."""
-    head = [line for line in text.split("\n", HEAD_LINES)[:HEAD_LINES] if line.strip()][-_SEEN:]
+    head = [line for line in text.split("\n", HEAD_LINES)[:HEAD_LINES] if line.strip()][
+        -TESTED_LINES:
+    ]
     if not head:
         return None
     pattern = _WITH_COMMAS if {";", "\t"} & set(head[-1]) else _WITH_POINTS
@@ -44,23 +46,24 @@ def _imaginary(cell: re.Match[str]) -> str:
 def join_complex_columns(real: RawTable, imaginary: RawTable) -> RawTable:
     """Return one table, in which a column of complex numbers is two, named as those of MATLAB."""
     columns: list[Column] = []
-    held: list[Column] = []
-    for column, other in zip(real.columns, imaginary.columns, strict=True):
+    complex_columns: list[Column] = []
+    for column, imaginary_column in zip(real.columns, imaginary.columns, strict=True):
         pieces = [column]
-        if not np.array_equal(column.values, other.values, equal_nan=True):
-            held.append(column)
+        if not np.array_equal(column.values, imaginary_column.values, equal_nan=True):
+            complex_columns.append(column)
             label = column.label or str(column.number)
             pieces = [
                 replace(column, label=f"real({label})"),
-                replace(other, label=f"imag({label})"),
+                replace(imaginary_column, label=f"imag({label})"),
             ]
         columns += [replace(piece, number=len(columns) + k + 1) for k, piece in enumerate(pieces)]
-    if not held:
+    if not complex_columns:
         return real
-    said = ", ".join(column.place for column in held[:3]) + (", ..." if len(held) > 3 else "")
+    places = ", ".join(column.place for column in complex_columns[:3])
+    more = ", ..." if len(complex_columns) > 3 else ""
     text = (
-        f"{said} holds complex numbers: real and imaginary part are the columns of a frequency "
-        "response, and of no recording over time"
+        f"{places}{more} holds complex numbers: real and imaginary part are the columns of a "
+        "frequency response, and of no recording over time"
     )
-    statement = finding(quantity="complex", place=held[0].place, text=text)
+    statement = finding(quantity="complex", place=complex_columns[0].place, text=text)
     return replace(real, columns=tuple(columns), statements=(*real.statements, statement))

@@ -18,7 +18,7 @@ from piezoid.records.readers.text_table import metadata_of
 from piezoid.records.table import Column, RawTable, rate_of
 from piezoid.statement import Statement, finding
 
-_END = "***End_of_Header***"
+HEADER_END = "***End_of_Header***"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,35 +33,37 @@ class _Segment:
 def read(source: Source) -> RawTable:
     """Read all segments and put them one behind the other."""
     lines = text_of(source).split("\n")
-    ends = [row for row, line in enumerate(lines) if line.startswith(_END)]
-    if len(ends) < 2:
+    header_ends = [row for row, line in enumerate(lines) if line.startswith(HEADER_END)]
+    if len(header_ends) < 2:
         raise unreadable(
             source.name,
-            f"{len(ends)} header ends found",
+            f"{len(header_ends)} header ends",
             needed="one for the file and one for each segment",
             remedy="Write the file again from LabVIEW with headers.",
         )
-    header = metadata_of(tuple(lines[: ends[0]]))
+    header = metadata_of(tuple(lines[: header_ends[0]]))
     separator = {"Tab": "\t", "Comma": ","}.get(header.get("Separator", "Tab"), "\t")
-    decimal = header.get("Decimal_Separator") or _decimal_of(lines, ends[1], separator)
-    starts = [_segment_start(lines, before, end) for before, end in pairwise(ends)]
+    decimal = header.get("Decimal_Separator") or _decimal_mark(lines, header_ends[1], separator)
+    starts = [_segment_start(lines, previous, end) for previous, end in pairwise(header_ends)]
     segments = [
         _segment(source.name, lines, begin, end, stop, separator, decimal)
-        for begin, end, stop in zip(starts, ends[1:], [*starts[1:], len(lines)], strict=True)
+        for begin, end, stop in zip(
+            starts, header_ends[1:], [*starts[1:], len(lines)], strict=True
+        )
     ]
     return _joined(source, header, segments)
 
 
-def _segment_start(lines: list[str], before: int, end: int) -> int:
-    """Return the first row of the header that ends at ``end``; the one before it at ``before``."""
+def _segment_start(lines: list[str], previous_end: int, end: int) -> int:
+    """Return the first line of the header that ends at ``end``."""
     row = end
-    while row > before + 1 and not lines[row].startswith("Channels"):
+    while row > previous_end + 1 and not lines[row].startswith("Channels"):
         row -= 1
     return row
 
 
-def _decimal_of(lines: list[str], end: int, separator: str) -> str:
-    """Older writers do not state their decimal mark: take the one the numbers are written with."""
+def _decimal_mark(lines: list[str], end: int, separator: str) -> str:
+    """Return the decimal mark of the numbers themselves, which older writers do not state."""
     for line in lines[end + 2 : end + 50]:
         if separator == "\t" and re.search(r"\d,\d", line):
             return ","
@@ -120,17 +122,17 @@ def _joined(source: Source, header: dict[str, str], segments: list[_Segment]) ->
             )
     lengths = [len(segment.fields[0]) for segment in segments]
     times = [k for k, label in enumerate(first.labels) if label == "X_Value"]
-    written = [k for k in times if np.isfinite(first.fields[k]).any()]
+    clocks = [k for k in times if np.isfinite(first.fields[k]).any()]
     interval_s = _interval_s(source.name, first, header)
     statements = [statement for segment in segments for statement in segment.statements]
     return RawTable(
         name=source.name,
         digest=source.digest,
         format="LabVIEW measurement",
-        columns=_columns(segments, written),
-        sampling_rate_Hz=None if written else rate_of(interval_s),
-        sampling_start_s=_number(first.header.get("X0", []), header) if not written else 0.0,
-        segment_starts=_segment_starts(segments, lengths, clocked=bool(written)),
+        columns=_columns(segments, clocks),
+        sampling_rate_Hz=None if clocks else rate_of(interval_s),
+        sampling_start_s=_number(first.header.get("X0", []), header) if not clocks else 0.0,
+        segment_starts=_segment_starts(segments, lengths, is_clocked=bool(clocks)),
         first_line=first.line if len(segments) == 1 else 0,
         metadata=header,
         statements=(*statements, *_missing_samples(segments)),
@@ -138,16 +140,16 @@ def _joined(source: Source, header: dict[str, str], segments: list[_Segment]) ->
 
 
 def _segment_starts(
-    segments: list[_Segment], lengths: list[int], *, clocked: bool
+    segments: list[_Segment], lengths: list[int], *, is_clocked: bool
 ) -> tuple[int, ...]:
-    """Return where acquisitions begin anew, also those written without a header of their own.
+    """Return the first row of each further acquisition, with or without a header.
 
     A file with ``Multi_Headings No`` repeats nothing: it only holds a multiple of the samples that
-    its one header declares. With a time column the clock tells.
+    its one header declares. A time column shows them by itself.
     """
     starts = [int(k) for k in np.cumsum(lengths)[:-1]]
     declared = max(_declared_samples(segments[0]), default=0)
-    if not starts and not clocked and declared > 1 and lengths[0] % declared == 0:
+    if not starts and not is_clocked and declared > 1 and lengths[0] % declared == 0:
         starts = list(range(declared, lengths[0], declared))
     return tuple(starts)
 
@@ -162,11 +164,11 @@ def _columns(segments: list[_Segment], times: list[int]) -> tuple[Column, ...]:
     first = segments[0]
     units = first.header.get("Y_Unit_Label", [])
     joined = [np.concatenate([s.fields[k] for s in segments]) for k in range(len(first.labels))]
-    same = [k for k in times[1:] if np.array_equal(joined[k], joined[times[0]])]
+    repeated_clocks = [k for k in times[1:] if np.array_equal(joined[k], joined[times[0]])]
     columns = []
     for k, label in enumerate(first.labels):
         is_time = label == "X_Value"
-        if is_time and (k not in times or k in same):
+        if is_time and (k not in times or k in repeated_clocks):
             continue
         # The unit line has a cell for each channel, and in files with one clock for each channel a
         # cell for each clock too; the row's first field is the key's place.
@@ -204,19 +206,19 @@ def _number(cells: list[str], header: dict[str, str]) -> float:
 
 
 def _missing_samples(segments: list[_Segment]) -> list[Statement]:
-    found = []
+    statements = []
     for segment in segments:
-        declared = _declared_samples(segment)
-        held = len(segment.fields[0])
-        if declared and max(declared) > held and max(declared) > 1:
-            found.append(
+        declared = max(_declared_samples(segment), default=0)
+        samples = len(segment.fields[0])
+        if declared > max(samples, 1):
+            statements.append(
                 finding(
                     quantity="truncated",
                     place=f"line {segment.line}",
-                    text=f"the header declares {max(declared)} samples, the file holds {held}",
+                    text=f"the header declares {declared} samples, the file holds {samples}",
                 )
             )
-    return found
+    return statements
 
 
 READER = Reader(

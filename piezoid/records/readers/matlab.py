@@ -16,16 +16,18 @@ from piezoid.records.readers.source import Source, check_growth, unreadable
 from piezoid.records.table import RawTable
 from piezoid.statement import finding
 
-# What SciPy makes of an object: its name, MCOS, its class, and numbers of its bookkeeping.
-_OBJECT = frozenset({"s0", "s1", "s2", "arr"})
-_CLASSES = frozenset({"char", "cell", "struct", "logical", "double", "single", "function_handle"})
-_SAVE = (
+# Fields that SciPy reads of an object: its name, MCOS, its class, and its internal numbers.
+OBJECT_FIELDS = frozenset({"s0", "s1", "s2", "arr"})
+PLAIN_CLASSES = frozenset(
+    {"char", "cell", "struct", "logical", "double", "single", "function_handle"}
+)
+SAVING_ADVICE = (
     "In MATLAB, save columns as vectors (time_s = seconds(T.Time); voltage_V = T.Voltage), or "
     "write the table with writetable or writetimetable as CSV."
 )
-_HEADER = 128  # bytes in front of the elements of versions 5 to 7
-_COMPRESSED = 15  # type of an element that zlib compressed
-_PIECE = 1 << 20
+HEADER_SIZE = 128  # bytes in front of the elements of versions 5 to 7
+COMPRESSED = 15  # type of an element that zlib compressed
+PIECE_SIZE = 1 << 20
 
 
 def recognises(source: Source) -> bool:
@@ -48,7 +50,7 @@ def read(source: Source) -> RawTable:
 
         _check_sizes(source)
         opaque = {} if source.head.startswith(b"MATLAB 5") else _objects_of_hdf5(source)
-        variables = dict(_flat("", read_mat(str(source.path)), opaque))
+        variables = dict(_flattened("", read_mat(str(source.path)), opaque))
         arrays = {name: value for name, value in variables.items() if name not in opaque}
     objects = ", ".join(f"{name!r} ({kind})" for name, kind in opaque.items())
     if opaque and not any(value.size > 1 for value in arrays.values()):
@@ -56,12 +58,12 @@ def read(source: Source) -> RawTable:
             source.name,
             f"it holds objects that only MATLAB can open: {objects}",
             needed="vectors of numbers, alone or in a structure",
-            remedy=_SAVE,
+            remedy=SAVING_ADVICE,
         )
     table = table_of(source, "MATLAB", arrays)
     if not opaque:
         return table
-    text = f"{objects} are objects that only MATLAB can open, and are not read. {_SAVE}"
+    text = f"{objects} are objects that only MATLAB can open, and are not read. {SAVING_ADVICE}"
     statement = finding(quantity="opaque", place=next(iter(opaque)), text=text)
     return replace(table, statements=(statement, *table.statements))
 
@@ -71,7 +73,7 @@ def _check_sizes(source: Source) -> None:
     if source.head.startswith(b"MATLAB 5"):
         from scipy.io import whosmat
 
-        # An object has no size to tell, at which SciPy stumbles; what is in the file is counted.
+        # SciPy fails on objects, which have no size; _check_elements counts what they hold.
         with suppress(TypeError):
             variables = whosmat(str(source.path))
             check_growth(source, 8 * sum(int(np.prod(s, dtype=object)) for _, s, _ in variables))
@@ -92,22 +94,22 @@ def _check_elements(source: Source) -> None:
 
 def _decompressed_sizes(stream: BinaryIO) -> Iterator[int]:
     """Yield the bytes of each piece of the file's elements, decompressed where needed."""
-    order = ">" if stream.read(_HEADER)[126:128] == b"MI" else "<"
+    order = ">" if stream.read(HEADER_SIZE)[126:128] == b"MI" else "<"
     while len(tag := stream.read(8)) == 8:
         kind, size = struct.unpack(f"{order}II", tag)
         inflate = zlib.decompressobj()
-        while size > 0 and (content := stream.read(min(size, _PIECE))):
+        while size > 0 and (content := stream.read(min(size, PIECE_SIZE))):
             size -= len(content)
-            if kind != _COMPRESSED:
+            if kind != COMPRESSED:
                 yield len(content)
                 continue
             while content and not inflate.eof:
-                yield len(inflate.decompress(content, _PIECE))
+                yield len(inflate.decompress(content, PIECE_SIZE))
                 content = inflate.unconsumed_tail
 
 
 def _objects_of_hdf5(source: Source) -> dict[str, str]:
-    """Return the class of every object: what is in its place are numbers of its bookkeeping."""
+    """Return the class of every object, by its path."""
     import h5py
 
     classes: dict[str, str] = {}
@@ -115,7 +117,7 @@ def _objects_of_hdf5(source: Source) -> dict[str, str]:
     def keep(path: str, item: Any) -> None:
         kind = item.attrs.get("MATLAB_class", b"")
         kind = kind.decode("utf-8", "replace") if isinstance(kind, bytes) else str(kind)
-        if "MATLAB_object_decode" in item.attrs and kind not in _CLASSES and path[0] != "#":
+        if "MATLAB_object_decode" in item.attrs and kind not in PLAIN_CLASSES and path[0] != "#":
             classes[path.replace("/", ".")] = kind or "object"
 
     with source.open() as stream:
@@ -123,7 +125,7 @@ def _objects_of_hdf5(source: Source) -> dict[str, str]:
     return classes
 
 
-def _flat(
+def _flattened(
     prefix: str, variables: Mapping[str, object], opaque: dict[str, str]
 ) -> Iterator[tuple[str, np.ndarray]]:
     """Yield the variables, fields of structures by ``structure.field``; note what is an object."""
@@ -131,21 +133,20 @@ def _flat(
         if str(key).startswith(("__", "#")):
             continue
         name = f"{prefix}.{key}" if prefix else str(key)
-        if isinstance(value, Mapping) and set(value) >= _OBJECT:
-            object_name, kind = (_word(value[field]) for field in ("s0", "s2"))
+        if isinstance(value, Mapping) and set(value) >= OBJECT_FIELDS:
+            object_name, kind = (_first_text(value[field]) for field in ("s0", "s2"))
             opaque[object_name or name] = kind
         elif isinstance(value, Mapping):
-            yield from _flat(name, value, opaque)
+            yield from _flattened(name, value, opaque)
         else:
             yield name, value if isinstance(value, np.ndarray) else np.asarray(value)
 
 
-def _word(field: object) -> str:
-    """Return the one word in a field of an object."""
-    word = field
-    if isinstance(field, list | tuple | np.ndarray) and len(field):
-        word = field[0]
-    return word.decode("utf-8", "replace") if isinstance(word, bytes) else str(word)
+def _first_text(field: object) -> str:
+    """Return the text in a field of an object."""
+    is_sequence = isinstance(field, list | tuple | np.ndarray) and len(field)
+    text = field[0] if is_sequence else field  # type: ignore[index]
+    return text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text)
 
 
 READER = Reader(

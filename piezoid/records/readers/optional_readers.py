@@ -13,15 +13,15 @@ from piezoid.records.readers.source import Source, check_columns, check_growth, 
 from piezoid.records.table import Column, RawTable
 from piezoid.statement import Statement, finding
 
-# Recorders have some dozen channels and recordings thousands of samples: with so many times as
-# many columns as rows, the rows are the channels.
-_ON_ITS_SIDE = 50
-_MOST_PATHS = 3  # axes of a stage: outputs and inputs of its response
+# Columns over rows of a matrix above which its rows are the channels: recorders have some dozen
+# channels, recordings thousands of samples.
+MIN_TRANSPOSED_RATIO = 50
+MAX_AXES = 3  # of a stage: outputs and inputs of its response
 
 
 @contextmanager
 def reading(source: Source, format_name: str, *, extra: str = "io") -> Iterator[None]:
-    """Turn whatever a reader raises on a damaged file into the house's error.
+    """Turn whatever a reader raises on a damaged file into ``UnreadableFileError``.
 
     These libraries document no exceptions for damaged input (KeyError, struct.error, zlib.error,
     MemoryError and others were seen), so every kind is taken.
@@ -35,7 +35,7 @@ def reading(source: Source, format_name: str, *, extra: str = "io") -> Iterator[
     except ModuleNotFoundError as error:
         raise unreadable(
             source.name,
-            f"reading {format_name} needs the Python package {error.name!r}, which is not here",
+            f"reading {format_name} needs the missing Python package {error.name!r}",
             needed=f"the readers of the extra {extra!r}",
             remedy=f"Run: pip install 'piezoid[{extra}]'",
         ) from error
@@ -114,7 +114,7 @@ def _in_seconds(
     arrays: Mapping[str, object], units: Mapping[str, str]
 ) -> tuple[dict[str, object], dict[str, str]]:
     """Return arrays with dates and durations as seconds, dates from the first of them."""
-    found, known = dict(arrays), dict(units)
+    in_seconds, all_units = dict(arrays), dict(units)
     for key, value in arrays.items():
         array = np.asarray(value)
         if array.dtype.kind not in "mM" or not array.size:
@@ -123,8 +123,9 @@ def _in_seconds(
             array = array - array.reshape(-1)[0]
         seconds = array / np.timedelta64(1, "ns") * 1e-9
         # Nanoseconds at most are stamped; more digits are the noise of the product.
-        found[key], known[key] = np.where(np.isnat(array), np.nan, seconds.round(9)), "s"
-    return found, known
+        in_seconds[key] = np.where(np.isnat(array), np.nan, seconds.round(9))
+        all_units[key] = "s"
+    return in_seconds, all_units
 
 
 def _vectors_of(
@@ -154,8 +155,8 @@ def _vectors_of(
         elif max(array.shape) == array.size:
             vectors.append((key, key, array.reshape(-1)))
         else:
-            array, said = _with_a_row_per_sample(source, key, array, shapes)
-            statements += said
+            array, transposed = _with_a_row_per_sample(source, key, array, shapes)
+            statements += transposed
             label = f"{key}(:,{{}})" if key else ""
             vectors += [(label.format(k + 1), key, array[:, k]) for k in range(array.shape[1])]
     return vectors, metadata, statements
@@ -180,7 +181,7 @@ def _response_sides(array: np.ndarray) -> tuple[int, int] | None:
         return None
     for sides, lines in (((0, 1), 2), ((1, 2), 0)):
         size = array.shape[sides[0]]
-        if 1 < size == array.shape[sides[1]] <= _MOST_PATHS and array.shape[lines] > size:
+        if 1 < size == array.shape[sides[1]] <= MAX_AXES and array.shape[lines] > size:
             return sides
     return None
 
@@ -193,7 +194,7 @@ def _with_a_row_per_sample(
     lengths = {max(s) for k, s in shapes.items() if k != key and s and max(s) == np.prod(s) > 1}
     if rows > columns and not (columns in lengths and rows not in lengths):
         return array, []
-    if columns in lengths - {rows} or columns >= _ON_ITS_SIDE * rows:
+    if columns in lengths - {rows} or columns >= MIN_TRANSPOSED_RATIO * rows:
         text = (
             f"{key or 'the array'} has {rows} rows and {columns} columns: read as {rows} channels "
             f"of {columns} samples"

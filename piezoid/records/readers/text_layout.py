@@ -13,15 +13,15 @@ from piezoid.records.units import heading_of, unit_of
 
 # Longer preambles than this have their own formats.
 HEAD_LINES = 1000
-# Every layout is tried on every line: what is longer is no row, and so much text decides.
-_LONGEST_LINE = 1 << 18
-_ENOUGH_TEXT = 1 << 20
+# Every layout is tried on every line: a longer line is no row, and so much text is tried.
+MAX_LINE = 1 << 18
+MAX_TRIED_TEXT = 1 << 20
 # Comma and decimal comma go together where the numbers stand in quotes.
 _MARKS = (
     ("\t", "."), ("\t", ","), (";", "."), (";", ","), ("|", "."), ("|", ","), (",", "."),
     (",", ","), ("", "."), ("", ","),
 )  # fmt: skip
-# Thousands are looked for last: where all numbers can be read without them, there are none.
+# Marks of thousands are tried last: where all numbers can be read without them, there are none.
 _LAYOUTS = tuple(
     Layout(separator=separator, decimal=decimal, fields=0, grouped=grouped)
     for grouped in (False, True)
@@ -68,38 +68,38 @@ def find_table(lines: list[str], name: str, declared: TextFormat | None = None) 
     """
     declared = declared or TextFormat()
     # Rows of nothing but numbers first; only where there are none, rows with texts among them.
-    tried = _first_text(lines)
-    _check_heading_row(tried, name, declared)
-    best = _best_start(tried, 1.0, declared) or _best_start(tried, 0.5, declared)
+    lines, count = _first_text(lines), len(lines)
+    _check_heading_row(lines, name, declared)
+    best = _best_start(lines, 1.0, declared) or _best_start(lines, 0.5, declared)
     if best is None:
-        check_columns(name, max((_widest(x) for x in tried if len(x) > _LONGEST_LINE), default=0))
+        check_columns(name, max((_widest(x) for x in lines if len(x) > MAX_LINE), default=0))
         raise unreadable(
             name,
-            f"its first {len(lines)} lines hold no row of numbers{_declared_text(declared)}; line "
-            f"1 is {lines[0][:60]!r}{_hexadecimal(tried)}",
+            f"its first {count} lines hold no row of numbers{_declared_text(declared)}; line "
+            f"1 is {lines[0][:60]!r}{_hexadecimal(lines)}",
             needed="a table of numbers separated by tabs, semicolons, bars, commas or blanks",
             remedy="Export the recording as CSV, in decimal numbers, without units or other words "
             "in the cells.",
             line=1,
         )
-    _refuse_prefixed_rows(tried[: best.row], best.layout, name)
+    _refuse_prefixed_rows(lines[: best.row], best.layout, name)
     if not any(best.labels) and best.above and not _COMMENT.match(best.above[-1]):
         check_columns(name, _widest(best.above[-1]))
         if not declared.decimal:
-            _refuse_other_fields_than_headings(tried, best, name)
+            _refuse_other_fields_than_headings(lines, best, name)
     if not declared.decimal:
-        _refuse_possible_thousands(tried, best, name)
+        _refuse_possible_thousands(lines, best, name)
     return best
 
 
 def _hexadecimal(lines: list[str]) -> str:
-    found = next((match for line in lines if (match := _HEXADECIMAL.search(line))), None)
-    return "" if found is None else f", and {found[0]!r} is a hexadecimal number"
+    matches = (match for line in lines if (match := _HEXADECIMAL.search(line)))
+    return next((f", and {match[0]!r} is a hexadecimal number" for match in matches), "")
 
 
 def _declared_text(declared: TextFormat) -> str:
-    said = [f"{key} = {value!r}" for key, value in declared.keys.items()]
-    return f" with {', '.join(said)} of lab.toml" if said else ""
+    entries = [f"{key} = {value!r}" for key, value in declared.keys.items()]
+    return f" with {', '.join(entries)} of lab.toml" if entries else ""
 
 
 def _check_heading_row(lines: list[str], name: str, declared: TextFormat) -> None:
@@ -115,7 +115,7 @@ def _check_heading_row(lines: list[str], name: str, declared: TextFormat) -> Non
 def _refuse_prefixed_rows(lines: list[str], layout: Layout, name: str) -> None:
     """Refuse a row of numbers above the table that a prefix in a cell kept out of it."""
     for row, line in enumerate(lines):
-        cells = cells_of(line, layout) if len(line) <= _LONGEST_LINE else []
+        cells = cells_of(line, layout) if len(line) <= MAX_LINE else []
         if len(cells) == layout.fields and any(
             number_of(cell, layout.decimal) is not None for cell in cells if cell
         ):
@@ -210,8 +210,8 @@ def _first_text(lines: list[str]) -> list[str]:
     """Return the first lines, those that may be rows no more than a megabyte together."""
     size = 0
     for row, line in enumerate(lines):
-        size += len(line) if len(line) <= _LONGEST_LINE else 0
-        if row and size > _ENOUGH_TEXT:
+        size += len(line) if len(line) <= MAX_LINE else 0
+        if row and size > MAX_TRIED_TEXT:
             return lines[:row]
     return lines
 
@@ -224,14 +224,14 @@ def _widest(line: str) -> int:
 def _best_start(lines: list[str], share: float, declared: TextFormat) -> TableStart | None:
     best: TableStart | None = None
     best_score = (0, False)
-    for tried in _layouts(declared):
-        rows = _numeric_rows(lines, tried, share, declared.heading_row or 0)
+    for layout in _layouts(declared):
+        rows = _numeric_rows(lines, layout, share, declared.heading_row or 0)
         if not rows:
             continue
         fields = Counter(rows.values()).most_common(1)[0][0]
         first = min(row for row, count in rows.items() if count == fields)
         start = replace(
-            _with_headings(lines, first, replace(tried, fields=fields), declared.heading_row),
+            _with_headings(lines, first, replace(layout, fields=fields), declared.heading_row),
             strays=tuple(row + 1 for row in rows if row < first),
         )
         score = (sum(count == fields for count in rows.values()), any(start.labels))
@@ -257,9 +257,9 @@ def _layouts(declared: TextFormat) -> tuple[Layout, ...]:
 
 def _numeric_rows(lines: list[str], layout: Layout, share: float, above: int) -> dict[int, int]:
     """Return the fields of each row in which at least a share of the filled ones are numbers."""
-    separator, found = layout.separator, {}
+    separator, fields_of_row = layout.separator, {}
     for row, line in enumerate(lines):
-        if row < above or len(line) > _LONGEST_LINE or not line.strip() or _COMMENT.match(line):
+        if row < above or len(line) > MAX_LINE or not line.strip() or _COMMENT.match(line):
             continue
         if separator and separator not in line and separator != ",":
             continue
@@ -268,8 +268,8 @@ def _numeric_rows(lines: list[str], layout: Layout, share: float, above: int) ->
         numbers = sum(value is not None for value in values)
         is_whole = numbers == len(values) if share == 1 else numbers > 1
         if numbers and is_whole and numbers >= share * len(values) and any(map(_is_digit, fields)):
-            found[row] = len(fields)
-    return found
+            fields_of_row[row] = len(fields)
+    return fields_of_row
 
 
 def _is_digit(field: str) -> bool:
@@ -284,20 +284,20 @@ def _with_headings(
     none = ("",) * layout.fields
     if not above:
         return TableStart(layout=layout, row=first, labels=none, units=none, above=())
-    ends = all(split(line, layout.separator)[-1:] == [""] for line in lines[first : first + 20])
-    is_open = bool(layout.separator) and ends
-    last = _cells(lines[above[-1]], layout, is_open)
+    is_open = bool(layout.separator) and all(
+        split(line, layout.separator)[-1:] == [""] for line in lines[first : first + 20]
+    )
+    lowest = _cells(lines[above[-1]], layout, is_open)
     names = _cells(lines[above[-2]], layout, is_open) if len(above) > 1 else None
-    if last and names and _are_units(last) and not _are_units(names):
+    if lowest and names and _are_units(lowest) and not _are_units(names):
         return TableStart(
-            layout=layout, row=first, labels=names, units=last,
+            layout=layout, row=first, labels=names, units=lowest,
             above=tuple(lines[row] for row in above[:-2]),
         )  # fmt: skip
-    if last and any(re.search(r"[^\W\d_]", cell) for cell in last):
-        kept = tuple(lines[row] for row in above[:-1])
-        return TableStart(layout=layout, row=first, labels=last, units=none, above=kept)
-    kept = tuple(lines[row] for row in above)
-    return TableStart(layout=layout, row=first, labels=none, units=none, above=kept)
+    preamble = tuple(lines[row] for row in above)
+    if lowest and any(re.search(r"[^\W\d_]", cell) for cell in lowest):
+        return TableStart(layout=layout, row=first, labels=lowest, units=none, above=preamble[:-1])
+    return TableStart(layout=layout, row=first, labels=none, units=none, above=preamble)
 
 
 def headings_beside_row_numbers(start: TableStart) -> tuple[str, ...] | None:
@@ -318,16 +318,16 @@ def _cells(line: str, layout: Layout, is_open: bool = False) -> tuple[str, ...] 
 
     is_open  the rows end with a separator, behind which no column stands
     """
-    if len(line) > _LONGEST_LINE:
+    if len(line) > MAX_LINE:
         return None
-    bare = _COMMENT.sub("", line)
-    cuts = [split(bare, layout.separator)]
+    heading = _COMMENT.sub("", line)
+    cuts = [split(heading, layout.separator)]
     if not layout.separator:
-        cuts += [_NAME_AND_BRACKET.findall(bare), re.split(r"\s{2,}|\t", bare.strip())]
-    cuts += [split(bare, separator) for separator in ("\t", ";", ",")]
-    if layout.separator and layout.separator in bare and not _BRACKETS.isdisjoint(bare):
+        cuts += [_NAME_AND_BRACKET.findall(heading), re.split(r"\s{2,}|\t", heading.strip())]
+    cuts += [split(heading, separator) for separator in ("\t", ";", ",")]
+    if layout.separator and layout.separator in heading and not _BRACKETS.isdisjoint(heading):
         # ``position [um, filtered]``
-        cuts.append(_split_outside_brackets(bare, layout.separator))
+        cuts.append(_split_outside_brackets(heading, layout.separator))
     for cells in cuts:
         cells = [cell.strip().strip('"').strip() for cell in cells]
         if len(cells) > layout.fields and not any(cells[layout.fields :]):
@@ -361,16 +361,16 @@ def drop_repeated_headings(
 
     Raises ``UnreadableFileError`` where other headings stand there.
     """
-    kept: list[str] = []
-    begins: list[int] = []
-    at: list[int] = []
+    row_lines: list[str] = []
+    segment_starts: list[int] = []
+    heading_lines: list[int] = []
     rows = 0
     for number, content in enumerate(text.split("\n"), start=line):
         cells = _heading_cells(content, start)
         if cells and (_are_same_headings(cells, start.labels) or cells == start.units):
             if cells != start.units:
-                at.append(number)
-                begins.append(rows)
+                heading_lines.append(number)
+                segment_starts.append(rows)
             continue
         if cells and sum(_has_name_and_unit(cell) for cell in cells) > 1:
             raise unreadable(
@@ -381,18 +381,22 @@ def drop_repeated_headings(
                 remedy="Cut the file in front of that line.",
                 line=number,
             )
-        kept.append(content)
+        row_lines.append(content)
         rows += bool(content.strip()) and not _COMMENT.match(content)
-    return "\n".join(kept), tuple(row for row in begins if row), tuple(at)
+    return (
+        "\n".join(row_lines),
+        tuple(row for row in segment_starts if row),
+        tuple(heading_lines),
+    )
 
 
 def _heading_cells(line: str, start: TableStart) -> tuple[str, ...]:
     """Return the cells of a line of as many words as there are columns, none where it is none."""
-    if len(line) > _LONGEST_LINE or not re.search(r"[^\W\d_]", line):
+    if len(line) > MAX_LINE or not re.search(r"[^\W\d_]", line):
         return ()
     cells = _cells(line.lstrip("\ufeff"), start.layout) or ()
-    held = [cell for cell in cells if cell]
-    is_heading = held and all(number_of(cell, start.layout.decimal) is None for cell in held)
+    filled = [cell for cell in cells if cell]
+    is_heading = filled and all(number_of(cell, start.layout.decimal) is None for cell in filled)
     return cells if is_heading else ()
 
 
@@ -409,9 +413,9 @@ def _has_name_and_unit(cell: str) -> bool:
 
 
 def _are_units(cells: tuple[str, ...]) -> bool:
-    bare = [cell.strip("[]() ") for cell in cells]
-    known = [unit_of(cell) is not None for cell in bare if cell]
-    return bool(known) and all(known)
+    units = [unit_cell(cell) for cell in cells]
+    is_unit = [unit_of(unit) is not None for unit in units if unit]
+    return bool(is_unit) and all(is_unit)
 
 
 def unit_cell(cell: str) -> str:

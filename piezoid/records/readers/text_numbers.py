@@ -181,8 +181,8 @@ def without_comments(text: str, first_line: int) -> tuple[str, tuple[Statement, 
     at = [k for k, line in enumerate(lines) if _COMMENT.match(line)]
     if not at:
         return text, ()
-    said = f"{len(at)} comments between the rows are not read; the first is {lines[at[0]][:60]!r}"
-    statement = finding(quantity="comment_lines", place=f"line {first_line + at[0]}", text=said)
+    text = f"{len(at)} comments between the rows are not read; the first is {lines[at[0]][:60]!r}"
+    statement = finding(quantity="comment_lines", place=f"line {first_line + at[0]}", text=text)
     return "\n".join(line for line in lines if not _COMMENT.match(line)), (statement,)
 
 
@@ -294,7 +294,7 @@ def _numbers_of(cells: "Series[str]", layout: Layout) -> tuple[Array, NDArray[np
     return numbers, is_text
 
 
-def _seconds_of(held: "Series[str]") -> "Series[float] | None":
+def _seconds_of(cells: "Series[str]") -> "Series[float] | None":
     """Return seconds from the first of a column of times of day, or None where it is none.
 
     A date in front is not interpreted (day or month first?) unless it is ISO 8601: a clock that
@@ -303,16 +303,16 @@ def _seconds_of(held: "Series[str]") -> "Series[float] | None":
     """
     import pandas as pd
 
-    stamps = pd.to_datetime(held, format="ISO8601", errors="coerce", utc=True)
+    stamps = pd.to_datetime(cells, format="ISO8601", errors="coerce", utc=True)
     if stamps.notna().all():
         return (stamps - stamps.iloc[0]).dt.total_seconds()
-    parts = held.str.strip().str.extract(f"^{_TIME_OF_DAY}$")
+    parts = cells.str.extract(f"^{_TIME_OF_DAY}$")
     if not parts[["h", "m", "s"]].isna().to_numpy().any():
         hours = parts["h"].astype(float)
         if parts["half"].notna().any():
             hours = hours % 12 + 12 * parts["half"].str.lower().eq("p")
         return _without_wraps(3600 * hours + _seconds_of_hour(parts), 86400.0)
-    parts = held.str.strip().str.extract(f"^{_MINUTES}$")
+    parts = cells.str.extract(f"^{_MINUTES}$")
     return (
         None if parts.isna().to_numpy().any() else _without_wraps(_seconds_of_hour(parts), 3600.0)
     )

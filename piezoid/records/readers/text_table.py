@@ -41,15 +41,15 @@ from piezoid.statement import Statement, finding
 
 # No binary format begins with so many lines without a zero byte, unless it has a header of text:
 # those that are known here are asked before.
-_LINES_OF_TEXT = 3
+MIN_TEXT_LINES = 3
 _MAX_ZEROS = 0.05  # of the first bytes
 _CONTROLS = frozenset(range(1, 32)) - frozenset(b"\t\n\v\f\r\x1a")
-_LONGEST_LINE = 1 << 20  # characters; 4096 columns of whole doubles have a tenth of it
-_LONGEST_HEAD = 1 << 24
+MAX_LINE = 1 << 20  # characters; 4096 columns of whole doubles have a tenth of it
+MAX_HEAD = 1 << 24
 
 
 def read(source: Source) -> RawTable:
-    """Read a text table; columns of text are left out, their place stays counted."""
+    """Read a text table without its columns of text; the others keep their numbers."""
     return read_text(source, text_of(source), "text table")
 
 
@@ -65,26 +65,32 @@ def _read_numbers(source: Source, text: str, format_name: str) -> RawTable:
     """Read a table of real numbers."""
     start = find_table(text.split("\n", HEAD_LINES)[:HEAD_LINES], source.name, source.text)
     body = text.split("\n", start.row)[-1] if start.row else text
-    block, begins, told = parse_rows(body, start, source.name, start.row + 1)
-    named = headings_beside_row_numbers(start)
-    if named is not None and are_row_numbers(block.columns[0]):
-        start = replace(start, labels=named, above=start.above[:-1])
+    block, segment_starts, remarks = parse_rows(body, start, source.name, start.row + 1)
+    start = _with_row_number_headings(start, block)
     return RawTable(
         name=source.name,
         digest=source.digest,
         format=format_name,
         columns=columns_of(start, block),
         # With other lines between the rows a row's line is not known; its number still is.
-        first_line=start.row + 1 if lines_are_rows(body) and not begins else 0,
-        segment_starts=begins,
+        first_line=start.row + 1 if lines_are_rows(body) and not segment_starts else 0,
+        segment_starts=segment_starts,
         metadata=metadata_of(start.above),
         statements=(
             *stray_row_statements(start),
-            *told,
+            *remarks,
             *block.statements,
             *text_column_statements(start, block),
         ),
     )
+
+
+def _with_row_number_headings(start: TableStart, block: NumberTable) -> TableStart:
+    """Return the start with its headings if only a column of row numbers has none."""
+    labels = headings_beside_row_numbers(start)
+    if labels is None or not are_row_numbers(block.columns[0]):
+        return start
+    return replace(start, labels=labels, above=start.above[:-1])
 
 
 def parse_rows(
@@ -104,16 +110,16 @@ def parse_rows(
         statement.quantity == "not_a_number" for statement in block.statements
     ):
         return block, (), ()
-    kept, begins, at = drop_repeated_headings(body, start, name, line)
-    if not at:
+    body, segment_starts, heading_lines = drop_repeated_headings(body, start, name, line)
+    if not heading_lines:
         return block, (), remarks
-    rows, remarks = without_comments(kept, line)
+    rows, remarks = without_comments(body, line)
     text = (
-        f"the headings stand again at {len(at)} places, as where runs were put into one file: "
-        "each begins with a memory of its own"
+        f"the headings stand again at {len(heading_lines)} places, as where runs were put into "
+        "one file: each begins with a memory of its own"
     )
-    statement = finding(quantity="repeated_heading", place=f"line {at[0]}", text=text)
-    return parse_numbers(rows, start.layout, name, line), begins, (*remarks, statement)
+    statement = finding(quantity="repeated_heading", place=f"line {heading_lines[0]}", text=text)
+    return parse_numbers(rows, start.layout, name, line), segment_starts, (*remarks, statement)
 
 
 def columns_of(start: TableStart, block: NumberTable) -> tuple[Column, ...]:
@@ -162,15 +168,15 @@ def text_column_statements(start: TableStart, block: NumberTable) -> tuple[State
 
 def metadata_of(lines: tuple[str, ...]) -> dict[str, str]:
     """Return ``key: value``, ``key = value`` or ``key, value`` lines as pairs."""
-    found = {}
+    metadata = {}
     for line in lines:
-        bare = line.strip().lstrip("#%/ ")
+        content = line.strip().lstrip("#%/ ")
         for mark in ("\t", "=", ":", ";", ","):
-            key, parted, value = bare.partition(mark)
-            if parted and key.strip():
-                found[key.strip().strip('"')] = value.strip().strip('"')
+            key, separator, value = content.partition(mark)
+            if separator and key.strip():
+                metadata[key.strip().strip('"')] = value.strip().strip('"')
                 break
-    return found
+    return metadata
 
 
 def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
@@ -184,12 +190,10 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
         first: NumberTable | None = None
         line, first_row = start.row + 1, 0
         for text in _line_chunks(stream, rows, source):
-            block, begins, statements = parse_rows(text, start, source.name, line)
+            block, segment_starts, statements = parse_rows(text, start, source.name, line)
             _refuse_dates(block, source.name, line)
             if first is None:
-                named = headings_beside_row_numbers(start)
-                if named is not None and are_row_numbers(block.columns[0]):
-                    start = replace(start, labels=named, above=start.above[:-1])
+                start = _with_row_number_headings(start, block)
                 first = block
                 statements = (
                     *stray_row_statements(start),
@@ -201,8 +205,8 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
                 digest=source.digest,
                 format="text table",
                 columns=columns_of(start, _with_columns_of(first, block)),
-                first_line=line if lines_are_rows(text) and not begins else 0,
-                segment_starts=begins,
+                first_line=line if lines_are_rows(text) and not segment_starts else 0,
+                segment_starts=segment_starts,
                 first_row=first_row,
                 metadata=metadata_of(start.above),
                 statements=(*statements, *block.statements),
@@ -235,8 +239,8 @@ class _BoundedGzip(gzip.GzipFile):
 def _start_in_stream(stream: io.TextIOWrapper, source: Source) -> TableStart:
     """Find the table, and leave the stream at its first row."""
     lines: list[str] = []
-    while len(lines) < HEAD_LINES and sum(map(len, lines)) < _LONGEST_HEAD:
-        line = stream.readline(_LONGEST_LINE)
+    while len(lines) < HEAD_LINES and sum(map(len, lines)) < MAX_HEAD:
+        line = stream.readline(MAX_LINE)
         if not line:
             break
         lines.append(line.removesuffix("\n"))
@@ -252,26 +256,26 @@ def _line_chunks(stream: io.TextIOWrapper, rows: int, source: Source) -> Iterato
 
     A short remainder goes with the chunk in front of it.
     """
-    text = stream.readline(_LONGEST_LINE)
+    text = stream.readline(MAX_LINE)
     characters = max(rows, 2) * len(text)
     text += _whole_lines(stream, characters, source)
     while text:
-        more = _whole_lines(stream, characters, source)
-        if len(more) < characters:
-            yield text + more
+        next_text = _whole_lines(stream, characters, source)
+        if len(next_text) < characters:
+            yield text + next_text
             return
         yield text
         lines = text.rstrip("\n")
-        text = lines[lines.rfind("\n") + 1 :] + "\n" + more
+        text = lines[lines.rfind("\n") + 1 :] + "\n" + next_text
 
 
 def _whole_lines(stream: io.TextIOWrapper, characters: int, source: Source) -> str:
     text, end_of_line = stream.read(characters), ""
     if text and not text.endswith("\n"):
-        end_of_line = stream.readline(_LONGEST_LINE)
+        end_of_line = stream.readline(MAX_LINE)
     if "\x00" in text:
         refuse_zero_bytes(source)
-    if len(end_of_line) >= _LONGEST_LINE:
+    if len(end_of_line) >= MAX_LINE:
         raise unreadable(
             source.name,
             "it holds a line of more than a million characters",
@@ -309,10 +313,10 @@ def recognises(source: Source) -> bool:
     ``text_of`` names.
     """
     head = source.head
-    begun = head[: head.find(b"\x00")] if b"\x00" in head else head
+    before_zero = head.partition(b"\x00")[0]
     return (
-        begun == head
-        or begun.count(b"\n") >= _LINES_OF_TEXT
+        before_zero == head
+        or before_zero.count(b"\n") >= MIN_TEXT_LINES
         or encoding_of(head).startswith("utf-16")
         or (head.count(b"\x00") < _MAX_ZEROS * len(head) and not _CONTROLS.intersection(head))
     )
