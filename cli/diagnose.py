@@ -73,11 +73,11 @@ def diagnose(
         declared = None if lab is None else read_lab(lab)
         model, rest = _model_in_front(files)
         coupled = None if model is None else model[0].coupled
-        held = collect(rest, declared).recordings
-        recordings = as_single_axes(held, declared, coupled, progress=told)
+        recordings = collect(rest, declared).recordings
+        recordings = as_single_axes(recordings, declared, coupled, progress=told)
         refuse_unusable(recordings)
         with errors_in_counts(counted_in(recordings)):
-            found = find(
+            diagnosis = find(
                 recordings,
                 axis=axis or _first(model),
                 lab=declared,
@@ -85,18 +85,20 @@ def diagnose(
                 progress=told,
                 threads=usable_cores(),
             )
-            comparison = None if model is None else _compared(model, recordings, found.axis, told)
-        found = texts_in_counts(found)
+            comparison = (
+                None if model is None else _compared(model, recordings, diagnosis.axis, told)
+            )
+        diagnosis = texts_in_counts(diagnosis)
         since = None if comparison is None else comparison.to_json()
-        content = write_diagnosis(found, since=since)
-        page = diagnosis_page(found, recordings, declared, content, comparison)
+        content = write_diagnosis(diagnosis, since=since)
+        page = diagnosis_page(diagnosis, recordings, declared, content, comparison)
         pages = {"diagnosis.json": content, "diagnosis.html": page.encode()}
         write_folder(out, pages, force=force)
     if json:
         hand_over(content)
     elif not quiet:
-        _show(found, out)
-        _tell_unused(recordings, found.axis)
+        _show(diagnosis, out)
+        _tell_unused(recordings, diagnosis.axis)
         if comparison is not None:
             say(in_counts(comparison.statement.text, comparison.counted))
 
