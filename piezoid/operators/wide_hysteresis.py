@@ -79,9 +79,11 @@ class HysteresisStates:
         self._plays = np.zeros(len(WIDTHS))
         self._friction = np.zeros(len(REACH) * len(FRICTION_POWERS))
         self._bouc_wen = np.zeros(len(BOUC_WEN))
-        turns = np.array([*CYCLES, *history])
-        for a, b in pairwise(turns):
-            self.follow(np.linspace(a, b, max(2, int(abs(b - a) / PATH_STEP) + 1))[1:])
+        segments = [
+            np.linspace(a, b, max(2, int(abs(b - a) / PATH_STEP) + 1))[1:]
+            for a, b in pairwise(np.array([*CYCLES, *history]))
+        ]
+        self.follow(np.concatenate(segments))
 
     def follow(self, drive: Array) -> States:
         """Return plays, friction states and Bouc-Wen states at the samples, (samples, states)."""
