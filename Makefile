@@ -1,4 +1,4 @@
-# Two commands for everybody: `make demo`, `make test`. One for whoever changes the code: `make check`.
+# Two commands for everybody: `make demo`, `make test`. Two for whoever changes the code: `make check`, `make quick`.
 
 PYTHON ?= python3
 # An environment that somebody else made, with a plain installation say, stays as it is.
@@ -11,8 +11,13 @@ WARNINGS := -std=c99 -Wall -Wextra -Wconversion -Wfloat-equal -Wdouble-promotion
 C_EXPORTED := %/example_main.c %/piezoid_controller.c %/fmu2.c
 C_SOURCES := $(filter-out $(C_EXPORTED),$(wildcard piezoid/*.c piezoid/*/*.c))
 C_FILES := $(wildcard piezoid/*.c piezoid/*/*.c piezoid/*/*.h)
+# tests/ROOM for ROOM=..., or for each folder that differs from where this branch left main.
+BASE = $(shell git merge-base HEAD origin/main 2>/dev/null || echo HEAD)
+CHANGED = $(shell { git diff --name-only $(BASE); git ls-files --others --exclude-standard; } | \
+  sed -nE 's#^(piezoid|tests)/([a-z_]+)/.*#tests/\2#p; s#^(cli|datasets|reports)/.*#tests/\1#p' | sort -u)
+QUICK = $(wildcard $(or $(ROOM:%=tests/%),$(CHANGED)))
 
-.PHONY: demo test check docs format benchmark clean
+.PHONY: demo test quick check docs format benchmark clean
 
 demo: $(READY)
 	$(BIN)/piezoid demo --out $(DEMO_OUT) --force
@@ -20,6 +25,11 @@ demo: $(READY)
 
 test: $(READY)
 	$(BIN)/python -m pytest -n 2 --dist worksteal -q
+
+# The tests of a room that are not slow, for at most a minute: ROOM=diagnosis, or of every room that differs from main.
+quick: $(READY)
+	@test -n "$(QUICK)" || { echo 'No room differs from main. Name one, as in: make quick ROOM=diagnosis'; exit 2; }
+	PIEZOID_QUICK_S=50 $(BIN)/python -m pytest -n 2 --dist worksteal -q -m "not slow" $(QUICK)
 
 check: $(READY) build/names
 	$(BIN)/ruff check .

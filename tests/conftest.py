@@ -1,6 +1,7 @@
 """Shared by every folder: a seeded generator, other people's recordings, how laws are tried."""
 
 import os
+import time
 from pathlib import Path
 
 # As the command line does, before numpy is loaded: small matrices, one thread, the same bits.
@@ -21,7 +22,15 @@ settings.register_profile(
 )
 settings.load_profile("same_every_run")
 
+BEGAN_s = time.monotonic()
+LIMIT_s = float(os.environ.get("PIEZOID_QUICK_S", "inf"))  # of `make quick`
+
 REALDATA = Path(__file__).resolve().parents[2] / "shared" / "realdata"
+
+
+def pytest_runtest_setup() -> None:
+    if time.monotonic() - BEGAN_s > LIMIT_s:
+        pytest.skip(f"not begun within {LIMIT_s:g} s: run make test")
 
 
 @pytest.fixture

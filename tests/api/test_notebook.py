@@ -6,7 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import piezoid_datasets
+
+pytestmark = pytest.mark.slow
 
 NOTEBOOK = Path(__file__).with_name("notebook.py")
 MOST_LINES, ROWS = 25, 2500

@@ -35,6 +35,7 @@ def power(diagnosis: Diagnosis) -> float:
     return sum(part.rms_m**2 for part in diagnosis.budget)
 
 
+@pytest.mark.slow
 def test_loops_of_another_class_are_named_loop_shape_and_neither_drift_nor_creep(
     bouc_wen: Diagnosis,
 ) -> None:
@@ -43,6 +44,7 @@ def test_loops_of_another_class_are_named_loop_shape_and_neither_drift_nor_creep
     assert part.rms_m > 3.0 * NOISE_um * 1e-6
 
 
+@pytest.mark.slow
 def test_the_final_error_is_that_of_the_model_and_the_parts_add_up(bouc_wen: Diagnosis) -> None:
     assert bouc_wen.model is not None
     assert bouc_wen.final.rms_m == bouc_wen.model.quality.held_out_rms_m

@@ -52,6 +52,7 @@ def test_equal_readings_at_the_end_of_a_hold_are_measurements() -> None:
     assert find_invalid_readings(reading_um, drive_V) == ()
 
 
+@pytest.mark.slow
 def test_levels_that_are_held_have_no_outliers(levels: Diagnosis) -> None:
     assert "outliers" not in levels.names
     assert "loop_shape" in levels.names

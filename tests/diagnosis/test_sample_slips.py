@@ -139,6 +139,7 @@ def test_a_time_is_told_only_of_recordings_that_are_whole():
     assert places_of(slips, tracks) == ("a from 2.5 s on", "b", "b")
 
 
+@pytest.mark.slow
 def test_what_a_law_leaves_of_a_healthy_stage_is_no_slip_of_its_clock() -> None:
     """Undoing the slip that readings seem to show in other_axis.csv raises the held-out error."""
     recordings, lab = recorded(drawn(stage("preisach_lorentzian", "healthy", 0, 990_000)))
@@ -147,6 +148,7 @@ def test_what_a_law_leaves_of_a_healthy_stage_is_no_slip_of_its_clock() -> None:
     assert causes(diagnose(some, lab=lab)) == ()
 
 
+@pytest.mark.slow
 def test_a_clock_that_slips_in_a_fast_stretch_has_no_delay_beside_it() -> None:
     """Slow stretches tell nothing of it: to all others the fast half of a sweep comes late."""
     recordings, lab = recorded(drawn(stage("duhem", "single", 0, 2_100_000)))

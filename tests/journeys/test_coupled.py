@@ -13,6 +13,8 @@ import piezoid
 from piezoid.errors import ExcitationError
 from tests.journeys.coupled_stage import AXES, GAIN_M_PER_V, LAB, MODE_HZ, campaign, sweep, written
 
+pytestmark = pytest.mark.slow
+
 PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
 NO_RATE = LAB.split("[acquisition]")[0]
 

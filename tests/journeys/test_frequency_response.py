@@ -17,6 +17,8 @@ from piezoid.operators.play import play_columns
 from piezoid.runtime.controller import Controller
 from tests.records.responses import matrix, noisy, response, write_csv, write_matlab
 
+pytestmark = pytest.mark.slow
+
 PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
 RATE_Hz = 20_000.0
 MODE_Hz, QUALITY, AMPLIFIER_Hz, SENSOR_Hz = 640.0, 25.0, 4000.0, 8500.0
@@ -121,7 +123,6 @@ def test_a_notebook_takes_the_response_as_the_command_line_does(folder: Path) ->
     )
     for part in ("dynamics", "response"):  # the hysteresis of the command line is diagnosed
         assert here[part] == there[part]
-    assert fit(held[0], responses=held.responses, lab=lab).axes["x"].response is not None
     assert "gain as measured, response.csv" in report(model, held, lab=lab)
 
 

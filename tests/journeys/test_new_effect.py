@@ -21,6 +21,8 @@ from piezoid_reports.traces import rms, traces_of
 from tests.diagnosis.bench import effects_of
 from tests.reports.anatomy import Anatomy
 
+pytestmark = pytest.mark.slow
+
 SHARE, TIME_s = 0.03, 0.4
 FILE = '''"""Charge leak: what was moved fast goes too far, and comes back.
 

@@ -24,6 +24,8 @@ from piezoid.records.lab import Lab, read_lab
 from piezoid_cli.fit import fit
 from piezoid_cli.simulate import simulate
 
+pytestmark = pytest.mark.slow
+
 RANGE = ("input_range_V", "dac_bits", "adc_bits")  # of the converters
 APP = typer.Typer()
 APP.command()(fit)
