@@ -5,14 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import long_recordings, million_samples, ratios, streamed_fit
+from benchmarks import million_samples, ratios, streamed_fit
 from benchmarks.speed.campaign import made
 from benchmarks.speed.chain import Loop
 from benchmarks.speed.chain_rows import loop_growths, loop_row
 from benchmarks.speed.growth_figure import draw
 from benchmarks.speed.stopwatch import Growth, Stopwatch
 from benchmarks.speed.table import HEADINGS, Row, table
-from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from tests.verification.rig import lateral, lateral_parameters
 
 ONCE = Stopwatch(patience_s=0.0)
@@ -79,17 +78,6 @@ def test_a_longer_recording_has_the_same_loops() -> None:
 def test_a_recording_is_fitted_in_memory(capsys: pytest.CaptureFixture[str]) -> None:
     million_samples.main(["1500"], watch=ONCE)
     assert "residual" in capsys.readouterr().out
-
-
-def test_a_long_campaign_has_as_many_samples_as_asked_for_and_is_diagnosed_step_by_step(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    long_recordings.main(1, ("creep",), 900, 2)
-    said = capsys.readouterr().out
-    assert "refitting the simulation" in said
-    assert "hidden creep, named" in said
-    campaign = draw_campaign(1, plans=long_recordings.plans(900))
-    assert [len(rows.voltage_V) for rows in campaign.recordings] == [900] * 6
 
 
 def test_a_recording_is_fitted_from_its_file(

@@ -4,8 +4,6 @@ import ast
 import re
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[2]
 PRODUCT = ("piezoid", "cli", "reports", "datasets")
 FILE = re.compile(r"[\w/]*\w\.(?:py|c|h)\b")
@@ -38,25 +36,30 @@ def missing_files(text: str, existing: list[str]) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("path", [*MODULES, *PAGES], ids=lambda p: str(p.relative_to(ROOT)))
-def test_files_named_in_docstrings_and_documentation_exist(path: Path) -> None:
+def missing_in(path: Path) -> list[str]:
     text = docstring(path) if path.suffix == ".py" else path.read_text(encoding="utf-8")
     existing = EXISTING
     if path.name == "__init__.py" and path.parent.name not in PRODUCT:
         package = path.parent.relative_to(ROOT).as_posix()
         existing = [k for k in EXISTING if k.startswith((f"{package}/", "tests/"))]
-    assert missing_files(text, existing) == []
+    return missing_files(text, existing)
 
 
-@pytest.mark.parametrize(
-    "package",
-    [path for path in MODULES if path.name == "__init__.py"],
-    ids=lambda p: str(p.parent.relative_to(ROOT)),
-)
-def test_names_in_package_docstrings_exist(package: Path) -> None:
+def test_files_named_in_docstrings_and_documentation_exist() -> None:
+    missing = {str(path): missing_in(path) for path in (*MODULES, *PAGES)}
+    assert {path: names for path, names in missing.items() if names} == {}
+
+
+def unknown_names(package: Path) -> list[str]:
     code = "\n".join(path.read_text(encoding="utf-8") for path in package.parent.rglob("*.py"))
     code = code.replace(docstring(package), "")
     modules = {path.stem for path in package.parent.rglob("*.py")}
     names = [part for name in NAME.findall(docstring(package)) for part in name.split(".")]
     known = {"piezoid", "piezoid_cli", "piezoid_reports", "piezoid_datasets", *PRODUCT, *modules}
-    assert [n for n in names if n not in known and not re.search(rf"\b{n}\b", code)] == []
+    return [n for n in names if n not in known and not re.search(rf"\b{n}\b", code)]
+
+
+def test_names_in_package_docstrings_exist() -> None:
+    packages = [path for path in MODULES if path.name == "__init__.py"]
+    unknown = {str(package): unknown_names(package) for package in packages}
+    assert {package: names for package, names in unknown.items() if names} == {}

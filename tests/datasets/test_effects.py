@@ -53,9 +53,8 @@ def test_a_file_tells_the_physics_and_its_source(name: str) -> None:
 
 
 @every_effect
-@pytest.mark.parametrize("seed", [1, 2])
-def test_an_effect_has_about_the_size_it_was_asked_for(name: str, seed: int) -> None:
-    found = draw_campaign(seed, effects=[name]).answer.effects[0]
+def test_an_effect_has_about_the_size_it_was_asked_for(name: str) -> None:
+    found = draw_campaign(1, effects=[name]).answer.effects[0]
     assert 1.0 / ABOUT < found.measured_percent / found.asked_percent < ABOUT
 
 

@@ -1,7 +1,6 @@
 """`piezoid fit` on Z spectroscopies, as somebody with a tunnelling microscope uses it."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -118,47 +117,6 @@ def test_a_current_over_time_is_said_to_be_unused(
     assert len(model.remarks) == 1
     assert model.remarks[0].startswith("loop.csv")
     assert "dither" in model.remarks[0]
-
-
-def changed_sweep(realdata: Path, place: Path, change: Callable[[float, int], str]) -> Path:
-    """Write the first forward sweep of the published recording with its currents changed."""
-    head, _, body = (realdata / "stm_current_vs_z" / "z.dat").read_text().partition("[DATA]\n")
-    labels, *rows = body.rstrip().split("\n")
-    names = [label.strip() for label in labels.split("\t")]
-    height, current = names.index("Z rel (m)"), names.index("Current [00001] (A)")
-    lines = ["Z rel (m)\tCurrent (A)"]
-    for number, row in enumerate(rows):
-        cells = row.split("\t")
-        lines.append(f"{cells[height]}\t{change(float(cells[current]), number)}")
-    place.write_text(f"{head}[DATA]\n" + "\n".join(lines) + "\n")
-    return place
-
-
-def test_a_sweep_two_thirds_nan_has_low_confidence_and_says_how_many_rows(
-    realdata: Path, tmp_path: Path
-) -> None:
-    holed = changed_sweep(
-        realdata, tmp_path / "holed.dat", lambda i, n: f"{i:.9e}" if n % 3 == 0 else "NaN"
-    )
-    status, shown = run(holed, "--out", tmp_path / "stage")
-    law = json.loads((tmp_path / "stage" / "model.json").read_bytes())["tunnelling"]["gap_law"]
-    assert status == 0
-    assert law["confidence"] == "low"
-    assert law["decay_interval_per_m"][0] < 20.60e9 < law["decay_interval_per_m"][1]
-    assert any("133 of 200 rows hold no number" in reason for reason in law["reasons"])
-    assert "133 of 200 rows hold no number" in shown
-
-
-def test_a_sweep_of_700_femtoamperes_is_wide_and_says_why(realdata: Path, tmp_path: Path) -> None:
-    weak = changed_sweep(
-        realdata, tmp_path / "weak.dat", lambda i, _: f"{i:.9e}" if abs(i) < 0.7e-12 else "NaN"
-    )
-    run(weak, "--out", tmp_path / "stage")
-    law = json.loads((tmp_path / "stage" / "model.json").read_bytes())["tunnelling"]["gap_law"]
-    low, high = law["decay_interval_per_m"]
-    assert law["confidence"] == "low"
-    assert high is None or high - low > 0.1 * law["decay_per_m"]
-    assert any("decades above three times its noise" in reason for reason in law["reasons"])
 
 
 def test_the_published_recording_gives_the_published_decay(realdata: Path, tmp_path: Path) -> None:

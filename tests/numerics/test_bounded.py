@@ -9,7 +9,7 @@ from scipy.optimize import lsq_linear
 from piezoid.numerics.quadratic_program import bounded_minimum
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(6))
 def test_the_minimum_is_the_one_that_another_solver_finds(seed: int) -> None:
     chance = np.random.default_rng(seed)
     rows = chance.standard_normal((60, 25)) @ np.diag(np.geomspace(1.0, 1e-2, 25))
@@ -57,7 +57,7 @@ def test_bounds_at_zero_are_guessed_and_let_go_where_the_guess_was_wrong(
     assert (slope[found < upper] >= -1e-9).all()
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(6))
 def test_columns_much_alike_are_told_apart(seed: int) -> None:
     """Of 387 such steps in the fit of one stage block pivoting had left two far from a minimum."""
     chance = np.random.default_rng(seed)

@@ -425,30 +425,6 @@ def test_the_end_of_a_search_away_from_zero_knows_which_bounds_hold_it() -> None
         assert found.gradient < 1e-6
 
 
-def test_damping_falls_with_every_step_taken_and_grows_with_every_other() -> None:
-    asked = []
-
-    class Listening(Rows):
-        def step(self, lower: Array, upper: Array, damping: float) -> Array:
-            asked.append(damping)
-            return super().step(lower, upper, damping)
-
-    @dataclass(frozen=True, eq=False)
-    class Told:
-        cost: float
-
-        def linearised(self) -> Rows:
-            return Listening(factor=np.eye(1), residual=np.ones(1))
-
-    costs = iter([9.0, 8.0, 7.0, 7.5, 7.5, 6.0, *[6.0] * 9])
-    free = np.full(1, -np.inf), np.full(1, np.inf)
-    rule = Rule(tolerance=0.0, tries=3, damping=1e-2, easier=4.0, harder=5.0)
-    found = minimise(lambda _: Told(next(costs)), np.zeros(1), free, rule=rule)
-    shares = [1, 1 / 4, 1 / 16, 5 / 16, 25 / 16, 25 / 64, 125 / 64, 625 / 64]
-    np.testing.assert_allclose(asked, 1e-2 * np.array(shares))
-    assert (found.reason, found.point.cost) == ("stationary", 6.0)
-
-
 def test_columns_that_are_nearly_dependent_are_solved_for(rng: np.random.Generator) -> None:
     columns = rng.normal(size=(30, 2))
     columns = np.column_stack([columns, columns[:, 0] + 1e-10 * rng.normal(size=30)])

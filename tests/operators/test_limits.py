@@ -6,19 +6,6 @@ import pytest
 from piezoid.operators.limits import activated, slewed
 
 
-def test_a_slewed_signal_never_goes_faster_than_its_step_and_arrives_if_it_has_time() -> None:
-    signal = np.concatenate([np.zeros(3), np.full(20, 1.0)])
-    found = slewed(signal, 0.1)
-    assert np.abs(np.diff(found)).max() <= 0.1 + 1e-15
-    assert found[-1] == pytest.approx(1.0, abs=1e-15)
-    assert found[7] == pytest.approx(0.5)
-
-
-def test_what_is_slow_enough_is_not_slewed() -> None:
-    signal = np.sin(np.linspace(0.0, 6.0, 1000))
-    np.testing.assert_allclose(slewed(signal, 0.01), signal, atol=1e-15)
-
-
 def test_of_a_signal_without_samples_none_is_read() -> None:
     """Under the sanitisers a single one would be seen."""
     nothing = np.empty(0)

@@ -79,27 +79,6 @@ def test_the_delay_stands_in_b_as_leading_zeros_and_splits_between_two_samples()
     np.testing.assert_allclose(A, [1, -pole], atol=1e-12)
 
 
-def test_running_in_blocks_equals_stepping(rng: np.random.Generator) -> None:
-    system = _two_by_two(rng)
-    drive = rng.standard_normal((333, 2))
-    state, stepped = np.zeros(len(system.A)), []
-    for row in drive:
-        state, output = system.step(state, row)
-        stepped.append(output)
-    outputs, end = system.run(drive)
-    np.testing.assert_allclose(outputs, stepped, atol=ROUNDING)
-    np.testing.assert_allclose(end, state, atol=ROUNDING)
-
-
-def test_a_record_cut_in_two_runs_like_one(rng: np.random.Generator) -> None:
-    system = _two_by_two(rng)
-    drive = rng.standard_normal((500, 2))
-    whole, _ = system.run(drive)
-    first, state = system.run(drive[:171])
-    second, _ = system.run(drive[171:], state)
-    np.testing.assert_allclose(np.concatenate([first, second]), whole, atol=ROUNDING)
-
-
 @pytest.mark.parametrize("delay_samples", [0.0, 0.3, 1.0, 53.75])
 @pytest.mark.parametrize("damping", [0.02, 1.0, 3.0])
 @pytest.mark.parametrize("before", [[], [4000], [4000, 4000]], ids=["none", "one", "two alike"])
