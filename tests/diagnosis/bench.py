@@ -1,5 +1,7 @@
 """A healthy campaign of the virtual laboratory as recordings, and the view of them."""
 
+from collections.abc import Iterable
+from dataclasses import replace
 from functools import cache
 
 from benchmarks.zoo.score import recorded as recorded
@@ -25,6 +27,20 @@ def effects_of(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     """
     rest = ("loop_shape", "something_else")
     return tuple(finding for finding in diagnosis.findings if finding.effect not in rest)
+
+
+def thinned(recordings: Iterable[Recording], every: int) -> tuple[Recording, ...]:
+    """Return the recordings with every n-th sample: the same stage, quicker to diagnose."""
+    return tuple(
+        replace(
+            recording,
+            sampling_rate_Hz=recording.sampling_rate_Hz / every,
+            channels=tuple(
+                replace(channel, values=channel.values[::every]) for channel in recording.channels
+            ),
+        )
+        for recording in recordings
+    )
 
 
 @cache

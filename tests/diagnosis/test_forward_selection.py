@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.forward_selection import leaves_clearly_less, select_forward
+from piezoid.diagnosis.forward_selection import select_forward
 from piezoid.diagnosis.initial_state_search import (
     shared_does_as_well,
     with_own_initial_states,
@@ -16,7 +16,6 @@ from piezoid.numerics.executor import SERIAL
 from piezoid.records.lab import Lab
 
 from .bench import view_of_recordings
-from .leaving import view_leaving
 from .played import (
     NOISE,
     at_rest,
@@ -26,15 +25,6 @@ from .played import (
     recordings_after,
     view_after,
 )
-
-
-@pytest.mark.parametrize(
-    ("own", "effect", "taken"),
-    [(0.5, np.inf, True), (0.9, np.inf, True), (0.94, np.inf, False), (0.5, 0.4, False)],
-    ids=["much less", "clearly less", "hardly less", "an effect leaves less"],
-)
-def test_other_initial_states_are_taken_in_where_they_leave_clearly_less(own, effect, taken):
-    assert leaves_clearly_less(view_leaving(own), view_leaving(1.0), effect) is taken
 
 
 def up(_: float) -> tuple[float]:
@@ -52,20 +42,6 @@ def test_initial_states_that_are_known_are_taken_as_they_are_and_not_searched_ag
     assert state.clean.nuisance.reversals == known.nuisance.reversals
     assert state.initial == (shared, known)
     assert not state.selected
-
-
-@pytest.mark.parametrize(
-    ("shared", "own", "as_well"),
-    [
-        (0.3081, 0.3, True),  # 5.5 % more of what is left, in power
-        (0.3096, 0.3, False),  # 6.5 %
-        (0.9024, 0.9, True),  # 2.3 % of what initial states explain
-        (0.9029, 0.9, False),  # 2.7 %
-    ],
-)
-def test_a_habit_does_as_well_where_it_leaves_little_more(shared, own, as_well) -> None:
-    views = view_leaving(shared), view_leaving(own), view_leaving(1.0)
-    assert shared_does_as_well(*views) is as_well
 
 
 @pytest.mark.parametrize(

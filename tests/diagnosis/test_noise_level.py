@@ -1,6 +1,6 @@
 """Noise that is not the same everywhere is said to be, with its place and its levels."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +8,7 @@ import pytest
 
 from benchmarks.zoo.stages import drawn, stage
 from piezoid.diagnosis.diagnose import diagnose, view_on
-from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.diagnosis.noise_level import noise_level
+from piezoid.diagnosis.noise_level import NoiseLevel, noise_level
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.numerics.arrays import Array
 from piezoid.records.ingest import ingest_all
@@ -34,12 +33,6 @@ def by_speed(recording: Recording) -> Array:
     return np.asarray(np.minimum(speed / np.quantile(speed, 0.9), 1.0))
 
 
-def diagnosed(level: Level) -> tuple[Diagnosis, float]:
-    """Return what is said of a healthy stage with more noise, and how much more, rms."""
-    noisy, lab, more_m = noisy_stage(level)
-    return diagnose(noisy, lab=lab), more_m
-
-
 def noisy_stage(level: Level) -> tuple[tuple[Recording, ...], Lab, float]:
     recordings, lab = recorded(draw_campaign(41, truth="bouc_wen", plans=("sweep", "rates")))
     chance, noisy, more_m2 = np.random.default_rng(3), [], []
@@ -51,17 +44,13 @@ def noisy_stage(level: Level) -> tuple[tuple[Recording, ...], Lab, float]:
     return tuple(noisy), lab, float(np.sqrt(np.mean(more_m2)))
 
 
-@pytest.mark.parametrize(
-    ("level", "coordinates"),
-    [(by_place, {"displacement", "reading"}), (by_speed, {"speed"})],
-)
-def test_noise_that_lives_somewhere_is_told_with_its_place(
-    level: Level, coordinates: set[str]
-) -> None:
-    found, more_m = diagnosed(level)
-    assert causes(found) == ("something_else",)
-    (finding,) = (named for named in found.findings if named.effect == "something_else")
-    assert finding.coordinate in coordinates
+@pytest.mark.slow
+def test_noise_that_grows_with_position_is_a_finding_with_its_place() -> None:
+    noisy, lab, more_m = noisy_stage(by_place)
+    diagnosis = diagnose(noisy, lab=lab)
+    assert causes(diagnosis) == ("something_else",)
+    (finding,) = (named for named in diagnosis.findings if named.effect == "something_else")
+    assert finding.coordinate in {"displacement", "reading"}
     assert finding.size.value == pytest.approx(1e9 * more_m, rel=0.25)
     assert finding.held_out_gain == 0.0
     assert "the noise of the readings is not the same everywhere" in finding.explanation
@@ -69,22 +58,26 @@ def test_noise_that_lives_somewhere_is_told_with_its_place(
     assert max(finding.seen.fitted_m) > 3.0 * min(finding.seen.fitted_m)
 
 
-def test_noise_that_is_the_same_everywhere_is_no_finding() -> None:
-    found, _ = diagnosed(lambda one: np.full(len(one.voltage_V()), 0.3))
-    assert not causes(found)
+def level_in(recordings: Iterable[Recording], lab: Lab) -> NoiseLevel | None:
+    return noise_level(view_on(recordings, axis="x", lab=lab), 0.02)
 
 
-def test_a_healthy_stage_on_which_chance_signs_alone_would_accuse_the_noise_is_not_accused() -> (
-    None
-):
-    recordings, lab = recorded(drawn(stage("lugre", "healthy", 1, 3_300_000)))
-    assert not causes(diagnose(recordings, lab=lab))
+def test_noise_that_grows_with_speed_is_told_by_the_speed() -> None:
+    noisy, lab, _ = noisy_stage(by_speed)
+    level = level_in(noisy, lab)
+    assert level is not None
+    assert level.lives.basis.coordinate == "speed"
+    assert level.range[1] > 3.0 * level.range[0]
 
 
-def test_a_loop_of_few_samples_has_no_noise_that_lives_in_its_corners(tmp_path: Path) -> None:
-    stage = write_night(tmp_path) / "unit-1"
-    lab = read_lab(stage / "lab.toml")
-    assert not causes(diagnose(ingest_all([stage / "sweep.csv"], lab), lab=lab))
+def test_noise_that_is_the_same_everywhere_has_no_place(tmp_path: Path) -> None:
+    """Chance signs alone would accuse the second stage; the third has few samples."""
+    noisy, lab, _ = noisy_stage(lambda one: np.full(len(one.voltage_V()), 0.3))
+    assert level_in(noisy, lab) is None
+    assert level_in(*recorded(drawn(stage("lugre", "healthy", 1, 3_300_000)))) is None
+    night = write_night(tmp_path) / "unit-1"
+    lab = read_lab(night / "lab.toml")
+    assert level_in(ingest_all([night / "sweep.csv"], lab), lab) is None
 
 
 @pytest.mark.parametrize(("wave_m", "is_told"), [(0.0, True), (20 * LOUD_m, False)])
@@ -94,5 +87,4 @@ def test_noise_is_told_where_most_of_what_is_left_is_noise(wave_m: float, is_tol
     for one in recordings:
         wave = np.sin(2.0 * np.pi * 1.7 * np.arange(one.samples) / one.sampling_rate_Hz)
         waved.append(with_displacement(one, one.displacement_m() + wave_m * wave))
-    found = noise_level(view_on(waved, axis="x", lab=lab), 0.02)
-    assert (found is not None) is is_told
+    assert (level_in(waved, lab) is not None) is is_told

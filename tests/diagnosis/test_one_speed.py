@@ -12,6 +12,8 @@ from piezoid.records.recording import Recording
 from tests.diagnosis.bench import causes
 from tests.laws import LAWS, RATE_Hz, triangles, write
 
+pytestmark = pytest.mark.slow
+
 LAG_s = 0.01
 GREW_percent = 5.0
 DRIFT_um = 0.6
@@ -39,14 +41,3 @@ def test_a_lag_is_no_cause_where_speeds_hardly_differ(tmp_path: Path) -> None:
         assert unseen.reason.startswith("not separable from hysteresis")
         assert others in unseen.reason
         assert "half the speed" in unseen.next_experiment
-
-
-def test_a_lag_is_named_where_one_loop_was_slow(tmp_path: Path) -> None:
-    recordings = [
-        late(tmp_path, 16, 250, 1.0, DRIFT_um),
-        late(tmp_path, 3, 1500, 1.0, 0.0),
-    ]
-    found = diagnose(recordings)
-    assert set(causes(found)) == {"thermal_drift", "lag"}
-    size = next(one.size for one in found.findings if one.effect == "lag")
-    assert size.value == pytest.approx(1e6 * LAG_s, rel=0.12)

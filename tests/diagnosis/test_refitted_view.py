@@ -1,54 +1,26 @@
 """Effects at work: rounds that begin near end where rounds from afar do."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.effect import EffectEstimate, Parameters, SearchScaling
+from piezoid.diagnosis.effect import EffectEstimate, SearchScaling
 from piezoid.diagnosis.effects import amplifier_saturation, lag, slew_limit
 from piezoid.diagnosis.refinement import initial_guess, refined, stepped
-from piezoid.diagnosis.refitted_view import SETTLED, SelectedEffect, driven, extended
-from piezoid.diagnosis.residual_view import View
-from piezoid.numerics.arrays import Array
+from piezoid.diagnosis.refitted_view import SelectedEffect, driven, extended
 
 from .bench import healthy_view
 
 LAG = SelectedEffect(effect=lag.EFFECT, parameters={"time_s": 2e-4})
-LATER = SelectedEffect(effect=lag.EFFECT, parameters={"time_s": 3e-4})
 
 
 def limited(speed: float) -> SelectedEffect:
     return SelectedEffect(effect=slew_limit.EFFECT, parameters={"limit_per_s": speed})
 
 
-def work_of(near: View | None) -> tuple[int, float]:
-    """Return how often a lag filtered a response until all settled, and the error that is left."""
-    filtered: list[float] = []
-
-    def counting(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
-        filtered.append(rate_Hz)
-        assert lag.EFFECT.response_filter is not None
-        return lag.EFFECT.response_filter(response, rate_Hz, parameters)
-
-    counted = replace(LATER, effect=replace(lag.EFFECT, response_filter=counting))
-    view = extended(healthy_view(), [counted], near)
-    return len(filtered), view.rms
-
-
-def test_rounds_that_begin_near_are_fewer_and_end_at_the_same_error() -> None:
-    near = extended(healthy_view(), [LAG])
-    from_afar, error = work_of(None)
-    from_near, same = work_of(near)
-    assert from_near < from_afar
-    assert same == pytest.approx(error, rel=2.0 * SETTLED)
-    assert extended(healthy_view(), [LATER], near).guess is None
-
-
 def test_the_drive_behind_a_limit_is_made_once_while_it_stays_the_same() -> None:
     clean = healthy_view()
     slow = driven(clean, [limited(30.0), LAG])
-    assert driven(clean, [limited(30.0), LATER]) is slow
+    assert driven(clean, [limited(30.0)]) is slow
     faster = driven(clean, [limited(40.0)])
     assert faster is not slow
     assert driven(clean, [limited(30.0)]).rms == pytest.approx(slow.rms)
@@ -63,16 +35,6 @@ def test_a_refinement_begins_nearer_to_where_all_rounds_end_than_rounds_from_afa
         settled = extended(clean, [slow], settled)
     initial_guess = refined(slow, clean, [])[1]  # nothing of it is free
     assert abs(initial_guess.rms - settled.rms) < 0.5 * abs(from_afar.rms - settled.rms)
-
-
-def test_a_drive_whose_room_another_thread_takes_at_once_is_returned_all_the_same() -> None:
-    class TakenAtOnce(dict[object, object]):
-        def __setitem__(self, *_: object) -> None:
-            """Keep nothing."""
-
-    clean = replace(healthy_view())
-    vars(clean)["driven"] = TakenAtOnce()
-    assert driven(clean, [limited(30.0)]).rms == driven(clean, [limited(30.0)]).rms
 
 
 def test_no_limit_that_is_tried_stops_the_drive_altogether() -> None:
