@@ -12,6 +12,8 @@ from piezoid.verbs import fit
 from piezoid_cli.fit import calibrate_streamed
 from tests.journeys.test_readme import ROOT
 
+pytestmark = pytest.mark.slow
+
 FILES = [ROOT / "datasets" / "x_sweep.csv", ROOT / "datasets" / "x_check.csv"]
 
 
@@ -31,8 +33,9 @@ def test_a_fit_in_chunks_writes_model_and_report_and_says_what_it_leaves_out() -
 def test_recordings_that_need_no_thinning_are_fitted_as_from_memory() -> None:
     from piezoid.verbs import read
 
-    chunked = fit(read_thinned(FILES, chunk_rows=5000))
-    assert write_model(chunked) == write_model(fit(read(*FILES)))
+    check = FILES[1]
+    chunked = fit(read_thinned([check], chunk_rows=5000))
+    assert write_model(chunked) == write_model(fit(read(check)))
 
 
 def test_a_thinned_recording_gives_the_known_stage(

@@ -12,12 +12,16 @@ import numpy as np
 import pytest
 
 import piezoid as piezoid_library
+from piezoid.diagnosis.diagnose import diagnose
+from piezoid.identification.fit import fit
 from piezoid.identification.fit_statements import Grade, fit_statements, grade_of
 from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import IN_SAMPLE
 from piezoid.numerics.arrays import Array
 from piezoid_datasets.virtual_lab.signals import first_order
-from tests.laws import LAWS, RATE_Hz, swept_um, triangles, write
+from tests.laws import LAWS, RATE_Hz, recorded, swept_um, triangles, write
+
+pytestmark = pytest.mark.slow
 
 PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
 
@@ -44,23 +48,20 @@ def axis_of(stage: Path) -> AxisModel:
     return axis
 
 
-def facts_of(stage: Path) -> set[str]:
+def facts_of(axis: AxisModel) -> set[str]:
     """Return the quantities of the statements about the fit."""
-    return {fact.quantity for fact in fit_statements(axis_of(stage))}
+    return {fact.quantity for fact in fit_statements(axis)}
+
+
+def fitted(folder: Path, field: Array, reading_um: Array) -> AxisModel:
+    """Return the model of one recording, fitted without the command line."""
+    return fit([recorded(folder, field, reading_um)])["x"]
 
 
 def causes_of(folder: Path) -> list[dict[str, Any]]:
     """Return the findings that accuse the stage: the shape of its loops is no fault."""
     findings = json.loads((folder / "diagnosis.json").read_text())["findings"]
     return [finding for finding in findings if finding["effect"] != "loop_shape"]
-
-
-def calibrated(folder: Path, field: Array, reading_um: Array) -> tuple[Path, str]:
-    """Return the folder of the stage and what the terminal shows of one recording."""
-    folder.mkdir(exist_ok=True)
-    sweep = write(folder / "sweep.csv", field, reading_um)
-    done = piezoid("fit", sweep, "--out", folder / "stage", "--force")
-    return folder / "stage", " ".join(done.stdout.split())
 
 
 def test_one_loop_is_modelled_and_said_to_be_untested(tmp_path: Path) -> None:
@@ -72,7 +73,7 @@ def test_one_loop_is_modelled_and_said_to_be_untested(tmp_path: Path) -> None:
     )
     done = piezoid("fit", sweep, "--lab", tmp_path / "lab.toml", "--out", tmp_path / "stage")
     assert "Only one loop was recorded" in joined(done)
-    assert "loop" in facts_of(tmp_path / "stage")
+    assert "loop" in facts_of(axis_of(tmp_path / "stage"))
     assert grade_of(axis_of(tmp_path / "stage")) is Grade.POOR
     quality = json.loads((tmp_path / "stage/model.json").read_text())["axes"]["x"]["quality"]
     assert quality["held_out_kind"] == IN_SAMPLE
@@ -80,15 +81,6 @@ def test_one_loop_is_modelled_and_said_to_be_untested(tmp_path: Path) -> None:
     assert "no useful bound" in joined(done)
     (axis,) = json.loads((tmp_path / "stage/design.json").read_text())["axes"]
     assert all(loop["certificate"] is None for loop in axis["loops"])
-
-
-def test_half_a_stroke_on_one_branch_is_no_hysteresis_model(tmp_path: Path) -> None:
-    field = np.linspace(-1.0, 0.0, 125)
-    reading_um = 10 * LAWS["wall_pinning"](field) + noise_um(125)
-    stage, said = calibrated(tmp_path, field, reading_um)
-    assert "branch" in facts_of(stage)
-    assert "Only one branch was recorded" in said
-    assert grade_of(axis_of(stage)) is Grade.POOR
 
 
 def test_phase_lag_alone_is_called_so(tmp_path: Path) -> None:
@@ -118,16 +110,6 @@ def test_a_lag_whose_corners_an_envelope_follows_is_called_lag(tmp_path: Path) -
     assert len(axis["hysteresis"]["dead_zone_weight"]) <= 5
 
 
-def test_a_loop_at_one_speed_may_be_lag(tmp_path: Path) -> None:
-    field = triangles(6, 500)
-    late = first_order(10 * LAWS["duhem"](field), 0.02, RATE_Hz, -10.0)
-    stage, said = calibrated(tmp_path, field, late + noise_um(len(field)))
-    assert "speed" in facts_of(stage)
-    assert "ten times slower" in said
-    assert grade_of(axis_of(stage)) is Grade.LIMITED
-    assert "at the speed of the recordings" in (stage / "report.html").read_text()
-
-
 def test_noise_on_a_drive_that_rests_is_no_sweep(tmp_path: Path) -> None:
     rng = np.random.default_rng(7)
     rest = write(tmp_path / "rest.csv", 1e-5 * rng.standard_normal(4000), 5 + noise_um(4000))
@@ -140,25 +122,6 @@ def test_noise_on_a_drive_that_rests_is_no_sweep(tmp_path: Path) -> None:
     assert "hysteresis" not in said
 
 
-def test_what_is_odd_about_a_recording_is_stated_beside_what_it_lacks(
-    tmp_path: Path,
-) -> None:
-    field = triangles(8, 300)
-    slipped_um = 10 * LAWS["preisach"](field) + noise_um(2400) + 0.9 * (np.arange(2400) >= 1000)
-    stage, _ = calibrated(tmp_path, field, slipped_um)
-    assert {"speed", "zero_jump"} <= facts_of(stage)
-    assert grade_of(axis_of(stage)) is not Grade.GOOD
-
-
-def test_a_drive_drawn_anew_at_every_sample_turns_all_the_time(tmp_path: Path) -> None:
-    field = np.random.default_rng(5).uniform(-1.0, 1.0, 2000)
-    stage, _ = calibrated(tmp_path, field, 10 * LAWS["preisach"](field) + noise_um(2000))
-    assert not {"branch", "loop", "speed", "amplitude"} & facts_of(stage)
-    assert grade_of(axis_of(stage)) in (Grade.GOOD, Grade.LIMITED)
-    looked = piezoid("inspect", tmp_path / "sweep.csv").stdout
-    assert int(re.search(r"(\d+)\s+reversals", looked)[1]) > 500
-
-
 def test_a_diagnosis_of_a_class_that_does_not_apply_says_why_none_was_made(tmp_path: Path) -> None:
     field = triangles(4, 400)
     polarised = 2 * LAWS["preisach"](field) - 1
@@ -167,53 +130,6 @@ def test_a_diagnosis_of_a_class_that_does_not_apply_says_why_none_was_made(tmp_p
     said = " ".join(done.stdout.split())
     assert "No effect was tested" in said
     assert "butterfly" in said
-
-
-def test_a_model_meets_a_stage_that_moves_less_and_a_walk_that_is_none(tmp_path: Path) -> None:
-    field = np.concatenate([triangles(2, 400), 0.6 * triangles(2, 300) - 0.4])
-    law = LAWS["preisach"]
-    calibrated(tmp_path, field, 10 * law(field) + noise_um(len(field)))
-    model = tmp_path / "stage/model.json"
-    today = write(tmp_path / "less.csv", field, 8.8 * law(field) + noise_um(len(field))[::-1])
-    said = joined(piezoid("diagnose", model, today, "--out", tmp_path / "less"))
-    assert re.search(r"the sensitivity changed: the stage moves 1[12]\.\d+ % .* less than", said)
-    walk_um = np.cumsum(np.random.default_rng(3).standard_normal(len(field))) / 2
-    today = write(tmp_path / "walk.csv", field, walk_um)
-    said = joined(piezoid("diagnose", model, today, "--out", tmp_path / "walk"))
-    assert "does not hold" in said
-    assert "No effect was tested" in said
-    assert "e+0" not in said
-
-
-def test_a_model_that_fits_badly_is_no_other_sensitivity(tmp_path: Path) -> None:
-    field = np.concatenate([triangles(2, 400), 0.6 * triangles(2, 300) - 0.4])
-    calibrated(tmp_path, field, 10 * LAWS["duhem"](field) + noise_um(len(field)))
-    model = tmp_path / "stage/model.json"
-    again = piezoid("diagnose", model, tmp_path / "sweep.csv", "--out", tmp_path / "again")
-    assert "the model still holds" in joined(again)
-
-
-def test_a_zero_that_follows_a_strange_law_is_no_drift(tmp_path: Path) -> None:
-    """Shrinking triangles: what the class leaves of the law moves the zero from size to size."""
-    for law, drift_um in (("dahl", 0.0), ("duhem", 0.0), ("duhem", 2.0)):
-        field, reading_um = swept_um(law)
-        warming_um = drift_um * np.linspace(0.0, 1.0, len(field)) ** 0.5
-        folder = tmp_path / f"{law}{drift_um}"
-        stage, _ = calibrated(folder, field, reading_um + warming_um)
-        assert ("baseline_drift" in facts_of(stage)) == (drift_um > 0.0)
-
-
-def test_noise_under_a_drive_that_never_rests_is_told_as_a_bound(tmp_path: Path) -> None:
-    """Drawn anew at every sample, of a law the class does not follow: noise of 8 nm."""
-    field = np.random.default_rng(5).uniform(-1.0, 1.0, 1500)
-    twice = np.tile(field, 2)
-    stage, said = calibrated(tmp_path, field, 10 * LAWS["duhem"](field) + noise_um(1500))
-    assert "noise" in facts_of(stage)
-    assert "at most" in said.partition("noise")[2]
-    stage, _ = calibrated(tmp_path, twice, 10 * LAWS["duhem"](twice) + noise_um(3000))
-    assert "noise" not in facts_of(stage)
-    quality = json.loads((tmp_path / "stage/model.json").read_text())["axes"]["x"]["quality"]
-    assert 0.9 < quality["noise_rms_m"] / 8e-9 < 1.1
 
 
 def test_cycles_that_grow_ever_smaller_are_a_change_of_gain(tmp_path: Path) -> None:
@@ -230,35 +146,89 @@ def test_cycles_that_grow_ever_smaller_are_a_change_of_gain(tmp_path: Path) -> N
     assert "Warning" not in done.stderr
 
 
-def test_a_lag_of_first_order_leaves_hysteresis_the_plays_it_asks_for(tmp_path: Path) -> None:
-    """Beside a delay no size helps; the lag had been tried at that size alone: 9 to 20 nm."""
-    field = np.concatenate([triangles(2, 500), triangles(3, 150), triangles(2, 900)])
-    late = first_order(10 * LAWS["wall_pinning"](field), 0.02, RATE_Hz, -10.0)
-    sweep = write(tmp_path / "sweep.csv", field, late + noise_um(len(field)))
-    piezoid("fit", sweep, "--out", tmp_path / "stage")
-    axis = json.loads((tmp_path / "stage/model.json").read_text())["axes"]["x"]
-    assert axis["quality"]["held_out_rms_m"] < 1.2 * 8e-9
-    assert axis["lag"]["kind"] == "first_order"
-    assert 0.0195 < axis["lag"]["time_s"] < 0.0205
-
-
 def joined(done: subprocess.CompletedProcess[str]) -> str:
     return " ".join(done.stdout.split())
 
 
-@pytest.mark.parametrize("law", ["wall_pinning", "duhem"])
+def test_half_a_stroke_on_one_branch_is_no_hysteresis_model(tmp_path: Path) -> None:
+    field = np.linspace(-1.0, 0.0, 125)
+    axis = fitted(tmp_path, field, 10 * LAWS["wall_pinning"](field) + noise_um(125))
+    assert "branch" in facts_of(axis)
+    assert grade_of(axis) is Grade.POOR
+
+
+def test_a_loop_at_one_speed_may_be_lag(tmp_path: Path) -> None:
+    field = triangles(6, 500)
+    late = first_order(10 * LAWS["duhem"](field), 0.02, RATE_Hz, -10.0)
+    axis = fitted(tmp_path, field, late + noise_um(len(field)))
+    (speed,) = [fact for fact in fit_statements(axis) if fact.quantity == "speed"]
+    assert "ten times slower" in speed.text
+    assert grade_of(axis) is Grade.LIMITED
+
+
+def test_what_is_odd_about_a_recording_is_stated_beside_what_it_lacks(tmp_path: Path) -> None:
+    field = triangles(8, 300)
+    slipped_um = 10 * LAWS["preisach"](field) + noise_um(2400) + 0.9 * (np.arange(2400) >= 1000)
+    axis = fitted(tmp_path, field, slipped_um)
+    assert {"speed", "zero_jump"} <= facts_of(axis)
+    assert grade_of(axis) is not Grade.GOOD
+
+
+def test_a_drive_drawn_anew_at_every_sample_turns_all_the_time(tmp_path: Path) -> None:
+    field = np.random.default_rng(5).uniform(-1.0, 1.0, 2000)
+    axis = fitted(tmp_path, field, 10 * LAWS["preisach"](field) + noise_um(2000))
+    assert not {"branch", "loop", "speed", "amplitude"} & facts_of(axis)
+    assert grade_of(axis) in (Grade.GOOD, Grade.LIMITED)
+    looked = piezoid("inspect", tmp_path / "sweep.csv").stdout
+    assert int(re.search(r"(\d+)\s+reversals", looked)[1]) > 500
+
+
+@pytest.mark.parametrize(("law", "drift_um"), [("dahl", 0.0), ("duhem", 2.0)])
+def test_a_zero_that_follows_a_strange_law_is_no_drift(
+    law: str, drift_um: float, tmp_path: Path
+) -> None:
+    """Shrinking triangles: what the class leaves of the law moves the zero from size to size."""
+    field, reading_um = swept_um(law)
+    warming_um = drift_um * np.linspace(0.0, 1.0, len(field)) ** 0.5
+    axis = diagnose([recorded(tmp_path, field, reading_um + warming_um)]).model
+    assert axis is not None
+    assert ("baseline_drift" in facts_of(axis)) == (drift_um > 0.0)
+
+
+def test_noise_under_a_drive_that_never_rests_is_told_as_a_bound(tmp_path: Path) -> None:
+    """Drawn anew at every sample, of a law the class does not follow: noise of 8 nm."""
+    field = np.random.default_rng(5).uniform(-1.0, 1.0, 1500)
+    axis = fitted(tmp_path, field, 10 * LAWS["duhem"](field) + noise_um(1500))
+    (noise,) = [fact for fact in fit_statements(axis) if fact.quantity == "noise"]
+    assert "at most" in noise.text
+    twice = np.tile(field, 2)
+    axis = fitted(tmp_path, twice, 10 * LAWS["duhem"](twice) + noise_um(3000))
+    assert "noise" not in facts_of(axis)
+    assert 0.9 < axis.quality.noise_rms_m / 8e-9 < 1.1
+
+
+def test_a_lag_of_first_order_leaves_hysteresis_the_plays_it_asks_for(tmp_path: Path) -> None:
+    """Beside a delay no size helps; the lag had been tried at that size alone: 9 to 20 nm."""
+    field = np.concatenate([triangles(2, 500), triangles(3, 150), triangles(2, 900)])
+    late = first_order(10 * LAWS["wall_pinning"](field), 0.02, RATE_Hz, -10.0)
+    axis = fitted(tmp_path, field, late + noise_um(len(field)))
+    assert axis.quality.held_out_rms_m < 1.2 * 8e-9
+    assert axis.lag.kind == "first_order"
+    assert 0.0195 < axis.lag.time_s < 0.0205
+
+
 def test_another_machine_beside_the_loop_is_no_lag_and_told_by_its_frequency(
-    law: str, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
     """Its tone is one period of the recording from the drive's third harmonic."""
     field = triangles(6, 500)
     turns = np.arange(len(field)) / 500
-    reading_um = 10 * LAWS[law](field) + 0.2 * np.sin(2 * np.pi * 2.83 * turns)
-    sweep = write(tmp_path / "sweep.csv", field, reading_um + noise_um(len(field)))
-    piezoid("fit", sweep, "--out", tmp_path / "stage")
-    assert axis_of(tmp_path / "stage").verdict.applies
-    (finding,) = causes_of(tmp_path / "stage")
-    assert finding["effect"] == "something_else"
-    assert finding["coordinate"] == "frequency"
-    assert finding["parameters"]["frequency_Hz"] == pytest.approx(2.83 * RATE_Hz / 500, rel=0.02)
-    assert finding["size"]["value"] == pytest.approx(200 / np.sqrt(2), rel=0.15)
+    reading_um = 10 * LAWS["duhem"](field) + 0.2 * np.sin(2 * np.pi * 2.83 * turns)
+    diagnosis = diagnose([recorded(tmp_path, field, reading_um + noise_um(len(field)))])
+    assert diagnosis.model is not None
+    assert diagnosis.model.verdict.applies
+    (finding,) = [finding for finding in diagnosis.findings if finding.effect != "loop_shape"]
+    assert finding.effect == "something_else"
+    assert finding.coordinate == "frequency"
+    assert finding.parameters["frequency_Hz"] == pytest.approx(2.83 * RATE_Hz / 500, rel=0.02)
+    assert finding.size.value == pytest.approx(200 / np.sqrt(2), rel=0.15)
