@@ -21,6 +21,7 @@ from piezoid.output_folder import (
     add_to_folder,
     check_folder,
     manifest_of,
+    missing_files,
     read_manifest,
     refusal,
     remove_unfinished,
@@ -120,11 +121,12 @@ class Folder:
             )
 
     def record_of(self, stage: str) -> bytes:
-        """Return the record that lies beside a stage's results."""
-        place = self._folder / STAGES / stage / RECORD
-        if not place.exists():
-            raise FileNotFoundError(str(place))
-        return content_of(place)
+        """Return the record that lies beside a stage's results, if all of them are there."""
+        place = self._folder / STAGES / stage
+        for name in (RECORD, *missing_files(place)):
+            if not (place / name).exists():
+                raise FileNotFoundError(str(place / name))
+        return content_of(place / RECORD)
 
     def write(self, stage: str, files: Mapping[str, bytes]) -> None:
         """Write the folder of a stage in the place of what it holds of ours."""

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from piezoid.errors import LabFileError, ParameterFileError
+from piezoid.output_folder import is_as_written
 
 if TYPE_CHECKING:
     from piezoid.export.parameter_file import ParameterFile
@@ -101,6 +102,10 @@ def out_of_date(stage: Path, contents: Mapping[str, bytes], lab: "Lab | None") -
 
     stale: dict[str, str] = {}
     digests = {name: str(loads(content).get("digest")) for name, content in contents.items()}
+    if "diagnosis.json" in contents and not is_as_written(stage / "diagnosis.json"):
+        stale["diagnosis.json"] = (
+            f"not the one of this fit; run piezoid fit RECORDINGS --out {stage}"
+        )
     if "params.json" in contents:
         file = from_json(contents["params.json"], str(stage / "params.json"))
         made_from = (("model.json", "model"), ("design.json", "design"))

@@ -162,6 +162,17 @@ def write_file(
             fresh.unlink(missing_ok=True)
 
 
+def is_as_written(place: Path) -> bool:
+    """Return whether a file is the one that piezoid wrote, unless no manifest beside it says."""
+    listed = _read_manifest(place.parent)
+    return listed is None or digest_of_file(place) in listed.get(place.name, ())
+
+
+def missing_files(folder: Path) -> list[str]:
+    """Return the files that the manifest of a folder lists and that are not there."""
+    return [n for n in _read_manifest(folder) or () if not _is_regular(folder / n)]
+
+
 def lists_results(folder: str | Path) -> bool:
     """Return whether a folder bears a manifest of a calibrated stage or of a batch."""
     listed = _read_manifest(Path(folder)) or ()

@@ -60,9 +60,7 @@ def verdict(fleet: Fleet, found: tuple[Distribution, ...]) -> Section:
 def _counted(fleet: Fleet) -> str:
     good, whole = fleet.counts.get(PASSED, 0), len(fleet.stages)
     bare = fleet.without_controller
-    bare_clause = (
-        f" {bare} of them without a controller: no verdict was asked for." if bare else ""
-    )
+    bare_clause = f" {bare} of them without a controller." if bare else ""
     if fleet.passed:
         return f"All {whole} stages passed.{bare_clause}"
     kinds = ((FAILED, "failed a verdict"), (REFUSED, "could not be used"), (CRASHED, "broke off"))

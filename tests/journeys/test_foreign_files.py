@@ -1,5 +1,6 @@
 """Nothing of a user's is lost: every verb that writes, in a home, a repository, beside others."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -148,3 +149,19 @@ def test_results_of_a_batch_among_its_stages_are_no_stages() -> None:
         done = piezoid("batch night --out night/res --workers 1 --json")
         assert done.stdout.count('"state"') == 1, done.stderr
         assert "night/res" not in done.stderr
+
+
+def test_a_diagnosis_that_was_put_into_the_folder_is_left_out_of_the_report(place: Path) -> None:
+    assert "left out" not in piezoid("report stage").output
+    other = replace(diagnosed(), explained_fraction=0.5)
+    (place / "stage/diagnosis.json").write_bytes(write_diagnosis(other))
+    assert "left out, for it is out of date: diagnosis.json" in piezoid("report stage").output
+
+
+def test_a_batch_does_a_stage_again_whose_files_were_removed(place: Path) -> None:
+    assert piezoid("batch night --out made --workers 1").exit_code == 0
+    model = place / "made/stages/st1/model.json"
+    written = model.read_bytes()
+    model.unlink()
+    assert piezoid("batch night --out made --workers 1").exit_code == 0
+    assert model.read_bytes() == written
