@@ -166,9 +166,25 @@ def unfitted(
         sources={held.name: held.digest for held in files},
         lab=lab.digest or None,
         tunnelling=None,
-        remarks=(*remarks_on_currents(recordings), *(s.text for s in statements)),
+        remarks=(
+            *remarks_on_currents(recordings),
+            *(s.text for s in statements),
+            *remarks_on_coupling(recordings, lab),
+        ),
         controller_rate_Hz=lab.acquisition.sampling_rate_Hz,
     )
+
+
+def remarks_on_coupling(recordings: Sequence[Recording], lab: Lab) -> tuple[str, ...]:
+    """Return what the recordings show of coupled drives, unless lab.toml couples axes."""
+    if lab.coupled.axes:
+        return ()
+    return tuple(
+        f"{recording.name}: {statement.text}"
+        for recording in recordings
+        for statement in recording.statements
+        if statement.quantity == "coupled_drives"
+    )[:1]
 
 
 def response_of(

@@ -45,6 +45,8 @@ MIN_SPIKE_DEVIATION = 4.0  # in place of MIN_DEVIATION: a spike has no repetitio
 # Samples on either side of a spike, and the quantile of their bends: where so many bend as much,
 # it rings. Each spike bends three samples.
 SPIKE_NEIGHBOURS, RINGING_QUANTILE = 10, 0.7
+MIN_EXCESS = 5.0  # equal neighbours over those made by chance, above which every one is lost
+STEP_QUANTILE = 0.01  # of the gaps between distinct values: the step of their digits or converter
 MAX_RUN = 64  # samples: longer runs of one value may be a rest
 MAX_RESPONSE = 4  # samples by which a stage may follow its drive
 MIN_SCATTER = 1e-5  # of the range: less are the digits of a number, not the noise of a sensor
@@ -281,7 +283,9 @@ def _held(values: Array, invalid: Mask, noise: float, drive: Array | None) -> Ma
     is_held = (np.abs(jump) > MIN_NOISE * noise) & (jump * before > 0.0) & (jump * after > 0.0)
     if np.count_nonzero(is_held) < MIN_REPEATS:
         return held
-    if step_size(kept) == 0.0:  # a fine reading does not repeat, however slowly the stage moves
+    # A reading whose noise spans few of its steps repeats by chance while the stage moves slowly.
+    by_chance = len(kept) * _chance_of_equality(kept, noise)
+    if np.sum(stops - starts - 1) > MIN_EXCESS * by_chance:
         is_held[:] = True
     if drive is not None:
         during = np.abs(drive[valid[stops - 1]] - drive[valid[starts]])
@@ -290,6 +294,16 @@ def _held(values: Array, invalid: Mask, noise: float, drive: Array | None) -> Ma
     for start, stop in zip(starts[is_held].tolist(), stops[is_held].tolist(), strict=True):
         held[valid[start + 1 : stop]] = True
     return held
+
+
+def _chance_of_equality(values: Array, noise: float) -> float:
+    """Return the probability that two successive readings at one level are equal.
+
+    p = q / (2 sqrt(pi) sigma)    for white noise sigma in steps of q, at most 1
+    """
+    gaps = np.diff(np.unique(values))
+    step = float(np.quantile(gaps, STEP_QUANTILE)) if len(gaps) else 0.0
+    return min(step / (2.0 * np.sqrt(np.pi) * noise), 1.0) if noise > 0.0 else 1.0
 
 
 def _runs_of(mask: Mask) -> list[tuple[int, int]]:

@@ -97,6 +97,24 @@ def test_rests_pulses_steps_and_ringing_are_no_losses() -> None:
         assert find_invalid_readings(reading, drive) == ()
 
 
+def test_neighbours_that_are_equal_by_the_step_of_the_converter_are_kept(
+    rng: np.random.Generator,
+) -> None:
+    """Approach at 7 um/s, retract at 88 um/s with five lost readings; noise of 4.7 steps."""
+    step_nm, rate_Hz = 0.5, 2000.0
+    approach_nm = np.cumsum(np.full(10_000, 7e3 / rate_Hz))
+    retract_nm = approach_nm[-1] - np.cumsum(np.full(800, 88e3 / rate_Hz))
+    motion_nm = np.concatenate([approach_nm, retract_nm])
+    noisy_nm = motion_nm + 4.7 * step_nm * rng.standard_normal(len(motion_nm))
+    reading_nm = step_nm * np.round(noisy_nm / step_nm)
+    lost = np.arange(10_100, 10_600, 100)
+    reading_nm[lost] = reading_nm[lost - 1]
+    assert np.mean(np.diff(reading_nm) == 0.0) > 0.03
+    for drive in (1e-3 * motion_nm, None):
+        (held,) = find_invalid_readings(reading_nm, drive)
+        assert (held.kind, held.samples.tolist()) == ("held", lost.tolist())
+
+
 def test_a_row_of_one_number_is_lost_with_its_drive(tmp_path: Path) -> None:
     field, reading_um = swept_um("preisach")
     drive, lost = np.array(field), np.arange(100, len(field), 61)

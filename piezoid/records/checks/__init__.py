@@ -15,6 +15,7 @@ from piezoid.records.checks.command_range import check_command_range
 from piezoid.records.checks.commanded_displacement import check_commanded_displacement
 from piezoid.records.checks.consistency import check_consistency, refuse_inconsistent
 from piezoid.records.checks.copies import check_copies
+from piezoid.records.checks.coupled_drives import check_coupled_drives
 from piezoid.records.checks.drive_ranges import check_drive_ranges
 from piezoid.records.checks.early_turns import check_early_turns
 from piezoid.records.checks.feedback import check_feedback, check_feedback_of_set
@@ -36,6 +37,7 @@ CHECKS: tuple[Callable[[Recording, Lab], list[Statement]], ...] = (
     check_saturation,
     check_command_range,
     check_commanded_displacement,
+    check_coupled_drives,
 )
 # Statements about a displacement to which no model may be fitted.
 UNUSABLE = frozenset({"not_measured", "wrapped"})
