@@ -6,12 +6,8 @@ from pathlib import Path
 from piezoid.errors import PiezoidError
 from piezoid.records.inspection import Inspection, inspect_files
 from piezoid.records.lab import Lab, read_lab
-from tests.records.messy.meanings import MEANINGS
-from tests.records.messy.strangers import STRANGERS
-from tests.records.messy.texts import TEXTS
+from tests.records.messy.files import FILES
 from tests.records.messy.writers import Messy, lines, text
-
-FILES = (*TEXTS, *MEANINGS, *STRANGERS)
 
 
 def inspected(messy: Messy, folder: Path, entry: str = "") -> tuple[Inspection, ...]:
