@@ -93,6 +93,14 @@ def test_a_reading_that_overflows_is_reported_with_its_first_row_and_not_fitted(
         assert statement.text.rstrip(".") in str(refusal.value)
 
 
+def test_a_coarse_counter_that_overflows_slowly_is_not_fitted(tmp_path: Path) -> None:
+    """Each of 160 codes lasts six samples or more: longer than the neighbours of a jump."""
+    codes = np.mod(np.round(100.0 * SINE), 160)
+    recording = _file(tmp_path, 0.1 * codes, 50.0 * SINE)
+    with pytest.raises(RecordingError, match="jumps over its whole range"):
+        piezoid.fit(recording)
+
+
 @pytest.mark.parametrize("lost_um", [0.0, 9999.0, -1.0])
 def test_a_lost_reading_or_a_step_of_the_drive_is_no_overflow(
     lost_um: float, rng: np.random.Generator, tmp_path: Path

@@ -11,10 +11,11 @@ from piezoid.records.sample_statistics import clipped, clipped_share, is_dead
 from piezoid.records.table import Column, RawTable
 from piezoid.statement import Statement, finding
 
-# A counter that overflows jumps over nearly its whole range while the drive makes no step; within
-# NEIGHBOURS samples on either side it neither jumps back nor repeats one value, as a lost reading.
+# A counter that overflows jumps over nearly its whole range while the drive makes no step. Within
+# NEIGHBOURS samples on either side it does not jump back, and within MAX_CONSTANT it does not stay
+# at one value, as a lost reading does.
 MIN_JUMP, MIN_DRIVE_STEP = 0.8, 0.1  # of the range
-NEIGHBOURS = 5
+NEIGHBOURS, MAX_CONSTANT = 5, 500
 
 
 def check_columns(table: RawTable, quantities: Mapping[int, Quantity]) -> list[Statement]:
@@ -73,12 +74,15 @@ def overflows(values: Array, drives: Sequence[Array]) -> Array:
         for drive in drives
     ]
     jumps = []
-    for k in after.tolist() if drives else ():
+    edges = [0, *after.tolist(), len(values)]
+    for begin, k, end in zip(edges, edges[1:], edges[2:], strict=False):
         first = max(k - NEIGHBOURS, 0)
-        if any(step[first : k + NEIGHBOURS - 1].any() for step in steps):
+        if not drives or any(step[first : k + NEIGHBOURS - 1].any() for step in steps):
             continue
-        sides = values[first:k], values[k : k + NEIGHBOURS]
-        if all(0.0 < np.ptp(side) < 0.5 * range_ for side in sides):
+        sides = values[max(begin, k - MAX_CONSTANT) : k], values[k : min(end, k + MAX_CONSTANT)]
+        is_short = min(map(len, sides)) < NEIGHBOURS
+        ranges = np.ptp(sides[0][-NEIGHBOURS:]), np.ptp(sides[1][:NEIGHBOURS])
+        if not is_short and max(ranges) < 0.5 * range_ and min(map(np.ptp, sides)) > 0.0:
             jumps.append(k)
     return np.array(jumps, dtype=int)
 
