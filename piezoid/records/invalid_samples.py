@@ -107,12 +107,12 @@ def find_invalid_readings(
             break
         spikes |= new_spikes
         invalid |= new_spikes
-    held = _held(values, invalid, noise, drive) & ~(clipped | stuck)
-    if (invalid | held)[~(clipped | stuck)].mean() > MAX_SHARE:
+    repeats = _repeats(values, invalid, noise, drive) & ~(clipped | stuck)
+    if (invalid | repeats)[~(clipped | stuck)].mean() > MAX_SHARE:
         return ()
     masks: list[tuple[str, float | None, Mask]] = [
         *(("written", value, mask) for value, mask in sorted(written.items())),
-        ("held", None, held),
+        ("held", None, repeats),
         ("stuck", None, stuck),
         ("spike", None, spikes),
         ("clipped", None, clipped),
@@ -201,13 +201,13 @@ def _deviations(values: Array, starts: Indices, stops: Indices) -> tuple[Array, 
 
     The uncertainty is the larger miss of the two neighbours on either side, extrapolated.
     """
-    before, after = values[starts - 1], values[stops]
-    mean = 0.5 * (before + after)
+    left_neighbour, right_neighbour = values[starts - 1], values[stops]
+    mean = 0.5 * (left_neighbour + right_neighbour)
     distance = 0.5 * (stops - starts + 1)
     misses = np.stack(
         [
-            before + distance * (before - values[starts - 2]) - mean,
-            after + distance * (after - values[stops + 1]) - mean,
+            left_neighbour + distance * (left_neighbour - values[starts - 2]) - mean,
+            right_neighbour + distance * (right_neighbour - values[stops + 1]) - mean,
         ]
     )
     return np.abs(values[starts] - mean), np.asarray(np.abs(misses).max(axis=0))
@@ -218,15 +218,15 @@ def _written(
 ) -> dict[float, Mask]:
     """Return the samples of every value that lies far from its neighbours again and again."""
     valid = np.flatnonzero(~invalid)
-    kept = values[valid]
-    starts, stops = _constant_runs(kept)
-    deviation, uncertainty = _deviations(kept, starts, stops)
+    readings = values[valid]
+    starts, stops = _constant_runs(readings)
+    deviation, uncertainty = _deviations(readings, starts, stops)
     limit = np.maximum(
         MIN_NOISE * noise, MIN_DEVIATION * np.maximum(uncertainty, driven[valid[starts]])
     )
-    repeated, counts = np.unique(kept[starts[deviation > limit]], return_counts=True)
+    repeated, counts = np.unique(readings[starts[deviation > limit]], return_counts=True)
     # On a coarse converter a reading has the same value by itself.
-    is_coarse = (step_size(kept) if invalid.any() else step) > 0.0
+    is_coarse = (step_size(readings) if invalid.any() else step) > 0.0
     written = {}
     for value in repeated[counts >= MIN_REPEATS].tolist():
         mask = (values == value) & ~invalid
@@ -243,57 +243,62 @@ def _written(
 def _spikes(values: Array, invalid: Mask, noise: float, driven: Array, range_: float) -> Mask:
     """Return one or two samples at a time that lie far from both neighbours and do not ring."""
     valid = np.flatnonzero(~invalid)
-    kept = values[valid]
+    readings = values[valid]
     if invalid.any():
-        range_ = _robust_range(kept)
+        range_ = _robust_range(readings)
     limit = max(MIN_SPIKE_NOISE * noise, MIN_SPIKE * range_)
     spikes = np.zeros(len(values), dtype=bool)
-    bend = np.abs(np.diff(kept, 2, prepend=kept[0], append=kept[-1])) / 2.0
+    bend = np.abs(np.diff(readings, 2, prepend=readings[0], append=readings[-1])) / 2.0
     for width in (1, 2):
-        mean = 0.5 * (kept[1 : -width - 2] + kept[2 + width : -1])
-        deviation = np.abs(kept[2 : -width - 1] - mean)
+        mean = 0.5 * (readings[1 : -width - 2] + readings[2 + width : -1])
+        deviation = np.abs(readings[2 : -width - 1] - mean)
         if width == 2:  # the second sample as well, from the same mean
-            deviation = np.minimum(deviation, np.abs(kept[3:-2] - mean))
+            deviation = np.minimum(deviation, np.abs(readings[3:-2] - mean))
         starts = 2 + np.flatnonzero(deviation > limit)
-        _, uncertainty = _deviations(kept, starts, starts + width)
+        _, uncertainty = _deviations(readings, starts, starts + width)
         is_far = deviation[starts - 2] > MIN_SPIKE_DEVIATION * np.maximum(
             uncertainty, driven[valid[starts]]
         )
         for start in starts[is_far].tolist():
-            near = bend[max(start - SPIKE_NEIGHBOURS, 0) : start + SPIKE_NEIGHBOURS]
-            if deviation[start - 2] > MIN_SPIKE_DEVIATION * np.quantile(near, RINGING_QUANTILE):
+            bends = bend[max(start - SPIKE_NEIGHBOURS, 0) : start + SPIKE_NEIGHBOURS]
+            if deviation[start - 2] > MIN_SPIKE_DEVIATION * np.quantile(bends, RINGING_QUANTILE):
                 spikes[valid[start : start + width]] = True
     return spikes
 
 
-def _held(values: Array, invalid: Mask, noise: float, drive: Array | None) -> Mask:
+def _repeats(values: Array, invalid: Mask, noise: float, drive: Array | None) -> Mask:
     """Return samples that repeat the previous one while the stage moves on in one direction.
 
     A drive, if known, moves by about as much during each repeat as behind them. Equal readings at
     the end of a hold, where it moves behind them only, are no fault.
     """
-    held = np.zeros(len(values), dtype=bool)
+    repeats = np.zeros(len(values), dtype=bool)
     valid = np.flatnonzero(~invalid)
-    kept = values[valid]
-    starts, stops = _constant_runs(kept)
+    readings = values[valid]
+    starts, stops = _constant_runs(readings)
     is_repeated = stops - starts > 1
     starts, stops = starts[is_repeated], stops[is_repeated]
-    before, after = kept[starts] - kept[starts - 2], kept[stops + 1] - kept[stops]
-    jump = kept[stops] - kept[starts]
-    is_held = (np.abs(jump) > MIN_NOISE * noise) & (jump * before > 0.0) & (jump * after > 0.0)
-    if np.count_nonzero(is_held) < MIN_REPEATS:
-        return held
+    change_before = readings[starts] - readings[starts - 2]
+    change_behind = readings[stops + 1] - readings[stops]
+    jump = readings[stops] - readings[starts]
+    is_repeat = (
+        (np.abs(jump) > MIN_NOISE * noise)
+        & (jump * change_before > 0.0)
+        & (jump * change_behind > 0.0)
+    )
+    if np.count_nonzero(is_repeat) < MIN_REPEATS:
+        return repeats
     # A reading whose noise spans few of its steps repeats by chance while the stage moves slowly.
-    by_chance = len(kept) * _chance_of_equality(kept, noise)
+    by_chance = len(readings) * _chance_of_equality(readings, noise)
     if np.sum(stops - starts - 1) > MIN_EXCESS * by_chance:
-        is_held[:] = True
+        is_repeat[:] = True
     if drive is not None:
         during = np.abs(drive[valid[stops - 1]] - drive[valid[starts]])
         behind = np.abs(drive[valid[stops]] - drive[valid[stops - 1]])
-        is_held &= during >= MIN_DRIVEN * behind * (stops - 1 - starts)
-    for start, stop in zip(starts[is_held].tolist(), stops[is_held].tolist(), strict=True):
-        held[valid[start + 1 : stop]] = True
-    return held
+        is_repeat &= during >= MIN_DRIVEN * behind * (stops - 1 - starts)
+    for start, stop in zip(starts[is_repeat].tolist(), stops[is_repeat].tolist(), strict=True):
+        repeats[valid[start + 1 : stop]] = True
+    return repeats
 
 
 def _chance_of_equality(values: Array, noise: float) -> float:
@@ -369,8 +374,8 @@ def find_invalid_samples(
             continue
         drives = [
             j
-            for j, other in enumerate(columns)
-            if (other.quantity, other.axis) == (Quantity.VOLTAGE, column.axis)
+            for j, candidate in enumerate(columns)
+            if (candidate.quantity, candidate.axis) == (Quantity.VOLTAGE, column.axis)
         ]
         drive = columns[drives[0]].values if drives else None
         rows = None if drive is None else _invalid_rows(column.values, drive)
@@ -415,17 +420,17 @@ def _statement(
     if readings.kind == "stuck":
         mask = np.zeros(total, dtype=bool)
         mask[samples] = True
-        places = [f"{place_of(a)} to {place_of(b - 1)}" for a, b in _runs_of(mask)]
+        labels = [f"{place_of(a)} to {place_of(b - 1)}" for a, b in _runs_of(mask)]
     else:
-        places = [place_of(int(k)) for k in samples]
-    more = f" and {len(places) - MAX_PLACES} more" if len(places) > MAX_PLACES else ""
+        labels = [place_of(int(k)) for k in samples]
+    further = f" and {len(labels) - MAX_PLACES} more" if len(labels) > MAX_PLACES else ""
     deviation = np.abs(column.values - interpolated(column.values, invalid))[samples]
     return finding(
         quantity="saturated" if readings.kind == "clipped" else "lost_readings",
         place=column.place,
         text=f"{column.place} {appearance}, {len(samples)} times "
         f"({100 * len(samples) / total:.2g} % of the samples), at "
-        f"{', '.join(places[:MAX_PLACES])}{more}: left out as invalid.",
+        f"{', '.join(labels[:MAX_PLACES])}{further}: left out as invalid.",
         value=float(deviation.max()) * abs(column.factor),
         unit="m",
     )
