@@ -122,7 +122,7 @@ def judged(
     dynamics: LinearDynamics, truth: tuple[float, float, float]
 ) -> list[tuple[bool, float]]:
     """Return whether each interval holds the truth, and the error over half the interval."""
-    mode = int(np.abs(dynamics.mode_gain_m_per_V[:, 0, 0]).argmax())
+    mode = int(np.abs(dynamics.mode_gain_m_per_V).argmax())
     intervals = (
         dynamics.mode_frequency_interval_Hz()[mode],
         dynamics.mode_damping_interval()[mode],

@@ -47,7 +47,7 @@ def response_parts(
     f = record.frequency_Hz
     used = path.is_coherent & ~np.isin(f, fitted.left_out_Hz)
     measured = fitted.factor * measured_response(record, axis.axis, dynamics.declared)
-    model = dynamics.response(f)[:, 0, 0]
+    model = dynamics.response(f)
     if fitted.slow is not None:
         model = model * fitted.slow.response(f)
     decades = np.log10(f)

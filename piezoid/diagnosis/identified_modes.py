@@ -22,7 +22,6 @@ from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.fit import rig_of
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
-from piezoid.operators.linear import sample
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
@@ -63,7 +62,7 @@ def with_modes(
         return _with_rising_gain(diagnosis, model.bandwidth)
     if not shaped:
         return diagnosis if model.response is None else _beside(diagnosis, model, dynamics)
-    largest = int(np.argmax(np.abs(dynamics.mode_gain_m_per_V[:, 0, 0])))
+    largest = int(np.argmax(np.abs(dynamics.mode_gain_m_per_V)))
     frequency_Hz = float(dynamics.mode_frequency_Hz[largest])
     low_Hz, high_Hz = dynamics.mode_frequency_interval_Hz()[largest].tolist()
     before_m = _rms([_left_m(model, dynamics, r, modes=False) for r in shaped])
@@ -148,11 +147,10 @@ def _left_m(
 ) -> Array:
     """Return what is left of one recording behind its hysteresis, slow motion taken away."""
     drive_V = voltage_behind_hysteresis(model, recording)
-    path = dynamics.path(model.axis, model.axis)
     if modes:
-        moved_m, _ = sample(path.realised(), recording.sampling_rate_Hz).run(drive_V - drive_V[0])
+        moved_m, _ = dynamics.sampled(recording.sampling_rate_Hz).run(drive_V - drive_V[0])
     else:
-        moved_m = float(path.static_gain_m_per_V[0, 0]) * (drive_V - drive_V[0])
+        moved_m = dynamics.static_gain_m_per_V * (drive_V - drive_V[0])
     left_m = recording.displacement_m(model.axis) - moved_m
     time = np.linspace(-1.0, 1.0, len(left_m))
     return np.asarray(left_m - np.polyval(np.polyfit(time, left_m, TREND), time))

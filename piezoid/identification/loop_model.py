@@ -198,7 +198,7 @@ def _of_dynamics(
         for known in dynamics.declared
         if known.name != "sensor" and known.frequency_Hz <= INSTANTANEOUS * rate_Hz
     )
-    path = replace(dynamics.path(axis.axis, axis.axis), declared=declared)
+    path = replace(dynamics, declared=declared)
     middle = _middle_m_per_V(axis)
     apart = _is_drawn(path, middle)
     quick = replace(
@@ -208,7 +208,7 @@ def _of_dynamics(
         shape_covariance=_without_lags(path, apart),
     )
     known = quick.realised()
-    at_once = float(quick.static_gain_m_per_V[0, 0])
+    at_once = quick.static_gain_m_per_V
     scaled = replace(known, C=known.C / at_once, D=known.D / at_once, delay_s=0.0)
     further = [
         system
@@ -271,8 +271,7 @@ def _moved(
     if len(lag_Hz):
         high = dynamics.lag_frequency_interval_Hz()[:, 1] / lag_Hz
         moved_Hz = lag_Hz / np.maximum(high, 1.0 + DECLARED_SPREAD) ** slower
-        path = dynamics.path(axis.axis, axis.axis)
-        lag_Hz = np.where(_is_drawn(path, _middle_m_per_V(axis)), lag_Hz, moved_Hz)
+        lag_Hz = np.where(_is_drawn(dynamics, _middle_m_per_V(axis)), lag_Hz, moved_Hz)
     early_s, late_s = dynamics.delay_interval_s()
     half_s = max(float(late_s - early_s) / 2.0, DECLARED_SPREAD * dynamics.delay_s)
     spread = 1.0 + slower * DECLARED_SPREAD

@@ -73,7 +73,7 @@ def _hysteresis(axis: AxisModel) -> list[_Row]:
 def _dynamics(axis: AxisModel) -> list[_Row]:
     if axis.dynamics is None:
         return []
-    found = axis.dynamics.path(axis.axis, axis.axis)
+    found = axis.dynamics
     tables = (
         ("mode_frequency_Hz", found.mode_frequency_Hz, found.mode_frequency_interval_Hz()),
         ("mode_damping", found.mode_damping, found.mode_damping_interval()),

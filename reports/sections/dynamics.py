@@ -117,7 +117,7 @@ def _phase(axis: AxisModel, dynamics: LinearDynamics, measured: FrequencyRespons
 
 
 def _modelled(dynamics: LinearDynamics, measured: FrequencyResponse) -> ComplexArray:
-    response: ComplexArray = dynamics.response_as_measured(measured.frequency_Hz)[:, 0, 0]
+    response: ComplexArray = dynamics.response_as_measured(measured.frequency_Hz)
     return response
 
 

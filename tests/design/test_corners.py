@@ -149,10 +149,10 @@ def test_what_creeps_and_what_is_late_widen_the_interval_of_the_gain() -> None:
 
 def test_a_lag_that_hysteresis_draws_stays_out_of_every_corner() -> None:
     """Its wide interval ends among the modes, where it would cancel them."""
-    known, middle = truth(("x",)), 0.5 * sum(fitted()["x"].hysteresis.slope_sector_m_per_V)
+    known, middle = truth(), 0.5 * sum(fitted()["x"].hysteresis.slope_sector_m_per_V)
     share = known.mode_gain_m_per_V / known.mode_gain_m_per_V.sum()
     known = replace(known, mode_gain_m_per_V=middle * share)
-    gain = known.mode_gain_m_per_V.sum(axis=0)[None]
+    gain = known.mode_gain_m_per_V.sum(keepdims=True)
     covariance = np.zeros((6, 6))
     covariance[4, 4] = 3.0**2  # of the logarithm of the lag's frequency
     drawn = replace(

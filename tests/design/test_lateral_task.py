@@ -116,26 +116,24 @@ def test_a_resolved_mode_just_above_the_last_coherent_line_is_designed_for() -> 
 def one_mode(*, frequency_Hz: float, damping: float, delay_s: float) -> LinearDynamics:
     least, greatest = axis_model().hysteresis.slope_sector_m_per_V
     return LinearDynamics(
-        inputs=("x",),
-        outputs=("x",),
+        axis="x",
         mode_frequency_Hz=np.array([frequency_Hz]),
         mode_damping=np.array([damping]),
-        mode_gain_m_per_V=np.full((1, 1, 1), 0.5 * (least + greatest)),
-        mode_rate_gain_m_s_per_V=np.zeros((1, 1, 1)),
+        mode_gain_m_per_V=np.array([0.5 * (least + greatest)]),
         lag_frequency_Hz=np.zeros(0),
-        lag_gain_m_per_V=np.zeros((0, 1, 1)),
-        direct_gain_m_per_V=np.zeros((1, 1)),
+        lag_gain_m_per_V=np.zeros(0),
+        direct_gain_m_per_V=0.0,
         delay_s=delay_s,
         declared=(
             Filter(name="amplifier", frequency_Hz=4e3),
             Filter(name="sensor", frequency_Hz=8.5e3),
         ),
         shape_covariance=np.diag([1e-4, 1e-4, 1e-12]),
-        static_gain_std_m_per_V=np.zeros((1, 1)),
+        static_gain_std_m_per_V=0.0,
         hold="zero_order",
         sampling_rate_Hz=RATE_Hz,
         band_Hz=(5.0, 1000.0),
-        drive_rms_V=np.ones(1),
+        drive_rms_V=1.0,
         cost=1.0,
         expected_cost=1.0,
     )

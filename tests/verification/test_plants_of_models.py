@@ -114,7 +114,7 @@ def test_a_family_member_that_the_loop_cannot_hold_fails():
 
 def test_identified_dynamics_stand_in_the_plant_with_the_operators_gain(rng):
     """What they say of the sensor is behind the position, all else in front of it."""
-    known = truth(("x",))
+    known = truth()
     model = replace(fitted()["x"], dynamics=known)
     plant = lateral_plant(model, sampling_rate_Hz=RATE_Hz)
     frequency_Hz = np.array([1.0, 100.0, 630.0, 2000.0])
@@ -122,7 +122,7 @@ def test_identified_dynamics_stand_in_the_plant_with_the_operators_gain(rng):
     found = plant.measured.response(frequency_Hz)[:, 0, 0] * late
     for section in plant.sensor:
         found = found / (1.0 + 1j * frequency_Hz / section.frequency_Hz)
-    relative = known.response(frequency_Hz)[:, 0, 0] / known.static_gain_m_per_V[0, 0]
+    relative = known.response(frequency_Hz) / known.static_gain_m_per_V
     named = [f.frequency_Hz for f in known.declared if f.name == "sensor"]
     for pole_Hz in named:
         relative = relative * (1.0 + 1j * frequency_Hz / pole_Hz)

@@ -182,7 +182,7 @@ def _mode_share(recording: Recording, axis: str, dynamics: LinearDynamics) -> fl
     drive = recording.voltage_V(axis)
     level = drive - drive.mean()
     frequency_Hz = np.fft.rfftfreq(len(level), 1.0 / recording.sampling_rate_Hz)
-    peak = np.abs(dynamics.mode_gain_m_per_V[:, 0, 0]) / dynamics.mode_damping
+    peak = np.abs(dynamics.mode_gain_m_per_V) / dynamics.mode_damping
     strongest = int(np.where(resolved_modes(dynamics), peak, -1.0).argmax())
     x = frequency_Hz / dynamics.mode_frequency_Hz[strongest]
     damping = dynamics.mode_damping[strongest]

@@ -45,22 +45,23 @@ def fit_dynamics(
 
         minimise sum |G_hat - G(theta)|^2 / variance                [Pintelon & Schoukens 2012]
 
-    measured     with variances; rejected lines do not count
+    measured     of one axis, with variances; rejected lines do not count
     structure    how many modes, lags, ...
     declaration  hold and known filters
 
     The stated covariance takes the variances of ``measured`` as they are, and widens where the
-    residual is larger. Columns of inputs are weighted independently, exact for orthogonal
-    multisines.
+    residual is larger.
 
     Raises ``IdentificationError`` for too few lines or a singular structure.
     """
-    weight = measured.weights()
-    values = 2 * int((weight > 0).sum(axis=0).min())
-    needed = structure.columns + structure.shapes
-    if values < 2 * needed:
+    if measured.response.shape[1:] != (1, 1):
+        raise ValueError(f"a response of shape {measured.response.shape}; expected one path")
+    response, weight = measured.response[:, 0, 0], measured.weights()[:, 0, 0]
+    values = 2 * int((weight > 0).sum())
+    unknowns = structure.columns + structure.shapes
+    if values < 2 * unknowns:
         raise IdentificationError(
-            f"{values} usable real values in the poorest path, {needed} parameters",
+            f"{values} usable real values, {unknowns} parameters",
             needed="at least twice as many values as parameters",
             remedy="Measure more lines, or take fewer modes.",
         )
@@ -71,10 +72,14 @@ def fit_dynamics(
         hold=declaration.hold,
         declared=declaration.filters,
     )
+    # Values less half the real unknowns, times the mean of one over an estimated variance.
+    freedom = measured.variance_freedom
+    inflation = freedom / (freedom - 1.0) if freedom > 2.0 else 2.0
+    expected_cost = float((int((weight > 0).sum()) - unknowns / 2) * inflation)
     start = _start_shape(measured, weight, structure, declaration)
-    fit = _maximise_likelihood(measured.response, weight, basis, start)
-    fit = _exchange_modes(measured, weight, basis, fit)
-    return _linear_dynamics(measured, basis, weight, fit)
+    fit = _maximise_likelihood(response, weight, basis, start)
+    fit = _exchange_modes(response, basis, fit, expected_cost)
+    return _linear_dynamics(measured, basis, fit, expected_cost)
 
 
 def resolved_modes(dynamics: LinearDynamics) -> NDArray[np.bool_]:
@@ -85,8 +90,8 @@ def resolved_modes(dynamics: LinearDynamics) -> NDArray[np.bool_]:
     """
     frequency = dynamics.mode_frequency_interval_Hz()
     damping = dynamics.mode_damping_interval()
-    known = (frequency[:, 1] < 1.1 * frequency[:, 0]) & (damping[:, 1] < 3 * damping[:, 0])
-    return np.asarray(known & (dynamics.mode_damping < 1.0), dtype=np.bool_)
+    is_known = (frequency[:, 1] < 1.1 * frequency[:, 0]) & (damping[:, 1] < 3 * damping[:, 0])
+    return np.asarray(is_known & (dynamics.mode_damping < 1.0), dtype=np.bool_)
 
 
 def _start_shape(
@@ -96,7 +101,7 @@ def _start_shape(
     size, rate_Hz = len(measured.frequency_Hz), measured.sampling_rate_Hz
     scale = 2 * np.pi * measured.frequency_Hz[-1]
     s = 2j * np.pi * measured.frequency_Hz / scale
-    flat, w = measured.response.reshape(size, -1), weight.reshape(size, -1)
+    flat, w = measured.response.reshape(size, 1), weight[:, None]
     declared = declaration.response(measured.frequency_Hz, rate_Hz)
     longest_s = declaration.longest_delay_s
     longest_s = 4.0 / rate_Hz if longest_s is None else longest_s
@@ -134,44 +139,35 @@ def _shape_of_poles(poles_Hz: ComplexArray, structure: Structure) -> Array:
 
 
 class _Point:
-    """A shape with its best gains, path after path, outputs first, and their residual."""
+    """A shape with its best gains and their residual."""
 
     def __init__(
         self, response: ComplexArray, weight: Array, basis: ModalBasis, shape: Array
     ) -> None:
-        self.basis, self.shape = basis, shape
-        self.weight = weight.reshape(len(weight), -1)
-        values = response.reshape(len(response), -1)
+        self.basis, self.shape, self.weight = basis, shape, weight
         columns = basis.columns(shape)
         try:
-            self.paths = [
-                eliminated(stacked(columns * w[:, None]), stacked((g * w)[:, None])[:, 0])
-                for g, w in zip(values.T, self.weight.T, strict=True)
-            ]
+            self.path = eliminated(
+                stacked(columns * weight[:, None]), stacked((response * weight)[:, None])[:, 0]
+            )
         except np.linalg.LinAlgError as error:
             raise IdentificationError(
                 f"the modal form is singular: {error}",
                 needed="more measured values than gains, and no two terms alike",
                 remedy="Take fewer modes, leave out the direct term, or measure more lines.",
             ) from error
-        self.cost = float(sum(float(path.residual @ path.residual) for path in self.paths))
+        self.cost = float(self.path.residual @ self.path.residual)
 
-    def projected(self) -> tuple[Array, Array, list[Array]]:
-        """Return curvature, scores of each line, (lines, shapes), and d gains / d shape by path.
+    def projected(self) -> tuple[Array, Array, Array]:
+        """Return curvature, scores of each line, (lines, shapes), and d gains / d shape.
 
         The scores' sum is the negative slope of half the cost, the gains eliminated.
         """
-        lines, shapes = len(self.weight), len(self.shape)
         derivatives = self.basis.derivatives(self.shape, STEP)
-        curvature, scores = np.zeros((shapes, shapes)), np.zeros((lines, shapes))
-        gain_slopes = []
-        for path, w in zip(self.paths, self.weight.T, strict=True):
-            weighted = stacked((derivatives @ path.coefficients).T * w[:, None])
-            tangent, slope = path.across(weighted)
-            curvature += tangent.T @ tangent
-            scores += (tangent * path.residual[:, None]).reshape(2, lines, -1).sum(axis=0)
-            gain_slopes.append(slope)
-        return curvature, scores, gain_slopes
+        weighted = stacked((derivatives @ self.path.coefficients).T * self.weight[:, None])
+        tangent, gain_slope = self.path.across(weighted)
+        scores = (tangent * self.path.residual[:, None]).reshape(2, len(self.weight), -1)
+        return tangent.T @ tangent, scores.sum(axis=0), gain_slope
 
     def linearised(self) -> NormalEquations:
         """Return the normal equations of the shape, the gains eliminated."""
@@ -179,17 +175,10 @@ class _Point:
         return NormalEquations(gram=curvature, slope=-scores.sum(axis=0), cost=self.cost)
 
     def mode_worth(self) -> Array:
-        """Return the rise of the cost if a mode were left out, (modes,).
-
-        g_S^T (K_S K_S^T)^-1 g_S over all paths, S the columns of a mode.
-        """
-        worth = np.zeros(self.basis.structure.modes)
-        for m in range(len(worth)):
-            chosen = self.basis.structure.mode_columns(m)
-            for path in self.paths:
-                gains, root = path.coefficients[chosen], path.root[chosen]
-                worth[m] += float(gains @ np.linalg.solve(root @ root.T, gains))
-        return worth
+        """Return the rise of the cost if a mode were left out, (modes,): g^2 / |K|^2."""
+        modes = slice(self.basis.structure.modes)
+        gains, root = self.path.coefficients[modes], self.path.root[modes]
+        return np.asarray(gains**2 / np.sum(root**2, axis=1))
 
 
 def _maximise_likelihood(
@@ -216,7 +205,7 @@ def _maximise_likelihood(
 
 
 def _exchange_modes(
-    measured: FrequencyResponse, weight: Array, basis: ModalBasis, fit: _Point
+    response: ComplexArray, basis: ModalBasis, fit: _Point, expected_cost: float
 ) -> _Point:
     """Move modes while that lowers the cost, and return the best fit.
 
@@ -226,90 +215,66 @@ def _exchange_modes(
     """
     modes = basis.structure.modes
     for _ in range(EXCHANGES if modes > 1 else 0):
-        if fit.cost <= GOOD_COST * _expected_cost(measured, weight, basis.structure):
+        if fit.cost <= GOOD_COST * expected_cost:
             break
-        power = sum(
-            (path.residual**2).reshape(2, -1).sum(axis=0)
-            for path in fit.paths
-        )  # fmt: skip
-        width = max(len(weight) // LOCAL_PARTS // 2 * 2 + 1, 3)
-        peak = int(np.argmax(smoothed(np.asarray(power)[:, None], width)[:, 0]))
+        power = (fit.path.residual**2).reshape(2, -1).sum(axis=0)
+        width = max(len(power) // LOCAL_PARTS // 2 * 2 + 1, 3)
+        peak = int(np.argmax(smoothed(power[:, None], width)[:, 0]))
         shape, worst = np.array(fit.shape), int(np.argmin(fit.mode_worth()))
         shape[worst] = np.log(basis.frequency_Hz[peak])
         shape[modes + worst] = np.log(NEW_DAMPING)
         try:
-            moved = _maximise_likelihood(measured.response, weight, basis, shape)
+            exchanged = _maximise_likelihood(response, fit.weight, basis, shape)
         except IdentificationError:
             break  # the new place makes two terms alike
-        if moved.cost > fit.cost * (1 - MIN_GAIN):
+        if exchanged.cost > fit.cost * (1 - MIN_GAIN):
             break
-        fit = moved
+        fit = exchanged
     return fit
 
 
-def _expected_cost(measured: FrequencyResponse, weight: Array, structure: Structure) -> float:
-    """Values less half the real unknowns, times the mean of one over an estimated variance."""
-    freedom = measured.variance_freedom
-    inflation = freedom / (freedom - 1.0) if freedom > 2.0 else 2.0
-    unknowns = structure.shapes + structure.columns * weight[0].size
-    return float((int((weight > 0).sum()) - unknowns / 2) * inflation)
-
-
-def _covariances(fit: _Point, weight: Array, structure: Structure) -> tuple[Array, Array]:
+def _covariances(fit: _Point, structure: Structure) -> tuple[Array, float]:
     """Return the covariance of the shape, and the standard deviation of the gain at rest.
 
     The wider of the curvature and of the sandwich over lines, for each parameter. A complex value
-    of variance one has parts of variance one half, hence the halves. The sandwich counts a line
-    as one draw: distortion is shared by all outputs at that line.
+    of variance one has parts of variance one half, hence the halves.
     """
-    curvature, scores, gain_slopes = fit.projected()
-    unknowns = structure.shapes + structure.columns * len(fit.paths)
-    excess = max(1.0, fit.cost / max(int((weight > 0).sum()) - unknowns / 2, 1.0))
+    curvature, scores, gain_slope = fit.projected()
+    lines = int((fit.weight > 0).sum())
+    spare = max(lines - (structure.shapes + structure.columns) / 2, 1.0)
+    excess = max(1.0, fit.cost / spare)
     scale = np.sqrt(np.maximum(np.diag(curvature), TINY))
     inverse = np.linalg.pinv(curvature / np.outer(scale, scale), rcond=1e-14, hermitian=True)
     inverse /= np.outer(scale, scale)
     plain = 0.5 * excess * inverse
-    lines = int((weight > 0).any(axis=(1, 2)).sum())
-    meat = scores.T @ scores * lines / max(lines - unknowns / 2, 1.0)
+    meat = scores.T @ scores * lines / spare
     ratio = np.diag(inverse @ meat @ inverse) / np.maximum(np.diag(plain), TINY)
     wider = np.sqrt(np.maximum(ratio, 1.0))
     covariance = np.asarray(plain * np.outer(wider, wider))
-    static = structure.static_columns()
-    variances = [
-        0.5 * excess * float(np.sum((static @ path.root) ** 2))
-        + float((static @ slope) @ covariance @ (static @ slope))
-        for path, slope in zip(fit.paths, gain_slopes, strict=True)
-    ]
-    return covariance, np.sqrt(np.maximum(variances, 0.0)).reshape(weight.shape[1:])
+    by_shape = gain_slope.sum(axis=0)
+    variance = 0.5 * excess * float(np.sum(fit.path.root.sum(axis=0) ** 2))
+    variance += float(by_shape @ covariance @ by_shape)
+    return covariance, float(np.sqrt(max(variance, 0.0)))
 
 
 def _linear_dynamics(
-    measured: FrequencyResponse, basis: ModalBasis, weight: Array, fit: _Point
+    measured: FrequencyResponse, basis: ModalBasis, fit: _Point, expected_cost: float
 ) -> LinearDynamics:
     structure = basis.structure
     n, lags = structure.modes, structure.lags
     order = np.argsort(fit.shape[:n])
     lag_order = np.argsort(fit.shape[2 * n : 2 * n + lags])
     by_shape = np.concatenate([order, n + order, 2 * n + lag_order, [structure.shapes - 1]])
-    shape = fit.shape[by_shape]
-    paths = weight.shape[1:]
-    gains = np.array([path.coefficients for path in fit.paths]).T.reshape(-1, *paths)
-    rate = np.zeros((n, *paths))
-    first = n
-    if structure.rate_gains:
-        rate = gains[n : 2 * n][order] / (2 * np.pi * np.exp(shape[:n]))[:, None, None]
-        first = 2 * n
-    covariance, static_std = _covariances(fit, weight, structure)
+    shape, gains = fit.shape[by_shape], fit.path.coefficients
+    covariance, static_std = _covariances(fit, structure)
     return LinearDynamics(
-        inputs=measured.inputs,
-        outputs=measured.outputs,
+        axis=measured.outputs[0],
         mode_frequency_Hz=np.exp(shape[:n]),
         mode_damping=np.exp(shape[n : 2 * n]),
         mode_gain_m_per_V=gains[:n][order],
-        mode_rate_gain_m_s_per_V=rate,
         lag_frequency_Hz=np.exp(shape[2 * n : 2 * n + lags]),
-        lag_gain_m_per_V=gains[first : first + lags][lag_order],
-        direct_gain_m_per_V=gains[-1] if structure.direct else np.zeros(paths),
+        lag_gain_m_per_V=gains[n : n + lags][lag_order],
+        direct_gain_m_per_V=float(gains[-1]) if structure.direct else 0.0,
         delay_s=float(shape[-1]),
         declared=basis.declared,
         shape_covariance=covariance[np.ix_(by_shape, by_shape)],
@@ -317,7 +282,7 @@ def _linear_dynamics(
         hold=basis.hold,
         sampling_rate_Hz=measured.sampling_rate_Hz,
         band_Hz=(float(measured.frequency_Hz[0]), float(measured.frequency_Hz[-1])),
-        drive_rms_V=measured.drive_rms_V,
+        drive_rms_V=float(measured.drive_rms_V[0]),
         cost=fit.cost,
-        expected_cost=_expected_cost(measured, weight, structure),
+        expected_cost=expected_cost,
     )

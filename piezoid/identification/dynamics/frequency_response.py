@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.errors import ExcitationError
 from piezoid.numerics.arrays import (
     Array,
     ComplexArray,
@@ -86,21 +85,9 @@ class FrequencyResponse:
         floor = 1e-9 * np.abs(self.response).max()  # a noiseless simulation must not divide by 0
         return np.asarray(np.where(self.is_rejected[:, :, None], 0.0, 1.0 / (spread + floor)))
 
-    def band(self, lowest_Hz: float, highest_Hz: float) -> "FrequencyResponse":
-        """Return the lines between two frequencies, both included."""
-        kept = (self.frequency_Hz >= lowest_Hz) & (self.frequency_Hz <= highest_Hz)
-        if not kept.any():
-            raise ExcitationError(
-                f"no line between {lowest_Hz:g} and {highest_Hz:g} Hz",
-                needed=f"lines there; the data has {self.frequency_Hz[0]:g} to "
-                f"{self.frequency_Hz[-1]:g} Hz",
-                remedy="Choose a band inside the excitation.",
-            )
-        return self.at_lines(np.flatnonzero(kept))
-
-    def at_lines(self, places: NDArray[np.int_]) -> "FrequencyResponse":
+    def at_lines(self, lines: NDArray[np.int_]) -> "FrequencyResponse":
         """Return some of the lines, by their numbers in increasing order."""
-        cut = {name: getattr(self, name)[places] for name in _BY_LINE}
+        cut = {name: getattr(self, name)[lines] for name in _BY_LINE}
         return FrequencyResponse(**{**vars(self), **cut})
 
 

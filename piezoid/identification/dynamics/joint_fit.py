@@ -65,7 +65,7 @@ def fit_jointly(
     """Fit operator and dynamics together to all recordings whose initial memory is known.
 
     axis        whose operator is the start; its thresholds are kept
-    dynamics    the start, of one path without rate gains
+    dynamics    the start
     exciting    the recording that excites the modes; among ``recordings``
     returned    None where the initial memory of ``exciting`` is not known
 
@@ -126,7 +126,7 @@ def _moved(
     """Return the dynamics at the parameters of the joint fit, the gain at rest unchanged."""
     _, _, shape, shares = layout.split(theta)
     n, lags = layout.modes, layout.lags
-    gains = (shares * dynamics.static_gain_m_per_V[0, 0])[:, None, None]
+    gains = shares * dynamics.static_gain_m_per_V
     order = np.argsort(shape[:n])
     lag_order = np.argsort(shape[2 * n : 2 * n + lags])
     by = np.concatenate([order, n + order, 2 * n + lag_order, [2 * n + lags]])
@@ -356,7 +356,7 @@ def _start(
         lags=len(dynamics.lag_frequency_Hz),
         threshold_m=operator.dead_zones.threshold,
     )
-    gains = np.concatenate([dynamics.mode_gain_m_per_V, dynamics.lag_gain_m_per_V])[:, 0, 0]
+    gains = np.concatenate([dynamics.mode_gain_m_per_V, dynamics.lag_gain_m_per_V])
     theta = [
         weight,
         np.delete(operator.dead_zones.weight, operator.dead_zones.zero),

@@ -1,6 +1,6 @@
-"""LinearDynamics: modes, lags and delay of a stage, with what is known about each of them."""
+"""LinearDynamics: modes, lags and delay of an axis, with what is known about each of them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,68 +11,69 @@ from piezoid.identification.dynamics.frequency_response import ComplexArray
 from piezoid.identification.dynamics.modal_basis import Filter, Hold
 from piezoid.numerics.arrays import Array, expect_shapes, freeze
 from piezoid.numerics.robust import NORMAL_95
-from piezoid.operators.linear import ContinuousSystem, DiscreteSystem, cascade, fraction, sample
+from piezoid.operators.linear import (
+    ContinuousSystem,
+    DiscreteSystem,
+    cascade,
+    first_order,
+    resonance,
+    sample,
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinearDynamics:
-    """A parametric model in continuous time, common to all its paths but for the gains.
+    """A parametric model of one axis in continuous time.
 
-        G(s) = e^(-s delay) F(s) [ sum_m (g_m + h_m s) w_m^2 / (s^2 + 2 zeta_m w_m s + w_m^2)
+        G(s) = e^(-s delay) F(s) [ sum_m g_m w_m^2 / (s^2 + 2 zeta_m w_m s + w_m^2)
                                    + sum_l g_l w_l / (s + w_l) + D ],   w = 2 pi f
 
-    inputs, outputs   names of the axes
-    mode_frequency_Hz (modes,)                  undamped frequency of each mode, increasing
-    mode_damping      (modes,)                  zeta; above one a mode is two real poles
-    mode_gain_m_per_V (modes, outputs, inputs)  g: its share of the static gain
-    mode_rate_gain_m_s_per_V (modes, outputs, inputs)  h; zero where modes are in phase
-    lag_frequency_Hz  (lags,)
-    lag_gain_m_per_V  (lags, outputs, inputs)
-    direct_gain_m_per_V (outputs, inputs)       D: what lies above the measured band
-    delay_s           >= 0
-    declared          F: known filters of the chain, not fitted
-    shape_covariance  (shapes, shapes)          of log frequencies, log dampings, log lags, delay
-    static_gain_std_m_per_V (outputs, inputs)   one standard deviation of the gain at rest
-    hold              how the drive of the data was to be understood
-    sampling_rate_Hz  of the data
-    band_Hz           lowest and highest frequency that was fitted
-    drive_rms_V       (inputs,)                 level of the data
-    cost              weighted sum of squared residuals
-    expected_cost     what it would be if the model were true and the variances right
+    axis
+    mode_frequency_Hz   (modes,)  undamped frequency of each mode, increasing
+    mode_damping        (modes,)  zeta; above one a mode is two real poles
+    mode_gain_m_per_V   (modes,)  g: its share of the static gain
+    lag_frequency_Hz    (lags,)
+    lag_gain_m_per_V    (lags,)
+    direct_gain_m_per_V  D: what lies above the measured band
+    delay_s             >= 0
+    declared            F: known filters of the chain, not fitted
+    shape_covariance    (shapes, shapes)  of log frequencies, log dampings, log lags, delay
+    static_gain_std_m_per_V  one standard deviation of the gain at rest
+    hold                how the drive of the data was to be understood
+    sampling_rate_Hz    of the data
+    band_Hz             lowest and highest frequency that was fitted
+    drive_rms_V         level of the data
+    cost                weighted sum of squared residuals
+    expected_cost       what it would be if the model were true and the variances right
     """
 
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
+    axis: str
     mode_frequency_Hz: Array
     mode_damping: Array
     mode_gain_m_per_V: Array
-    mode_rate_gain_m_s_per_V: Array
     lag_frequency_Hz: Array
     lag_gain_m_per_V: Array
-    direct_gain_m_per_V: Array
+    direct_gain_m_per_V: float
     delay_s: float
     declared: tuple[Filter, ...]
     shape_covariance: Array
-    static_gain_std_m_per_V: Array
+    static_gain_std_m_per_V: float
     hold: Hold
     sampling_rate_Hz: float
     band_Hz: tuple[float, float]
-    drive_rms_V: Array
+    drive_rms_V: float
     cost: float
     expected_cost: float
 
     def __post_init__(self) -> None:
-        for name, ndim in _ARRAYS:
-            freeze(self, name, ndim=ndim)
-        paths = (len(self.outputs), len(self.inputs))
+        freeze(self, "mode_frequency_Hz", "mode_damping", "mode_gain_m_per_V")
+        freeze(self, "lag_frequency_Hz", "lag_gain_m_per_V")
+        freeze(self, "shape_covariance", ndim=2)
         modes, lags = len(self.mode_frequency_Hz), len(self.lag_frequency_Hz)
         expected = {
             "mode_damping": (modes,),
-            "mode_gain_m_per_V": (modes, *paths),
-            "mode_rate_gain_m_s_per_V": (modes, *paths),
-            "lag_gain_m_per_V": (lags, *paths),
-            "direct_gain_m_per_V": paths,
-            "static_gain_std_m_per_V": paths,
+            "mode_gain_m_per_V": (modes,),
+            "lag_gain_m_per_V": (lags,),
             "shape_covariance": (2 * modes + lags + 1,) * 2,
         }
         expect_shapes(self, expected)
@@ -81,10 +82,10 @@ class LinearDynamics:
             raise ValueError("frequencies and dampings must be > 0, delay_s >= 0")
 
     @property
-    def static_gain_m_per_V(self) -> Array:
-        """Gain at rest, (outputs, inputs), m/V."""
-        modes, lags = self.mode_gain_m_per_V.sum(axis=0), self.lag_gain_m_per_V.sum(axis=0)
-        return np.asarray(modes + lags + self.direct_gain_m_per_V)
+    def static_gain_m_per_V(self) -> float:
+        """Gain at rest, m/V."""
+        parts = self.mode_gain_m_per_V.sum() + self.lag_gain_m_per_V.sum()
+        return float(parts + self.direct_gain_m_per_V)
 
     @property
     def cost_ratio(self) -> float:
@@ -118,153 +119,74 @@ class LinearDynamics:
         return np.stack([values / factor, values * factor], axis=1)
 
     def response(self, frequency_Hz: ArrayLike) -> ComplexArray:
-        """Return the continuous frequency response, (lines, outputs, inputs), m/V."""
+        """Return the continuous frequency response, (lines,), m/V."""
         s = 2j * np.pi * np.asarray(frequency_Hz, dtype=np.float64)[:, None]
-        w = 2 * np.pi * self.mode_frequency_Hz
-        poles = w**2 / (s**2 + 2 * self.mode_damping * w * s + w**2)
-        lags = 2 * np.pi * self.lag_frequency_Hz
-        inner = (
-            np.tensordot(poles, self.mode_gain_m_per_V, 1)
-            + np.tensordot(s * poles, self.mode_rate_gain_m_s_per_V, 1)
-            + np.tensordot(lags / (s + lags), self.lag_gain_m_per_V, 1)
-            + self.direct_gain_m_per_V
-        )
-        chain = np.exp(-s * self.delay_s)
-        for known in self.declared:
-            chain = chain * known.system().response(s.imag[:, 0] / (2 * np.pi))[:, 0]
-        return np.asarray(chain[:, :, None] * inner)
+        w, lags = 2 * np.pi * self.mode_frequency_Hz, 2 * np.pi * self.lag_frequency_Hz
+        modes = w**2 / (s**2 + 2 * self.mode_damping * w * s + w**2) @ self.mode_gain_m_per_V
+        response = modes + lags / (s + lags) @ self.lag_gain_m_per_V + self.direct_gain_m_per_V
+        response = response * np.exp(-s[:, 0] * self.delay_s)
+        for low_pass in self.declared:
+            response *= low_pass.system().response(s.imag[:, 0] / (2 * np.pi))[:, 0, 0]
+        return np.asarray(response)
 
     def response_as_measured(self, frequency_Hz: ArrayLike) -> ComplexArray:
-        """Return the response as the data saw it: behind its hold."""
+        """Return the response as the data saw it, behind its hold, (lines,), m/V."""
         if self.hold == "band_limited":
             return self.response(frequency_Hz)
-        return self.sampled(self.sampling_rate_Hz).response(frequency_Hz)
+        return self.sampled(self.sampling_rate_Hz).response(frequency_Hz)[:, 0, 0]
 
     def realised(self) -> ContinuousSystem:
-        """Return A, B, C, D in continuous time with the delay beside them.
-
-        A mode whose gains have rank r takes 2 r states.
-        """
-        parts = [
-            mode_states(w, zeta, g, h)
-            for w, zeta, g, h in zip(
-                2 * np.pi * self.mode_frequency_Hz,
-                self.mode_damping,
-                self.mode_gain_m_per_V,
-                self.mode_rate_gain_m_s_per_V,
-                strict=True,
-            )
-        ]
-        parts += [
-            lag_states(w, g)
-            for w, g in zip(2 * np.pi * self.lag_frequency_Hz, self.lag_gain_m_per_V, strict=True)
-        ]
+        """Return A, B, C, D in continuous time with the delay beside them."""
+        modes = zip(self.mode_frequency_Hz, self.mode_damping, strict=True)
+        terms = [resonance(float(f), float(zeta)) for f, zeta in modes]
+        terms += [first_order(float(f)) for f in self.lag_frequency_Hz]
+        gains = [*self.mode_gain_m_per_V, *self.lag_gain_m_per_V]
         inner = ContinuousSystem(
-            A=block_diag(*[A for A, _, _ in parts]),
-            B=np.concatenate([B for _, B, _ in parts]),
-            C=np.concatenate([C for _, _, C in parts], axis=1),
-            D=self.direct_gain_m_per_V,
+            A=block_diag(*[term.A for term in terms]),
+            B=np.concatenate([term.B for term in terms]),
+            C=np.hstack([gain * term.C for gain, term in zip(gains, terms, strict=True)]),
+            D=np.full((1, 1), self.direct_gain_m_per_V),
             delay_s=self.delay_s,
         )
-        chain = [for_each(known.system(), len(self.inputs)) for known in self.declared]
-        return cascade(*chain, inner)
+        return cascade(*(low_pass.system() for low_pass in self.declared), inner)
 
     def sampled(self, sampling_rate_Hz: float) -> DiscreteSystem:
         """Return plain A, B, C, D and the interval: exact behind a zero-order hold."""
         return sample(self.realised(), sampling_rate_Hz)
 
-    def path(self, output: str, drive: str) -> "LinearDynamics":
-        """Return the dynamics from one input to one output."""
-        i, j = self.outputs.index(output), self.inputs.index(drive)
-        return replace(
-            self,
-            inputs=(drive,),
-            outputs=(output,),
-            mode_gain_m_per_V=self.mode_gain_m_per_V[:, i : i + 1, j : j + 1],
-            mode_rate_gain_m_s_per_V=self.mode_rate_gain_m_s_per_V[:, i : i + 1, j : j + 1],
-            lag_gain_m_per_V=self.lag_gain_m_per_V[:, i : i + 1, j : j + 1],
-            direct_gain_m_per_V=self.direct_gain_m_per_V[i : i + 1, j : j + 1],
-            static_gain_std_m_per_V=self.static_gain_std_m_per_V[i : i + 1, j : j + 1],
-            drive_rms_V=self.drive_rms_V[j : j + 1],
-        )
-
-    def polynomials(self, sampling_rate_Hz: float) -> tuple[Array, Array]:
-        """Return B and A in q^-1 of a single path behind a zero-order hold, for the RST design.
-
-        A[0] = 1; the delay stands in B as leading zeros.
-        """
-        if (len(self.outputs), len(self.inputs)) != (1, 1):
-            raise ValueError(f"{len(self.outputs)} x {len(self.inputs)} paths; needed one")
-        return fraction(self.realised(), sampling_rate_Hz)
-
     def to_json(self) -> dict[str, Any]:
-        """Return plain lists and numbers that come back exactly."""
-        record: dict[str, Any] = dict(vars(self))
-        for name, _ in _ARRAYS:
-            record[name] = record[name].tolist()
-        for name in ("inputs", "outputs", "band_Hz"):
-            record[name] = list(record[name])
-        record["declared"] = [dict(vars(known)) for known in self.declared]
-        return record
+        """Return plain lists and numbers that come back exactly.
+
+        The file has room for several inputs and outputs, and for modes out of phase.
+        """
+        entries: dict[str, Any] = dict(vars(self))
+        for name in ("mode_frequency_Hz", "mode_damping", "lag_frequency_Hz", "shape_covariance"):
+            entries[name] = entries[name].tolist()
+        for name in ("mode_gain_m_per_V", "lag_gain_m_per_V"):
+            entries[name] = entries[name].reshape(-1, 1, 1).tolist()
+        for name in ("direct_gain_m_per_V", "static_gain_std_m_per_V"):
+            entries[name] = [[entries[name]]]
+        axis = entries.pop("axis")
+        return entries | {
+            "inputs": [axis],
+            "outputs": [axis],
+            "mode_rate_gain_m_s_per_V": [[[0.0]]] * len(self.mode_gain_m_per_V),
+            "band_Hz": list(self.band_Hz),
+            "drive_rms_V": [self.drive_rms_V],
+            "declared": [dict(vars(low_pass)) for low_pass in self.declared],
+        }
 
     @staticmethod
     def from_json(record: dict[str, Any]) -> "LinearDynamics":
         """Return the record that ``to_json`` wrote."""
-        paths = (len(record["outputs"]), len(record["inputs"]))
-        changed: dict[str, Any] = {
-            name: np.reshape(record[name], (-1, *paths))
-            for name in ("mode_gain_m_per_V", "mode_rate_gain_m_s_per_V", "lag_gain_m_per_V")
-        }
-        changed["inputs"], changed["outputs"] = tuple(record["inputs"]), tuple(record["outputs"])
-        lowest_Hz, highest_Hz = record["band_Hz"]
-        changed["band_Hz"] = (float(lowest_Hz), float(highest_Hz))
-        changed["declared"] = tuple(Filter(**known) for known in record["declared"])
-        return LinearDynamics(**{**record, **changed})
-
-
-_ARRAYS = (
-    ("mode_frequency_Hz", 1),
-    ("mode_damping", 1),
-    ("mode_gain_m_per_V", 3),
-    ("mode_rate_gain_m_s_per_V", 3),
-    ("lag_frequency_Hz", 1),
-    ("lag_gain_m_per_V", 3),
-    ("direct_gain_m_per_V", 2),
-    ("shape_covariance", 2),
-    ("static_gain_std_m_per_V", 2),
-    ("drive_rms_V", 1),
-)
-
-
-def mode_states(w: float, zeta: float, g: Array, h: Array) -> tuple[Array, Array, Array]:
-    """Return A, B, C of one mode: two states for each independent combination of its inputs.
-
-    w     scalar             rad/s
-    zeta  scalar
-    g, h  (outputs, inputs)  its gain, and its gain for the rate
-    """
-    both = np.concatenate([g, h * w])
-    left, strength, right = np.linalg.svd(both, full_matrices=False)
-    rank = max(int((strength > 1e-13 * strength[0]).sum()), 1)
-    shape = left[:, :rank] * strength[:rank]
-    single = np.array([[0.0, w], [-w, -2 * zeta * w]])
-    drive = np.array([[0.0], [w]])
-    outputs = len(g)
-    return (
-        np.kron(np.eye(rank), single),
-        np.kron(np.eye(rank), drive) @ right[:rank],
-        np.stack([shape[:outputs], shape[outputs:]], axis=2).reshape(outputs, 2 * rank),
-    )
-
-
-def lag_states(w: float, g: Array) -> tuple[Array, Array, Array]:
-    """Return A, B, C of one first-order pole: a state for each input."""
-    inputs = g.shape[1]
-    return -w * np.eye(inputs), w * np.eye(inputs), g
-
-
-def for_each(system: ContinuousSystem, inputs: int) -> ContinuousSystem:
-    """Return the same filter in every input."""
-    each = np.eye(inputs)
-    A, B, C, D = (np.kron(each, getattr(system, name)) for name in "ABCD")
-    return ContinuousSystem(A=A, B=B, C=C, D=D)
+        entries = {**record, "axis": record["outputs"][0]}
+        for name in ("inputs", "outputs", "mode_rate_gain_m_s_per_V"):
+            del entries[name]
+        for name in ("mode_gain_m_per_V", "lag_gain_m_per_V"):
+            entries[name] = np.ravel(entries[name])
+        for name in ("direct_gain_m_per_V", "static_gain_std_m_per_V", "drive_rms_V"):
+            entries[name] = float(np.ravel(entries[name])[0])
+        low_Hz, high_Hz = entries["band_Hz"]
+        entries["band_Hz"] = (float(low_Hz), float(high_Hz))
+        entries["declared"] = tuple(Filter(**low_pass) for low_pass in entries["declared"])
+        return LinearDynamics(**entries)

@@ -1,6 +1,5 @@
 """The modal form: its structure, its parameters in order, and its columns at measured lines."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -18,18 +17,16 @@ Hold = Literal["band_limited", "zero_order"]
 class Structure:
     """How many terms of each kind the model has.
 
-        G(s) = e^(-s tau) F(s) [ sum_m (g_m + h_m s) w_m^2 / (s^2 + 2 zeta_m w_m s + w_m^2)
+        G(s) = e^(-s tau) F(s) [ sum_m g_m w_m^2 / (s^2 + 2 zeta_m w_m s + w_m^2)
                                  + sum_l g_l w_l / (s + w_l) + D ]
 
-    modes       resonances, with (f, zeta) of their own; zeta > 1 is allowed
-    lags        first-order poles
-    rate_gains  whether modes have an h: needed where damping is not proportional
-    direct      whether D stands for everything above the band
+    modes   resonances, with (f, zeta) of their own; zeta > 1 is allowed
+    lags    first-order poles
+    direct  whether D stands for everything above the band
     """
 
     modes: int
     lags: int = 0
-    rate_gains: bool = False
     direct: bool = False
 
     def __post_init__(self) -> None:
@@ -38,22 +35,13 @@ class Structure:
 
     @property
     def columns(self) -> int:
-        """Gains of one path: modes, their rate gains, lags, direct term."""
-        return self.modes * (1 + self.rate_gains) + self.lags + self.direct
+        """Gains: modes, lags, direct term."""
+        return self.modes + self.lags + self.direct
 
     @property
     def shapes(self) -> int:
-        """Parameters that all paths share: frequencies, dampings, lags, delay."""
+        """Parameters that are not gains: frequencies, dampings, lags, delay."""
         return 2 * self.modes + self.lags + 1
-
-    def static_columns(self) -> Array:
-        """Return 1 where a column counts at frequency zero, else 0, (columns,)."""
-        counts = [self.modes, self.modes * self.rate_gains, self.lags + self.direct]
-        return np.repeat([1.0, 0.0, 1.0], counts)
-
-    def mode_columns(self, mode: int) -> list[int]:
-        """Return the columns of a mode: its gain and its rate gain."""
-        return [mode, self.modes + mode] if self.rate_gains else [mode]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,14 +82,14 @@ class Declaration:
         if self.hold == "zero_order":
             turn = frequency_Hz / sampling_rate_Hz
             chain *= np.sinc(turn) * np.exp(-1j * np.pi * turn)
-        for known in self.filters:
-            chain *= known.system().response(frequency_Hz)[:, 0, 0]
+        for low_pass in self.filters:
+            chain *= low_pass.system().response(frequency_Hz)[:, 0, 0]
         return chain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModalBasis:
-    """The columns that the gains of one path multiply, at measured lines.
+    """The columns that the gains multiply, at measured lines.
 
     structure         of the model
     frequency_Hz      (lines,)
@@ -122,69 +110,54 @@ class ModalBasis:
     def columns(self, shape: Array) -> ComplexArray:
         """Return all columns, (lines, columns)."""
         values = np.empty((len(self.frequency_Hz), self.structure.columns), dtype=np.complex128)
-        for parameters, columns in self._terms():
-            values[:, columns] = self._term(shape[None], parameters, len(columns))[0]
+        for column, parameters in enumerate(self._terms()):
+            values[:, column] = self._term(shape[None], parameters)[0]
         return values
 
     def derivatives(self, shape: Array, step: float) -> ComplexArray:
         """Return central differences by each shape parameter, (shapes, lines, columns)."""
         n, lines = len(shape), len(self.frequency_Hz)
-        found = np.zeros((n, lines, self.structure.columns), dtype=np.complex128)
-        for parameters, columns in self._terms():
+        derivatives = np.zeros((n, lines, self.structure.columns), dtype=np.complex128)
+        for column, parameters in enumerate(self._terms()):
             touched = [*parameters, n - 1]
             steps = np.zeros((len(touched), n))
             steps[range(len(touched)), touched] = step
             steps[-1, -1] /= self.sampling_rate_Hz
-            both = np.concatenate([shape + steps, shape - steps])
-            both[:, -1] = np.maximum(both[:, -1], 0.0)  # at delay zero it is one-sided
-            width = (both[: len(steps)] - both[len(steps) :]).sum(axis=1)
-            up, down = np.split(self._term(both, parameters, len(columns)), 2)
-            change = (up - down) / width[:, None, None]
-            for parameter, values in zip(touched, change, strict=True):
-                found[parameter][:, columns] = values
-        return found
+            shapes = np.concatenate([shape + steps, shape - steps])
+            shapes[:, -1] = np.maximum(shapes[:, -1], 0.0)  # at delay zero it is one-sided
+            width = (shapes[: len(steps)] - shapes[len(steps) :]).sum(axis=1)
+            up, down = np.split(self._term(shapes, parameters), 2)
+            derivatives[touched, :, column] = (up - down) / width[:, None]
+        return derivatives
 
-    def _terms(self) -> Iterator[tuple[list[int], list[int]]]:
-        """Yield the shape parameters of each term, and its columns."""
+    def _terms(self) -> list[list[int]]:
+        """Return the shape parameters of each column but the delay."""
         n, lags = self.structure.modes, self.structure.lags
-        first = n * (1 + self.structure.rate_gains)
-        for m in range(n):
-            yield [m, n + m], self.structure.mode_columns(m)
-        for k in range(lags):
-            yield [2 * n + k], [first + k]
-        if self.structure.direct:
-            yield [], [first + lags]
+        modes = [[m, n + m] for m in range(n)]
+        return [*modes, *([2 * n + k] for k in range(lags)), *([[]] * self.structure.direct)]
 
-    def _term(self, shapes: Array, parameters: list[int], columns: int) -> ComplexArray:
-        """Return the columns of one term for several shapes, (shapes, lines, columns).
-
-        A mode's columns are w^2 and s w over s^2 + 2 zeta w s + w^2.
-        """
+    def _term(self, shapes: Array, parameters: list[int]) -> ComplexArray:
+        """Return the column of one term for several shapes, (shapes, lines)."""
         values, delay_s = np.exp(shapes[:, parameters]), shapes[:, -1]
-        count = len(shapes)
+        w = 2.0 * np.pi * values[:, 0] if parameters else np.ones(len(shapes))
+        numerator, pole = np.ones(len(shapes)), np.zeros((len(shapes), 0), dtype=complex)
         if len(parameters) == 2:
-            w, damping = 2.0 * np.pi * values[:, 0], values[:, 1]
+            damping = values[:, 1]
             root = np.sqrt(damping**2 - 1.0 + 0j)
-            pole = (w * np.array([-damping + root, -damping - root])).T
-            zero = np.zeros(count)
-            numerator = np.moveaxis(np.array([[w**2, zero], [zero, w]]), 2, 0)[:, :columns]
+            numerator, pole = w**2, (w * np.array([-damping + root, -damping - root])).T
         elif parameters:
-            w = 2.0 * np.pi * values
-            numerator, pole = w[:, :, None], -w.astype(complex)
-        else:
-            numerator, pole = np.ones((count, 1, 1)), np.zeros((count, 0), dtype=complex)
+            numerator, pole = w, -w[:, None].astype(complex)
         if self.hold == "zero_order":
             poles = self._declared_poles
             numerator = numerator * np.prod(-poles).real
-            pole = np.hstack([pole, np.broadcast_to(poles, (count, len(poles)))])
+            pole = np.hstack([pole, np.broadcast_to(poles, (len(shapes), len(poles)))])
             return sampled_fractions(
-                numerator, pole, delay_s, self.sampling_rate_Hz, self.frequency_Hz
-            )
+                numerator[:, None, None], pole, delay_s, self.sampling_rate_Hz, self.frequency_Hz
+            )[:, :, 0]
         s = 2j * np.pi * self.frequency_Hz
-        powers = s[:, None] ** np.arange(numerator.shape[2])
         factor = self._declared_response * np.exp(-s * delay_s[:, None])
         factor /= np.prod(s[:, None] - pole[:, None], axis=2)
-        return np.asarray(powers @ np.swapaxes(numerator, 1, 2) * factor[:, :, None])
+        return np.asarray(numerator[:, None] * factor)
 
     @cached_property
     def _declared_poles(self) -> ComplexArray:

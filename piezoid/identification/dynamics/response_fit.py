@@ -135,7 +135,7 @@ def fit_response(
     for _ in range(NOISE_ROUNDS):
         used = is_coherent & ~is_outlier
         lines = _lines(record, axis, fast, variance, is_outlier)
-        residual = fast - _best_fit(lines, declared).response(f)[:, 0, 0]
+        residual = fast - _best_fit(lines, declared).response(f)
         coherence = None if path.coherence is None else path.coherence[used]
         variance[used] = _variance(fast[used], residual[used], coherence)
         if not is_outlier.any():
@@ -148,8 +148,8 @@ def fit_response(
         lines = _lines(record, axis, response / slow.response(f), variance, is_outlier)
     used_lines = _used(lines)
     f, values = used_lines.frequency_Hz, used_lines.response[:, 0, 0]
-    at_rest = abs(float(dynamics.static_gain_m_per_V[0, 0]))
-    relative = np.abs(values - dynamics.response(f)[:, 0, 0])
+    at_rest = abs(dynamics.static_gain_m_per_V)
+    relative = np.abs(values - dynamics.response(f))
     relative /= np.maximum(np.abs(values), at_rest)
     padded = np.pad(relative, RESIDUAL_LINES // 2, mode="edge")
     typical = np.median(np.lib.stride_tricks.sliding_window_view(padded, RESIDUAL_LINES), axis=1)
@@ -245,7 +245,7 @@ def _best_fit(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearD
 
 def _leaves_noise(lines: FrequencyResponse, fit: LinearDynamics) -> bool:
     """Whether the residual differs from line to line as much as it is large [von Neumann 1941]."""
-    residual = (lines.response - fit.response(lines.frequency_Hz))[:, 0, 0]
+    residual = lines.response[:, 0, 0] - fit.response(lines.frequency_Hz)
     residual = residual / np.sqrt(lines.variance[:, 0, 0])
     difference = 0.5 * float(np.mean(np.abs(np.diff(residual)) ** 2))
     return float(np.mean(np.abs(residual) ** 2)) <= EQUAL_COST * difference
@@ -303,11 +303,11 @@ def _fit_with_slow_part(
 
     f, d = lines.frequency_Hz, dynamics
     n, m = len(d.mode_frequency_Hz), len(d.lag_frequency_Hz)
-    shapes, has_direct = 2 * n + m + 1, bool(d.direct_gain_m_per_V.any())
+    shapes, has_direct = 2 * n + m + 1, d.direct_gain_m_per_V != 0.0
     declared = Declaration(hold="band_limited", filters=d.declared)
     chain = declared.response(f, lines.sampling_rate_Hz)
     delay_unit_s = 1.0 / (2.0 * np.pi * float(f[-1]))
-    gain_unit = abs(float(d.static_gain_m_per_V[0, 0]))
+    gain_unit = abs(d.static_gain_m_per_V)
     weight = 1.0 / np.sqrt(lines.variance[:, 0, 0])
 
     def error(x: Array) -> Array:
@@ -323,12 +323,12 @@ def _fit_with_slow_part(
         residual = weight * (whole - gain_unit * chain * late * creep * inner)
         return np.concatenate([residual.real, residual.imag])
 
-    gains = np.concatenate([d.mode_gain_m_per_V, d.lag_gain_m_per_V])[:, 0, 0]
+    gains = np.concatenate([d.mode_gain_m_per_V, d.lag_gain_m_per_V])
     start = np.concatenate(
         [
             np.log(np.concatenate([d.mode_frequency_Hz, d.mode_damping, d.lag_frequency_Hz])),
             [max(d.delay_s / delay_unit_s, STEP)],
-            np.append(gains, d.direct_gain_m_per_V[0, 0])[: n + m + has_direct] / gain_unit,
+            np.append(gains, d.direct_gain_m_per_V)[: n + m + has_direct] / gain_unit,
             [slow.slope_dB / 20.0, np.radians(slow.phase_deg)],
         ]
     )
@@ -346,11 +346,11 @@ def _fit_with_slow_part(
         mode_damping=np.exp(x[n : 2 * n]),
         lag_frequency_Hz=np.exp(x[2 * n : 2 * n + m]),
         delay_s=float(x[shapes - 1] * delay_unit_s),
-        mode_gain_m_per_V=gains[:n].reshape(n, 1, 1),
-        lag_gain_m_per_V=gains[n : n + m].reshape(m, 1, 1),
-        direct_gain_m_per_V=np.full((1, 1), gains[n + m] if has_direct else 0.0),
+        mode_gain_m_per_V=gains[:n],
+        lag_gain_m_per_V=gains[n : n + m],
+        direct_gain_m_per_V=float(gains[n + m]) if has_direct else 0.0,
         shape_covariance=covariance[:shapes, :shapes] * np.outer(units, units),
-        static_gain_std_m_per_V=np.full((1, 1), np.sqrt(static)),
+        static_gain_std_m_per_V=float(np.sqrt(static)),
         cost=cost,
         expected_cost=(len(f) - len(x) / 2.0) * freedom / (freedom - 1.0),
     )

@@ -63,7 +63,7 @@ def validate_response(
     reason = _disagreement(axis, fit, recorded)
     if reason:
         return ValidatedResponse(remarks=(f"{response.name} is not used: {reason}",))
-    gain = float(fit.dynamics.static_gain_m_per_V[0, 0])
+    gain = fit.dynamics.static_gain_m_per_V
     sign = 1 if gain * axis.polarity > 0.0 else -1
     outliers = fit.measured.is_interference[:, 0]
     record = ResponseFit(
@@ -100,7 +100,6 @@ def validate_response(
         dynamics=replace(
             d,
             mode_gain_m_per_V=record.factor * d.mode_gain_m_per_V,
-            mode_rate_gain_m_s_per_V=record.factor * d.mode_rate_gain_m_s_per_V,
             lag_gain_m_per_V=record.factor * d.lag_gain_m_per_V,
             direct_gain_m_per_V=record.factor * d.direct_gain_m_per_V,
             static_gain_std_m_per_V=abs(record.factor) * d.static_gain_std_m_per_V,
@@ -120,7 +119,7 @@ def _disagreement(
             f"{with_unit(fit.residual_Hz, 'Hz')}, or the numbers of a mode are not known. "
             "Measure more finely about each peak, or up to a lower frequency"
         )
-    gain = abs(float(fit.dynamics.static_gain_m_per_V[0, 0]))
+    gain = abs(fit.dynamics.static_gain_m_per_V)
     least, greatest = axis.hysteresis.slope_sector_m_per_V
     if not least / MAX_GAIN_RATIO <= gain <= MAX_GAIN_RATIO * greatest:
         return (
@@ -153,14 +152,14 @@ def _gain_ratio(recorded: LinearDynamics, measured: LinearDynamics) -> float:
         ABOVE_BAND * recorded.band_Hz[0],
         measured.band_Hz[0],
     )
-    gains = [np.abs(dynamics.response([low_Hz])[0, 0, 0]) for dynamics in (recorded, measured)]
+    gains = [np.abs(dynamics.response([low_Hz])[0]) for dynamics in (recorded, measured)]
     return float(gains[0] / gains[1])
 
 
 def _strongest_Hz(dynamics: LinearDynamics) -> float:
     """Return the mode with the largest share of the gain; 0 where there is none."""
-    share = np.abs(dynamics.mode_gain_m_per_V[:, 0, 0])
-    gain = abs(float(dynamics.static_gain_m_per_V[0, 0]))
+    share = np.abs(dynamics.mode_gain_m_per_V)
+    gain = abs(dynamics.static_gain_m_per_V)
     if not len(share) or share.max() < MIN_MODE_SHARE * gain:
         return 0.0
     return float(dynamics.mode_frequency_Hz[int(np.argmax(share))])
@@ -170,7 +169,7 @@ def _words(fit: FittedResponse, record: ResponseFit) -> str:
     """Return band, modes, delay and slope, with their 95 % intervals."""
     dynamics = fit.dynamics
     low_Hz, high_Hz = dynamics.band_Hz
-    rest = float(dynamics.static_gain_m_per_V[0, 0])
+    rest = dynamics.static_gain_m_per_V
     quality = 0.5 / dynamics.mode_damping_interval()[:, ::-1]
     modes = [
         f"a mode at {with_unit(f, 'Hz', 4)} ({_ends(ends, 'Hz', 5)}), quality "
@@ -181,7 +180,7 @@ def _words(fit: FittedResponse, record: ResponseFit) -> str:
             dynamics.mode_frequency_interval_Hz().tolist(),
             dynamics.mode_damping.tolist(),
             quality.tolist(),
-            dynamics.mode_gain_m_per_V[:, 0, 0].tolist(),
+            dynamics.mode_gain_m_per_V.tolist(),
             strict=True,
         )
     ]

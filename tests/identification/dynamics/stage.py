@@ -3,10 +3,11 @@
 import numpy as np
 
 from piezoid.diagnosis.planning.excitation import DriveLimits, multisines, odd_lines
+from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
 from piezoid.identification.dynamics.periodic_estimate import PeriodicData
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.operators.play import play_columns
 
 RATE_HZ = 20_000.0
@@ -19,31 +20,45 @@ DAMPING = (0.03, 0.02)
 DELAY_S = 83e-6
 
 
-def truth(inputs: tuple[str, ...] = ("x",)) -> LinearDynamics:
-    """Every path has both modes, with gains of its own."""
-    n = len(inputs)
-    coupling = np.eye(n) + 0.2 * np.arange(n * n).reshape(n, n)
+def truth(output: int = 0, drive: int = 0, axes: int = 1) -> LinearDynamics:
+    """One path of a stage: every path has both modes, with gains of its own."""
+    coupling = np.eye(axes) + 0.2 * np.arange(axes * axes).reshape(axes, axes)
+    gains = np.array([1e-6 * coupling[output, drive], 0.2e-6 * coupling[drive, output]])
     return LinearDynamics(
-        inputs=inputs,
-        outputs=inputs,
+        axis="x",
         mode_frequency_Hz=np.array(FREQUENCY_HZ),
         mode_damping=np.array(DAMPING),
-        mode_gain_m_per_V=np.stack([1e-6 * coupling, 0.2e-6 * coupling.T]),
-        mode_rate_gain_m_s_per_V=np.zeros((2, n, n)),
+        mode_gain_m_per_V=gains,
         lag_frequency_Hz=np.zeros(0),
-        lag_gain_m_per_V=np.zeros((0, n, n)),
-        direct_gain_m_per_V=np.zeros((n, n)),
+        lag_gain_m_per_V=np.zeros(0),
+        direct_gain_m_per_V=0.0,
         delay_s=DELAY_S,
         declared=(AMPLIFIER,),
         shape_covariance=np.zeros((5, 5)),
-        static_gain_std_m_per_V=np.zeros((n, n)),
+        static_gain_std_m_per_V=0.0,
         hold="zero_order",
         sampling_rate_Hz=RATE_HZ,
         band_Hz=(0.0, RATE_HZ / 2),
-        drive_rms_V=np.ones(n),
+        drive_rms_V=1.0,
         cost=1.0,
         expected_cost=1.0,
     )
+
+
+def all_paths(frequency_Hz: Array, axes: int) -> ComplexArray:
+    """Return the response of every path behind a hold, (lines, outputs, inputs)."""
+    rows = [
+        [truth(o, i, axes).response_as_measured(frequency_Hz) for i in range(axes)]
+        for o in range(axes)
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def lines_between(
+    measured: FrequencyResponse, lowest_Hz: float, highest_Hz: float
+) -> FrequencyResponse:
+    inside = (measured.frequency_Hz >= lowest_Hz) & (measured.frequency_Hz <= highest_Hz)
+    return measured.at_lines(np.flatnonzero(inside))
 
 
 def record(
@@ -77,9 +92,7 @@ def record(
     )
     drive_V = np.stack([drive.voltage_V for drive in drives], axis=2)
     bent_V = np.apply_along_axis(_bent, 0, drive_V, play_weight, cubic)
-    model = truth(inputs)
-    line = np.arange(PERIOD // 2 + 1)
-    G = model.sampled(RATE_HZ).response(line * RATE_HZ / PERIOD)
+    G = all_paths(np.arange(PERIOD // 2 + 1) * RATE_HZ / PERIOD, len(inputs))
     moved = np.einsum("koi,kir->kor", G, np.fft.rfft(bent_V, axis=0))
     steady_m = np.fft.irfft(moved, PERIOD, axis=0)[..., None]
     noise = noise_m * rng.standard_normal((*steady_m.shape[:3], periods))

@@ -65,7 +65,7 @@ def axis(chirped: Recording) -> AxisModel:
 def test_a_mode_behind_hysteresis_of_large_amplitude_is_found(axis: AxisModel) -> None:
     dynamics = axis.dynamics
     assert dynamics is not None
-    strongest = int(np.abs(dynamics.mode_gain_m_per_V[:, 0, 0]).argmax())
+    strongest = int(np.abs(dynamics.mode_gain_m_per_V).argmax())
     # The windows widen a resonance of 40 Hz by a few of their 1.2 Hz.
     assert dynamics.mode_frequency_Hz[strongest] == pytest.approx(MODE_Hz, rel=0.01)
     assert dynamics.mode_damping[strongest] == pytest.approx(DAMPING, rel=0.2)
@@ -95,7 +95,7 @@ def test_a_sweep_through_the_resonance_alone_excites_it(rng: np.random.Generator
     assert found[0][1] == pytest.approx(900.0, rel=0.3)
     dynamics = fit_axis_dynamics(axis_model(), [narrow]).dynamics
     assert dynamics is not None
-    strongest = int(np.abs(dynamics.mode_gain_m_per_V[:, 0, 0]).argmax())
+    strongest = int(np.abs(dynamics.mode_gain_m_per_V).argmax())
     assert dynamics.mode_frequency_Hz[strongest] == pytest.approx(MODE_Hz, rel=0.01)
 
 
@@ -107,7 +107,7 @@ def test_a_small_sweep_behind_a_slow_loop_excites_dynamics(rng: np.random.Genera
     assert len(excites_dynamics([both], "x")) == 1
     dynamics = fit_axis_dynamics(axis_model(), [both]).dynamics
     assert dynamics is not None
-    strongest = int(np.abs(dynamics.mode_gain_m_per_V[:, 0, 0]).argmax())
+    strongest = int(np.abs(dynamics.mode_gain_m_per_V).argmax())
     assert dynamics.mode_frequency_Hz[strongest] == pytest.approx(MODE_Hz, rel=0.02)
 
 

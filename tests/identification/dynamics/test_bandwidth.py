@@ -11,7 +11,13 @@ from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.periodic_estimate import estimate_response
 from piezoid.operators.linear import ContinuousSystem, cascade, first_order, resonance, sample
 from piezoid.record_json import from_json, to_json
-from tests.identification.dynamics.stage import AMPLIFIER, DECLARATION, RATE_HZ, record
+from tests.identification.dynamics.stage import (
+    AMPLIFIER,
+    DECLARATION,
+    RATE_HZ,
+    lines_between,
+    record,
+)
 from tests.identification.dynamics.test_axis_dynamics import chirp, recorded
 from tests.reports.known_stage import axis_model
 
@@ -77,7 +83,7 @@ def test_an_unknown_delay_leaves_a_steep_phase_undecided_and_a_peak_decisive(
 def test_lines_that_end_before_the_gain_falls_decide_nothing(
     rng: np.random.Generator, system: ContinuousSystem
 ) -> None:
-    short = seen(rng, system).band(30.0, 200.0)
+    short = lines_between(seen(rng, system), 30.0, 200.0)
     verdict = decide_bandwidth(short, DECLARATION, delay_s=KNOWN, stated_Hz=630.0)
     assert verdict.kind == "undecided"
     assert verdict.fallen_Hz is None
@@ -86,7 +92,7 @@ def test_lines_that_end_before_the_gain_falls_decide_nothing(
 
 
 def test_a_gain_without_lines_at_rest_decides_nothing(rng: np.random.Generator) -> None:
-    above = seen(rng, first_order(630)).band(500.0, 4000.0)
+    above = lines_between(seen(rng, first_order(630)), 500.0, 4000.0)
     assert decide_bandwidth(above, DECLARATION, delay_s=KNOWN).kind == "undecided"
 
 

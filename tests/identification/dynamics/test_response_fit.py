@@ -58,7 +58,7 @@ def test_modes_delay_and_creep_are_found(
     known_Hz, quality, share = np.array(modes).T
     np.testing.assert_allclose(dynamics.mode_frequency_Hz, known_Hz, rtol=1e-3)
     np.testing.assert_allclose(0.5 / dynamics.mode_damping, quality, rtol=0.03)
-    np.testing.assert_allclose(dynamics.mode_gain_m_per_V[:, 0, 0], 2e-7 * share, rtol=0.03)
+    np.testing.assert_allclose(dynamics.mode_gain_m_per_V, 2e-7 * share, rtol=0.03)
     assert dynamics.delay_s == pytest.approx(2e-4, abs=2e-6)
     assert found.slow is not None
     assert found.slow.falls
@@ -133,7 +133,7 @@ def test_the_response_becomes_the_dynamics_and_the_hysteresis_keeps_its_gain(
     assert found.response is not None
     assert found.bandwidth is not None
     assert found.bandwidth.kind == "resonance"
-    assert np.sign(found.dynamics.static_gain_m_per_V[0, 0]) == axis.polarity == polarity
+    assert np.sign(found.dynamics.static_gain_m_per_V) == axis.polarity == polarity
     middle = 0.5 * sum(axis.hysteresis.slope_sector_m_per_V)
     assert found.response.gain_ratio == pytest.approx(2e-7 / middle, rel=0.01)
     said = " ".join(found.remarks)
