@@ -102,13 +102,13 @@ def jobs_of(
 
     Raises what ``fit`` raises where there is nothing to fit.
     """
-    from piezoid.identification.fit import recorded_of, response_of, unfitted_apart
+    from piezoid.identification.fit import prepare_fit, recorded_of, response_of
     from piezoid.identification.tunnelling.loop_files import is_loop
     from piezoid.records.lab import Lab
 
     declared = lab or Lab()
-    parted = unfitted_apart(held.recordings, declared, held.sweeps, held.responses, progress=told)
-    stage, alone, axes = parted.stage, parted.recordings, parted.axes
+    inputs = prepare_fit(held.recordings, declared, held.sweeps, held.responses, progress=told)
+    stage, axes = inputs.stage, inputs.axes
     tip = TipJob(
         stage=stage,
         recordings=tuple(filter(is_loop, held.recordings)),
@@ -120,9 +120,9 @@ def jobs_of(
         AxisJob(
             stage=stage,
             axis=axis,
-            recordings=recorded_of(alone, axis),
+            recordings=recorded_of(inputs.recordings, axis),
             lab=lab,
-            response=response_of(parted.responses, axis, axes),
+            response=response_of(inputs.responses, axis, axes),
             threads=max(processes // len(axes), 1),
         )
         for axis in axes

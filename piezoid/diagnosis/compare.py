@@ -17,7 +17,7 @@ from piezoid.formatting import significant, with_unit
 from piezoid.identification.extensions.gain_change import GainChange
 from piezoid.identification.extensions.mains_lines import MainsLines
 from piezoid.identification.extensions.thermal_drift import ThermalDrift
-from piezoid.identification.hysteresis.outlying import outlying
+from piezoid.identification.hysteresis.excluded_rows import outlying
 from piezoid.identification.joint.fit_extended import Extended, fit_extended
 from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel

@@ -37,8 +37,8 @@ from piezoid.diagnosis.refitted_view import SelectedEffect, extended
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.segments import Places, Track
 from piezoid.diagnosis.signals import answers_of_others
-from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array
+from piezoid.operators.filters import relaxed
 
 ENOUGH = 1.1  # times what all that looks like a delay leaves of the track
 TAKES = 0.3  # of the track's squared residual: what a slip must take to be tried

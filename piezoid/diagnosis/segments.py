@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.identification.hysteresis.filters import later
 from piezoid.identification.hysteresis.pieces import (
     Piece,
     Rig,
@@ -16,6 +15,7 @@ from piezoid.identification.hysteresis.pieces import (
 )
 from piezoid.numerics.arrays import Array, frozen
 from piezoid.numerics.executor import Once
+from piezoid.operators.filters import later
 from piezoid.operators.linear import recursive_filter
 from piezoid.operators.play import way_to
 from piezoid.records.recording import Quantity, Recording

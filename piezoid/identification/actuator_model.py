@@ -70,13 +70,26 @@ class ActuatorModel:
         return self.axes[axis]
 
     def _repr_html_(self) -> str:
-        rows = [_shown(axis) for axis in self.axes.values()]
+        rows = []
+        for axis in self.axes.values():
+            operator, quality = axis.hysteresis, axis.quality
+            text = (
+                f"{len(operator.plays.weight)} plays, {len(operator.dead_zones.weight) - 1} dead "
+                f"zones; held-out error {with_unit(quality.held_out_rms_m, 'm')} rms, "
+                f"{quality.held_out_rms_percent:.3f} % of the range; noise "
+                f"{with_unit(quality.noise_rms_m, 'm')} rms"
+            )
+            if not axis.verdict.applies:
+                text = f"the model class does not apply: {axis.verdict.reason}"
+            rows.append((f"axis {axis.axis}", text))
         return html_table(f"Stage {self.stage}", rows, counted=self.counted)
 
     @property
     def counted(self) -> tuple[str, ...]:
         """What was recorded in counts, of ``displacement`` and ``voltage``."""
-        return tuple(sorted({one for axis in self.axes.values() for one in axis.counted}))
+        return tuple(
+            sorted({quantity for axis in self.axes.values() for quantity in axis.counted})
+        )
 
     @property
     def applies(self) -> bool:
@@ -126,7 +139,7 @@ class ActuatorModel:
         >>> model.extended(found)["x"].extensions == found.model.extensions
         True
         """
-        found = self
+        stage = self
         for diagnosis in diagnoses:
             if diagnosis.model is None:
                 raise IdentificationError(
@@ -134,8 +147,8 @@ class ActuatorModel:
                     needed="a diagnosis made with model=, and not read from a file",
                     remedy="Diagnose the recordings again with the model.",
                 )
-            found = found.with_axis(diagnosis.model)
-        return found
+            stage = stage.with_axis(diagnosis.model)
+        return stage
 
     def simulate(
         self,
@@ -152,8 +165,7 @@ class ActuatorModel:
         >>> model.simulate(drive_V, 1000.0, axis="x").shape
         (1000,)
         """
-        own = self.one(axis)
-        return own.simulate(voltage_V, sampling_rate_Hz, memory_V, zero_m=zero_m)
+        return self.one(axis).simulate(voltage_V, sampling_rate_Hz, memory_V, zero_m=zero_m)
 
     def predict(self, recording: Recording, *, axis: str | None = None) -> Array:
         """Return what an axis should show in a recording; default: the axis it is about.
@@ -224,16 +236,3 @@ class ActuatorModel:
         True
         """
         return to_control(self.one(axis), sampling_rate_Hz)
-
-
-def _shown(axis: AxisModel) -> tuple[str, str]:
-    """Return one axis as a notebook shows it."""
-    held, quality = axis.hysteresis, axis.quality
-    if not axis.verdict.applies:
-        return f"axis {axis.axis}", f"the model class does not apply: {axis.verdict.reason}"
-    said = (
-        f"{len(held.plays.weight)} plays, {len(held.dead_zones.weight) - 1} dead zones; held-out "
-        f"error {with_unit(quality.held_out_rms_m, 'm')} rms, {quality.held_out_rms_percent:.3f} "
-        f"% of the range; noise {with_unit(quality.noise_rms_m, 'm')} rms"
-    )
-    return f"axis {axis.axis}", said

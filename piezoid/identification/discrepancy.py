@@ -14,7 +14,7 @@ large as it says.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -31,7 +31,7 @@ from piezoid.records.recording import Recording
 
 PLAYS = 10
 POWERS = 3
-MOST_ROWS = 40_000  # of a recording
+MAX_ROWS = 40_000  # of a recording
 # Standard deviation of a weight, of half the stroke, by `python -m benchmarks.discrepancy`: on a
 # spiral that no recording is like, d is as large as what the model misses there within a factor of
 # 2 on 21 of 29 stages of strangers (4 of 29 with a ridge in its place) and on 52 of 78 of the zoo.
@@ -39,52 +39,8 @@ MOST_ROWS = 40_000  # of a recording
 PRIOR = 0.06
 _RIDGE = 1e-2  # of the mean square of a column, for what recordings say of slopes
 _STEPPED = 20  # steps of the reach: over shorter ones a sampled slope is rounding
-_TURNS, _SAMPLES, _FAR = 5, 5000, 0.7  # the spiral over which a draw is brought to its size
+_TURNS, _SAMPLES, _RADIUS = 5, 5000, 0.7  # the spiral over which a draw is brought to its size
 _RISES = 0.5  # of the model's least slope: with d the response rises, as that of any ceramic
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Class:
-    """The plays and the powers of their states, over the range of the recorded drive."""
-
-    centre_V: float
-    reach_V: float
-
-    @property
-    def threshold_V(self) -> Array:
-        return self.reach_V * np.linspace(0.0, 0.9, PLAYS)
-
-    def states(self, away_V: Array) -> Array:
-        """Return the powers of the states, (samples, powers * plays), power by power.
-
-        away_V  (samples,)  of the drive from the middle of its range
-        """
-        threshold_V = self.threshold_V
-        first_V = np.clip(np.zeros(PLAYS), away_V[0] - threshold_V, away_V[0] + threshold_V)
-        z = play_columns(np.ascontiguousarray(away_V), threshold_V, first_V)[0] / self.reach_V
-        return np.hstack([z**n for n in range(1, POWERS + 1)])
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Rows:
-    """States and residual of one piece, thinned, without their means."""
-
-    columns: Array
-    residual_m: Array
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Weights:
-    """What a residual says of the weights, along axes in which they are independent.
-
-    axes         (weights, weights)  one in a column
-    mean_m       (weights,)  along them
-    variance_m2  (weights,)  along them
-    """
-
-    axes: Array
-    mean_m: Array
-    variance_m2: Array
 
 
 def with_discrepancy(
@@ -98,63 +54,74 @@ def with_discrepancy(
     Without such recordings it stays unknown, and verification says so by its figures alone.
     """
     low_V, high_V = axis.voltage_V
-    wide = _Class(centre_V=0.5 * (low_V + high_V), reach_V=0.5 * (high_V - low_V))
-    parts = [rows for recording in recordings for rows in _rows(axis, recording, wide)]
-    if not parts:
+    reach_V = 0.5 * (high_V - low_V)
+    rows = [part for recording in recordings for part in _rows(axis, recording, reach_V)]
+    if not rows:
         return replace(axis, discrepancy=None)
-    columns = np.concatenate([part.columns for part in parts])
-    residual_m = np.concatenate([part.residual_m for part in parts])
-    weight_m = _drawn(_weights(columns, residual_m, axis.quality), wide, seed)
-    rising, steepest_m_per_V = _slopes(axis, wide, weight_m, _told(columns, residual_m))
+    columns = np.concatenate([states for states, _ in rows])
+    residual_m = np.concatenate([residual_m for _, residual_m in rows])
+    mean_m, draw_m = _draw(columns, residual_m, axis.quality, reach_V, seed)
+    # Weights that follow the residual where many rows agree say how steep it is.
+    gram = columns.T @ columns
+    ridge = _RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
+    followed_m = np.linalg.solve(gram + ridge, columns.T @ residual_m)
+    rising, steepest_m_per_V = _slopes(axis, reach_V, mean_m + draw_m, followed_m)
     unseen = 1.0
     if axis.quality.rms_m > 0.0:  # readings without noise may be followed to the last bit
         unseen = max(axis.quality.held_out_rms_m / axis.quality.rms_m, 1.0)
     return replace(
         axis,
         discrepancy=Discrepancy(
-            centre_V=wide.centre_V,
-            reach_V=wide.reach_V,
-            threshold_V=wide.threshold_V,
-            weight_m=rising * weight_m.reshape(POWERS, PLAYS),
+            centre_V=0.5 * (low_V + high_V),
+            reach_V=reach_V,
+            threshold_V=_threshold_V(reach_V),
+            weight_m=rising * (mean_m + draw_m).reshape(POWERS, PLAYS),
             steepest_m_per_V=unseen * steepest_m_per_V,
         ),
     )
 
 
-def _rows(axis: AxisModel, recording: Recording, wide: _Class) -> list[_Rows]:
-    """Return what is known of every piece of one recording."""
+def _threshold_V(reach_V: float) -> Array:
+    return reach_V * np.linspace(0.0, 0.9, PLAYS)
+
+
+def _states(drive_V: Array, reach_V: float) -> Array:
+    """Return the powers of the states, (samples, powers * plays), power by power.
+
+    drive_V  (samples,)  from the middle of its range
+    """
+    threshold_V = _threshold_V(reach_V)
+    first_V = np.clip(np.zeros(PLAYS), drive_V[0] - threshold_V, drive_V[0] + threshold_V)
+    z = play_columns(np.ascontiguousarray(drive_V), threshold_V, first_V)[0] / reach_V
+    return np.hstack([z**n for n in range(1, POWERS + 1)])
+
+
+def _rows(axis: AxisModel, recording: Recording, reach_V: float) -> list[tuple[Array, Array]]:
+    """Return states and residual of every piece of a recording, thinned, without their means."""
     try:
         simulated_m = simulate_recording(axis, recording)
     except IdentificationError:
         return []
-    drive_V = recording.voltage_V(axis.axis)
+    drive_V = recording.voltage_V(axis.axis) - 0.5 * sum(axis.voltage_V)
     residual_m = axis.polarity * (recording.displacement_m(axis.axis) - simulated_m)
-    known = np.isfinite(residual_m)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], known.astype(int), [0]])))
-    step = max(recording.samples // MOST_ROWS, 1)
-    found = []
-    for first, last in pairwise(edges.tolist()):
-        if not known[first]:
-            continue
-        states = wide.states(drive_V[first:last] - wide.centre_V)[::step]
-        rest_m = residual_m[first:last:step]
-        found.append(
-            _Rows(columns=states - states.mean(axis=0), residual_m=rest_m - rest_m.mean())
-        )
-    return found
+    is_simulated = np.isfinite(residual_m)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_simulated.astype(int), [0]])))
+    step = max(recording.samples // MAX_ROWS, 1)
+    rows = []
+    for first, stop in pairwise(edges.tolist()):
+        if is_simulated[first]:
+            states = _states(drive_V[first:stop], reach_V)[::step]
+            piece_m = residual_m[first:stop:step]
+            rows.append((states - states.mean(axis=0), piece_m - piece_m.mean()))
+    return rows
 
 
-def _told(columns: Array, residual_m: Array) -> Array:
-    """Return weights that follow the residual where many rows agree, (weights,)."""
-    gram = columns.T @ columns
-    ridge = _RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
-    return np.linalg.solve(gram + ridge, columns.T @ residual_m)
+def _draw(
+    columns: Array, residual_m: Array, quality: FitQuality, reach_V: float, seed: int
+) -> tuple[Array, Array]:
+    """Return mean weights and a draw to be added, as large on a spiral as draws are on average.
 
-
-def _weights(columns: Array, residual_m: Array, quality: FitQuality) -> _Weights:
-    """Return mean and variance of the weights, c ~ N(0, p) before the recordings.
-
-        mean = (X'X + s^2 / p)^-1 X'r,   variance = v (X'X + v / p)^-1
+        mean = (X'X + s^2 / p)^-1 X'r,   variance = v (X'X + v / p)^-1,   c ~ N(0, p) beforehand
 
     s^2 the residual's mean square. What is left beyond the sensor's noise, as much larger as the
     error on rows left out is than that of the fit, is what the variance must say of the rows, and
@@ -165,59 +132,59 @@ def _weights(columns: Array, residual_m: Array, quality: FitQuality) -> _Weights
     slope, power = axes.T @ (columns.T @ residual_m), float(np.mean(residual_m**2))
     prior = (PRIOR * quality.range_m / 2.0) ** 2
     mean = slope / (curvature + power / prior)
-    left = max(power + float(curvature @ mean**2 - 2.0 * mean @ slope) / rows, 1e-9 * power)
+    remainder = max(power + float(curvature @ mean**2 - 2.0 * mean @ slope) / rows, 1e-9 * power)
     unseen = max(quality.held_out_rms_m**2 / max(power, 1e-300), 1.0)
-    missing = max(left * unseen - quality.noise_rms_m**2, 0.0)
-    return _Weights(
-        axes=axes, mean_m=mean, variance_m2=_widened(curvature, prior, left, missing * rows)
-    )
+    missing = max(remainder * unseen - quality.noise_rms_m**2, 0.0)
+    variance = _widened(curvature, prior, remainder, missing * rows)
+    turn = np.linspace(0.0, 1.0, _SAMPLES)
+    spiral_V = _RADIUS * reach_V * turn * np.sin(2.0 * np.pi * _TURNS * turn)
+    states = _states(spiral_V, reach_V)
+    states = states - states.mean(axis=0)
+    mean_m = axes @ mean
+    kicks = np.random.default_rng(seed).standard_normal(len(mean_m))
+    draw_m = axes @ (np.sqrt(variance) * kicks)
+    of_mean, of_draw = states @ mean_m, states @ draw_m
+    share = float(of_draw @ of_mean) / max(float(of_mean @ of_mean), 1e-300)
+    draw_m, of_draw = draw_m - share * mean_m, of_draw - share * of_mean
+    expected = float(np.mean((states @ axes) ** 2 @ variance))
+    size = np.sqrt(expected / max(float(np.mean(of_draw**2)), 1e-300))
+    return mean_m, draw_m * size
 
 
-def _widened(curvature: Array, prior: float, least: float, missing: float) -> Array:
-    """Return variances of the weights that say as much of all rows together as is missing."""
-    most = float(curvature.sum()) * prior
-    if missing >= most:  # more than was taken for possible
-        return np.full(len(curvature), prior * missing / max(most, 1e-300))
+def _widened(curvature: Array, prior: float, narrowest: float, missing: float) -> Array:
+    """Return variances of the weights that explain as much of all rows together as is missing."""
+    widest = float(curvature.sum()) * prior
+    if missing >= widest:  # more than was taken for possible
+        return np.full(len(curvature), prior * missing / max(widest, 1e-300))
 
-    def beyond(logarithm: float) -> float:
+    def excess(logarithm: float) -> float:
         width = np.exp(logarithm)
         return float(np.sum(curvature * width / (curvature + width / prior))) - missing
 
-    low = high = float(np.log(max(least, 1e-300)))
-    while beyond(high) < 0.0:
+    low = high = float(np.log(max(narrowest, 1e-300)))
+    while excess(high) < 0.0:
         high += 1.0
-    width = np.exp(brentq(beyond, low, high) if high > low else low)
+    width = np.exp(brentq(excess, low, high) if high > low else low)
     return np.asarray(width / (curvature + width / prior))
 
 
-def _drawn(known: _Weights, wide: _Class, seed: int) -> Array:
-    """Return mean weights and a draw beside them that is as large on a spiral as draws are."""
-    turn = np.linspace(0.0, 1.0, _SAMPLES)
-    states = wide.states(_FAR * wide.reach_V * turn * np.sin(2.0 * np.pi * _TURNS * turn))
-    states = states - states.mean(axis=0)
-    mean_m = known.axes @ known.mean_m
-    kicks = np.random.default_rng(seed).standard_normal(len(mean_m))
-    draw_m = known.axes @ (np.sqrt(known.variance_m2) * kicks)
-    followed, drawn = states @ mean_m, states @ draw_m
-    share = float(drawn @ followed) / max(float(followed @ followed), 1e-300)
-    draw_m, drawn = draw_m - share * mean_m, drawn - share * followed
-    wanted = float(np.mean((states @ known.axes) ** 2 @ known.variance_m2))
-    return np.asarray(mean_m + draw_m * np.sqrt(wanted / max(float(np.mean(drawn**2)), 1e-300)))
-
-
-def _slopes(axis: AxisModel, wide: _Class, weight_m: Array, told_m: Array) -> tuple[float, float]:
-    """Return which part of d leaves the response rising, and how much the told one is steeper.
+def _slopes(
+    axis: AxisModel, reach_V: float, weight_m: Array, followed_m: Array
+) -> tuple[float, float]:
+    """Return which part of d leaves the response rising, and how steep the followed residual is.
 
     Both over the adversarial drives of the certificate.
     """
-    away_V = adversarial_drives(wide.reach_V, seed=0)
-    states, operator = wide.states(away_V), axis.operator
-    followed_m, _ = operator.run(wide.centre_V + away_V, operator.virgin_memory())
-    step_V = np.diff(away_V)
-    long = np.abs(step_V) > wide.reach_V / (_STEPPED * PLAYS)
-    slope, beside, told = (
-        np.diff(moved_m)[long] / step_V[long]
-        for moved_m in (followed_m, states @ weight_m, states @ told_m)
+    drive_V = adversarial_drives(reach_V, seed=0)
+    states, operator = _states(drive_V, reach_V), axis.operator
+    centre_V = 0.5 * sum(axis.voltage_V)
+    response_m, _ = operator.run(centre_V + drive_V, operator.virgin_memory())
+    step_V = np.diff(drive_V)
+    is_long = np.abs(step_V) > reach_V / (_STEPPED * PLAYS)
+    slope, of_draw, of_residual = (
+        np.diff(moved_m)[is_long] / step_V[is_long]
+        for moved_m in (response_m, states @ weight_m, states @ followed_m)
     )
     room = np.maximum(slope - _RISES * slope.min(), 1e-300)
-    return 1.0 / float(np.max(-beside / room, initial=1.0)), float(np.abs(told).max(initial=0.0))
+    rising = 1.0 / float(np.max(-of_draw / room, initial=1.0))
+    return rising, float(np.abs(of_residual).max(initial=0.0))

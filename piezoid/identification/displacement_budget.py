@@ -58,10 +58,10 @@ def displacement_budget(
     declared = Lab() if lab is None else lab
     at_m = 0.5 * axis.quality.range_m
     contributions = (*_from_data(axis), *_from_certificates(axis.axis, declared, at_m))
-    held = declared.certificates
+    certificates = declared.certificates
     names = ("sensor_gain_relative", "sensor_linearity_m", "tilt_rad", "temperature_range_K")
-    unknown = [name for name in names if getattr(held, name) is None]
-    if held.temperature_range_K is not None and held.expansion_m_per_K is None:
+    unknown = [name for name in names if getattr(certificates, name) is None]
+    if certificates.temperature_range_K is not None and certificates.expansion_m_per_K is None:
         unknown.append("expansion_m_per_K")
     return DisplacementBudget(
         axis=axis.axis,
@@ -117,13 +117,13 @@ def _zero_between_m(axis: AxisModel) -> float | None:
 
 def _lag(axis: AxisModel, freedom: int) -> tuple[Contribution, ...]:
     """Return what the lag's uncertainty makes at the fastest drive of the data: slope u(tau)."""
-    known = axis.uncertainty
-    if "lag_s" not in known.names or axis.lag.kind == "none":
+    uncertainty = axis.uncertainty
+    if "lag_s" not in uncertainty.names or axis.lag.kind == "none":
         return ()
-    place = known.names.index("lag_s")
-    standard_s = math.sqrt(max(float(known.covariance[place, place]), 0.0))
-    reach_V = float(known.reach_V[-1])
-    gain_m_per_V = float(known.loading_m[-1]) / reach_V if reach_V > 0.0 else 0.0
+    index = uncertainty.names.index("lag_s")
+    standard_s = math.sqrt(max(float(uncertainty.covariance[index, index]), 0.0))
+    reach_V = float(uncertainty.reach_V[-1])
+    gain_m_per_V = float(uncertainty.loading_m[-1]) / reach_V if reach_V > 0.0 else 0.0
     speed_m_per_s = axis.certificate.slew_V_per_s * gain_m_per_V
     return (
         Contribution(
@@ -136,30 +136,34 @@ def _lag(axis: AxisModel, freedom: int) -> tuple[Contribution, ...]:
 
 
 def _from_certificates(axis: str, lab: Lab, at_m: float) -> tuple[Contribution, ...]:
-    held = lab.certificates
-    found: list[Contribution] = []
-    if held.sensor_gain_relative is not None:
-        standard_m = held.sensor_gain_relative * at_m
-        found.append(Contribution(name="gain of the sensor", kind="B", standard=standard_m))
-    if held.sensor_linearity_m is not None:
-        found.append(half_width("linearity of the sensor", held.sensor_linearity_m))
-    if held.tilt_rad is not None:
-        found.append(half_width("tilt, by its cosine", at_m * (1.0 - math.cos(held.tilt_rad))))
-    if held.temperature_range_K is not None and held.expansion_m_per_K is not None:
-        half_m = 0.5 * held.temperature_range_K * held.expansion_m_per_K
-        found.append(half_width("temperature of the room", half_m))
+    certificates = lab.certificates
+    contributions: list[Contribution] = []
+    if certificates.sensor_gain_relative is not None:
+        standard_m = certificates.sensor_gain_relative * at_m
+        gain = Contribution(name="gain of the sensor", kind="B", standard=standard_m)
+        contributions.append(gain)
+    if certificates.sensor_linearity_m is not None:
+        half_m = certificates.sensor_linearity_m
+        contributions.append(half_width("linearity of the sensor", half_m))
+    if certificates.tilt_rad is not None:
+        half_m = at_m * (1.0 - math.cos(certificates.tilt_rad))
+        contributions.append(half_width("tilt, by its cosine", half_m))
+    range_K, expansion_m_per_K = certificates.temperature_range_K, certificates.expansion_m_per_K
+    if range_K is not None and expansion_m_per_K is not None:
+        half_m = 0.5 * range_K * expansion_m_per_K
+        contributions.append(half_width("temperature of the room", half_m))
     step_m = _converter_step_m(axis, lab)
     if step_m is not None:
-        found.append(half_width("step of the converter", 0.5 * step_m, is_shared=False))
-    return tuple(found)
+        contributions.append(half_width("step of the converter", 0.5 * step_m, is_shared=False))
+    return tuple(contributions)
 
 
 def _converter_step_m(axis: str, lab: Lab) -> float | None:
-    held, gain_V_per_m = lab.acquisition, lab.sensor_of(axis).gain_V_per_m
-    if held.input_range_V is None or held.adc_bits is None or gain_V_per_m is None:
+    acquisition, gain_V_per_m = lab.acquisition, lab.sensor_of(axis).gain_V_per_m
+    if acquisition.input_range_V is None or acquisition.adc_bits is None or gain_V_per_m is None:
         return None
-    low_V, high_V = held.input_range_V
-    return abs((high_V - low_V) / 2.0**held.adc_bits / gain_V_per_m)
+    low_V, high_V = acquisition.input_range_V
+    return abs((high_V - low_V) / 2.0**acquisition.adc_bits / gain_V_per_m)
 
 
 def _standard(half_m: float, freedom: int) -> float:

@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -54,26 +53,29 @@ def fit(
     Raises ``RecordingError`` for two of one name, and ``ExcitationError`` where no recording has
     both a drive and a displacement and there are neither sweeps nor closed loops.
     """
+
+    def progress_of(axis: str) -> Callable[[str], None]:
+        return lambda text: progress(f"axis {axis}: {text}")
+
     declared = lab or Lab()
-    parted = unfitted_apart(recordings, declared, sweeps, responses, progress=progress)
-    stage, recordings, responses = parted.stage, parted.recordings, parted.responses
+    inputs = prepare_fit(recordings, declared, sweeps, responses, progress=progress)
     progress("fitting the tunnelling current, where there is one")
-    tunnelling = fit_junction(sweeps, recordings, declared)
+    tunnelling = fit_junction(sweeps, inputs.recordings, declared)
     axes = {
         axis: fit_axis(
-            recordings,
+            inputs.recordings,
             axis,
             declared,
-            response=response_of(responses, axis, parted.axes),
-            progress=partial(_of_axis, progress, axis),
+            response=response_of(inputs.responses, axis, inputs.axes),
+            progress=progress_of(axis),
         )
-        for axis in parted.axes
+        for axis in inputs.axes
     }
-    return replace(stage, axes=axes, tunnelling=tunnelling)
+    return replace(inputs.stage, axes=axes, tunnelling=tunnelling)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Parted:
+class FitInputs:
     """What is to be fitted axis by axis.
 
     stage       before any fit of an axis; with the model of the coupling, where axes are coupled
@@ -88,14 +90,14 @@ class Parted:
     axes: tuple[str, ...]
 
 
-def unfitted_apart(
+def prepare_fit(
     recordings: Sequence[Recording],
     lab: Lab,
     sweeps: Sequence[RawTable] = (),
     responses: Sequence[FrequencyResponseRecord] = (),
     *,
     progress: Callable[[str], None] = lambda _: None,
-) -> Parted:
+) -> FitInputs:
     """Identify the coupling, where lab.toml names coupled axes, and part what single axes tell.
 
     Raises as ``unfitted`` and ``identify_coupled`` do.
@@ -104,29 +106,29 @@ def unfitted_apart(
     if coupled is None:
         stage = unfitted(recordings, lab, sweeps, responses)
         axes = axes_of(recordings)
-        return Parted(stage=stage, recordings=recordings, responses=responses, axes=axes)
-    alone = single_axis_recordings(decoupled(recordings, coupled), coupled)
-    told = alone if axes_of(alone) or sweeps else recordings
-    stage = unfitted(told, lab, sweeps, responses)
-    if told is not alone:  # nothing is fitted to them: what is odd about them as loops is no news
-        stage = replace(stage, remarks=())
-    moved = {axis for one in alone for axis in driven_axes(one, coupled.inputs)}
-    axes = tuple(a for a in axes_of(alone) if a in moved or a not in coupled.inputs)
-    untold = [axis for axis in coupled.outputs if axis not in axes]
+        return FitInputs(stage=stage, recordings=recordings, responses=responses, axes=axes)
+    single = single_axis_recordings(decoupled(recordings, coupled), coupled)
+    if axes_of(single) or sweeps:
+        stage = unfitted(single, lab, sweeps, responses)
+    else:  # nothing is fitted to them: what is odd about them as loops is no news
+        stage = replace(unfitted(recordings, lab, sweeps, responses), remarks=())
+    driven = {axis for recording in single for axis in driven_axes(recording, coupled.inputs)}
+    axes = tuple(a for a in axes_of(single) if a in driven or a not in coupled.inputs)
     remarks = tuple(
         f"axis {axis}: it is driven only where all coupled axes are, by drives that repeat, which "
         "tells their coupling and no loop. Record a slow sweep of it over its range, the other "
         "axes at rest, to have its hysteresis and a controller."
-        for axis in untold
+        for axis in coupled.outputs
+        if axis not in axes
     )
-    return Parted(
+    return FitInputs(
         stage=replace(
             stage,
             coupled=coupled,
-            sources={one.name: one.digest for one in recordings} | dict(stage.sources),
+            sources={r.name: r.digest for r in recordings} | dict(stage.sources),
             remarks=(*stage.remarks, *remarks),
         ),
-        recordings=alone,
+        recordings=single,
         responses=(*responses, *decoupled_responses(recordings, coupled, lab.coupled)),
         axes=axes,
     )
@@ -159,11 +161,11 @@ def unfitted(
         *responses,
     ]
     remarked = {statement.recording for statement in statements}
-    used = [held for held in files if held.name not in remarked] or files
+    sound = [file for file in files if file.name not in remarked] or files
     return ActuatorModel(
-        stage=lab.name or used[0].name.partition(".")[0],
+        stage=lab.name or sound[0].name.partition(".")[0],
         axes={},
-        sources={held.name: held.digest for held in files},
+        sources={file.name: file.digest for file in files},
         lab=lab.digest or None,
         tunnelling=None,
         remarks=(
@@ -194,9 +196,9 @@ def response_of(
 
     One that names no axis is of the stage's only one.
     """
-    held = [r for r in responses if axis in r.axes and (r.axis_is_named or axes == (axis,))]
-    if held:
-        return held[0]
+    matching = [r for r in responses if axis in r.axes and (r.axis_is_named or axes == (axis,))]
+    if matching:
+        return matching[0]
     nameless = [r for r in responses if not r.axis_is_named] if len(axes) == 1 else []
     return nameless[0].renamed(axis) if nameless else None
 
@@ -206,10 +208,10 @@ def refuse_responses_alone(
 ) -> None:
     """Refuse responses of an axis without a recording, without a name, or of one axis twice."""
     axes = axes_of(recordings)
-    for response in responses:
-        own = response.axes if response.axis_is_named else axes[:1]
-        if not axes or not set(own) & set(axes):
-            of = f" of axis {', '.join(own)}" if own else ""
+    names_by_response = [r.axes if r.axis_is_named else axes[:1] for r in responses]
+    for response, names in zip(responses, names_by_response, strict=True):
+        if not axes or not set(names) & set(axes):
+            of = f" of axis {', '.join(names)}" if names else ""
             raise ExcitationError(
                 f"{response.name}: a frequency response{of}, and no recording{of} over time shows "
                 "its hysteresis",
@@ -225,16 +227,12 @@ def refuse_responses_alone(
                 remedy="Write into lab.toml:\n\n[[recording]]\n"
                 f'file = "{response.name}"\naxis = "..."\n',
             )
-    counts = Counter(
-        axis
-        for response in responses
-        for axis in (response.axes if response.axis_is_named else axes[:1])
-    )
+    counts = Counter(axis for names in names_by_response for axis in names)
     twice = [axis for axis, count in counts.items() if count > 1]
     if twice:
-        names = ", ".join(response.name for response in responses)
+        listed = ", ".join(response.name for response in responses)
         raise RecordingError(
-            f"{names}: more than one frequency response of axis {', '.join(twice)}",
+            f"{listed}: more than one frequency response of axis {', '.join(twice)}",
             needed="one of each axis",
             remedy="Keep the one with the smallest drive that is still coherent.",
         )
@@ -242,10 +240,10 @@ def refuse_responses_alone(
 
 def lacking(recordings: Sequence[Recording], needed: str) -> ExcitationError:
     """Return the refusal of recordings that hold no axis of the kind that is needed."""
-    held = sorted({c.quantity.name.lower() for r in recordings for c in r.channels})
+    listed = sorted({c.quantity.name.lower() for r in recordings for c in r.channels})
     names = ", ".join(r.name for r in recordings) or "no recording over time"
     return ExcitationError(
-        f"{names}: only {', '.join(held)} is recorded" if held else f"{names} is given",
+        f"{names}: only {', '.join(listed)} is recorded" if listed else f"{names} is given",
         needed=needed,
         remedy="Record both, or name the columns in lab.toml.",
     )
@@ -272,10 +270,10 @@ def fit_axis(
     rig = rig_of(lab, axis)
     calm, shaped = quasi_static(moving(recordings, axis), axis, rig)
     fitted = estimate_axis(calm, axis, rig, progress=progress)
-    found = with_dynamics(
+    dynamic = with_dynamics(
         fitted, recordings, stated_Hz=lab.actuator_of(axis).bandwidth_Hz, response=response
     )
-    complete = with_discrepancy(_remarked(found, shaped), calm)
+    complete = with_discrepancy(_remarked(dynamic, shaped), calm)
     if has_loop_shape:
         progress("loop shape")
         complete = with_loop_shape(complete, calm)
@@ -293,13 +291,13 @@ def refined(
     Dynamics that could not be told behind the hysteresis of before may be now; what the class
     leaves of the recordings has changed.
     """
-    found = axis
+    with_new_dynamics = axis
     if axis.dynamics is None:
         stated_Hz = lab.actuator_of(axis.axis).bandwidth_Hz
-        found = with_dynamics(axis, recordings, stated_Hz=stated_Hz, response=response)
-    held = moving(recordings, axis.axis)
-    complete = with_discrepancy(with_minor_loops(found, held), held)
-    return with_loop_shape(complete, held)
+        with_new_dynamics = with_dynamics(axis, recordings, stated_Hz=stated_Hz, response=response)
+    driven = moving(recordings, axis.axis)
+    complete = with_discrepancy(with_minor_loops(with_new_dynamics, driven), driven)
+    return with_loop_shape(complete, driven)
 
 
 def _remarked(axis: AxisModel, shaped: Sequence[Recording]) -> AxisModel:
@@ -310,10 +308,6 @@ def _remarked(axis: AxisModel, shaped: Sequence[Recording]) -> AxisModel:
     remark = f"{names}: a mode shapes the motion; it tells the dynamics, not the hysteresis"
     remarks = (remark, *axis.verdict.remarks)
     return replace(axis, verdict=replace(axis.verdict, remarks=remarks))
-
-
-def _of_axis(progress: Callable[[str], None], axis: str, text: str) -> None:
-    progress(f"axis {axis}: {text}")
 
 
 def refuse_one_name_twice(
@@ -358,16 +352,20 @@ def moving(recordings: Sequence[Recording], axis: str) -> tuple[Recording, ...]:
 
     Where a feedback holds the sensor, the drive follows creep and drift, and shows no loop.
     """
-    both = recorded_of(recordings, axis)
-    widest = max(float(np.ptp(r.voltage_V(axis))) for r in both)
-    moved = [r for r in both if np.ptp(r.voltage_V(axis)) > MIN_RANGE * widest]
-    return tuple(r for r in moved if not is_held_throughout(r, axis)) or tuple(moved) or both
+    recorded = recorded_of(recordings, axis)
+    widest = max(float(np.ptp(r.voltage_V(axis))) for r in recorded)
+    moving_recordings = [r for r in recorded if np.ptp(r.voltage_V(axis)) > MIN_RANGE * widest]
+    return (
+        tuple(r for r in moving_recordings if not is_held_throughout(r, axis))
+        or tuple(moving_recordings)
+        or recorded
+    )
 
 
 def recorded_of(recordings: Sequence[Recording], axis: str) -> tuple[Recording, ...]:
     """Return the recordings that have both drive and displacement of an axis, copies left out."""
-    again = copies(recordings)
-    return tuple(r for r in recordings if _has_both(r, axis) and r.name not in again)
+    copied = copies(recordings)
+    return tuple(r for r in recordings if _has_both(r, axis) and r.name not in copied)
 
 
 def _has_both(recording: Recording, axis: str) -> bool:

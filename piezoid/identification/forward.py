@@ -15,12 +15,12 @@ import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Samples, Where
 from piezoid.identification.hysteresis.coordinates import Scaled
-from piezoid.identification.hysteresis.filters import lagged
 from piezoid.identification.hysteresis.pieces import Scales, behind_pole
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
 from piezoid.operators.chain import Chain, FirstOrder, Following
 from piezoid.operators.dead_zone import LINEAR
+from piezoid.operators.filters import lagged
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 
 SLOW = 0.004  # of the motion: what a delay may miss of the filters
@@ -155,8 +155,8 @@ class Forward:
         Followed chunk by chunk, it is ``static`` and ``filtered`` with the derivatives by all
         their numbers.
         """
-        late = int(np.floor(self.lag_s * rate_Hz)) if self.lag == "delay" else 0
-        share = self.lag_s * rate_Hz - late if self.lag == "delay" else None
+        whole_samples = int(np.floor(self.lag_s * rate_Hz)) if self.lag == "delay" else 0
+        share = self.lag_s * rate_Hz - whole_samples if self.lag == "delay" else None
         lag_s = self.lag_s if self.lag == "first_order" else None
         pole_s = None if self.sensor_Hz is None else 1.0 / (2 * np.pi * self.sensor_Hz)
         lag, sensor = (
@@ -164,7 +164,7 @@ class Forward:
             for time_s in (lag_s, pole_s)
         )
         chain = self.chain(memory_slope, rate_Hz)
-        return replace(chain, share=share, lag=lag, sensor=sensor), late
+        return replace(chain, share=share, lag=lag, sensor=sensor), whole_samples
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -204,7 +204,7 @@ class Run:
         away_m = self.forward.read(position_m) - self.centre_m
         return np.asarray(away_m / self.forward.scales.displacement_m)
 
-    def by_hysteresis(self, place: Samples) -> Array:
+    def by_hysteresis(self, sample: Samples) -> Array:
         """Return d reading / d [memory slopes, gaps, weights, zones, envelope], (rows, numbers).
 
         The columns pass what follows within samples (delays, lags, modes) exactly where that
@@ -213,24 +213,24 @@ class Run:
         is judged by the true error anyway.
         """
         forward, where = self.forward, self.where
-        late = forward.late_s(where.rate_Hz) * where.rate_Hz
-        whole = int(np.floor(late))
-        share = late - whole
-        source = np.maximum(place - whole, 0)
+        lag = forward.late_s(where.rate_Hz) * where.rate_Hz
+        whole_samples = int(np.floor(lag))
+        share = lag - whole_samples
+        source = np.maximum(sample - whole_samples, 0)
         newer, older = self.static[source], self.static[np.maximum(source - 1, 0)]
         shifted = (1.0 - share) * newer + share * older
-        true = forward.behind(self.static, where, instant=True)[place]
+        true = forward.behind(self.static, where, instant=True)[sample]
         chain = forward.chain(self.memory_slope, where.rate_Hz)
         wide = len(self.drive) * (chain.plays + chain.columns - 1) > LARGEST
         if wide or np.std(true - shifted) < SLOW * np.std(true):
             columns = self._columns(replace(chain, share=share), source)
         else:
-            columns = self._columns(chain, np.arange(int(place[-1]) + 1))
-            columns = forward.behind(columns, where, instant=True)[place]
+            columns = self._columns(chain, np.arange(int(sample[-1]) + 1))
+            columns = forward.behind(columns, where, instant=True)[sample]
         gain: Array | float = 1.0
         for extension in forward.extensions:
             gain = gain * extension.gain(where)
-        return columns if isinstance(gain, float) else columns * gain[place, None]
+        return columns if isinstance(gain, float) else columns * gain[sample, None]
 
     def _columns(self, chain: Chain, source: Samples) -> Array:
         rows = np.empty((len(source), chain.plays + chain.columns), order="F")
@@ -238,12 +238,12 @@ class Run:
         Following(chain, float(drive[0])).rows(drive, source, rows)
         return rows[:, :-2]
 
-    def by_lag(self, place: Samples) -> Array:
+    def by_lag(self, sample: Samples) -> Array:
         """Return d reading / d lag, (rows,), by a difference."""
         forward, step_s = self.forward, LAG_STEP / self.where.rate_Hz
-        return self._change(replace(forward, lag_s=forward.lag_s + step_s), place, step_s)
+        return self._change(replace(forward, lag_s=forward.lag_s + step_s), sample, step_s)
 
-    def by_extension(self, number: int, place: Samples) -> Array:
+    def by_extension(self, number: int, sample: Samples) -> Array:
         """Return d reading / d numbers of an extension, (rows, numbers).
 
         What is added enters exactly, other numbers by differences.
@@ -251,8 +251,8 @@ class Run:
         forward, extension = self.forward, self.forward.extensions[number]
         columns = extension.columns(self.where)
         if columns is not None:
-            return np.asarray(columns[place] / forward.scales.displacement_m)
-        free, found = extension.free(), []
+            return np.asarray(columns[sample] / forward.scales.displacement_m)
+        free, changes = extension.free(), []
         for j, step in enumerate(free.step.tolist()):
             # A step that would leave the range goes the other way.
             signed = step if free.value[j] + step <= free.upper[j] else -step
@@ -260,9 +260,9 @@ class Run:
             value[j] += signed
             changed = list(forward.extensions)
             changed[number] = extension.moved_to(value)
-            found.append(self._change(replace(forward, extensions=(*changed,)), place, signed))
-        return np.stack(found, axis=1) if found else np.zeros((len(place), 0))
+            changes.append(self._change(replace(forward, extensions=(*changed,)), sample, signed))
+        return np.stack(changes, axis=1) if changes else np.zeros((len(sample), 0))
 
-    def _change(self, forward: Forward, place: Samples, step: float) -> Array:
-        again = replace(self, forward=forward).reading
-        return np.asarray((again - self.reading)[place] / step)
+    def _change(self, forward: Forward, sample: Samples, step: float) -> Array:
+        changed = replace(self, forward=forward).reading
+        return np.asarray((changed - self.reading)[sample] / step)

@@ -24,9 +24,9 @@ def linear_part(axis: AxisModel, sampling_rate_Hz: float | None) -> ContinuousSy
     """
     loop: LoopModel = loop_model(axis, sampling_rate_Hz or _NO_RATE_Hz)
     gain = axis.polarity * 0.5 * sum(axis.operator.slope_sector_m_per_V) * loop.gain
-    whole = cascade(loop.front, loop.behind, loop.slow, loop.sensor)
+    chain = cascade(loop.front, loop.behind, loop.slow, loop.sensor)
     return ContinuousSystem(
-        A=whole.A, B=whole.B, C=gain * whole.C, D=gain * whole.D, delay_s=loop.delay_s
+        A=chain.A, B=chain.B, C=gain * chain.C, D=gain * chain.D, delay_s=loop.delay_s
     )
 
 
@@ -34,18 +34,18 @@ def to_scipy(axis: AxisModel, sampling_rate_Hz: float | None) -> "StateSpace":
     """Return the linear part as ``scipy.signal.StateSpace``, discrete where a rate is given."""
     from scipy.signal import StateSpace
 
-    found = _system(axis, sampling_rate_Hz)
-    matrices = (found.A, found.B, found.C, found.D)
-    if isinstance(found, DiscreteSystem):
-        return StateSpace(*map(np.array, matrices), dt=found.interval_s)
+    system = _system(axis, sampling_rate_Hz)
+    matrices = (system.A, system.B, system.C, system.D)
+    if isinstance(system, DiscreteSystem):
+        return StateSpace(*map(np.array, matrices), dt=system.interval_s)
     return StateSpace(*map(np.array, matrices))
 
 
 def to_control(axis: AxisModel, sampling_rate_Hz: float | None) -> Any:
     """Return the linear part as ``control.StateSpace``."""
-    found = _system(axis, sampling_rate_Hz)
-    interval_s = found.interval_s if isinstance(found, DiscreteSystem) else 0
-    return control().ss(found.A, found.B, found.C, found.D, interval_s)
+    system = _system(axis, sampling_rate_Hz)
+    interval_s = system.interval_s if isinstance(system, DiscreteSystem) else 0
+    return control().ss(system.A, system.B, system.C, system.D, interval_s)
 
 
 def control() -> Any:
@@ -62,7 +62,7 @@ def control() -> Any:
 
 
 def _system(axis: AxisModel, sampling_rate_Hz: float | None) -> ContinuousSystem | DiscreteSystem:
-    found = linear_part(axis, sampling_rate_Hz)
+    system = linear_part(axis, sampling_rate_Hz)
     if sampling_rate_Hz is not None:
         if not 0.0 < sampling_rate_Hz < np.inf:
             raise IdentificationError(
@@ -70,11 +70,11 @@ def _system(axis: AxisModel, sampling_rate_Hz: float | None) -> ContinuousSystem
                 needed="a rate above 0 Hz",
                 remedy="Pass the rate of the controller.",
             )
-        return sample(found, sampling_rate_Hz)
-    if found.delay_s > 0.0:
+        return sample(system, sampling_rate_Hz)
+    if system.delay_s > 0.0:
         raise IdentificationError(
-            f"axis {axis.axis}: its linear part has a delay of {1e6 * found.delay_s:.4g} us",
+            f"axis {axis.axis}: its linear part has a delay of {1e6 * system.delay_s:.4g} us",
             needed="a sampling rate: a delay is no system of finite order in continuous time",
             remedy="Pass sampling_rate_Hz; the delay then stands in the states.",
         )
-    return found
+    return system

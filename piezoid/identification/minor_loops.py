@@ -103,8 +103,8 @@ class Lattice:
         for i, k in self.cells:
             low = -np.inf if k == 0 else edge_V[k]
             high = np.inf if k + 1 == self.pieces else edge_V[k + 1]
-            away_V = np.clip(states[:, i], low, high) - np.clip(0.0, low, high)
-            yield away_V / (edge_V[1] - edge_V[0])
+            above_edge_V = np.clip(states[:, i], low, high) - np.clip(0.0, low, high)
+            yield above_edge_V / (edge_V[1] - edge_V[0])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -113,24 +113,24 @@ class Rows:
 
     columns  (samples, cells)  what each rise adds to it
     target   (samples,)        what it shows
-    left_m   (samples,)        what plays with dead zones leave of it
+    plain_m  (samples,)        residual of plays with dead zones
     counts   (samples,)        whether what was before the recording is forgotten
     """
 
     recording: str
     columns: Array
     target: Array
-    left_m: Array
+    plain_m: Array
     counts: Array
     reach: tuple[float, float]
 
-    def before(self, stop: int) -> "Rows":
+    def first_rows(self, stop: int) -> "Rows":
         """Return its first rows."""
         return replace(
             self,
             columns=self.columns[:stop],
             target=self.target[:stop],
-            left_m=self.left_m[:stop],
+            plain_m=self.plain_m[:stop],
             counts=self.counts[:stop],
         )
 
@@ -150,56 +150,55 @@ def with_minor_loops(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMo
 
     recordings  of the fit; one that the model does not know is passed over
     """
-    bare = axis.without_loop_shape()
-    late = any(isinstance(extension, RateDependence) for extension in bare.extensions)
-    if late or not bare.quality.is_tested:  # walls that come late are not linear in functions
-        return bare
-    low_V, high_V = bare.voltage_V
+    plain = axis.without_loop_shape()
+    is_late = any(isinstance(extension, RateDependence) for extension in plain.extensions)
+    if is_late or not plain.quality.is_tested:  # walls that come late are not linear in functions
+        return plain
+    low_V, high_V = plain.voltage_V
     half_V = 0.5 * (high_V - low_V)
 
-    def tried(pieces: int) -> "_Tried":
+    def cross_validate(pieces: int) -> "_Trial":
         lattice = Lattice(centre_V=low_V + half_V, reach_V=half_V, pieces=pieces)
-        rows = [part for r in recordings for part in _rows(bare, r, lattice)]
-        return _tried(rows, lattice, bare.quality.range_m)
+        rows = [part for r in recordings for part in _rows(plain, r, lattice)]
+        return _cross_validated(rows, lattice, plain.quality.range_m)
 
-    largest = tried(SHAPES[-1])
+    largest = cross_validate(SHAPES[-1])
     if not len(largest.error_m):
-        return bare
-    found, chosen = [largest], None
-    if largest.is_better_than(bare.quality.held_out_rms_m):
+        return plain
+    trials, best = [largest], None
+    if largest.is_better_than(plain.quality.held_out_rms_m):
+        best = largest
         for pieces in SHAPES[:-1]:
-            found.append(tried(pieces))
-            chosen = found[-1]
-            if chosen.rms_m <= CLOSE * largest.rms_m:
+            trials.append(cross_validate(pieces))
+            if trials[-1].rms_m <= CLOSE * largest.rms_m:
+                best = trials[-1]
                 break
-        else:
-            chosen = largest
     orders = tuple(
         FunctionOrder(
-            plays=one.lattice.plays,
-            pieces=one.lattice.pieces,
-            held_out_rms_m=one.rms_m,
-            plain_rms_m=_rms(one.left_m),
+            plays=trial.lattice.plays,
+            pieces=trial.lattice.pieces,
+            held_out_rms_m=trial.rms_m,
+            plain_rms_m=_rms(trial.plain_m),
         )
-        for one in found
+        for trial in trials
     )
-    known = replace(bare, function_orders=orders)
-    return known if chosen is None else _restarted(_taken(known, chosen), recordings)
+    axis = replace(plain, function_orders=orders)
+    return axis if best is None else _restarted(_with_functions(axis, best), recordings)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Tried:
-    """A lattice, and what functions on it leave of recordings left out.
+class _Trial:
+    """A lattice, and the residuals of functions on it in recordings left out.
 
-    error_m  (rows,)  by functions, of recordings they were not fitted to
-    left_m   (rows,)  by plays with dead zones, in whose fit they were
+    error_m  (rows,)  of functions, in recordings they were not fitted to
+    plain_m  (rows,)  of plays with dead zones, which were fitted to these rows
     kind     which rows they are
     """
 
     lattice: Lattice
     rows: Sequence[Rows]
     error_m: Array
-    left_m: Array
+    plain_m: Array
     kind: str
 
     @property
@@ -207,77 +206,77 @@ class _Tried:
         return _rms(self.error_m)
 
     def is_better_than(self, held_out_rms_m: float) -> bool:
-        """Whether functions predict better by half than plays do.
+        """Tell whether functions predict better by half than plays do.
 
-        Never where they predict worse than plays tell the same rows, which they were fitted to:
-        what plays fail to predict is then no shape of loops.
+        Never where they predict worse than plays fit the same rows: what plays fail to predict is
+        then no shape of loops.
         """
-        return self.rms_m <= min(held_out_rms_m / WORTH, _rms(self.left_m))
+        return self.rms_m <= min(held_out_rms_m / WORTH, _rms(self.plain_m))
 
 
 def _rms(error_m: Array) -> float:
     return float(np.sqrt(np.mean(error_m**2)))
 
 
-def _tried(rows: Sequence[Rows], lattice: Lattice, stroke_m: float) -> _Tried:
+def _cross_validated(rows: Sequence[Rows], lattice: Lattice, stroke_m: float) -> _Trial:
     """Leave out every recording; of one that goes further than others the second half."""
     names = list(dict.fromkeys(part.recording for part in rows))
     products = {name: sum(p.products()[0] for p in rows if p.recording == name) for name in names}
     counts = {name: sum(len(p.target) for p in rows if p.recording == name) for name in names}
-    errors, lefts, is_halved = [], [], False
+    room = BEYOND * lattice.reach_V
+    errors, plain_errors, is_halved = [], [], False
     for name in names:
-        own = [part for part in rows if part.recording == name]
-        others = [part for part in rows if part.recording != name]
         product = sum(products.values()) - products[name]
         count = sum(counts.values()) - counts[name]
-        seen = [0 if _is_covered(p, others, lattice) else len(p.target) // 2 for p in own]
-        for part, stop in zip(own, seen, strict=True):
+        trained_rows = []  # of each part of the recording that is left out
+        for part in (p for p in rows if p.recording == name):
+            is_covered = any(
+                p.reach[0] <= part.reach[0] + room and p.reach[1] >= part.reach[1] - room
+                for p in rows
+                if p.recording != name
+            )
+            stop = 0 if is_covered else len(part.target) // 2
+            trained_rows.append((part, stop))
             if stop:
                 is_halved, count = True, count + stop
-                product = product + part.before(stop).products()[0]
+                product = product + part.first_rows(stop).products()[0]
         rise_m = rises_of(product, count, lattice, stroke_m)
-        for part, stop in zip(own, seen, strict=True):
-            rest = np.flatnonzero(part.counts[stop:]) + stop
-            if len(rest):
-                error_m = part.target[rest] - part.columns[rest] @ rise_m
+        for part, stop in trained_rows:
+            unseen = np.flatnonzero(part.counts[stop:]) + stop
+            if len(unseen):
+                error_m = part.target[unseen] - part.columns[unseen] @ rise_m
                 errors.append(error_m - error_m.mean())
-                lefts.append(part.left_m[rest] - part.left_m[rest].mean())
-    whole = WIDEST_HALVED if is_halved else OTHER_RECORDINGS
-    return _Tried(
+                plain_errors.append(part.plain_m[unseen] - part.plain_m[unseen].mean())
+    kind = WIDEST_HALVED if is_halved else OTHER_RECORDINGS
+    return _Trial(
         lattice=lattice,
         rows=rows,
         error_m=np.concatenate([np.zeros(0), *errors]),
-        left_m=np.concatenate([np.zeros(0), *lefts]),
-        kind=whole if len(names) > 1 else SECOND_HALF,
+        plain_m=np.concatenate([np.zeros(0), *plain_errors]),
+        kind=kind if len(names) > 1 else SECOND_HALF,
     )
 
 
-def _is_covered(part: Rows, others: Sequence[Rows], lattice: Lattice) -> bool:
-    room = BEYOND * lattice.reach_V
-    return any(
-        other.reach[0] <= part.reach[0] + room and other.reach[1] >= part.reach[1] - room
-        for other in others
-    )
-
-
-def _taken(axis: AxisModel, found: _Tried) -> AxisModel:
+def _with_functions(axis: AxisModel, trial: _Trial) -> AxisModel:
     """Return the axis with functions fitted to all rows, and what is known of their error."""
-    lattice, rows, quality = found.lattice, found.rows, axis.quality
+    lattice, rows, quality = trial.lattice, trial.rows, axis.quality
     total = sum(len(part.target) for part in rows)
-    cut = [part.products(max(round(BLOCKS * len(part.target) / total), 1)) for part in rows]
-    products = np.concatenate(cut)
+    products = np.concatenate(
+        [part.products(max(round(BLOCKS * len(part.target) / total), 1)) for part in rows]
+    )
     product, blocks = products.sum(axis=0), len(products)
     rise_m = rises_of(product, total, lattice, quality.range_m)
     fewer = total * (blocks - 1) // blocks
     without_m = [
-        rises_of(product - one, fewer, lattice, quality.range_m).reshape(lattice.plays, -1)
-        for one in products
+        rises_of(product - block, fewer, lattice, quality.range_m).reshape(lattice.plays, -1)
+        for block in products
     ]
-    beside_m = [part.target - part.columns @ rise_m for part in rows]
-    offset_m = axis.hysteresis.displacement_offset_m + float(np.mean([b.mean() for b in beside_m]))
-    fit_m = np.concatenate([(b - b.mean())[p.counts] for b, p in zip(beside_m, rows, strict=True)])
+    residuals_m = [part.target - part.columns @ rise_m for part in rows]
+    zero_m = float(np.mean([residual_m.mean() for residual_m in residuals_m]))
+    pairs = zip(residuals_m, rows, strict=True)
+    fit_m = np.concatenate([(r - r.mean())[part.counts] for r, part in pairs])
     minor_loops = MinorLoops(
-        operator=functions_of(rise_m, lattice, offset_m),
+        operator=functions_of(rise_m, lattice, axis.hysteresis.displacement_offset_m + zero_m),
         without_m=np.array(without_m),
         least_rise_m=LEAST_SLOPE * quality.range_m / lattice.pieces,
         plain=Believed(
@@ -288,27 +287,26 @@ def _taken(axis: AxisModel, found: _Tried) -> AxisModel:
             starts=axis.starts,
         ),
     )
-    reach_V = axis.certificate.reach_V
-    drawn = minor_loops.drawn(np.random.default_rng(SEED), DRAWS)
-    apart_m = farthest_apart_m(minor_loops.operator, drawn, reach_V)
-    likely_m = float(np.quantile(apart_m, 0.95))
-    said = (
+    draws = minor_loops.drawn(np.random.default_rng(SEED), DRAWS)
+    distance_m = farthest_apart_m(minor_loops.operator, draws, axis.certificate.reach_V)
+    likely_m = float(np.quantile(distance_m, 0.95))
+    remark = (
         f"on rows left out {lattice.plays} plays behind functions of {lattice.pieces} pieces "
-        f"leave {with_unit(found.rms_m, 'm')}, where plays with dead zones leave "
+        f"leave {with_unit(trial.rms_m, 'm')}, where plays with dead zones leave "
         f"{with_unit(quality.held_out_rms_m, 'm')}: the controller inverts the former"
     )
     return replace(
         axis,
         minor_loops=minor_loops,
-        verdict=replace(axis.verdict, remarks=(*axis.verdict.remarks, said)),
+        verdict=replace(axis.verdict, remarks=(*axis.verdict.remarks, remark)),
         quality=replace(
-            quality, rms_m=_rms(fit_m), held_out_rms_m=found.rms_m, held_out_kind=found.kind
+            quality, rms_m=_rms(fit_m), held_out_rms_m=trial.rms_m, held_out_kind=trial.kind
         ),
         certificate=replace(
             axis.certificate,
             plays_m=likely_m,
             dead_zones_m=0.0,
-            remainder_m=float(np.quantile(np.abs(found.error_m), 0.999)),
+            remainder_m=float(np.quantile(np.abs(trial.error_m), 0.999)),
             found_m=likely_m,  # a drive through the states of the extremes attains it
         ),
     )
@@ -321,10 +319,10 @@ def _restarted(axis: AxisModel, recordings: Sequence[Recording]) -> AxisModel:
     """
     gap_V = np.diff(axis.hysteresis.plays.threshold)
     by_name = {recording.name: recording for recording in recordings}
-    seen: dict[str, int] = {}
+    numbers: dict[str, int] = {}
     starts = []
     for start in axis.starts:
-        number = seen[start.recording] = seen.get(start.recording, -1) + 1
+        number = numbers[start.recording] = numbers.get(start.recording, -1) + 1
         recording = by_name.get(start.recording)
         if recording is not None:
             parts = [p for p in recording.pieces if p.stop - p.start >= MINIMUM_SAMPLES]
@@ -346,19 +344,21 @@ def _restarted_piece(
     def memory_V(slope: Array) -> Array:
         return np.asarray(start.memory_V[0] + np.append(0.0, np.cumsum(gap_V * slope)))
 
-    def beside_m(slope: Array, rows: slice) -> Array:
+    def residual_m(slope: Array, rows: slice) -> Array:
         count, where = rows.stop - rows.start, where_of(recording, axis.axis, rows)
         moved_m = axis.moved(voltage_V[:count], memory_V(slope), where)
         return np.asarray(measured_m[:count] - axis.forward.read(zero_m[:count] + moved_m))
 
-    def left(slope: Array) -> Array:
-        error_m = beside_m(slope, head)[:: max((head.stop - head.start) // ROWS, 1)]
+    def scaled_residual(slope: Array) -> Array:
+        error_m = residual_m(slope, head)[:: max((head.stop - head.start) // ROWS, 1)]
         return np.asarray((error_m - error_m.mean()) / axis.quality.range_m)
 
-    begun = np.clip(np.diff(start.memory_V) / gap_V, -WIPED, WIPED)
-    found = least_squares(left, begun, bounds=(-1.0, 1.0), diff_step=1e-2, max_nfev=STEPS).x
-    beside = float(np.mean(beside_m(found, part)))
-    return replace(start, memory_V=memory_V(found), zero_m=start.zero_m + beside)
+    first = np.clip(np.diff(start.memory_V) / gap_V, -WIPED, WIPED)
+    slope = least_squares(
+        scaled_residual, first, bounds=(-1.0, 1.0), diff_step=1e-2, max_nfev=STEPS
+    ).x
+    zero_change_m = float(np.mean(residual_m(slope, part)))
+    return replace(start, memory_V=memory_V(slope), zero_m=start.zero_m + zero_change_m)
 
 
 def _rows(axis: AxisModel, recording: Recording, lattice: Lattice) -> Iterator[Rows]:
@@ -369,7 +369,7 @@ def _rows(axis: AxisModel, recording: Recording, lattice: Lattice) -> Iterator[R
         return
     parts = [p for p in recording.pieces if p.stop - p.start >= MINIMUM_SAMPLES]
     voltage_V = recording.voltage_V(axis.axis)
-    left_m = recording.displacement_m(axis.axis) - simulated_m
+    residual_m = recording.displacement_m(axis.axis) - simulated_m
     for part, start in zip(parts, starts_of(axis, recording), strict=True):
         where = where_of(recording, axis.axis, part)
         forward = axis.forward
@@ -386,8 +386,8 @@ def _rows(axis: AxisModel, recording: Recording, lattice: Lattice) -> Iterator[R
         yield Rows(
             recording=recording.name,
             columns=columns,
-            target=followed + axis.polarity * left_m[part][sample],
-            left_m=left_m[part][sample],
+            target=followed + axis.polarity * residual_m[part][sample],
+            plain_m=residual_m[part][sample],
             counts=_is_forgotten(inner_V)[sample],
             reach=(float(inner_V.min()), float(inner_V.max())),
         )
@@ -406,22 +406,23 @@ def rises_of(product: Array, count: int, lattice: Lattice, stroke_m: float) -> A
     count    of the rows
     """
     cells = {cell: number for number, cell in enumerate(lattice.cells)}
-    near = [
-        (a, cells[other])
-        for (i, k), a in cells.items()
-        for other in ((i, k + 1), (i + 1 if i else -1, k))  # phi_0 is of another kind
-        if other in cells
+    neighbours = [
+        (number, cells[neighbour])
+        for (i, k), number in cells.items()
+        for neighbour in ((i, k + 1), (i + 1 if i else -1, k))  # phi_0 is of another kind
+        if neighbour in cells
     ]
-    first, second = np.array(near).T
-    smooth = np.zeros((len(near), len(cells)))
-    smooth[np.arange(len(near)), first], smooth[np.arange(len(near)), second] = 1.0, -1.0
+    pairs = np.array(neighbours)
+    smooth = np.zeros((len(pairs), len(cells)))
+    smooth[np.arange(len(pairs)), pairs[:, 0]] = 1.0
+    smooth[np.arange(len(pairs)), pairs[:, 1]] = -1.0
     normal = product[:-1, :-1] + RIDGE * count * (smooth.T @ smooth)
     normal += ROUNDING * np.trace(normal) * np.eye(len(normal))
     lower = np.linalg.cholesky(normal)
     target = solve_triangular(lower, product[:-1, -1] / stroke_m, lower=True)
-    least = np.array([LEAST_SLOPE / lattice.pieces if i == 0 else 0.0 for i, _ in cells])
-    unbounded = np.full(len(least), np.inf)
-    return stroke_m * bounded_step(np.asarray(lower.T), target, least, unbounded)
+    floor = np.array([LEAST_SLOPE / lattice.pieces if i == 0 else 0.0 for i, _ in cells])
+    unbounded = np.full(len(floor), np.inf)
+    return stroke_m * bounded_step(np.asarray(lower.T), target, floor, unbounded)
 
 
 def functions_of(rise_m: Array, lattice: Lattice, offset_m: float) -> PreisachPlays:

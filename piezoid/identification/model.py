@@ -144,30 +144,30 @@ class AxisModel:
         True
         """
         if self.loop_shape is not None:
-            plain = self.loop_shape.plain
+            shape_fit = self.loop_shape.plain
             axis = replace(
                 self,
                 loop_shape=None,
-                lag=replace(self.lag, time_s=plain.lag_s),
-                quality=plain.quality,
-                starts=plain.starts,
+                lag=replace(self.lag, time_s=shape_fit.lag_s),
+                quality=shape_fit.quality,
+                starts=shape_fit.starts,
             )
             return axis.without_loop_shape()
         if self.minor_loops is None:
             return self
-        before = self.minor_loops.plain
+        plays_fit = self.minor_loops.plain
         quality = replace(
             self.quality,
-            rms_m=before.rms_m,
-            held_out_rms_m=before.held_out_rms_m,
-            held_out_kind=before.held_out_kind,
+            rms_m=plays_fit.rms_m,
+            held_out_rms_m=plays_fit.held_out_rms_m,
+            held_out_kind=plays_fit.held_out_kind,
         )
         return replace(
             self,
             minor_loops=None,
             quality=quality,
-            certificate=before.certificate,
-            starts=before.starts,
+            certificate=plays_fit.certificate,
+            starts=plays_fit.starts,
         )
 
     @property

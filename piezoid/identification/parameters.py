@@ -52,12 +52,12 @@ def unit_of_name(name: str) -> str:
 
 
 def _hysteresis(axis: AxisModel) -> list[_Row]:
-    found = axis.uncertainty
-    half = NORMAL_95 * np.sqrt(np.diag(found.covariance))
+    uncertainty = axis.uncertainty
+    half = NORMAL_95 * np.sqrt(np.diag(uncertainty.covariance))
     rows = []
-    for name, value, spread in zip(found.names, found.values, half, strict=True):
-        high = found.upper_limit.get(name, value + spread)
-        low = value if name in found.upper_limit else value - spread
+    for name, value, spread in zip(uncertainty.names, uncertainty.values, half, strict=True):
+        high = uncertainty.upper_limit.get(name, value + spread)
+        low = value if name in uncertainty.upper_limit else value - spread
         rows.append(
             _Row(
                 name=name,
@@ -73,11 +73,11 @@ def _hysteresis(axis: AxisModel) -> list[_Row]:
 def _dynamics(axis: AxisModel) -> list[_Row]:
     if axis.dynamics is None:
         return []
-    found = axis.dynamics
+    dynamics = axis.dynamics
     tables = (
-        ("mode_frequency_Hz", found.mode_frequency_Hz, found.mode_frequency_interval_Hz()),
-        ("mode_damping", found.mode_damping, found.mode_damping_interval()),
-        ("lag_frequency_Hz", found.lag_frequency_Hz, found.lag_frequency_interval_Hz()),
+        ("mode_frequency_Hz", dynamics.mode_frequency_Hz, dynamics.mode_frequency_interval_Hz()),
+        ("mode_damping", dynamics.mode_damping, dynamics.mode_damping_interval()),
+        ("lag_frequency_Hz", dynamics.lag_frequency_Hz, dynamics.lag_frequency_interval_Hz()),
     )
     rows = [
         _Row(
@@ -90,10 +90,8 @@ def _dynamics(axis: AxisModel) -> list[_Row]:
         for name, values, intervals in tables
         for k, (value, (low, high)) in enumerate(zip(values, intervals, strict=True))
     ]
-    early, late = found.delay_interval_s()
-    rows.append(
-        _Row(name="delay_s", value=found.delay_s, unit="s", low=float(early), high=float(late))
-    )
+    low_s, high_s = dynamics.delay_interval_s().tolist()
+    rows.append(_Row(name="delay_s", value=dynamics.delay_s, unit="s", low=low_s, high=high_s))
     return rows
 
 
@@ -111,8 +109,10 @@ def _extension(extension: Extension) -> list[_Row]:
     lows = highs = {name: np.nan for name in values}
     if len(std) == len(free.value) > 0:
         half = NORMAL_95 * std
-        ends = [np.clip(free.value + way * half, free.lower, free.upper) for way in (-1.0, 1.0)]
-        lows, highs = (_numbers(extension.moved_to(end)) for end in ends)
+        lows, highs = (
+            _numbers(extension.moved_to(np.clip(free.value + step, free.lower, free.upper)))
+            for step in (-half, half)
+        )
     rows = []
     for name, value in values.items():
         low, high = sorted((lows[name], highs[name]))
@@ -130,13 +130,13 @@ def _extension(extension: Extension) -> list[_Row]:
 
 
 def _numbers(extension: Extension) -> dict[str, float]:
-    found: dict[str, float] = {}
+    numbers: dict[str, float] = {}
     for entry in fields(extension):
         value = getattr(extension, entry.name)
         if entry.name == "std":
             continue
         if isinstance(value, float):
-            found[entry.name] = value
+            numbers[entry.name] = value
         elif isinstance(value, tuple) and all(isinstance(part, float) for part in value):
-            found |= {f"{entry.name}[{k}]": part for k, part in enumerate(value)}
-    return found
+            numbers |= {f"{entry.name}[{k}]": part for k, part in enumerate(value)}
+    return numbers

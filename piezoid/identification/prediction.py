@@ -187,24 +187,25 @@ def _fitted_start(
     every = max(1, len(voltage_V) // ROWS)
     scale_m = max(float(np.ptp(measured_m)), np.finfo(float).tiny)
 
-    def moved(slope: Array) -> Array:
+    def response(slope: Array) -> Array:
         return model.moved(voltage_V, forward.memory(first, slope), where)
 
-    def left(numbers: Array) -> Array:
-        made = forward.read(numbers[-1] * scale_m + moved(numbers[:-1]))
-        return np.asarray((made - measured_m)[::every] / scale_m)
+    def residual(numbers: Array) -> Array:
+        predicted_m = forward.read(numbers[-1] * scale_m + response(numbers[:-1]))
+        return np.asarray((predicted_m - measured_m)[::every] / scale_m)
 
-    def begun(slope: float) -> Array:
+    def start_at(slope: float) -> Array:
         slopes = np.full(gaps, slope)
-        return np.append(slopes, float(np.mean(measured_m - moved(slopes))) / scale_m)
+        return np.append(slopes, float(np.mean(measured_m - response(slopes))) / scale_m)
 
-    best = min(map(begun, BEGINNINGS), key=lambda numbers: float(np.sum(left(numbers) ** 2)))
-    ends = np.append(np.ones(gaps), np.inf)
-    found = least_squares(
-        left,
-        np.clip(best, -0.99 * ends, 0.99 * ends),
-        bounds=(-ends, ends),
+    starts = map(start_at, BEGINNINGS)
+    best = min(starts, key=lambda numbers: float(np.sum(residual(numbers) ** 2)))
+    limits = np.append(np.ones(gaps), np.inf)
+    minimum = least_squares(
+        residual,
+        np.clip(best, -0.99 * limits, 0.99 * limits),
+        bounds=(-limits, limits),
         diff_step=1e-4,
         max_nfev=STEPS,
     )
-    return forward.memory(first, found.x[:-1]), float(found.x[-1] * scale_m)
+    return forward.memory(first, minimum.x[:-1]), float(minimum.x[-1] * scale_m)

@@ -38,15 +38,17 @@ def read_model(content: bytes, place: str = "model.json") -> ActuatorModel:
 
 
 def _stage_entry(model: ActuatorModel) -> dict[str, Any]:
-    held = fields_of(model)
-    first = {"stage": held.pop("stage"), "gauge": GAUGE, "sources": held.pop("sources")}
-    whole = {**first, "lab": held.pop("lab"), **held}
-    return {name: value for name, value in whole.items() if name != "coupled" or value is not None}
+    entries = fields_of(model)
+    first = {"stage": entries.pop("stage"), "gauge": GAUGE, "sources": entries.pop("sources")}
+    ordered = {**first, "lab": entries.pop("lab"), **entries}
+    return {
+        name: value for name, value in ordered.items() if name != "coupled" or value is not None
+    }
 
 
 def _stage(entry: Mapping[str, Any]) -> ActuatorModel:
-    held = {name: value for name, value in entry.items() if name != "gauge"}
-    return from_fields(ActuatorModel, held, LAYOUTS)
+    entries = {name: value for name, value in entry.items() if name != "gauge"}
+    return from_fields(ActuatorModel, entries, LAYOUTS)
 
 
 def _axis_entry(axis: AxisModel) -> dict[str, Any]:
@@ -55,20 +57,20 @@ def _axis_entry(axis: AxisModel) -> dict[str, Any]:
         "response", "valid_range", "verdict", "quality", "uncertainty", "certificate",
         "extensions", "starts", "dynamics_remarks", "discrepancy",
     )  # fmt: skip
-    held = fields_of(axis)
-    held["valid_range"] = {"voltage_V": held.pop("voltage_V")}
+    entries = fields_of(axis)
+    entries["valid_range"] = {"voltage_V": entries.pop("voltage_V")}
     # Entries that most stages lack: files of theirs stay as they are.
     few = ("counted", "loop_shape", "minor_loops", "function_orders")
-    later = {name: held[name] for name in few}
-    asked = {name: value for name, value in later.items() if value}
-    return {name: held[name] for name in names} | asked
+    optional = {name: entries[name] for name in few}
+    present = {name: value for name, value in optional.items() if value}
+    return {name: entries[name] for name in names} | present
 
 
 def _axis(entry: Mapping[str, Any]) -> AxisModel:
-    held = {**entry, "voltage_V": entry["valid_range"]["voltage_V"]}
-    del held["valid_range"]
+    entries = {**entry, "voltage_V": entry["valid_range"]["voltage_V"]}
+    del entries["valid_range"]
     convert(entry["polarity"], Literal[-1, 1])
-    return from_fields(AxisModel, held, LAYOUTS)
+    return from_fields(AxisModel, entries, LAYOUTS)
 
 
 def _hysteresis_entry(operator: ModifiedPrandtlIshlinskii) -> dict[str, Any]:
@@ -122,10 +124,10 @@ def _out_of_bounds(found: str, needed: str) -> ParameterFileError:
 
 
 def _quality_entry(quality: FitQuality) -> dict[str, Any]:
-    held = fields_of(quality)
-    first = {name: held.pop(name) for name in ("rms_m", "held_out_rms_m")}
+    entries = fields_of(quality)
+    first = {name: entries.pop(name) for name in ("rms_m", "held_out_rms_m")}
     derived = ("held_out_rms_percent", "explained_rms_m")
-    return {**first, **{name: getattr(quality, name) for name in derived}, **held}
+    return {**first, **{name: getattr(quality, name) for name in derived}, **entries}
 
 
 LAYOUTS = (

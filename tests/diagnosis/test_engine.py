@@ -20,8 +20,8 @@ from piezoid.diagnosis.refitted_view import SelectedEffect, extended
 from piezoid.diagnosis.residual_view import View, cycled
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.signals import with_displacement
-from piezoid.identification.hysteresis.filters import later
 from piezoid.operators.bouc_wen import bouc_wen_states
+from piezoid.operators.filters import later
 from piezoid.records.recording import Quantity
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 

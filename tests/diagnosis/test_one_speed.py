@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.diagnose import diagnose
-from piezoid.identification.hysteresis.filters import relaxed
+from piezoid.operators.filters import relaxed
 from piezoid.records.ingest import ingest
 from piezoid.records.recording import Recording
 from tests.diagnosis.bench import causes

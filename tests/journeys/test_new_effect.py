@@ -48,7 +48,7 @@ from piezoid.diagnosis.effect import Effect, Tangent, Trial, without_part
 from piezoid.diagnosis.signals import filtered_change, through
 from piezoid.identification.extensions.extension import Extension, free
 from piezoid.identification.extensions.loop_effect import LoopEffect
-from piezoid.identification.hysteresis.filters import relaxed
+from piezoid.operators.filters import relaxed
 from piezoid.operators.linear import ContinuousSystem
 
 TIMES_s = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)

@@ -40,8 +40,8 @@ from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import seconds_of, through, with_added
 from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.hysteresis.filters import first_order
 from piezoid.numerics.arrays import Array
+from piezoid.operators.filters import first_order
 from piezoid.operators.ladder import ladder
 from piezoid.records.recording import Recording
 

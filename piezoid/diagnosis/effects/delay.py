@@ -29,8 +29,8 @@ from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import filtered_change, through
 from piezoid.identification.extensions.delay import Delay
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.hysteresis.filters import later
 from piezoid.numerics.arrays import Array
+from piezoid.operators.filters import later
 
 SHORTEST = 0.5  # samples of the fastest recording
 LONGEST_s = 0.03

@@ -38,11 +38,11 @@ from piezoid.diagnosis.planning.drive_response import Driven
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.signals import seconds_of, through
-from piezoid.identification.dynamics.repetition import equal_cycles
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.gain_change import GainChange, turned
 from piezoid.identification.hysteresis.cycles import FEWEST
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.repetition import equal_cycles
 from piezoid.records.recording import Recording
 
 PLACES = np.linspace(0.07, 0.93, 13)

@@ -24,8 +24,8 @@ from piezoid.diagnosis.effect import Effect, Parameters, Trial, delay_tangent, w
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import filtered_change, through
 from piezoid.identification.extensions.first_order_lag import FirstOrderLag
-from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array
+from piezoid.operators.filters import relaxed
 
 SHORTEST = 0.5  # samples of the fastest recording
 LONGEST_s = 0.1

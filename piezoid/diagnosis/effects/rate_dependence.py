@@ -31,8 +31,8 @@ from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import added_percent, rate_of, with_displacement
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.rate_dependence import RateDependence
-from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array
+from piezoid.operators.filters import relaxed
 from piezoid.operators.limits import activated
 from piezoid.records.recording import Recording
 

@@ -1,1 +1,8 @@
-"""Stages whose drives act on several displacements at once: common modes, hysteresis, level."""
+"""Stages whose drives act on several displacements at once.
+
+    identify_coupled(recordings, lab) -> CoupledStage    from recordings of a stage
+    fit_coupled(levels) -> CoupledStage                  from periodic data, one record a level
+    decoupled(recordings, coupled)                       recordings as single axes see them
+
+Start at coupled_stage.py. May import dynamics and what it imports.
+"""

@@ -170,9 +170,9 @@ def _start_shape(levels: Sequence[LevelSpectra], modes: int) -> Array:
     """
     shape = _start_of_level(levels[-1], modes)
     for level in levels[-2::-1]:
-        other = _start_of_level(level, modes)
-        distance = np.abs(other[0][:, None] - shape[0]).min(axis=1)
-        shape = np.concatenate([shape, other[:, distance > DISTINCT]], axis=1)
+        new_modes = _start_of_level(level, modes)
+        distance = np.abs(new_modes[0][:, None] - shape[0]).min(axis=1)
+        shape = np.concatenate([shape, new_modes[:, distance > DISTINCT]], axis=1)
     return shape[:, np.argsort(shape[0])]
 
 

@@ -19,13 +19,13 @@ from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.coupled.coupled_stage import LEVEL_TOLERANCE, CoupledStage
 from piezoid.identification.coupled.fit_coupled import fit_coupled
 from piezoid.identification.dynamics.periodic_estimate import PeriodicData, estimate_response
-from piezoid.identification.dynamics.repetition import (
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.repetition import (
     FEWEST,
     STILL,
     Repetition,
     find_repetition,
 )
-from piezoid.numerics.arrays import Array
 from piezoid.records.frequency_response import FrequencyResponseRecord, ResponsePath
 from piezoid.records.lab import Lab
 from piezoid.records.lab_tables import Coupled

@@ -66,12 +66,12 @@ class LevelSpectra:
 
     def without(self, realisation: int) -> "LevelSpectra":
         """Return the spectra of all realisations but one."""
-        kept = np.arange(len(self.weight)) != realisation
+        remaining = np.arange(len(self.weight)) != realisation
         return replace(
             self,
-            drive=self.drive[..., kept],
-            moved=self.moved[..., kept],
-            weight=self.weight[kept],
+            drive=self.drive[..., remaining],
+            moved=self.moved[..., remaining],
+            weight=self.weight[remaining],
         )
 
 

@@ -85,5 +85,5 @@ def products_with_residues(
     count, inputs = columns.shape[1], drive.shape[1]
     met = np.matmul(rows, drive.conj().transpose(0, 2, 1))  # (vectors, lines, outputs, inputs)
     flat = met.transpose(1, 0, 2, 3).reshape(lines, -1)
-    found = (columns.conj().T @ flat).real.reshape(count, vectors, outputs, inputs)
-    return np.asarray(found.transpose(0, 3, 2, 1).reshape(count * inputs, outputs, vectors))
+    products = (columns.conj().T @ flat).real.reshape(count, vectors, outputs, inputs)
+    return np.asarray(products.transpose(0, 3, 2, 1).reshape(count * inputs, outputs, vectors))

@@ -1,7 +1,10 @@
-"""Linear dynamics: periodic recordings -> frequency response -> modes, delay and their intervals.
+"""Linear dynamics of an axis: modes, lags, delay and their intervals, behind its hysteresis.
 
-    PeriodicData --estimate_response--> FrequencyResponse --fit_dynamics--> LinearDynamics
-                                                           choose_structure  (by held-out error)
+    with_dynamics(axis, recordings, response=...) -> AxisModel    all of it; axis_dynamics.py
+    estimate_response(PeriodicData) -> FrequencyResponse          what is measured
+    fit_dynamics(FrequencyResponse, Structure, ...) -> LinearDynamics
+    fit_response(FrequencyResponseRecord, ...)                    a response measured elsewhere
+    distortion_of(recordings, axis)                               lines that were not driven
 
-Read first: ``frequency_response`` (what is measured), then ``modal`` (what is kept of it).
+Read first: frequency_response.py, then modal.py. May import hysteresis and what it imports.
 """

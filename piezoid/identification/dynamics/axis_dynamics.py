@@ -109,7 +109,7 @@ def with_dynamics(
     Earlier remarks on dynamics are replaced.
     """
     fit = fit_axis_dynamics(axis, recordings, stated_Hz=stated_Hz, response=response)
-    others = tuple(r for r in axis.verdict.remarks if r not in axis.dynamics_remarks)
+    remarks = tuple(r for r in axis.verdict.remarks if r not in axis.dynamics_remarks)
     return replace(
         axis,
         dynamics=fit.dynamics,
@@ -117,7 +117,7 @@ def with_dynamics(
         joint=fit.joint,
         bandwidth=fit.bandwidth,
         response=fit.response,
-        verdict=replace(axis.verdict, remarks=(*others, *fit.remarks)),
+        verdict=replace(axis.verdict, remarks=(*remarks, *fit.remarks)),
     )
 
 
@@ -292,8 +292,8 @@ def _best_fit(measured: FrequencyResponse, rig: Rig) -> LinearDynamics:
         if 4 * (structure.columns + structure.shapes) <= 2 * len(lines.frequency_Hz)
     ]
     fits = [fit for fit in fits if is_determined(fit)] or fits
-    least = min(fit.cost_ratio for fit in fits)
-    return next(fit for fit in fits if fit.cost_ratio <= max(1.0, EQUAL_COST * least))
+    lowest_cost = min(fit.cost_ratio for fit in fits)
+    return next(fit for fit in fits if fit.cost_ratio <= max(1.0, EQUAL_COST * lowest_cost))
 
 
 def _declared(rig: Rig) -> tuple[Filter, ...]:

@@ -85,11 +85,11 @@ def decide_bandwidth(
     f = measured.frequency_Hz[usable]
     response = measured.response[usable, output, drive]
     spread = np.sqrt(measured.variance[usable, output, drive]) / np.abs(response)
-    rest = f <= REST * f[0]
-    sign = np.sign(np.median(response[rest].real)) or 1.0
-    known = declaration.response(f, measured.sampling_rate_Hz)
-    relative = sign * response / (known * np.exp(-2j * np.pi * f * delay_s[0]))
-    relative /= np.median(np.abs(relative[rest]))
+    is_low = f <= REST * f[0]
+    sign = np.sign(np.median(response[is_low].real)) or 1.0
+    declared = declaration.response(f, measured.sampling_rate_Hz)
+    relative = sign * response / (declared * np.exp(-2j * np.pi * f * delay_s[0]))
+    relative /= np.median(np.abs(relative[is_low]))
     gain = np.abs(relative)
     runs = np.convolve(gain < FALLEN, np.ones(IN_A_ROW), "valid") == IN_A_ROW
     fallen = int(np.argmax(runs)) if runs.any() else None

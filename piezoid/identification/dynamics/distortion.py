@@ -19,9 +19,9 @@ from piezoid.identification.dynamics.periodic_estimate import (
     estimate_response,
     interpolated,
 )
-from piezoid.identification.dynamics.repetition import periodic_recordings
 from piezoid.numerics.arrays import Array, freeze
-from piezoid.records.recording import Recording
+from piezoid.numerics.repetition import FEWEST, SETTLING, STILL, Repetition, find_repetition
+from piezoid.records.recording import Quantity, Recording
 
 FEWEST_DRIVEN = 8  # lines: fewer are a triangle's or a sine's
 FEWEST_SILENT = 3  # odd lines, or an odd level means nothing
@@ -67,8 +67,8 @@ class DetectionLines:
 
     def level_m(self, *, even: bool) -> Array:
         """Return the rms amplitude on even or odd silent lines beyond noise, (outputs,), m."""
-        chosen = self._lines(even=even)
-        excess = self.amplitude_m[chosen] ** 2 - self.noise_m[chosen] ** 2
+        lines = self._lines(even=even)
+        excess = self.amplitude_m[lines] ** 2 - self.noise_m[lines] ** 2
         return np.asarray(np.sqrt(np.maximum(excess.mean(axis=0), 0.0)))
 
     def limit_m(self, *, even: bool) -> Array:
@@ -77,21 +77,21 @@ class DetectionLines:
         A squared amplitude of noise scatters by its own mean, and so does its estimate from
         periods - 1 differences.
         """
-        chosen = self._lines(even=even)
-        draws = max(int(chosen.sum()) * self.realisations, 1)
+        lines = self._lines(even=even)
+        draws = max(int(lines.sum()) * self.realisations, 1)
         spread = np.sqrt((1.0 + 1.0 / (self.periods - 1)) / draws)
-        mean = (self.noise_m[chosen] ** 2).mean(axis=0)
+        mean = (self.noise_m[lines] ** 2).mean(axis=0)
         return np.asarray(np.sqrt(ONE_SIDED_95 * spread * mean))
 
     def _lines(self, *, even: bool) -> NDArray[np.bool_]:
-        chosen = self.is_even if even else ~self.is_even
-        if not chosen.any():
+        lines = self.is_even if even else ~self.is_even
+        if not lines.any():
             raise ExcitationError(
                 f"no silent {'even' if even else 'odd'} line in the band",
                 needed="lines of that kind left out of the multisine",
                 remedy="Record an odd random-phase multisine with detection lines.",
             )
-        return np.asarray(chosen)
+        return np.asarray(lines)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,6 +104,18 @@ class DistortionFound:
 
     recordings: tuple[str, ...]
     lines: DetectionLines
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PeriodicRecordings:
+    """Recordings of one axis that differ in nothing but the phases of their drive.
+
+    names  of the recordings, one realisation each
+    data   their steady periods, drift that is straight over the record taken out
+    """
+
+    names: tuple[str, ...]
+    data: PeriodicData
 
 
 def distortion_of(recordings: Sequence[Recording], axis: str) -> tuple[DistortionFound, ...]:
@@ -136,21 +148,21 @@ def detect_distortion(data: PeriodicData) -> DetectionLines:
             needed="lines left out of the multisine, and two periods to know the noise",
             remedy="Record an odd random-phase multisine with detection lines.",
         )
-    known = estimate_response(data)
+    response = estimate_response(data)
     frequency_Hz = data.frequency_Hz(silent)
-    G = interpolated(known.response, known.frequency_Hz, frequency_Hz)
+    G = interpolated(response.response, response.frequency_Hz, frequency_Hz)
     drive, moved = data.spectra(silent)
-    own = moved - np.einsum("koi,kirp->korp", G, drive)
-    spread = own.var(axis=3, ddof=1).mean(axis=2) / periods
+    residual = moved - np.einsum("koi,kirp->korp", G, drive)
+    spread = residual.var(axis=3, ddof=1).mean(axis=2) / periods
     _, answered = data.spectra(excited)
     return DetectionLines(
-        driven_Hz=known.frequency_Hz,
+        driven_Hz=response.frequency_Hz,
         driven_m=_rms_over_realisations(answered),
         frequency_Hz=frequency_Hz,
         is_even=silent % 2 == 0,
-        amplitude_m=_rms_over_realisations(own),
+        amplitude_m=_rms_over_realisations(residual),
         noise_m=np.sqrt(spread),
-        drive_rms_V=known.drive_rms_V,
+        drive_rms_V=response.drive_rms_V,
         realisations=realisations,
         periods=periods,
     )
@@ -165,3 +177,66 @@ def _detects(excited: NDArray[np.int64]) -> bool:
     if len(excited) < FEWEST_DRIVEN or (excited % 2 == 0).any():
         return False
     return bool((excited[-1] - excited[0]) // 2 + 1 - len(excited) >= FEWEST_SILENT)
+
+
+def periodic_recordings(
+    recordings: Sequence[Recording], axis: str
+) -> tuple[PeriodicRecordings, ...]:
+    """Return the recordings in which one axis alone is driven periodically, same lines together.
+
+    recordings  any; those with breaks or with fewer than three periods are passed over
+    """
+    groups: dict[tuple[float, int, bytes], list[tuple[Recording, Repetition]]] = {}
+    for recording in recordings:
+        repetition = None
+        if _is_driven_alone(recording, axis):
+            repetition = find_repetition(recording.voltage_V(axis))
+        if repetition is None or repetition.periods < SETTLING + FEWEST:
+            continue
+        lines = _cut([(recording, repetition)], axis).excited_lines()
+        key = (recording.sampling_rate_Hz, repetition.period_samples, lines.tobytes())
+        groups.setdefault(key, []).append((recording, repetition))
+    return tuple(
+        PeriodicRecordings(names=tuple(r.name for r, _ in group), data=_cut(group, axis))
+        for group in groups.values()
+    )
+
+
+def _is_driven_alone(recording: Recording, axis: str) -> bool:
+    """Tell whether a recording without breaks drives this axis, and holds all others still."""
+    channels = [recording.find(q, axis) for q in (Quantity.VOLTAGE, Quantity.DISPLACEMENT)]
+    if recording.breaks or None in channels:
+        return False
+    reach_V = float(np.ptp(recording.voltage_V(axis)))
+    return reach_V > 0.0 and all(
+        float(np.ptp(channel.values)) <= STILL * reach_V
+        for channel in recording.channels
+        if channel.quantity is Quantity.VOLTAGE and channel.axis != axis
+    )
+
+
+def _cut(group: Sequence[tuple[Recording, Repetition]], axis: str) -> PeriodicData:
+    """Return the last periods of every recording, as many as all have.
+
+    What repeats has the same mean in every period, so straight drift is removed by these means;
+    a straight line fitted to the samples themselves would take part of the motion away.
+    """
+    periods = min(repetition.periods for _, repetition in group) - SETTLING
+    voltages_V, displacements_m = [], []
+    for recording, repetition in group:
+        P = repetition.period_samples
+        start = repetition.first + (repetition.periods - periods) * P
+        rows = slice(start, start + periods * P)
+        voltages_V.append(recording.voltage_V(axis)[rows].reshape(periods, P).T)
+        measured_m = recording.displacement_m(axis)[rows].reshape(periods, P).T
+        number = np.arange(periods) - 0.5 * (periods - 1)
+        drift_m = float(number @ measured_m.mean(axis=0) / (number @ number))
+        time = np.arange(P * periods).reshape(periods, P).T / P
+        displacements_m.append(measured_m - drift_m * (time - time.mean()))
+    return PeriodicData(
+        sampling_rate_Hz=group[0][0].sampling_rate_Hz,
+        inputs=(axis,),
+        outputs=(axis,),
+        voltage_V=np.stack(voltages_V, axis=1)[:, None],
+        displacement_m=np.stack(displacements_m, axis=1)[:, None],
+    )

@@ -31,10 +31,10 @@ def excites_dynamics(
     behind slow loops do, hold a level band: 0.45 decades with half the power, or one and a quarter
     with a thousandth of it. Fast means that they reach 50 Hz.
     """
-    wanted = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
-    both = [r for r in recordings if all(r.find(q, axis) is not None for q in wanted)]
-    ends = [(r, _highest_Hz(r.voltage_V(axis), r.sampling_rate_Hz)) for r in both]
-    return tuple((recording, high_Hz) for recording, high_Hz in ends if high_Hz >= HIGHEST_Hz)
+    quantities = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
+    recorded = [r for r in recordings if all(r.find(q, axis) is not None for q in quantities)]
+    highest = [(r, _highest_Hz(r.voltage_V(axis), r.sampling_rate_Hz)) for r in recorded]
+    return tuple((recording, high_Hz) for recording, high_Hz in highest if high_Hz >= HIGHEST_Hz)
 
 
 def _highest_Hz(voltage_V: Array, sampling_rate_Hz: float) -> float:
@@ -54,8 +54,8 @@ def _highest_Hz(voltage_V: Array, sampling_rate_Hz: float) -> float:
     density = power / np.maximum(np.bincount(band, minlength=count), 1)
     strong = density >= 10.0 ** (BROAD_dB / 10.0) * density.max()
     runs = np.flatnonzero(np.diff(np.concatenate([[False], strong, [False]]).astype(int)))
-    first, after = max(zip(runs[::2], runs[1::2], strict=True), key=lambda run: run[1] - run[0])
-    high_Hz = float(edges[after])
+    first, stop = max(zip(runs[::2], runs[1::2], strict=True), key=lambda run: run[1] - run[0])
+    high_Hz = float(edges[stop])
     if high_Hz >= HIGHEST_Hz and high_Hz >= 10.0**BROAD_DECADES * edges[first]:
         return high_Hz
     return _highest_level_Hz(edges, power, density)
@@ -67,11 +67,11 @@ def _highest_level_Hz(edges: Array, power: Array, density: Array) -> float:
     for first in range(len(density)):
         lowest = np.minimum.accumulate(density[first:])
         highest = np.maximum.accumulate(density[first:])
-        after = first + int((lowest > 10.0 ** (LEVEL_dB / 10.0) * highest).sum())
-        decades = float(np.log10(edges[after] / edges[first]))
-        share = power[first:after].sum() / power.sum()
+        stop = first + int((lowest > 10.0 ** (LEVEL_dB / 10.0) * highest).sum())
+        decades = float(np.log10(edges[stop] / edges[first]))
+        share = power[first:stop].sum() / power.sum()
         is_level = decades >= LEVEL_DECADES and share >= NARROW_SHARE
         is_level = is_level or (decades >= BROAD_DECADES and share >= BROAD_SHARE)
         if is_level and decades > widest:
-            widest, high_Hz = decades, float(edges[after])
+            widest, high_Hz = decades, float(edges[stop])
     return high_Hz

@@ -73,25 +73,25 @@ def fit_jointly(
     does not depend on frequency must not pass for delay. Half of the change when they are left
     out counts as uncertainty of the structure.
     """
-    known = {start.recording for start in axis.starts}
-    if exciting.name not in known:
+    with_start = {start.recording for start in axis.starts}
+    if exciting.name not in with_start:
         return None
     coarse_V = axis.hysteresis.plays.threshold
     threshold_V = _with_small_plays(coarse_V, exciting.voltage_V(axis.axis))
     segments = [
         segment
         for recording in recordings
-        if recording.name in known
+        if recording.name in with_start
         for segment in _segments(axis, recording, threshold_V, dynamics)
     ]
     layout, start = _start(axis.hysteresis, dynamics, threshold_V)
     is_coarse = np.isin(threshold_V, coarse_V)
-    chosen = np.concatenate([is_coarse, np.ones(layout.size - layout.plays, dtype=np.bool_)])
+    used_columns = np.concatenate([is_coarse, np.ones(layout.size - layout.plays, dtype=np.bool_)])
     coarse_layout = replace(layout, plays=len(coarse_V))
     coarse_segments = [segment.of_plays(is_coarse) for segment in segments]
-    coarse, _ = _fit(coarse_segments, coarse_layout, start[chosen])
-    separate_rms_m = _residual_rms(coarse_segments, coarse_layout, start[chosen])
-    start[chosen] = coarse
+    coarse, _ = _fit(coarse_segments, coarse_layout, start[used_columns])
+    separate_rms_m = _residual_rms(coarse_segments, coarse_layout, start[used_columns])
+    start[used_columns] = coarse
     theta, line_weights = _fit(segments, layout, start)
     covariance = _covariance(segments, layout, theta, line_weights)
     shape = layout.shape

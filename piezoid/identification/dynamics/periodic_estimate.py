@@ -185,13 +185,13 @@ def _output_variances(
         total = (np.abs(residual.mean(axis=3)) ** 2).sum(axis=2) / freedom
     power = (np.abs(np.einsum("koi,kirp->korp", G, drive)) ** 2).mean(axis=(2, 3))
     is_interference = _standing_out(total, power, freedom or noise_freedom)
-    kept = ~is_interference
-    share = smoothed(kept * (total - noise), width) / np.maximum(
-        smoothed(kept * power, width), np.finfo(float).tiny
+    is_usable = ~is_interference
+    share = smoothed(is_usable * (total - noise), width) / np.maximum(
+        smoothed(is_usable * power, width), np.finfo(float).tiny
     )
     noise = smoothed(noise, width)
-    whole = noise + np.maximum(share, 0.0) * power
-    return whole, noise, float(width * (freedom or noise_freedom)), is_interference
+    variance = noise + np.maximum(share, 0.0) * power
+    return variance, noise, float(width * (freedom or noise_freedom)), is_interference
 
 
 def _standing_out(variance: Array, power: Array, freedom: int) -> NDArray[np.bool_]:
@@ -202,17 +202,17 @@ def _standing_out(variance: Array, power: Array, freedom: int) -> NDArray[np.boo
     """
     width = min(LEVEL_LINES, (len(variance) - 1) // 2 * 2 + 1)
     limit = gammainccinv(freedom, FALSE_ALARMS / variance.size) / gammainccinv(freedom, 0.5)
-    found = np.ones(variance.shape, dtype=np.bool_)
+    stands_out = np.ones(variance.shape, dtype=np.bool_)
     for quantity in (variance, variance / np.maximum(power, np.finfo(float).tiny)):
         padded = np.pad(quantity, ((width // 2, width // 2), (0, 0)), mode="reflect")
         windows = np.lib.stride_tricks.sliding_window_view(padded, width, axis=0)
-        found &= quantity > limit * np.median(windows, axis=2)
-    return found
+        stands_out &= quantity > limit * np.median(windows, axis=2)
+    return stands_out
 
 
 def _odd_width(freedom: int, lines: int) -> int:
-    wanted = int(np.ceil(WANTED_FREEDOM / freedom)) // 2 * 2 + 1
-    return max(1, min(wanted, (lines - 1) // 2 * 2 + 1))
+    width = int(np.ceil(WANTED_FREEDOM / freedom)) // 2 * 2 + 1
+    return max(1, min(width, (lines - 1) // 2 * 2 + 1))
 
 
 def smoothed(variance: Array, width: int) -> Array:
@@ -223,10 +223,10 @@ def smoothed(variance: Array, width: int) -> Array:
     return np.asarray((running[width:] - running[:-width]) / width)
 
 
-def interpolated(values: ComplexArray, known_Hz: Array, wanted_Hz: Array) -> ComplexArray:
+def interpolated(values: ComplexArray, known_Hz: Array, frequency_Hz: Array) -> ComplexArray:
     """Return a complex response between its lines, straight from line to line."""
     flat = values.reshape(len(values), -1)
-    real = [np.interp(wanted_Hz, known_Hz, column) for column in flat.real.T]
-    imaginary = [np.interp(wanted_Hz, known_Hz, column) for column in flat.imag.T]
-    found = np.stack(real, axis=1) + 1j * np.stack(imaginary, axis=1)
-    return np.asarray(found.reshape(len(wanted_Hz), *values.shape[1:]))
+    real = [np.interp(frequency_Hz, known_Hz, column) for column in flat.real.T]
+    imaginary = [np.interp(frequency_Hz, known_Hz, column) for column in flat.imag.T]
+    interpolated_values = np.stack(real, axis=1) + 1j * np.stack(imaginary, axis=1)
+    return np.asarray(interpolated_values.reshape(len(frequency_Hz), *values.shape[1:]))

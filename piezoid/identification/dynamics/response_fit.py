@@ -133,18 +133,18 @@ def fit_response(
     variance = np.ones(len(f))
     variance[is_coherent] = _rough_variance(fast[is_coherent])
     for _ in range(NOISE_ROUNDS):
-        used = is_coherent & ~is_outlier
+        is_used = is_coherent & ~is_outlier
         lines = _lines(record, axis, fast, variance, is_outlier)
         residual = fast - _best_fit(lines, declared).response(f)
-        coherence = None if path.coherence is None else path.coherence[used]
-        variance[used] = _variance(fast[used], residual[used], coherence)
+        coherence = None if path.coherence is None else path.coherence[is_used]
+        variance[is_used] = _variance(fast[is_used], residual[is_used], coherence)
         if not is_outlier.any():
             is_outlier[is_coherent] = _outliers(residual[is_coherent], variance[is_coherent])
     lines = _lines(record, axis, fast, variance, is_outlier)
     dynamics = _best_fit(lines, declared)
     if slow is not None and slow.is_taken:
-        whole = response[is_coherent & ~is_outlier]
-        dynamics, slow = _fit_with_slow_part(_used(lines), whole, dynamics, slow)
+        measured = response[is_coherent & ~is_outlier]
+        dynamics, slow = _fit_with_slow_part(_used(lines), measured, dynamics, slow)
         lines = _lines(record, axis, response / slow.response(f), variance, is_outlier)
     used_lines = _used(lines)
     f, values = used_lines.frequency_Hz, used_lines.response[:, 0, 0]
@@ -214,33 +214,33 @@ def _best_fit(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearD
 
     A structure with a mode that is not resolved counts only where there is no other.
     """
-    used = _used(lines)
+    usable = _used(lines)
     declaration = Declaration(
         hold="band_limited",
         filters=declared,
-        longest_delay_s=MAX_DELAY_PERIODS / float(used.frequency_Hz[-1]),
+        longest_delay_s=MAX_DELAY_PERIODS / float(usable.frequency_Hz[-1]),
     )
     fits, refusal = [], None
     for structure in STRUCTURES:
-        if 4 * (structure.columns + structure.shapes) > 2 * len(used.frequency_Hz):
+        if 4 * (structure.columns + structure.shapes) > 2 * len(usable.frequency_Hz):
             continue
         try:
-            fit = fit_dynamics(used, structure, declaration)
+            fit = fit_dynamics(usable, structure, declaration)
         except IdentificationError as error:
             refusal = error
             continue
-        if _leaves_noise(used, fit) and resolved_modes(fit).all():
+        if _leaves_noise(usable, fit) and resolved_modes(fit).all():
             return fit
         fits.append(fit)
     if not fits:
         raise refusal or IdentificationError(
-            f"{len(used.frequency_Hz)} lines",
+            f"{len(usable.frequency_Hz)} lines",
             needed="enough for one mode",
             remedy="Measure at more frequencies.",
         )
     fits = [fit for fit in fits if resolved_modes(fit).all()] or fits
-    least = min(fit.cost for fit in fits)
-    return next(fit for fit in fits if fit.cost <= EQUAL_COST * least)
+    lowest_cost = min(fit.cost for fit in fits)
+    return next(fit for fit in fits if fit.cost <= EQUAL_COST * lowest_cost)
 
 
 def _leaves_noise(lines: FrequencyResponse, fit: LinearDynamics) -> bool:
@@ -268,11 +268,11 @@ def slow_part(frequency_Hz: Array, response: ComplexArray, path: ResponsePath) -
     f = frequency_Hz[low]
     if len(f) < SLOW_LINES or f[-1] < 10.0**SLOW_DECADES * f[0]:
         return None
-    x, relative, one = f / f[-1], response[low] / response[low][0], np.ones(len(f))
-    by_log = np.stack([np.log(x), one, x**2], axis=1)
+    x, relative, constant = f / f[-1], response[low] / response[low][0], np.ones(len(f))
+    by_log = np.stack([np.log(x), constant, x**2], axis=1)
     slope, slope_std = _regression(by_log, np.log(np.abs(relative)))
     angle = np.unwrap(np.angle(response[low]))
-    phase, phase_std = _regression(np.stack([one, x], axis=1), angle)
+    phase, phase_std = _regression(np.stack([constant, x], axis=1), angle)
     phase -= np.pi * round(phase / np.pi)  # the sign of the response is the polarity's
     part = SlowPart.of(slope, slope_std, phase, phase_std, (float(f[0]), float(f[-1])), first_Hz)
     is_creep = part.slope_ci95[0] <= 0.0 and part.slope_dB > -MAX_SLOPE_dB

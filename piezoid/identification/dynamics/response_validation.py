@@ -79,12 +79,12 @@ def validate_response(
         left_Hz=fit.residual_Hz,
         slow=fit.slow,
     )
-    least, greatest = axis.hysteresis.slope_sector_m_per_V
+    flattest, greatest = axis.hysteresis.slope_sector_m_per_V
     gains = (
         f"Small quick drives move it by {with_unit(record.gain_m_per_V, 'm')}/V, "
         f"{significant(record.gain_ratio)} times the middle of the hysteresis' slopes "
-        f"({with_unit(least, 'm')}/V to {with_unit(greatest, 'm')}/V): the hysteresis keeps its "
-        "own gain, and a controller is designed for both"
+        f"({with_unit(flattest, 'm')}/V to {with_unit(greatest, 'm')}/V): the hysteresis keeps "
+        "its own gain, and a controller is designed for both"
     )
     if recorded is not None:
         factor = _gain_ratio(recorded[0], fit.dynamics)
@@ -120,11 +120,11 @@ def _disagreement(
             "Measure more finely about each peak, or up to a lower frequency"
         )
     gain = abs(fit.dynamics.static_gain_m_per_V)
-    least, greatest = axis.hysteresis.slope_sector_m_per_V
-    if not least / MAX_GAIN_RATIO <= gain <= MAX_GAIN_RATIO * greatest:
+    flattest, greatest = axis.hysteresis.slope_sector_m_per_V
+    if not flattest / MAX_GAIN_RATIO <= gain <= MAX_GAIN_RATIO * greatest:
         return (
             f"its gain is {with_unit(gain, 'm')}/V, the hysteresis' slopes are "
-            f"{with_unit(least, 'm')}/V to {with_unit(greatest, 'm')}/V: "
+            f"{with_unit(flattest, 'm')}/V to {with_unit(greatest, 'm')}/V: "
             f"{significant(gain / middle_slope_m_per_V(axis))} times their middle. Another unit, "
             "another axis, or volts in front of the amplifier: name them in lab.toml, a factor as "
             "scale = { response = ... }"

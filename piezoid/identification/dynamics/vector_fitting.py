@@ -74,14 +74,14 @@ def _relocate(
     s: ComplexArray, response: ComplexArray, weight: Array, poles: ComplexArray
 ) -> ComplexArray:
     fractions = _fractions(s, poles)
-    one = np.ones((len(s), 1))
-    numerator = np.concatenate([fractions, one], axis=1)
+    direct = np.ones((len(s), 1))
+    numerator = np.concatenate([fractions, direct], axis=1)
     triangles = []
     for g, w in zip(response.T, weight.T, strict=True):
-        sigma = -g[:, None] * np.concatenate([fractions, one], axis=1)
-        whole = stacked(np.concatenate([numerator, sigma], axis=1) * w[:, None])
-        known = numerator.shape[1]
-        triangles.append(np.asarray(np.linalg.qr(whole, mode="r"))[known:, known:])
+        sigma = -g[:, None] * np.concatenate([fractions, direct], axis=1)
+        equations = stacked(np.concatenate([numerator, sigma], axis=1) * w[:, None])
+        unknowns = numerator.shape[1]
+        triangles.append(np.asarray(np.linalg.qr(equations, mode="r"))[unknowns:, unknowns:])
     c, d = _sigma(triangles, fractions, float(np.linalg.norm(weight * np.abs(response))))
     return _zeros_of_sigma(poles, c, d)
 
@@ -94,22 +94,22 @@ def _sigma(triangles: list[Array], fractions: ComplexArray, scale: float) -> tup
     target = np.zeros(len(matrix))
     target[-1] = scale
     size = np.maximum(np.linalg.norm(matrix, axis=0), np.finfo(float).tiny)
-    found = np.linalg.lstsq(matrix / size, target, rcond=None)[0] / size
-    d = float(found[-1])
-    return found[:-1], (d if abs(d) > 1e-8 else float(np.copysign(1e-8, d)))
+    solution = np.linalg.lstsq(matrix / size, target, rcond=None)[0] / size
+    d = float(solution[-1])
+    return solution[:-1], (d if abs(d) > 1e-8 else float(np.copysign(1e-8, d)))
 
 
 def _zeros_of_sigma(poles: ComplexArray, c: Array, d: float) -> ComplexArray:
     pairs, real = poles[poles.imag > 0], poles[poles.imag == 0].real
     n = len(pairs)
     matrix = np.zeros((2 * n + len(real), 2 * n + len(real)))
-    place = np.arange(n)
-    matrix[place, place] = matrix[n + place, n + place] = pairs.real
-    matrix[place, n + place], matrix[n + place, place] = pairs.imag, -pairs.imag
+    pair = np.arange(n)
+    matrix[pair, pair] = matrix[n + pair, n + pair] = pairs.real
+    matrix[pair, n + pair], matrix[n + pair, pair] = pairs.imag, -pairs.imag
     matrix[2 * n :, 2 * n :] = np.diag(real)
-    ones = np.concatenate([np.full(n, 2.0), np.zeros(n), np.ones(len(real))])
-    moved = np.linalg.eigvals(matrix - np.outer(ones, c) / d)
-    stable = -np.abs(moved.real) + 1j * moved.imag
+    residue_sums = np.concatenate([np.full(n, 2.0), np.zeros(n), np.ones(len(real))])
+    zeros = np.linalg.eigvals(matrix - np.outer(residue_sums, c) / d)
+    stable = -np.abs(zeros.real) + 1j * zeros.imag
     tiny = 1e-12 * np.abs(stable)
     upper = stable[stable.imag > tiny]
     flat = stable[np.abs(stable.imag) <= tiny].real

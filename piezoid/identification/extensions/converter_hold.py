@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
-from piezoid.identification.hysteresis.filters import later
 from piezoid.numerics.arrays import Array
+from piezoid.operators.filters import later
 
 
 @dataclass(frozen=True, kw_only=True)

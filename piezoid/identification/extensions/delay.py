@@ -5,9 +5,9 @@ from typing import ClassVar, Self
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
 from piezoid.identification.extensions.loop_effect import LoopEffect
-from piezoid.identification.hysteresis.filters import later
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import NORMAL_95
+from piezoid.operators.filters import later
 
 LONGEST_s = 1.0
 MOST_SAMPLES = 100.0

@@ -7,9 +7,9 @@ import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
 from piezoid.identification.extensions.loop_effect import NOTHING, LoopEffect
-from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import NORMAL_95
+from piezoid.operators.filters import relaxed
 from piezoid.operators.linear import ContinuousSystem
 
 LONGEST_s = 10.0

@@ -7,9 +7,9 @@ import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, free, within
 from piezoid.identification.extensions.loop_effect import LoopEffect
-from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import NORMAL_95
+from piezoid.operators.filters import relaxed
 from piezoid.operators.limits import activated
 
 SHORTEST_s, LONGEST_s = 1e-9, 10.0

@@ -1,5 +1,9 @@
-"""The hysteresis fit: a convex start, then Gauss-Newton on the forward output error.
+"""Hysteresis of an axis: plays, dead zones, envelope, lag, and how well they are known.
 
-Read coordinates.py (what is varied), rows.py (residual and tangents), lag_search.py and start.py
-(where it begins), then search.py.
+    estimate_axis(recordings, axis, rig) -> AxisModel    all of it; estimate.py
+    search(pieces, shape, settings) -> Fitted            one shape
+    choose_shape(pieces, settings) -> Choice             the smallest shape that predicts as well
+    pieces_of(recordings, axis, ...) -> Piece, ...       what a fit is given, scaled
+
+Read coordinates.py first: what the numbers mean. May import extensions and the forward model.
 """

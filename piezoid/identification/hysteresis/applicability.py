@@ -7,21 +7,20 @@ lag alone explains (a play sum imitates lag, with weights that hold at no other 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from piezoid.formatting import with_unit
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.lag_rivals import EXPLAINED, no_lag
-from piezoid.identification.hysteresis.loops import Loop, loops_of
 from piezoid.identification.hysteresis.order import Choice, attempt
 from piezoid.identification.hysteresis.pieces import Piece, Scales, widest_swing
 from piezoid.identification.hysteresis.search import Settings
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.constant_drive import answers
-from piezoid.records.reversals import noise_of
+from piezoid.records.reversals import noise_of, reversals_of
 
 WIDE = 0.01  # of the displacement range: a loop worth explaining
 CROSSING = 0.15  # of the widest opening: how far a loop may open the wrong way
@@ -31,7 +30,71 @@ BEYOND = 0.1  # of a drive's range at either end: less is driven over the same r
 TURNING = 0.05  # of the displacement range: how far a branch may turn back
 UNEXPLAINED = 0.08  # of the displacement range: held-out rms of a fit nobody should use
 FOLLOWED = 0.7  # of the rms of the motion: what leaves more follows half of its power at most
+POINTS = 41  # of the grid on which a loop's branches are compared
+MAX_JUMP = 0.2  # of a branch, between two samples: a parabola's chord is off by its square, 4 %
 AS_GOOD = 1.1  # held-out error of the lag alone over that of the hysteresis model
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Loop:
+    """The opening of one loop: falling branch minus rising branch at the same drive.
+
+    drive     (points,)  inside the span that both branches share
+    opening   (points,)  positive where the displacement lags the drive
+    rise      (points,)  the rising branch
+    span      drive range of the loop
+    """
+
+    drive: Array
+    opening: Array
+    rise: Array
+    span: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "drive", "opening", "rise")
+
+
+def loops_of(drive: Array, response: Array, noise: float) -> tuple[Loop, ...]:
+    """Return the loops made by successive rising and falling branches of nearly equal span.
+
+    A branch that the drive jumped over was never recorded, and makes no loop.
+
+    drive, response  (samples,)
+    noise            excursions of the drive that make no reversal
+    """
+    turns = np.array(reversals_of(drive, noise), dtype=int)
+    loops = []
+    for a, b, c in zip(turns[:-2], turns[1:-1], turns[2:], strict=True):
+        first, second = drive[b] - drive[a], drive[c] - drive[b]
+        if abs(first + second) > 0.15 * abs(first):
+            continue
+        branches = slice(a, b + 1), slice(b, c + 1)
+        rising, falling = branches if first > 0 else branches[::-1]
+        jumps = [float(np.diff(np.sort(drive[branch])).max()) for branch in branches]
+        if max(jumps) > MAX_JUMP * abs(first):
+            continue
+        low = max(drive[rising].min(), drive[falling].min())
+        high = min(drive[rising].max(), drive[falling].max())
+        grid = np.linspace(low, high, POINTS + 2)[1:-1]
+        up = _branch_on_grid(grid, drive[rising], response[rising])
+        down = _branch_on_grid(grid, drive[falling], response[falling])
+        loops.append(Loop(drive=grid, opening=down - up, rise=up, span=float(high - low)))
+    return tuple(loops)
+
+
+def _branch_on_grid(grid: Array, drive: Array, response: Array) -> Array:
+    """Return a branch on a grid of the drive: the mean of the samples around each point."""
+    order = np.argsort(drive, kind="stable")
+    edges = np.concatenate([[-np.inf], (grid[1:] + grid[:-1]) / 2, [np.inf]])
+    first = np.searchsorted(drive[order], edges)
+    first[0], first[-1] = np.searchsorted(
+        drive[order], [1.5 * grid[0] - 0.5 * grid[1], 1.5 * grid[-1] - 0.5 * grid[-2]]
+    )
+    sums = np.concatenate([[0.0], np.cumsum(response[order])])
+    count = np.diff(first)
+    mean = np.diff(sums[first]) / np.maximum(count, 1)
+    interpolated = np.interp(grid, drive[order], response[order])
+    return np.asarray(np.where(count > 2, mean, interpolated))
 
 
 def _loops(piece: Piece) -> tuple[Loop, ...]:
@@ -51,40 +114,36 @@ def reason_in_loops(pieces: Sequence[Piece]) -> str:
     butterfly = _of_material(pieces, [_butterfly(piece) for piece in pieces])
     if butterfly:
         return butterfly
-    looped, against = [], []
+    looped, reasons = [], []
     for piece in pieces:
         loops = [loop for loop in _loops(piece) if loop.span > 0.4]
         if loops:
             looped.append(piece)
             height = float(np.ptp(piece.response[piece.first : piece.last]))
             noise = white_noise_rms(piece.response)
-            against.append(_turning(loops, height, noise) or _crossing(loops, height, noise))
-    if 2 * sum(map(bool, against)) < len(looped):
+            reasons.append(_turning(loops, height, noise) or _crossing(loops, height, noise))
+    if 2 * sum(map(bool, reasons)) < len(looped):
         return ""
-    return _of_material(looped, against)
+    return _of_material(looped, reasons)
 
 
-def _of_material(pieces: Sequence[Piece], against: Sequence[str]) -> str:
+def _of_material(pieces: Sequence[Piece], reasons: Sequence[str]) -> str:
     """Return the first reason that most recordings over the same range have; empty: none.
 
-    against  (pieces)  reasons, empty where there is none
+    reasons  (pieces)  empty where there is none
     """
-    ranges = [_range_of(piece) for piece in pieces]
-    for piece, (low, high), reason in zip(pieces, ranges, against, strict=True):
+    drives = [piece.drive[piece.first : piece.last] for piece in pieces]
+    ranges = [(float(drive.min()), float(drive.max())) for drive in drives]
+    for piece, (low, high), reason in zip(pieces, ranges, reasons, strict=True):
         margin = BEYOND * (high - low)
-        alike = [
-            bool(other)
-            for other, (lowest, highest) in zip(against, ranges, strict=True)
+        agreeing = [
+            bool(text)
+            for text, (lowest, highest) in zip(reasons, ranges, strict=True)
             if lowest <= low + margin and highest >= high - margin
         ]
-        if reason and 2 * sum(alike) > len(alike):
+        if reason and 2 * sum(agreeing) > len(agreeing):
             return f"{piece.name}: {reason}"
     return ""
-
-
-def _range_of(piece: Piece) -> tuple[float, float]:
-    drive = piece.drive[piece.first : piece.last]
-    return float(drive.min()), float(drive.max())
 
 
 def _butterfly(piece: Piece) -> str:
@@ -92,14 +151,14 @@ def _butterfly(piece: Piece) -> str:
     rows = slice(piece.first, piece.last)
     drive, response = piece.drive[rows], piece.response[rows]
     edges = np.linspace(drive.min(), drive.max(), BINS + 1)
-    place = np.searchsorted(edges[1:-1], drive)
-    count = np.bincount(place, minlength=BINS)
+    bins = np.searchsorted(edges[1:-1], drive)
+    count = np.bincount(bins, minlength=BINS)
     if np.ptp(drive) < 0.4 or not count.all():
         return ""
-    mean = np.bincount(place, response, BINS) / count
+    mean = np.bincount(bins, response, BINS) / count
     height = float(np.ptp(response))
-    for way, extreme in ((mean, "least"), (-mean, "most")):
-        left, right = float(way[0] - way.min()), float(way[-1] - way.min())
+    for curve, extreme in ((mean, "least"), (-mean, "most")):
+        left, right = float(curve[0] - curve.min()), float(curve[-1] - curve.min())
         if min(left, right) > BUTTERFLY * height:
             return (
                 f"the loop reverses its sign (a butterfly): the displacement turns back at its "
@@ -216,13 +275,12 @@ def _follows(piece: Piece) -> bool:
     if answers(drive, response):
         return True
     # not by direction as well: a servo's drive rises where its sensor reads too little
-    place = np.searchsorted(np.linspace(drive.min(), drive.max(), BINS + 1)[1:-1], drive)
+    bins = np.searchsorted(np.linspace(drive.min(), drive.max(), BINS + 1)[1:-1], drive)
     half = len(drive) // 2
-    count = np.bincount(place[:half], minlength=BINS)
-    level = np.bincount(place[:half], response[:half], BINS) / np.maximum(count, 1)
-    seen = count[place[half:]] > 0
-    moved, foretold = response[half:][seen], level[place[half:]][seen]
-    if not len(moved):
+    count = np.bincount(bins[:half], minlength=BINS)
+    level = np.bincount(bins[:half], response[:half], BINS) / np.maximum(count, 1)
+    is_known = count[bins[half:]] > 0
+    measured, predicted = response[half:][is_known], level[bins[half:]][is_known]
+    if not len(measured):
         return True
-    left = (moved - moved.mean()) - (foretold - foretold.mean())
-    return float(np.std(left)) < FOLLOWED * float(np.std(moved))
+    return float(np.std(measured - predicted)) < FOLLOWED * float(np.std(measured))

@@ -27,20 +27,20 @@ STEPS = 6  # samples from one turning point to the next
 SEED = 1
 
 
-def drawn_vectors(found: Jackknife, bounds: tuple[Array, Array], draws: int, seed: int) -> Array:
+def drawn_vectors(jack: Jackknife, bounds: tuple[Array, Array], draws: int, seed: int) -> Array:
     """Draw vectors from the fit's uncertainty, (draws, total), kept inside the bounds.
 
     theta + sum_c xi_c sqrt((G - 1)/G) (theta_(c) - mean), xi standard normal
     """
     rng = np.random.default_rng(seed)
-    centred = found.replicates - found.replicates.mean(axis=0)
-    blocks = found.blocks
+    centred = jack.replicates - jack.replicates.mean(axis=0)
+    blocks = jack.blocks
     xi = rng.standard_normal((draws, blocks)) * np.sqrt((blocks - 1) / blocks)
-    return np.asarray(np.clip(found.theta + xi @ centred, *bounds))
+    return np.asarray(np.clip(jack.theta + xi @ centred, *bounds))
 
 
 def certify(
-    found: Jackknife,
+    jack: Jackknife,
     coordinates: Coordinates,
     scales: Scales,
     residual_m: Array,
@@ -48,14 +48,14 @@ def certify(
     longest_lag_s: float,
 ) -> Certificate:
     """Return the bound for drives within the range of the data."""
-    model = physical(operator_of(found.theta, coordinates), scales)
+    model = physical(operator_of(jack.theta, coordinates), scales)
     reach_V = scales.voltage_V
-    vectors = drawn_vectors(found, coordinates.bounds(longest_lag_s), DRAWS, SEED)
-    others = [physical(operator_of(theta, coordinates), scales) for theta in vectors]
-    terms = [apart(model, other, reach_V) for other in others]
+    vectors = drawn_vectors(jack, coordinates.bounds(longest_lag_s), DRAWS, SEED)
+    drawn_models = [physical(operator_of(theta, coordinates), scales) for theta in vectors]
+    terms = [apart(model, other, reach_V) for other in drawn_models]
     plays_m, zones_m = np.quantile(np.array(terms), 0.95, axis=0)
     drives_V = adversarial_drives(reach_V, SEED)
-    reached = [reached_difference(model, other, drives_V, reach_V) for other in others]
+    reached = [reached_difference(model, other, drives_V, reach_V) for other in drawn_models]
     return Certificate(
         plays_m=float(plays_m),
         dead_zones_m=float(zones_m),

@@ -121,15 +121,15 @@ class Coordinates:
         """Return one name for each shared number, such as ``weight[3]``."""
         return tuple(
             f"{name}[{i}]"
-            for name, place in self.slices.items()
-            for i in range(place.stop - place.start)
+            for name, numbers in self.slices.items()
+            for i in range(numbers.stop - numbers.start)
         )
 
     def bounds(self, longest_lag_s: float) -> tuple[Array, Array]:
         """Return lower and upper bounds of every number."""
         lower, upper = np.full(self.total, -np.inf), np.full(self.total, np.inf)
-        for name, place in self.slices.items():
-            lower[place], upper[place] = {
+        for name, numbers in self.slices.items():
+            lower[numbers], upper[numbers] = {
                 "gap": (LEAST_GAP, GREATEST_GAP),
                 "weight": (0.0, GREATEST_SLOPE),
                 "slope": BENT,
@@ -176,9 +176,9 @@ class Coordinates:
         reach = GREATEST_REACH * (high - low) / 2
         if widest <= reach:
             return theta
-        drawn = theta.copy()
-        drawn[self.slices["gap"]] *= reach / widest
-        return drawn
+        narrowed = theta.copy()
+        narrowed[self.slices["gap"]] *= reach / widest
+        return narrowed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -218,22 +218,22 @@ class Scaled:
 
 def operator_of(theta: Array, coordinates: Coordinates) -> Scaled:
     """Read the shared part of the vector as an operator."""
-    place = coordinates.slices
-    gap = theta[place["gap"]]
-    below = -np.cumsum(theta[place["below_gap"]])[::-1]
-    above = np.cumsum(theta[place["above_gap"]])
-    lag = theta[place["lag"]]
+    slices = coordinates.slices
+    gap = theta[slices["gap"]]
+    below = -np.cumsum(theta[slices["below_gap"]])[::-1]
+    above = np.cumsum(theta[slices["above_gap"]])
+    lag = theta[slices["lag"]]
     return Scaled(
         gap=gap,
         threshold=np.cumsum(gap),
-        weight=theta[place["weight"]],
+        weight=theta[slices["weight"]],
         knot=np.concatenate([below, [0.0], above]),
         slope=np.concatenate(
-            [theta[place["below_slope"]][::-1], [1.0, 1.0], theta[place["above_slope"]]]
+            [theta[slices["below_slope"]][::-1], [1.0, 1.0], theta[slices["above_slope"]]]
         ),
         zero=len(below),
         lag_s=float(lag[0]) if lag.size else 0.0,
-        envelope=_envelope(theta[place["below_envelope"]], theta[place["above_envelope"]]),
+        envelope=_envelope(theta[slices["below_envelope"]], theta[slices["above_envelope"]]),
     )
 
 
@@ -242,9 +242,9 @@ def _envelope(below: Array, above: Array) -> DeadZones:
     bends = len(below)
     if not bends:
         return LINEAR
-    places = np.arange(1, bends + 1) / (bends + 1.0)
+    knots = np.arange(1, bends + 1) / (bends + 1.0)
     return from_slopes(
-        np.concatenate([-places[::-1], [0.0], places]),
+        np.concatenate([-knots[::-1], [0.0], knots]),
         np.concatenate([below[::-1], [1.0, 1.0], above]),
     )
 
@@ -252,16 +252,16 @@ def _envelope(below: Array, above: Array) -> DeadZones:
 def vector_of(operator: Scaled, coordinates: Coordinates) -> Array:
     """Write an operator as the vector of a fit whose pieces start at offset 0, memory at rest."""
     theta = np.zeros(coordinates.total)
-    place, zero = coordinates.slices, operator.zero
-    theta[place["gap"]] = operator.gap
-    theta[place["weight"]] = operator.weight
-    theta[place["below_gap"]] = np.diff(-operator.knot[: zero + 1][::-1])
-    theta[place["above_gap"]] = np.diff(operator.knot[zero:])
-    theta[place["below_slope"]] = operator.slope[:zero][::-1]
-    theta[place["above_slope"]] = operator.slope[zero + 2 :]
-    theta[place["lag"]] = operator.lag_s
-    theta[place["below_envelope"]] = operator.envelope.slope[: operator.envelope.zero][::-1]
-    theta[place["above_envelope"]] = operator.envelope.slope[operator.envelope.zero + 2 :]
+    slices, zero = coordinates.slices, operator.zero
+    theta[slices["gap"]] = operator.gap
+    theta[slices["weight"]] = operator.weight
+    theta[slices["below_gap"]] = np.diff(-operator.knot[: zero + 1][::-1])
+    theta[slices["above_gap"]] = np.diff(operator.knot[zero:])
+    theta[slices["below_slope"]] = operator.slope[:zero][::-1]
+    theta[slices["above_slope"]] = operator.slope[zero + 2 :]
+    theta[slices["lag"]] = operator.lag_s
+    theta[slices["below_envelope"]] = operator.envelope.slope[: operator.envelope.zero][::-1]
+    theta[slices["above_envelope"]] = operator.envelope.slope[operator.envelope.zero + 2 :]
     return theta
 
 

@@ -12,9 +12,9 @@ from functools import cached_property
 import numpy as np
 
 from piezoid.formatting import with_unit
-from piezoid.identification.dynamics.repetition import equal_cycles
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.numerics.arrays import Array, freeze
+from piezoid.numerics.repetition import equal_cycles
 from piezoid.numerics.robust import Trend, spread_of, trend_of
 
 FEWEST = 8  # cycles: a trend of fewer may be one cycle that was odd
@@ -81,27 +81,27 @@ class Cycles:
         turn = np.arange(self.drive.shape[1]) / self.period_samples
         wave = np.exp(-2j * np.pi * turn)
         phase = np.unwrap(np.angle((self.response @ wave) / (self.drive @ wave)))
-        late = -phase * self.period_samples / (2.0 * np.pi)
-        trend = self.trend(late)
+        lag = -phase * self.period_samples / (2.0 * np.pi)
+        trend = self.trend(lag)
         if trend is None or trend.p_value > SURE:
             return None
         change = abs(trend.slope) * (self.count - 1)
-        return trend if change >= max(SLIDES, WANDERS * self.scatter(late, trend)) else None
+        return trend if change >= max(SLIDES, WANDERS * self.scatter(lag, trend)) else None
 
 
 def cycles_of(piece: Piece) -> Cycles | None:
     """Return the equal cycles of a piece, None where they are too few to show a trend."""
     rows = slice(piece.first, piece.last)
     drive, response = piece.drive[rows], piece.response[rows]
-    found = equal_cycles(drive, fewest=FEWEST) if np.ptp(drive) > 0.0 else None
-    if found is None:
+    cycles = equal_cycles(drive, fewest=FEWEST) if np.ptp(drive) > 0.0 else None
+    if cycles is None:
         return None
     return Cycles(
         name=piece.name,
         sampling_rate_Hz=piece.sampling_rate_Hz,
-        drive=found.cut(drive),
-        response=found.cut(response),
-        period_samples=float(found.period_samples),
+        drive=cycles.cut(drive),
+        response=cycles.cut(response),
+        period_samples=float(cycles.period_samples),
     )
 
 
@@ -114,11 +114,11 @@ def trends_over_cycles(cycles: Cycles, stroke_m: float, noise: float) -> tuple[s
     around = cycles.drive.mean(axis=0)
     width = max(int(TIP * len(around)), 1)
     order = np.argsort(around, kind="stable")
-    said = _gain(cycles)
+    remarks = _gain(cycles)
     for name, where in (("upper", order[-width:]), ("lower", order[:width])):
         level = cycles.response[:, where].mean(axis=1)
-        said += _tip(cycles, name, level, (stroke_m, noise / width**0.5))
-    return tuple(said)
+        remarks += _tip(cycles, name, level, (stroke_m, noise / width**0.5))
+    return tuple(remarks)
 
 
 def told_slide(cycles: Cycles) -> str:
@@ -127,10 +127,10 @@ def told_slide(cycles: Cycles) -> str:
     if trend is None:
         return ""
     slides_s = abs(trend.slope) * (cycles.count - 1) / cycles.sampling_rate_Hz
-    way = "falls behind" if trend.slope > 0.0 else "gains on"
+    direction = "falls behind" if trend.slope > 0.0 else "gains on"
     ppm = 1e6 * trend.slope / cycles.period_samples
     return (
-        f"{cycles.name}: cycle by cycle the displacement {way} its drive, by "
+        f"{cycles.name}: cycle by cycle the displacement {direction} its drive, by "
         f"{with_unit(slides_s, 's')} over {cycles.count} equal cycles ({ppm:+.3g} ppm of the "
         "time): two clocks, it seems, or a lag or a loop that changes; no one lag or width holds"
     )
@@ -155,11 +155,11 @@ def _tip(cycles: Cycles, tip: str, level: Array, scale: tuple[float, float]) -> 
     change = trend.slope * (cycles.count - 1)
     # the first cycles may still forget what came before them: no scatter of the others
     scatter = cycles.scatter(level, trend)
-    goes = trend.p_value < SURE and abs(change) > WANDERS * noise
+    has_trend = trend.p_value < SURE and abs(change) > WANDERS * noise
     wanders = scatter > WANDERS * noise
-    if not (goes or wanders):
+    if not (has_trend or wanders):
         return []
-    parts = [f"goes by {with_unit(change * stroke_m, 'm')}"] if goes else []
+    parts = [f"goes by {with_unit(change * stroke_m, 'm')}"] if has_trend else []
     parts += [
         f"wanders by {with_unit(scatter * stroke_m, 'm')} rms about its trend, where the noise of "
         f"its samples is {with_unit(noise * stroke_m, 'm')}"

@@ -19,9 +19,9 @@ from piezoid.identification.hysteresis.applicability import (
 from piezoid.identification.hysteresis.certificate import certify
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.cycles import Cycles, cycles_of, trends_over_cycles
-from piezoid.identification.hysteresis.forgetting import Transient, without_transients
+from piezoid.identification.hysteresis.excluded_rows import without_outliers, without_transients
 from piezoid.identification.hysteresis.gauss_newton import minimise
-from piezoid.identification.hysteresis.jackknife import jackknife
+from piezoid.identification.hysteresis.jackknife import jackknife, summarise
 from piezoid.identification.hysteresis.lag_rivals import EXPLAINED, lag_rivals
 from piezoid.identification.hysteresis.order import (
     ORDERS,
@@ -29,10 +29,8 @@ from piezoid.identification.hysteresis.order import (
     choose_shape,
     without_bends,
 )
-from piezoid.identification.hysteresis.outlying import left_out_of, without_outliers
 from piezoid.identification.hysteresis.physical import physical, piece_start
 from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_of, scales_of
-from piezoid.identification.hysteresis.remarks import remarks_on
 from piezoid.identification.hysteresis.scope import limits_as_recorded, limits_of_cycles, scope_of
 from piezoid.identification.hysteresis.search import (
     Fitted,
@@ -40,19 +38,27 @@ from piezoid.identification.hysteresis.search import (
     continued,
     search,
     searched_from,
+    simplified,
 )
 from piezoid.identification.hysteresis.sensor_noise import noise_is_most, sensor_noise
-from piezoid.identification.hysteresis.simplify import simplified
-from piezoid.identification.hysteresis.summary import summarise
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.identification.piece_start import PieceStart
-from piezoid.identification.quality import FitQuality, Limit, Order, Verdict
+from piezoid.identification.quality import (
+    IN_SAMPLE,
+    SECOND_HALF,
+    FitQuality,
+    Limit,
+    Order,
+    Verdict,
+)
+from piezoid.operators.play import forgetting_sample
 from piezoid.records.recording import Recording
 from piezoid.records.reversals import noise_of, reversals_of
 
 FIRST_SHAPE = Shape(plays=8, below=2, above=2)
 CHOOSING_ROWS = 4000
 FINAL_ROWS = 40_000
+LOOSE_KKT = 1e-6  # optimality of the quadratic program that the search starts from
 POLISH = 4  # Jacobians over every row once the thinned search is done
 Progress = Callable[[str], None]
 Orders = Sequence[tuple[int, int]]
@@ -60,13 +66,13 @@ Orders = Sequence[tuple[int, int]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prepared:
-    """Pieces ready to be fitted, and what was left out of them."""
+    """Pieces ready to be fitted, and remarks on the outliers and transients excluded from them."""
 
     scales: Scales
     pieces: tuple[Piece, ...]
     settings: Settings
-    transients: tuple[Transient, ...]
-    said: tuple[str, ...]
+    outliers: tuple[str, ...]
+    transients: tuple[str, ...]
 
 
 def estimate_axis(
@@ -89,33 +95,40 @@ def estimate_axis(
     Raises ``ExcitationError`` where drive or displacement does not move.
     """
     ordered = by_name(recordings)
-    ready = _prepare(ordered, axis, rig, progress)
-    choosing, tried, in_loops = _choosing(ready, orders)
-    choice = choose_shape(ready.pieces, choosing, orders=tried, progress=progress)
-    cycles = [one for one in map(cycles_of, ready.pieces) if one is not None]
+    data = _prepare(ordered, axis, rig, progress)
+    in_loops = reason_in_loops(data.pieces)
+    if in_loops:  # one small fit is enough to show how wrong the class is
+        orders = orders[:1]
+    settings = replace(data.settings, rows=CHOOSING_ROWS, iterations=12)
+    choice = choose_shape(data.pieces, settings, orders=orders, progress=progress)
+    cycles = [trends for trends in map(cycles_of, data.pieces) if trends is not None]
     slides = limits_of_cycles(cycles)
-    # Where lag or gain change from cycle to cycle, what they leave hides by how much plays do
+    # Where lag or gain change from cycle to cycle, their residual hides by how much plays do
     # better than one lag.
-    goes = bool(slides) or any(one.gain is not None for one in cycles)
-    lag = "" if in_loops or goes else reason_of_lag(ready.pieces, choice, choosing, progress)
-    limits, only_lag = _limits(ready, choice, progress)
-    only_lag = "" if goes else only_lag
-    choice = without_bends(choice) if only_lag else choice
-    against = (
-        reason_of_no_answer(ready.pieces, choice, ready.scales)
+    has_trend = bool(slides) or any(trends.gain is not None for trends in cycles)
+    lag = ""
+    if not in_loops and not has_trend:
+        lag = reason_of_lag(data.pieces, choice, settings, progress)
+    limits, second_order_lag = _limits(data, choice, progress)
+    if has_trend:
+        second_order_lag = ""
+    if second_order_lag:
+        choice = without_bends(choice)
+    rejection = (
+        reason_of_no_answer(data.pieces, choice, data.scales)
         or lag
-        or only_lag
+        or second_order_lag
         or in_loops
-        or reason_of_error(ready.pieces, choice)
+        or reason_of_error(data.pieces, choice)
     )
     progress("final fit")
-    fitted = _final(ready, choice)
-    found = _axis_model(ordered, axis, rig, ready, choice, fitted, against, cycles)
+    fitted = _final(data, choice)
+    model = _axis_model(ordered, axis, rig, data, choice, fitted, rejection, cycles)
     limits = (*limits, *limits_as_recorded(ordered, axis), *slides)
     limits = tuple(sorted(limits, key=lambda limit: limit.most))
-    given = [recording.name for recording in recordings]
-    starts = tuple(sorted(found.starts, key=lambda start: given.index(start.recording)))
-    return replace(found, starts=starts, quality=replace(found.quality, limits=limits))
+    names = [recording.name for recording in recordings]
+    starts = tuple(sorted(model.starts, key=lambda start: names.index(start.recording)))
+    return replace(model, starts=starts, quality=replace(model.quality, limits=limits))
 
 
 def by_name(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
@@ -126,7 +139,7 @@ def by_name(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
     return tuple(sorted(recordings, key=lambda recording: recording.name))
 
 
-def _limits(ready: Prepared, choice: Choice, progress: Progress) -> tuple[tuple[Limit, ...], str]:
+def _limits(data: Prepared, choice: Choice, progress: Progress) -> tuple[tuple[Limit, ...], str]:
     """Return what was never measured, and why no hysteresis was seen where a lag does as well.
 
     A lag of second order is tried where no speed was varied: only there can it be a loop. Its two
@@ -135,39 +148,29 @@ def _limits(ready: Prepared, choice: Choice, progress: Progress) -> tuple[tuple[
     0.54. On thirteen published laws a lag leaves from 1.2 (loops of five sizes, Coleman and
     Hodgdon's) to 24 times what such hysteresis does, and from 0.18 of what no lag leaves.
     """
-    scope = scope_of(ready.pieces)
+    scope = scope_of(data.pieces)
     if not scope.has_one_speed or scope.branches < 2:
         return scope.limits(), ""
     progress("a lag of second order, without hysteresis")
-    height = max(float(np.ptp(p.response[p.first : p.last])) for p in ready.pieces)
-    plain, late, none = lag_rivals(ready.pieces, ready.settings.longest_lag_s)
-    best, plays = min(plain.held_out_rms, late.held_out_rms), choice.best.held_out_rms
+    height = max(float(np.ptp(p.response[p.first : p.last])) for p in data.pieces)
+    lag, delayed, none = lag_rivals(data.pieces, data.settings.longest_lag_s)
+    best, plays = min(lag.held_out_rms, delayed.held_out_rms), choice.best.held_out_rms
     straight = without_bends(choice).best.held_out_rms
     envelope = ", an envelope" if choice.best.shape.bends else ""
-    left = (
+    comparison = (
         f"of the range, plays{envelope} and a lag leave {100 * plays / height:.2g} %, a lag of "
-        f"second order without hysteresis {100 * plain.held_out_rms / height:.2g} % (at "
-        f"{with_unit(plain.frequency_Hz, 'Hz')}, damping {plain.damping:.2g}), with a delay "
-        f"besides {100 * late.held_out_rms / height:.2g} %"
+        f"second order without hysteresis {100 * lag.held_out_rms / height:.2g} % (at "
+        f"{with_unit(lag.frequency_Hz, 'Hz')}, damping {lag.damping:.2g}), with a delay "
+        f"besides {100 * delayed.held_out_rms / height:.2g} %"
     )
-    wide = widest_opening(ready.pieces) > WIDE * height
-    explains = plain.rises and best < EXPLAINED * none.held_out_rms
-    is_lag = wide and explains and best <= AS_GOOD * straight
-    bent = (
-        f"; plays without an envelope {100 * straight / height:.2g} %" if straight > plays else ""
-    )
-    only = f"the loop is phase lag, not hysteresis: {left}{bent}" if is_lag else ""
-    return scope.limits(f" ({left})"), only
-
-
-def _choosing(ready: Prepared, orders: Orders) -> tuple[Settings, Orders, str]:
-    """Return how shapes are tried, which orders, and what in the loops is against the class.
-
-    Where the loops rule it out, one small fit is enough to show how wrong it is.
-    """
-    against = reason_in_loops(ready.pieces)
-    settings = replace(ready.settings, rows=CHOOSING_ROWS, iterations=12)
-    return settings, orders[:1] if against else orders, against
+    is_wide = widest_opening(data.pieces) > WIDE * height
+    explains = lag.rises and best < EXPLAINED * none.held_out_rms
+    if not (is_wide and explains and best <= AS_GOOD * straight):
+        return scope.limits(f" ({comparison})"), ""
+    reason = f"the loop is phase lag, not hysteresis: {comparison}"
+    if straight > plays:
+        reason += f"; plays without an envelope {100 * straight / height:.2g} %"
+    return scope.limits(f" ({comparison})"), reason
 
 
 def _prepare(recordings: Sequence[Recording], axis: str, rig: Rig, progress: Progress) -> Prepared:
@@ -179,14 +182,16 @@ def _prepare(recordings: Sequence[Recording], axis: str, rig: Rig, progress: Pro
     )
     quick = replace(settings, rows=CHOOSING_ROWS, iterations=12)
     rough = search(pieces, FIRST_SHAPE, quick)
-    clean = without_outliers(rough)
-    said = left_out_of(pieces, clean)
-    if said:
-        rough = search(clean, FIRST_SHAPE, quick)
+    pieces, outliers = without_outliers(rough)
+    if outliers:
+        rough = search(pieces, FIRST_SHAPE, quick)
     pieces, transients = without_transients(rough)
-    settings = replace(settings, lag_s=rough.operator.lag_s)
     return Prepared(
-        scales=scales, pieces=pieces, settings=settings, transients=transients, said=said
+        scales=scales,
+        pieces=pieces,
+        settings=replace(settings, lag_s=rough.operator.lag_s),
+        outliers=outliers,
+        transients=transients,
     )
 
 
@@ -201,19 +206,21 @@ def longest_lag_s(pieces: Sequence[Piece]) -> float:
     return max(least_s, 0.25 * float(np.quantile(branches, 0.9)))
 
 
-def _final(ready: Prepared, choice: Choice) -> Fitted:
-    """Search over all rows; from the folds' operators as well where that ends above the error they
-    left on rows unseen: there is a better place then.
+def _final(data: Prepared, choice: Choice) -> Fitted:
+    """Search over all rows.
+
+    Where that ends above the error that the folds' operators left on rows unseen, a better
+    minimum exists: the search is repeated from these operators.
     """
-    settings, best = replace(ready.settings, rows=FINAL_ROWS), choice.best
-    fitted = search(ready.pieces, best.shape, settings)
+    settings, best = replace(data.settings, rows=FINAL_ROWS), choice.best
+    fitted = search(data.pieces, best.shape, settings)
     if fitted.minimum.rms > best.held_out_rms:
-        begun = (
-            searched_from(ready.pieces, operator, best.shape.lag, settings)
+        repeated = (
+            searched_from(data.pieces, operator, best.shape.lag, settings)
             for operator in best.fitted
         )
-        better = min((fitted, *begun), key=lambda found: found.minimum.rms)
-        fitted = replace(better, kkt_gap=fitted.kkt_gap)
+        closest = min((fitted, *repeated), key=lambda fit: fit.minimum.rms)
+        fitted = replace(closest, kkt_gap=fitted.kkt_gap)
     fitted = simplified(fitted, iterations=settings.iterations)
     if fitted.task.stride == 1:
         return fitted
@@ -226,15 +233,15 @@ def _axis_model(
     recordings: Sequence[Recording],
     axis: str,
     rig: Rig,
-    ready: Prepared,
+    data: Prepared,
     choice: Choice,
     fitted: Fitted,
-    against: str,
+    rejection: str,
     cycles: Sequence[Cycles],
 ) -> AxisModel:
-    scales, theta = ready.scales, fitted.minimum.theta
+    scales, theta = data.scales, fitted.minimum.theta
     stroke_m = abs(scales.displacement_m)
-    found = jackknife(theta, fitted.task)
+    jack = jackknife(theta, fitted.task)
     starts = starts_of(fitted, scales)
     zero_m = float(np.mean([start.zero_m.mean() for start in starts]))
     drives = [recording.voltage_V(axis) for recording in recordings]
@@ -242,11 +249,11 @@ def _axis_model(
         float(np.abs(np.diff(u)).max()) * r.sampling_rate_Hz
         for u, r in zip(drives, recordings, strict=True)
     )
-    quality = _quality(fitted, choice, ready.pieces, stroke_m)
+    quality = _quality(fitted, choice, data.pieces, stroke_m)
     trends = [
-        said
-        for one in cycles
-        for said in trends_over_cycles(one, stroke_m, quality.noise_rms_m / stroke_m)
+        remark
+        for of_piece in cycles
+        for remark in trends_over_cycles(of_piece, stroke_m, quality.noise_rms_m / stroke_m)
     ]
     return AxisModel(
         axis=axis,
@@ -257,18 +264,19 @@ def _axis_model(
         starts=starts,
         voltage_V=(min(float(u.min()) for u in drives), max(float(u.max()) for u in drives)),
         verdict=Verdict(
-            applies=not against,
-            reason=against,
+            applies=not rejection,
+            reason=rejection,
             remarks=(
-                *ready.said,
+                *data.outliers,
                 *trends,
-                *remarks_on(fitted, ready.transients, choice),
+                *data.transients,
+                *remarks_on(fitted, choice.kind),
             ),
         ),
         quality=quality,
-        uncertainty=summarise(found, fitted.task.coordinates, scales),
+        uncertainty=summarise(jack, fitted.task.coordinates, scales),
         certificate=certify(
-            found,
+            jack,
             fitted.task.coordinates,
             scales,
             choice.best.residual * stroke_m,
@@ -276,6 +284,41 @@ def _axis_model(
             fitted.task.longest_lag_s,
         ),
     )
+
+
+def remarks_on(fitted: Fitted, held_out_kind: str) -> tuple[str, ...]:
+    """Return remarks on excitation, on weights and lags at their bounds, and on the start."""
+    remarks = []
+    if held_out_kind == SECOND_HALF:
+        remarks.append(
+            "The order was chosen by the error on the second half of the only recording."
+        )
+    if held_out_kind == IN_SAMPLE:
+        remarks.append(
+            "The error is in sample: a single loop leaves nothing to test the model on."
+        )
+    operator, plays = fitted.operator, fitted.shape.plays
+    for piece in fitted.task.pieces:
+        drive = piece.drive[piece.first : piece.last]
+        unexcited = int((forgetting_sample(drive, operator.threshold) >= len(drive)).sum())
+        if unexcited:
+            remarks.append(
+                f"{piece.name} does not excite the largest {unexcited} of {plays} play thresholds."
+            )
+    on_zero = int((operator.weight[1:] <= 0.0).sum())
+    if on_zero:
+        remarks.append(f"{on_zero} of {plays} play weights lie on 0; only upper limits are given.")
+    if fitted.shape.lag != "none" and operator.lag_s <= 0.0:
+        remarks.append(
+            "The fitted lag lies on 0: the displacement may lead the drive. Check that both "
+            "channels are sampled at the same instant."
+        )
+    if fitted.shape.lag != "none" and operator.lag_s >= 0.999 * fitted.task.longest_lag_s > 0.0:
+        bound = with_unit(operator.lag_s, "s")
+        remarks.append(f"The fitted lag lies on its upper bound, {bound}.")
+    if fitted.kkt_gap > LOOSE_KKT:
+        remarks.append(f"The convex start is optimal only to {fitted.kkt_gap:.1e}.")
+    return tuple(remarks)
 
 
 def starts_of(fitted: Fitted, scales: Scales) -> tuple[PieceStart, ...]:
@@ -294,25 +337,24 @@ def starts_of(fitted: Fitted, scales: Scales) -> tuple[PieceStart, ...]:
     )
 
 
-def _pooled(noise: Sequence[float], rows: Sequence[int]) -> float:
-    return float(np.sqrt(np.average(np.square(noise), weights=rows)))
-
-
 def _quality(
     fitted: Fitted, choice: Choice, pieces: Sequence[Piece], stroke_m: float
 ) -> FitQuality:
     minimum = fitted.minimum
     height = max(float(np.ptp(piece.response[piece.first : piece.last])) for piece in pieces)
-    left = [continued(fitted, index, piece) - piece.response for index, piece in enumerate(pieces)]
-    noise = list(map(sensor_noise, pieces, left))
+    residuals = [
+        continued(fitted, index, piece) - piece.response for index, piece in enumerate(pieces)
+    ]
+    noise = np.array(list(map(sensor_noise, pieces, residuals)))
+    rows = [piece.rows for piece in pieces]
     return FitQuality(
         rms_m=minimum.rms * stroke_m,
         held_out_rms_m=choice.best.held_out_rms * stroke_m,
         held_out_kind=choice.kind,
         range_m=height * stroke_m,
-        noise_rms_m=stroke_m * _pooled(noise, [piece.rows for piece in pieces]),
-        noise_is_most=any(map(noise_is_most, pieces, left)),
-        rows=sum(piece.rows for piece in pieces),
+        noise_rms_m=stroke_m * float(np.sqrt(np.average(np.square(noise), weights=rows))),
+        noise_is_most=any(map(noise_is_most, pieces, residuals)),
+        rows=sum(rows),
         effective_parameters=float(len(minimum.theta)),
         kkt_gap=fitted.kkt_gap,
         gradient=minimum.gradient,

@@ -37,7 +37,7 @@ class Task:
     sensor_pole_Hz declared pole behind the operator, or None
     stride        every how many rows count
     longest_lag_s upper bound of the lag
-    held          names of shared numbers that may not move, such as ``gap``
+    fixed         names of shared numbers that may not move, such as ``gap``
     ridge         on the squares of all kinks, beside the mean square of the residual
     """
 
@@ -46,7 +46,7 @@ class Task:
     sensor_pole_Hz: float | None
     stride: int
     longest_lag_s: float
-    held: tuple[str, ...] = ()
+    fixed: tuple[str, ...] = ()
     ridge: float = 0.0
 
     @cached_property
@@ -110,33 +110,28 @@ def factor_of(theta: Array, task: Task, moving: NDArray[np.bool_]) -> Rows:
     """
     shared = np.flatnonzero(moving[: task.coordinates.shared])
     common = empty_triangle(len(shared) + 1)
-    locals_, places = [], []
+    local_rows, numbers = [], []
     for index in range(len(task.pieces)):
-        part, place = _piece_triangle(theta, task, index, moving)
-        own = len(part) - len(common)
-        locals_.append(part[:own])
-        places.append(place[:own])
-        common = gather(common, part[own:, own:])
+        triangle, columns = _piece_triangle(theta, task, index, moving)
+        count = len(triangle) - len(common)
+        local_rows.append(triangle[:count])
+        numbers.append(columns[:count])
+        common = gather(common, triangle[count:, count:])
     kinks, constant = task.prior
     prior = np.column_stack([kinks[:, shared], kinks @ theta + constant])
     common = gather(common, prior, spend=True)
-    triangle = _assembled(locals_, common)
-    place = np.concatenate([*places, shared])
-    return Rows(factor=triangle[:, :-1], residual=triangle[:, -1], place=place)
-
-
-def _assembled(locals_: Sequence[Array], common: Array) -> Array:
-    """Put the rows of the pieces above those of what they share."""
-    own = sum(map(len, locals_))
-    whole = np.zeros((own + len(common), own + len(common)), order="F")
+    # The rows of the pieces stand above those of what they share.
+    local = sum(map(len, local_rows))
+    factor = np.zeros((local + len(common), local + len(common)), order="F")
     first = 0
-    for part in locals_:
-        last = first + len(part)
-        whole[first:last, first:last] = part[:, : len(part)]
-        whole[first:last, own:] = part[:, len(part) :]
-        first = last
-    whole[own:, own:] = common
-    return whole
+    for rows in local_rows:
+        stop = first + len(rows)
+        factor[first:stop, first:stop] = rows[:, : len(rows)]
+        factor[first:stop, local:] = rows[:, len(rows) :]
+        first = stop
+    factor[local:, local:] = common
+    place = np.concatenate([*numbers, shared])
+    return Rows(factor=factor[:, :-1], residual=factor[:, -1], place=place)
 
 
 def _piece_triangle(
@@ -144,14 +139,15 @@ def _piece_triangle(
 ) -> tuple[Array, Samples]:
     """Return the factor of one piece and the numbers its columns belong to.
 
-    Once every play has moved, a row knows nothing of the memory: it needs the other columns only.
+    Once every play has moved, a row does not depend on the memory: it needs the other columns
+    only.
     """
-    places = column_places(task.coordinates, index)
-    wanted = np.append(moving[places], True)
-    memory = int(np.count_nonzero(wanted[: task.coordinates.shape.plays]))
-    columns = int(np.count_nonzero(wanted))
+    numbers = column_places(task.coordinates, index)
+    used_columns = np.append(moving[numbers], True)
+    memory = int(np.count_nonzero(used_columns[: task.coordinates.shape.plays]))
+    columns = int(np.count_nonzero(used_columns))
     early, later = empty_triangle(columns), empty_triangle(columns - memory)
-    end = memory  # what is forgotten stays so
+    end = memory  # a memory that is forgotten stays so
     for rows in rows_of(
         theta,
         task.coordinates,
@@ -160,14 +156,14 @@ def _piece_triangle(
         sensor_pole=task.sensor_pole_Hz,
         stride=task.stride,
     ):
-        block = rows.block if wanted.all() else rows.block.T[wanted].T
+        block = rows.block if used_columns.all() else rows.block.T[used_columns].T
         if end:
             aware = np.flatnonzero(block[:, :memory].any(axis=1))
             end = int(aware[-1]) + 1 if len(aware) else 0
             early = gather(early, block[:end], spend=True)
         later = gather(later, block[end:, memory:], spend=True)
     early[memory:, memory:] = gather(later, early[memory:, memory:])
-    return early, places[wanted[:-1]]
+    return early, numbers[used_columns[:-1]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,16 +184,16 @@ class _Point:
 def minimise(theta: Array, task: Task, *, iterations: int = 30) -> Minimum:
     """Search from ``theta`` for the least forward output error within the bounds."""
     lower, upper = task.coordinates.bounds(task.longest_lag_s)
-    for name in task.held:
-        fixed = task.coordinates.slices[name]
-        lower[fixed] = upper[fixed] = theta[fixed]
+    for name in task.fixed:
+        numbers = task.coordinates.slices[name]
+        lower[numbers] = upper[numbers] = theta[numbers]
 
     def within(theta: Array) -> Array:
-        if "gap" in task.held:
+        if "gap" in task.fixed:
             return theta
         return task.coordinates.within_reach(theta, task.swing)
 
-    found = levenberg_marquardt.minimise(
+    minimum = levenberg_marquardt.minimise(
         lambda x: _Point(task, x, upper > lower, rms_of(x, task)),
         theta,
         (lower, upper),
@@ -205,9 +201,9 @@ def minimise(theta: Array, task: Task, *, iterations: int = 30) -> Minimum:
         within=within,
     )
     return Minimum(
-        theta=found.x,
-        rms=found.point.rms,
-        iterations=found.iterations,
-        gradient=found.gradient,
-        converged=found.converged,
+        theta=minimum.x,
+        rms=minimum.point.rms,
+        iterations=minimum.iterations,
+        gradient=minimum.gradient,
+        converged=minimum.converged,
     )

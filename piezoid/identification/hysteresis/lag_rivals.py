@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.identification.hysteresis.filters import later
 from piezoid.identification.hysteresis.order import folds_of, is_untested
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.derivative_free import direct_search
-from piezoid.operators.chain import Samples
+from piezoid.operators.filters import later
 
 ROWS = 3000  # of all pieces together: three numbers need no more
 SAMPLES = 6000  # of one piece
@@ -49,9 +48,9 @@ def lag_rivals(
     pieces: Sequence[Piece], longest_lag_s: float
 ) -> tuple[LagRival, LagRival, LagRival]:
     """Return the best second-order lag without and with a delay, and none: the cubic alone."""
-    thin = tuple(map(_thinned, pieces))
-    plain, late = (_fitted(thin, longest_lag_s, numbers=count) for count in (2, 3))
-    return plain, late, no_lag(pieces, longest_lag_s)
+    thinned = tuple(map(_thinned, pieces))
+    without_delay, with_delay = (_fitted(thinned, longest_lag_s, numbers=n) for n in (2, 3))
+    return without_delay, with_delay, no_lag(pieces, longest_lag_s)
 
 
 def no_lag(pieces: Sequence[Piece], longest_lag_s: float) -> LagRival:
@@ -75,22 +74,27 @@ def _thinned(piece: Piece) -> Piece:
 
 
 def _fitted(pieces: Sequence[Piece], longest_lag_s: float, *, numbers: int) -> LagRival:
-    squares, rows, found, rises = 0.0, 0, np.zeros(3), True
+    squares, rows, x, rises = 0.0, 0, np.zeros(3), True
     for training, testing in folds_of(pieces):
-        found = _searched(training, longest_lag_s, numbers) if numbers else NO_LAG
-        learnt = [_columns(p, found, longest_lag_s) for p in training]
-        gain = _gains(training, learnt)
+        x = _searched(training, longest_lag_s, numbers) if numbers else NO_LAG
+        columns = [_columns(piece, x, longest_lag_s) for piece in training]
+        gain, _ = _regression(training, columns)
         slope = np.polynomial.Polynomial([0.0, *gain.tolist()]).deriv()
         rises &= bool((slope(np.linspace(-1.0, 1.0, 41)) > 0.0).all())
         for number, piece in enumerate(testing):
-            sample = _tested(piece, training, number)
-            column = _columns(piece, found, longest_lag_s)[sample]
-            left = piece.response[sample] - column @ gain
-            own = [k for k, t in enumerate(training) if t.recording == piece.recording]
-            zero = _zero(training[own[0]], learnt[own[0]], gain) if own else float(left.mean())
-            squares += float(np.sum((left - zero) ** 2))
+            sample = piece.counting()
+            parts = [k for k, t in enumerate(training) if t.recording == piece.recording]
+            if parts and not is_untested(training):  # the rows that its training part did not see
+                sample = sample[sample >= training[number].last]
+            residual = piece.response[sample] - _columns(piece, x, longest_lag_s)[sample] @ gain
+            zero = float(residual.mean())
+            if parts:
+                trained = training[parts[0]].counting()
+                fitted = columns[parts[0]][trained] @ gain
+                zero = float(np.mean(training[parts[0]].response[trained] - fitted))
+            squares += float(np.sum((residual - zero) ** 2))
             rows += len(sample)
-    frequency, damping, delay_s = _numbers(found, longest_lag_s)
+    frequency, damping, delay_s = _numbers(x, longest_lag_s)
     return LagRival(
         frequency_Hz=frequency,
         damping=damping,
@@ -98,19 +102,6 @@ def _fitted(pieces: Sequence[Piece], longest_lag_s: float, *, numbers: int) -> L
         held_out_rms=float(np.sqrt(squares / max(rows, 1))),
         rises=rises,
     )
-
-
-def _tested(piece: Piece, training: Sequence[Piece], number: int) -> Samples:
-    """Return the samples of a piece that its training part, if it has one, did not see."""
-    sample = piece.counting()
-    if is_untested(training) or not any(t.recording == piece.recording for t in training):
-        return sample
-    return sample[sample >= training[number].last]
-
-
-def _zero(piece: Piece, columns: Array, gain: Array) -> float:
-    sample = piece.counting()
-    return float(np.mean(piece.response[sample] - columns[sample] @ gain))
 
 
 def _numbers(x: Array, longest_lag_s: float) -> tuple[float, float, float]:
@@ -121,13 +112,13 @@ def _numbers(x: Array, longest_lag_s: float) -> tuple[float, float, float]:
 
 def _searched(pieces: Sequence[Piece], longest_lag_s: float, count: int) -> Array:
     def error(x: Array) -> float:
-        whole = np.concatenate([x, np.zeros(3 - count)])
-        columns = [_columns(piece, whole, longest_lag_s) for piece in pieces]
-        return _left(pieces, columns)
+        padded = np.concatenate([x, np.zeros(3 - count)])
+        columns = [_columns(piece, padded, longest_lag_s) for piece in pieces]
+        return _regression(pieces, columns)[1]
 
     lower = np.array([np.log(1e-3), np.log(0.05), 0.0][:count])
     upper = np.array([np.log(2.0), np.log(5.0), 1.0][:count])
-    found = [
+    minima = [
         direct_search(
             error,
             np.array([np.log(share), np.log(0.8), 0.02][:count]),
@@ -137,7 +128,7 @@ def _searched(pieces: Sequence[Piece], longest_lag_s: float, count: int) -> Arra
         )
         for share in (0.03, 0.3)
     ]
-    best, _ = min(found, key=lambda pair: pair[1])
+    best, _ = min(minima, key=lambda pair: pair[1])
     return np.concatenate([best, np.zeros(3 - count)])
 
 
@@ -155,20 +146,14 @@ def _columns(piece: Piece, x: Array, longest_lag_s: float) -> Array:
     return np.column_stack([lagged**power for power in POWERS])
 
 
-def _centred(pieces: Sequence[Piece], columns: Sequence[Array]) -> tuple[Array, Array]:
-    """Return columns and responses at some rows, each piece about its own mean."""
+def _regression(pieces: Sequence[Piece], columns: Sequence[Array]) -> tuple[Array, float]:
+    """Return the gains of columns at some rows, each piece about its mean, and their error."""
     stride = max(1, sum(piece.rows for piece in pieces) // ROWS)
     rows = [piece.counting(stride) for piece in pieces]
-    left = [c[r] - c[r].mean(axis=0) for c, r in zip(columns, rows, strict=True)]
-    right = [p.response[r] - p.response[r].mean() for p, r in zip(pieces, rows, strict=True)]
-    return np.concatenate(left), np.concatenate(right)
-
-
-def _gains(pieces: Sequence[Piece], columns: Sequence[Array]) -> Array:
-    return np.asarray(np.linalg.lstsq(*_centred(pieces, columns), rcond=None)[0])
-
-
-def _left(pieces: Sequence[Piece], columns: Sequence[Array]) -> float:
-    left, right = _centred(pieces, columns)
-    gain = np.linalg.lstsq(left, right, rcond=None)[0]
-    return float(np.mean((right - left @ gain) ** 2))
+    pairs = zip(columns, rows, strict=True)
+    design = np.concatenate([c[r] - c[r].mean(axis=0) for c, r in pairs])
+    target = np.concatenate(
+        [p.response[r] - p.response[r].mean() for p, r in zip(pieces, rows, strict=True)]
+    )
+    gain = np.linalg.lstsq(design, target, rcond=None)[0]
+    return gain, float(np.mean((target - design @ gain) ** 2))

@@ -96,35 +96,41 @@ def choose_shape(
     orders: Sequence[tuple[int, int]] = ORDERS,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Choice:
-    """Try orders, then envelopes and lags, and take the smallest that predicts as well."""
-    untested = is_untested(pieces)
+    """Try orders, then envelopes and lags, and take the smallest that predicts as well.
 
-    def tried(shape: Shape) -> Trial:
-        return _try(pieces, shape, settings, progress)
+    An envelope has something to bend only where minor loops stand at several biases, and then it
+    needs the plays: it is tried at the richest order, then at smaller ones.
+    """
+    in_sample = is_untested(pieces)
 
-    shapes = _shapes_of(orders)
-    trials = _ladder(shapes, tried, untested)
-    straight = _smallest_as_good(trials, untested)
-    late = [tried(replace(straight.shape, lag=lag)) for lag in LAGS[1:]]
-    bent = _bent_shapes(orders)
-    least = min(late, key=lambda trial: trial.held_out_rms)
-    if not _is_as_good(straight, least, untested):  # beside the wrong lag no size helps
-        lag = least.shape.lag
-        shapes = tuple(replace(shape, lag=lag) for shape in shapes)
-        bent = tuple(replace(shape, lag=lag) for shape in bent)
-        larger = [shape for shape in shapes if shape.plays > straight.shape.plays]
-        trials += _ladder(larger, tried, untested)
-        straight = _smallest_as_good((*trials, least), untested)
-    trials += [tried(shape) for shape in bent]
-    best = _smallest_as_good(trials, untested)
-    if best.shape.bends:
-        begun = straight.shape.plays
-        fewer = (s for s in shapes if begun <= s.plays < best.shape.plays)
-        trials += _until_as_good(
-            best, (replace(s, bends=best.shape.bends) for s in fewer), tried, untested
+    def fit(shape: Shape) -> Trial:
+        progress(
+            f"{shape.plays} plays, {shape.below + shape.above} dead zones, {2 * shape.bends} "
+            f"bends, {shape.lag.replace('_', ' ')}"
         )
-    trials += late
-    best = _smallest_as_good(trials, untested)
+        return Trial.of(shape, list(_folded(pieces, shape, settings)))
+
+    shapes = [Shape(plays=plays, below=zones, above=zones) for plays, zones in orders]
+    trials = _fit_growing(shapes, fit, in_sample)
+    straight = _smallest_as_good(trials, in_sample)
+    lagged = [fit(replace(straight.shape, lag=lag)) for lag in LAGS[1:]]
+    best_lagged = min(lagged, key=lambda trial: trial.held_out_rms)
+    if not _is_as_good(straight, best_lagged, in_sample):  # with the wrong lag no size helps
+        shapes = [replace(shape, lag=best_lagged.shape.lag) for shape in shapes]
+        larger = [shape for shape in shapes if shape.plays > straight.shape.plays]
+        trials += _fit_growing(larger, fit, in_sample)
+        straight = _smallest_as_good((*trials, best_lagged), in_sample)
+    richest = max(shapes, key=lambda shape: shape.plays)
+    trials += [fit(replace(richest, bends=bends)) for bends in BENDS]
+    best = _smallest_as_good(trials, in_sample)
+    if best.shape.bends:
+        for shape in shapes:
+            if straight.shape.plays <= shape.plays < best.shape.plays:
+                trials.append(fit(replace(shape, bends=best.shape.bends)))
+                if _is_as_good(trials[-1], best, in_sample):
+                    break
+    trials += lagged
+    best = _smallest_as_good(trials, in_sample)
     return Choice(best=best, trials=tuple(trials), kind=_kind_of(pieces))
 
 
@@ -141,73 +147,39 @@ def _kind_of(pieces: Sequence[Piece]) -> str:
         return IN_SAMPLE
     if _recordings(pieces) == 1:
         return SECOND_HALF
-    whole = all(
+    is_separate = all(
         {p.recording for p in training}.isdisjoint(p.recording for p in testing)
         for training, testing in folds_of(pieces)
     )
-    return OTHER_RECORDINGS if whole else WIDEST_HALVED
+    return OTHER_RECORDINGS if is_separate else WIDEST_HALVED
 
 
-def _shapes_of(orders: Sequence[tuple[int, int]]) -> tuple[Shape, ...]:
-    return tuple(Shape(plays=plays, below=zones, above=zones) for plays, zones in orders)
-
-
-def _bent_shapes(orders: Sequence[tuple[int, int]]) -> tuple[Shape, ...]:
-    """Return the shapes with an envelope.
-
-    It has something to bend only where minor loops stand at several biases, and then it needs the
-    plays: it is tried at the richest order.
-    """
-    richest = max(_shapes_of(orders), key=lambda shape: shape.plays)
-    return tuple(replace(richest, bends=bends) for bends in BENDS)
-
-
-def _ladder(
-    shapes: Sequence[Shape], tried: Callable[[Shape], Trial], untested: bool
+def _fit_growing(
+    shapes: Sequence[Shape], fit: Callable[[Shape], Trial], in_sample: bool
 ) -> list[Trial]:
-    """Try shapes of growing size for as long as that brings anything."""
+    """Try shapes of growing size until ``NO_BETTER`` of them in a row improve nothing."""
     trials: list[Trial] = []
     for shape in shapes:
-        trials.append(tried(shape))
-        last = trials[-NO_BETTER:]
-        earlier = trials[:-NO_BETTER]
-        if any(all(_is_as_good(one, other, untested) for other in last) for one in earlier):
+        trials.append(fit(shape))
+        latest = trials[-NO_BETTER:]
+        if any(
+            all(_is_as_good(trial, larger, in_sample) for larger in latest)
+            for trial in trials[:-NO_BETTER]
+        ):
             break
     return trials
 
 
-def _until_as_good(
-    best: Trial, shapes: Iterator[Shape], tried: Callable[[Shape], Trial], untested: bool
-) -> list[Trial]:
-    """Try shapes of growing size until one is as good as the best."""
-    trials: list[Trial] = []
-    for shape in shapes:
-        trials.append(tried(shape))
-        if _is_as_good(trials[-1], best, untested):
-            break
-    return trials
-
-
-def _smallest_as_good(trials: Sequence[Trial], untested: bool) -> Trial:
+def _smallest_as_good(trials: Sequence[Trial], in_sample: bool) -> Trial:
     best = min(trials, key=lambda trial: trial.held_out_rms)
     ordered = sorted(trials, key=lambda trial: trial.shape.numbers)
-    return next(trial for trial in ordered if _is_as_good(trial, best, untested))
+    return next(trial for trial in ordered if _is_as_good(trial, best, in_sample))
 
 
-def _is_as_good(smaller: Trial, best: Trial, untested: bool) -> bool:
+def _is_as_good(smaller: Trial, best: Trial, in_sample: bool) -> bool:
     """Tell whether the smaller of two may stand for the better."""
-    close = CLOSE_IN_SAMPLE if untested else CLOSE
+    close = CLOSE_IN_SAMPLE if in_sample else CLOSE
     return smaller.held_out_rms <= close * best.held_out_rms
-
-
-def _try(
-    pieces: Sequence[Piece], shape: Shape, settings: Settings, progress: Callable[[str], None]
-) -> Trial:
-    progress(
-        f"{shape.plays} plays, {shape.below + shape.above} dead zones, {2 * shape.bends} bends, "
-        f"{shape.lag.replace('_', ' ')}"
-    )
-    return Trial.of(shape, list(_folded(pieces, shape, settings)))
 
 
 def attempt(
@@ -215,16 +187,21 @@ def attempt(
 ) -> Trial | None:
     """Try a shape as the others were tried; None where its held-out error is above ``within``.
 
-    Whoever is that wrong on some folds stays it whatever the others say: they are left out.
+    A shape that is that wrong on some folds stays so whatever the others show: they are skipped.
     """
-    room = within**2 * sum(_unseen_rows(*fold) for fold in folds_of(pieces)) * (1.0 + ROUNDED)
-    found = []
+    rows = sum(
+        len(_unseen_samples(number, piece, training, testing))
+        for training, testing in folds_of(pieces)
+        for number, piece in enumerate(testing)
+    )
+    room = within**2 * rows * (1.0 + ROUNDED)
+    folds = []
     for residual, operator in _folded(pieces, shape, settings):
-        found.append((residual, operator))
+        folds.append((residual, operator))
         room -= float(residual @ residual)
         if room < 0.0:
             return None
-    trial = Trial.of(shape, found)
+    trial = Trial.of(shape, folds)
     return trial if trial.held_out_rms <= within else None
 
 
@@ -254,42 +231,37 @@ def folds_of(pieces: Sequence[Piece]) -> Iterator[tuple[tuple[Piece, ...], tuple
         return
     folds = min(count, FOLDS)
     for fold in range(folds):
-        left = [p for p in pieces if p.recording % folds == fold]
-        others = tuple(p for p in pieces if p.recording % folds != fold)
-        wide = tuple(p for p in left if count == 2 or not _is_covered(p, others))
+        held_out = [p for p in pieces if p.recording % folds == fold]
+        remaining = tuple(p for p in pieces if p.recording % folds != fold)
+        wide = tuple(p for p in held_out if count == 2 or not _is_covered(p, remaining))
         parts = tuple(replace(p, last=p.first + p.rows // 2) for p in wide)
-        if left and (others or parts):
-            yield (*parts, *others), (*wide, *(p for p in left if p not in wide))
+        if held_out and (remaining or parts):
+            yield (*parts, *remaining), (*wide, *(p for p in held_out if p not in wide))
 
 
-def _is_covered(piece: Piece, others: Sequence[Piece]) -> bool:
-    """Tell whether the others go as far as a piece, in one swing and to either side."""
-    if not others:
+def _is_covered(piece: Piece, remaining: Sequence[Piece]) -> bool:
+    """Tell whether other pieces go as far as this one, in one swing and to either side."""
+    if not remaining:
         return False
-    ends = [_ends(other) for other in others]
-    low, high = _ends(piece)
+    drives = [p.drive[p.first : p.last] for p in (piece, *remaining)]
+    (low, high), *ranges = [(float(drive.min()), float(drive.max())) for drive in drives]
     return (
-        min(a for a, _ in ends) <= low + BEYOND
-        and max(b for _, b in ends) >= high - BEYOND
-        and max(b - a for a, b in ends) >= high - low - BEYOND
+        min(a for a, _ in ranges) <= low + BEYOND
+        and max(b for _, b in ranges) >= high - BEYOND
+        and max(b - a for a, b in ranges) >= high - low - BEYOND
     )
-
-
-def _ends(piece: Piece) -> tuple[float, float]:
-    drive = piece.drive[piece.first : piece.last]
-    return float(drive.min()), float(drive.max())
 
 
 def is_untested(pieces: Sequence[Piece]) -> bool:
     """Tell whether one loop is all there is: its second half is a branch the first never saw."""
-    if _recordings(pieces) > 1 or sum(map(_crossings, pieces)) > MANY:
+    if _recordings(pieces) > 1:
         return False
-    return scope_of(pieces).is_untested
-
-
-def _crossings(piece: Piece) -> int:
-    drive = piece.drive[piece.first : piece.last]
-    return int(np.count_nonzero(np.diff(np.signbit(drive - 0.5 * (drive.max() + drive.min())))))
+    crossings = 0
+    for piece in pieces:
+        drive = piece.drive[piece.first : piece.last]
+        is_low = np.signbit(drive - 0.5 * (drive.max() + drive.min()))
+        crossings += int(np.count_nonzero(np.diff(is_low)))
+    return crossings <= MANY and scope_of(pieces).is_untested
 
 
 def _part_of(number: int, piece: Piece, training: Sequence[Piece]) -> Piece | None:
@@ -308,28 +280,23 @@ def _unseen_samples(
     return replace(piece, first=part.last).counting()
 
 
-def _unseen_rows(training: Sequence[Piece], testing: Sequence[Piece]) -> int:
-    return sum(
-        len(_unseen_samples(number, piece, training, testing))
-        for number, piece in enumerate(testing)
-    )
-
-
 def _unseen(fitted: Fitted, training: Sequence[Piece], testing: Sequence[Piece]) -> Array:
-    """Return what a fit leaves where it was not trained.
+    """Return the residual of a fit where it was not trained.
 
     Zero and memory of other recordings are fitted, and the zero of the half of one that is among
     others; that of the only recording stays where its first half left it.
     """
     parts = [_part_of(number, piece, training) for number, piece in enumerate(testing)]
     fresh = [piece for piece, part in zip(testing, parts, strict=True) if part is None]
-    other = transferred(fitted, fresh) if fresh else fitted
-    left, seen, alone = [], len(testing) - len(fresh), _recordings((*training, *testing)) == 1
+    refitted = transferred(fitted, fresh) if fresh else fitted
+    is_only_recording = _recordings((*training, *testing)) == 1
+    residuals, trained = [], len(testing) - len(fresh)
     for number, (piece, part) in enumerate(zip(testing, parts, strict=True)):
         if part is None:
-            output = continued(other, number - seen, piece)
+            output = continued(refitted, number - trained, piece)
         else:  # its zero stays where the part left it
             output = continued(fitted, number, part)
         error = (output - piece.response)[_unseen_samples(number, piece, training, testing)]
-        left.append(error - error.mean() if part is not None and not alone else error)
-    return np.concatenate(left)
+        is_offset_free = part is not None and not is_only_recording
+        residuals.append(error - error.mean() if is_offset_free else error)
+    return np.concatenate(residuals)

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.executor import Once
 from piezoid.operators.chain import Samples
+from piezoid.operators.filters import relaxed
 from piezoid.operators.play import turns_of
 from piezoid.records.constant_drive import is_at_rest
 from piezoid.records.recording import Recording
@@ -131,20 +131,20 @@ def pieces_of(
     recordings: Sequence[Recording], axis: str, scales: Scales, rig: Rig
 ) -> tuple[Piece, ...]:
     """Cut recordings into scaled pieces; stretches too short to say anything are left out."""
-    found = [
+    pieces = [
         _piece(recording, number, axis, part, scales, rig)
         for number, recording in enumerate(recordings)
         for part in recording.pieces
         if part.stop - part.start >= MINIMUM_SAMPLES
     ]
-    if not found:
+    if not pieces:
         raise ExcitationError(
             f"{', '.join(r.name for r in recordings)}: no uninterrupted stretch is longer than "
             f"{MINIMUM_SAMPLES} samples",
             needed="a continuous recording of at least one sweep",
             remedy="Record again without losing samples.",
         )
-    return tuple(found)
+    return tuple(pieces)
 
 
 def _piece(

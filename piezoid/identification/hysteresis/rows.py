@@ -91,11 +91,11 @@ def simulate(
     sample = np.arange(len(piece.drive)) if at is None else at
     is_sparse = SPARSE * len(sample) < len(piece.drive)
     if forward.lag == "delay" and forward.sensor_Hz is None and is_sparse:
-        whole = int(np.floor(forward.lag_s * rate_Hz))
-        part = forward.lag_s * rate_Hz - whole
-        drive, place = _way(piece, np.maximum(sample - whole, 0))
+        whole_samples = int(np.floor(forward.lag_s * rate_Hz))
+        part = forward.lag_s * rate_Hz - whole_samples
+        drive, nearest = _way(piece, np.maximum(sample - whole_samples, 0))
         moved, _ = forward.static(drive, memory, rate_Hz)
-        moved = (1.0 - part) * moved[place] + part * moved[np.maximum(place - 1, 0)]
+        moved = (1.0 - part) * moved[nearest] + part * moved[np.maximum(nearest - 1, 0)]
     else:
         moved, _ = forward.static(piece.drive, memory, rate_Hz)
         moved = forward.filtered(moved, rate_Hz)[sample]

@@ -83,9 +83,9 @@ class Scope:
 
         lag  what lags without hysteresis leave, beside the fit
         """
-        found = []
+        lacks = []
         if self.branches < 2:
-            found.append(
+            lacks.append(
                 (
                     "branch",
                     "only one branch was recorded: hysteresis is the difference of two, and none "
@@ -93,7 +93,7 @@ class Scope:
                 )
             )
         elif self.is_untested:
-            found.append(
+            lacks.append(
                 (
                     "loop",
                     "only one loop was recorded: no part of it can be left out to test the model "
@@ -101,7 +101,7 @@ class Scope:
                 )
             )
         if self.branches > 1 and self.has_one_speed:
-            found.append(
+            lacks.append(
                 (
                     "speed",
                     "branches of one size and direction were all driven at one speed: the width "
@@ -110,12 +110,12 @@ class Scope:
                 )
             )
         if self.amplitudes < OTHER_SIZE:
-            found.append(
+            lacks.append(
                 ("amplitude", "every branch has one amplitude: no smaller loop was ever measured")
             )
         if self.recordings == 1:
-            found.append(("recording", "there is only one recording: no other drive was tested"))
-        return tuple(Limit(lack=name, reason=reason, most=MOST[name]) for name, reason in found)
+            lacks.append(("recording", "there is only one recording: no other drive was tested"))
+        return tuple(Limit(lack=name, reason=reason, most=MOST[name]) for name, reason in lacks)
 
 
 def limits_as_recorded(recordings: Sequence[Recording], axis: str) -> tuple[Limit, ...]:
@@ -143,12 +143,12 @@ def scope_of(pieces: Sequence[Piece]) -> Scope:
     branches = [branch for piece in pieces for branch in branches_of(piece)]
     largest = max((abs(branch.span) for branch in branches), default=0.0)
     large = [branch for branch in branches if abs(branch.span) > LARGE * largest]
-    whole = [branch for branch in branches if branch.is_whole] or branches
-    spans = [abs(branch.span) for branch in whole if abs(branch.span) > SMALL * largest]
+    complete = [branch for branch in branches if branch.is_whole] or branches
+    spans = [abs(branch.span) for branch in complete if abs(branch.span) > SMALL * largest]
     return Scope(
         branches=len(large),
         recordings=len({piece.recording for piece in pieces}),
-        speeds=max((_speeds(large, way) for way in (1.0, -1.0)), default=1.0),
+        speeds=max((_speeds(large, direction) for direction in (1.0, -1.0)), default=1.0),
         amplitudes=max(spans, default=1.0) / min(spans, default=1.0),
     )
 
@@ -157,33 +157,33 @@ def branches_of(piece: Piece) -> list[Branch]:
     """Return the monotone runs of a piece's drive, in their order."""
     drive = piece.drive[piece.first : piece.last]
     turns = reversals_of(drive, max(noise_of(drive), 0.02))
-    found = []
-    for first, last in zip((0, *turns), (*turns, len(drive) - 1), strict=True):
-        run = drive[first : last + 1]
+    branches = []
+    for first, stop in zip((0, *turns), (*turns, len(drive) - 1), strict=True):
+        run = drive[first : stop + 1]
         span = float(run[-1] - run[0])
         if abs(span) <= 0.02 or len(run) < 3:
             continue
         # a rest in front of a run, or behind it, is none of it
         inside = np.abs(run - 0.5 * (run[0] + run[-1])) < 0.4 * abs(span)
         moving_s = max(int(np.count_nonzero(inside)), 1) / piece.sampling_rate_Hz
-        found.append(
+        branches.append(
             Branch(
                 recording=piece.recording,
                 span=span,
                 speed_per_s=0.8 * abs(span) / moving_s,
-                is_whole=first > 0 and last < len(drive) - 1,
+                is_whole=first > 0 and stop < len(drive) - 1,
             )
         )
-    return found
+    return branches
 
 
 def _speeds(branches: Sequence[Branch], way: float) -> float:
     """Return the largest ratio of the speeds of two branches of one direction and like span."""
     ordered = sorted((b for b in branches if b.span * way > 0.0), key=lambda b: abs(b.span))
     largest, first = 1.0, 0
-    for last, branch in enumerate(ordered):
+    for stop, branch in enumerate(ordered):
         while abs(branch.span) > ALIKE * abs(ordered[first].span):
             first += 1
-        near = [other.speed_per_s for other in ordered[first : last + 1]]
-        largest = max(largest, max(near) / min(near))
+        speeds = [similar.speed_per_s for similar in ordered[first : stop + 1]]
+        largest = max(largest, max(speeds) / min(speeds))
     return largest

@@ -19,10 +19,10 @@ from math import sqrt
 
 import numpy as np
 
-from piezoid.identification.dynamics.repetition import SAME, find_repetition
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Piece
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
+from piezoid.numerics.repetition import TOLERANCE, find_repetition
 from piezoid.records.sample_statistics import step_size
 
 MOST = 0.9  # of the samples that must repeat
@@ -41,16 +41,16 @@ def sensor_noise(piece: Piece, residual: Array) -> float:
     rows = slice(piece.first, piece.last)
     drive, response = piece.drive[rows], piece.response[rows]
     step = step_size(np.round(response, DIGITS))
-    lost = np.isin(np.arange(piece.first, piece.last), piece.lost)
-    response = np.where(lost, np.nan, response)
+    is_lost = np.isin(np.arange(piece.first, piece.last), piece.lost)
+    response = np.where(is_lost, np.nan, response)
     later = _one_period_later(drive)
     if later is not None:
         between = response[later:] - response[:-later]
-        between = between[np.abs(drive[later:] - drive[:-later]) <= SAME * np.ptp(drive)]
-        found = noise_rms((between,)) / sqrt(2.0)
+        between = between[np.abs(drive[later:] - drive[:-later]) <= TOLERANCE * np.ptp(drive)]
+        noise = noise_rms((between,)) / sqrt(2.0)
     else:
-        found = noise_rms((response, np.where(lost, np.nan, residual[rows])))
-    return max(found, step / sqrt(12.0))
+        noise = noise_rms((response, np.where(is_lost, np.nan, residual[rows])))
+    return max(noise, step / sqrt(12.0))
 
 
 def noise_is_most(piece: Piece, residual: Array) -> bool:
@@ -77,25 +77,26 @@ def noise_rms(signals: Sequence[Array]) -> float:
     if not levels.all():  # a converter so coarse that it stands: its step is the noise
         return float(levels[0])
     growth = levels[1:] / levels[:-1]
-    last = 0
-    while last < len(growth) and (growth[last] <= GROWTH or _slows(growth[last : last + 2], last)):
-        last += 1
-    return float(levels[: last + 1].max())
+    octave = 0
+    while octave < len(growth) and (growth[octave] <= GROWTH or _slows(growth, octave)):
+        octave += 1
+    return float(levels[: octave + 1].max())
 
 
 def _slows(growth: Array, octave: int) -> bool:
     """Tell whether growth is that of a pole: never above that of a random walk, ever slower."""
-    return octave < POLE and len(growth) == 2 and bool(growth[1] < growth[0] < sqrt(2.0))
+    pair = growth[octave : octave + 2]
+    return octave < POLE and len(pair) == 2 and bool(pair[1] < pair[0] < sqrt(2.0))
 
 
 def _one_period_later(drive: Array) -> int | None:
     """Return after how many samples a drive repeats itself, two periods being enough, or None."""
-    found = find_repetition(drive) if np.ptp(drive) > 0.0 else None
-    if found is not None:
-        return found.period_samples
+    repetition = find_repetition(drive) if np.ptp(drive) > 0.0 else None
+    if repetition is not None:
+        return repetition.period_samples
     for parts in (2, 3):  # too few to be found, but the record may be cut at them
         later = len(drive) // parts
-        same = np.abs(drive[later:] - drive[:-later]) <= SAME * np.ptp(drive)
-        if later >= MINIMUM_SAMPLES and same.mean() > MOST:
+        repeats = np.abs(drive[later:] - drive[:-later]) <= TOLERANCE * np.ptp(drive)
+        if later >= MINIMUM_SAMPLES and repeats.mean() > MOST:
             return later
     return None

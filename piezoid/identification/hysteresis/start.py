@@ -1,7 +1,10 @@
-"""Where the search begins: Kuhnen's quadratic program.
+"""Start of the search: lag, play thresholds, and Kuhnen's quadratic program for the weights.
 
-The program parametrises the inverse of Psi, so that it is convex; the lag is removed first
-(lag_search.py), because a lag that is not removed looks like hysteresis and corrupts the weights.
+The program parametrises the inverse of Psi, so that it is convex; the lag is removed first,
+because a lag that is not removed looks like hysteresis and corrupts the weights. With many plays
+on a fine grid it finds where the curvature of the loading curve is; its weights, gathered into the
+wanted number of groups, are thresholds from which a search with few plays does not end beside the
+best ones.
 """
 
 from collections.abc import Sequence
@@ -9,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.identification.hysteresis.coordinates import LEAST_SLOPE, Scaled, Shape
+from piezoid.identification.hysteresis.coordinates import LEAST_GAP, LEAST_SLOPE, Scaled, Shape
 from piezoid.identification.hysteresis.pieces import Piece, widest_swing
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.derivative_free import direct_search
 from piezoid.numerics.quadratic_program import (
     Optimum,
     bounded_step,
@@ -19,12 +23,13 @@ from piezoid.numerics.quadratic_program import (
     stationarity,
 )
 from piezoid.numerics.triangle import empty_triangle, gather
-from piezoid.operators.chain import Samples
 from piezoid.operators.dead_zone import DeadZones, from_slopes
-from piezoid.operators.play import play_blocks
+from piezoid.operators.filters import lagged
+from piezoid.operators.play import play_blocks, play_columns
 
 ROWS = 6000  # rows of a recording that suffice for a start
 LEAST_INVERSE_SLOPE = 0.02  # of Psi'
+GRID = 39  # plays of the fine grid
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,20 +90,17 @@ def triangle_of(pieces: Sequence[Piece], threshold: Array, zones: Array, lag_s: 
     for index, piece in enumerate(pieces):
         sample = piece.counting(max(1, piece.rows // ROWS))
         rows = np.zeros((len(sample), unknowns), order="F")
-        _put_states(rows[:, :plays], sample, piece.drive, threshold)
-        rows[:, plays : plays + count] = -unit.columns(_advanced(piece, lag_s, sample))
+        done = 0
+        for first, states in play_blocks(piece.drive, threshold, np.full(plays, piece.drive[0])):
+            end = int(np.searchsorted(sample, first + len(states)))
+            rows[done:end, :plays] = states[sample[done:end] - first]
+            done = end
+        without_lag = sample + lag_s * piece.sampling_rate_Hz
+        measured = np.interp(without_lag, np.arange(len(piece.response)), piece.response)
+        rows[:, plays : plays + count] = -unit.columns(measured)
         rows[:, plays + count + index] = 1.0
         triangle = gather(triangle, rows, spend=True)
     return triangle
-
-
-def _put_states(rows: Array, sample: Samples, drive: Array, threshold: Array) -> None:
-    """Write the states of a bank at these samples; those between are followed and forgotten."""
-    done = 0
-    for first, states in play_blocks(drive, threshold, np.full(len(threshold), drive[0])):
-        end = int(np.searchsorted(sample, first + len(states)))
-        rows[done:end] = states[sample[done:end] - first]
-        done = end
 
 
 def optimum_of(triangle: Array, threshold: Array, zones: Array) -> Optimum:
@@ -126,9 +128,9 @@ def within_bounds(triangle: Array, threshold: Array, zones: Array) -> Array:
     zero = int(np.flatnonzero(zones == 0.0)[0])
     free = np.eye(len(triangle.T))
     free[0, :plays] = threshold - 1.0
-    for place in range(count):
-        if place != zero:
-            free[plays + place, plays + place + (1 if place < zero else -1)] = -1.0
+    for zone in range(count):
+        if zone != zero:
+            free[plays + zone, plays + zone + (1 if zone < zero else -1)] = -1.0
     lower = np.full(len(free) - 1, -np.inf)
     lower[: plays - 1], lower[plays - 1 : plays - 1 + count] = 0.0, LEAST_INVERSE_SLOPE
     step = bounded_step(
@@ -137,12 +139,6 @@ def within_bounds(triangle: Array, threshold: Array, zones: Array) -> Array:
     x = free[:, 1:] @ step
     x[0] += 1.0
     return np.asarray(x)
-
-
-def _advanced(piece: Piece, lag_s: float, sample: Samples) -> Array:
-    """Return y(t + lag) at these samples: the measurement as it were without the lag."""
-    index = sample + lag_s * piece.sampling_rate_Hz
-    return np.asarray(np.interp(index, np.arange(len(piece.response)), piece.response))
 
 
 def constraints_of(threshold: Array, zones: Array, unknowns: int) -> tuple[Array, Array, Array]:
@@ -209,3 +205,88 @@ def linear_start(pieces: Sequence[Piece], lag_s: float) -> Start:
         lag_s=lag_s,
     )
     return Start(operator=operator, offset=0.0, kkt_gap=0.0)
+
+
+def gathered_thresholds(pieces: Sequence[Piece], shape: Shape, lag_s: float) -> Array:
+    """Return thresholds at the centres of groups of the over-complete fit's weights, from 0."""
+    fine = Shape(plays=GRID, below=shape.below, above=shape.above, lag=shape.lag)
+    operator = kuhnen_start(pieces, fine, lag_s).operator
+    centres = group_centres(operator.threshold, operator.weight[1:], shape.plays)
+    ladder = 2 * LEAST_GAP * np.arange(1, shape.plays + 1)
+    spread = np.maximum.accumulate(np.maximum(centres - ladder, 0.0)) + ladder
+    return np.concatenate([[0.0], spread])
+
+
+def group_centres(position: Array, weight: Array, groups: int) -> Array:
+    """Return the centres of the best partition of weighted positions into groups of neighbours.
+
+    min sum_g sum_(i in g) w_i (p_i - c_g)^2, exactly, by dynamic programming over cuts
+
+    position  (positions,)  increasing
+    weight    (positions,)  >= 0
+    returned  (groups,)  increasing; groups <= positions
+    """
+    tiny = weight + 1e-6 * (weight.sum() + 1e-300) / len(weight)
+    sums = [np.concatenate([[0.0], np.cumsum(tiny * position**k)]) for k in range(3)]
+    count = len(position)
+    mass, first, second = (s - s[:, None] for s in sums)
+    group = np.triu(np.ones((count + 1, count + 1), dtype=bool), 1)
+    cost = np.full((count + 1, count + 1), np.inf)
+    cost[group] = second[group] - first[group] ** 2 / mass[group]
+    best = np.full((groups + 1, count + 1), np.inf)
+    cut = np.zeros((groups + 1, count + 1), dtype=int)
+    best[0, 0] = 0.0
+    for g in range(1, groups + 1):
+        options = best[g - 1, :, None] + cost
+        cut[g] = options.argmin(axis=0)
+        best[g] = options.min(axis=0)
+    centres, end = np.empty(groups), count
+    for g in range(groups, 0, -1):
+        start = cut[g, end]
+        centres[g - 1] = (sums[1][end] - sums[1][start]) / (sums[0][end] - sums[0][start])
+        end = start
+    return centres
+
+
+def find_lag(pieces: Sequence[Piece], kind: str, longest_s: float) -> float:
+    """Return the lag with the least error of a quick additive model, by global search.
+
+    The quick model is a non-negative sum of plays of the drive, a cubic of the drive and an
+    offset per piece; for a given lag it is linear. The error is not convex in the lag, hence
+    the derivative-free global search.
+    """
+    if kind == "none" or longest_s <= 0.0:
+        return 0.0
+    threshold = np.linspace(0.0, 0.9, 10)
+    lower = np.append(np.zeros(len(threshold)), np.full(3, -np.inf))
+    columns = []
+    for piece in pieces:
+        u = piece.drive
+        states, _ = play_columns(u, threshold, np.full(len(threshold), u[0]))
+        columns.append(np.asfortranarray(np.column_stack([states, u**2, u**3])))
+
+    def error(x: Array) -> float:
+        total = 0.0
+        for piece, column in zip(pieces, columns, strict=True):
+            stride = max(1, piece.rows // ROWS)
+            keep, counting = slice(piece.first, piece.last, stride), piece.counting(stride)
+            lag_s = float(x[0]) * longest_s
+            rows = lagged(column, kind, lag_s, piece.sampling_rate_Hz, keep=keep)
+            rows = rows[(counting - piece.first) // stride]
+            block = np.column_stack([rows, np.ones(len(rows)), piece.response[counting]])
+            triangle = gather(empty_triangle(block.shape[1]), block, spend=True)
+            quick, target = triangle[:, :-1], triangle[:, -1]
+            weights = bounded_step(quick, target, lower, np.full(len(lower), np.inf))
+            total += float(np.sum((quick @ weights - target) ** 2)) / len(rows)
+        return total
+
+    share, _ = direct_search(
+        error,
+        np.array([0.02]),
+        (np.zeros(1), np.ones(1)),
+        initial_step=0.02,
+        max_evaluations=25,
+        step_tolerance=1e-5,
+        global_evaluations=25,
+    )
+    return float(share[0]) * longest_s

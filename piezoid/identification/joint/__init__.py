@@ -1,1 +1,6 @@
-"""The joint fit of an axis model and its extensions, with its error on rows left out."""
+"""Refits of a fitted axis together with extensions, as a diagnosis needs them.
+
+    fit_extended(model, recordings, extensions, ...) -> Extended
+
+Start at fit_extended.py; vector.py orders the numbers. May import hysteresis and extensions.
+"""

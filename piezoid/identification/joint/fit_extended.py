@@ -14,9 +14,17 @@ from piezoid.identification.extensions.extension import Extension, Samples
 from piezoid.identification.forward import Run
 from piezoid.identification.hysteresis.estimate import longest_lag_s
 from piezoid.identification.hysteresis.physical import physical, piece_start
-from piezoid.identification.joint.vector import FOLDS, Part, State, Structure, parts_of, state_of
+from piezoid.identification.joint.vector import (
+    FOLDS,
+    NEVER_OUT,
+    Part,
+    State,
+    Structure,
+    parts_of,
+    state_of,
+)
 from piezoid.identification.model import AxisModel, Lag
-from piezoid.identification.quality import BLOCKS, IN_SAMPLE, Uncertainty
+from piezoid.identification.quality import BLOCKS, IN_SAMPLE
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
 from piezoid.numerics.levenberg_marquardt import Minimum, NormalEquations, Rule, minimise
@@ -49,31 +57,6 @@ class Extended:
     converged: bool
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Reached:
-    """Where a search ended.
-
-    state  there
-    rms    of the residual at all rows, scaled
-    held   (rows,)  residual at the rows left out, fold after fold
-    rows   rows of all parts
-    folds  (folds, numbers)  the vectors of the folds
-    converged  whether the search ended of itself
-    """
-
-    state: State
-    rms: float
-    held: Array
-    rows: int
-    folds: Array
-    converged: bool
-
-    @property
-    def held_out_rms(self) -> float:
-        """Return the rms on rows left out."""
-        return float(np.sqrt(np.mean(self.held**2)))
-
-
 def fit_extended(
     model: AxisModel,
     recordings: Sequence[Recording],
@@ -102,84 +85,77 @@ def fit_extended(
     What goes wrong: a number the rows do not determine stays where it began, and a mode that
     begins more than its width away is not found.
     """
-    ends = []
+    searches = []
     for start in (model, *others):
         parts = parts_of(start, recordings, places)
         state = state_of(start, parts, extensions, structure)
         bounds = state.bounds(longest_lag_s([part.piece for part in parts]))
-        found = _search(state, parts, bounds, steps)
-        ends.append((start, bounds, found.point, found.converged))
-    begun, bounds, end, converged = min(ends, key=lambda one: one[2].rms_m)
-    reached = _judged(end, bounds, converged)
-    stroke_m = abs(reached.state.scales.displacement_m)
-    held_m = reached.held * stroke_m
+        searches.append((start, bounds, _search(state, parts, bounds, steps)))
+    start, bounds, best = min(searches, key=lambda search: search[2].point.rms_m)
+    end, stroke_m = best.point, abs(best.point.state.scales.displacement_m)
+    # Added up, not subtracted from the whole: a column may lie in one fold but for rounding.
+    grams = {fold: _gram_of_fold(end, fold) for fold in (NEVER_OUT, *range(FOLDS))}
+    folds = []
+    for fold in range(FOLDS):
+        gram = sum((g for k, g in grams.items() if k != fold), np.zeros((1, 1)))
+        folds.append(_on_fold(fold, end, bounds, gram))
+    held_m = np.concatenate([error for _, errors in folds for error in errors]) * stroke_m
+    vectors = np.array([vector for vector, _ in folds])
+    # Standard errors from leaving out folds: (F - 1) / sqrt(F) times their scatter.
+    std = np.std(vectors, axis=0, ddof=1) * (FOLDS - 1) / np.sqrt(FOLDS)
     return Extended(
-        model=_model(begun, end, reached, held_m),
-        rms_m=reached.rms * stroke_m,
-        held_out_rms_m=reached.held_out_rms * stroke_m,
+        model=_model(start, end, std, held_m, best.converged),
+        rms_m=end.rms_m,
+        held_out_rms_m=float(np.sqrt(np.mean(held_m**2))),
         held_m=held_m,
-        spread=_spread(reached),
-        converged=reached.converged,
+        spread=tuple(std[numbers] for numbers in end.state.slices),
+        converged=best.converged,
     )
 
 
-def _errors(reached: _Reached) -> Array:
-    """Return standard errors from leaving out folds, (F - 1) / sqrt(F) times their scatter."""
-    count = len(reached.folds)
-    return np.asarray(np.std(reached.folds, axis=0, ddof=1) * (count - 1) / np.sqrt(count))
+def _model(
+    model: AxisModel, end: "_Point", std: Array, held_m: Array, converged: bool
+) -> AxisModel:
+    """Return the axis with the numbers at the end of a search.
 
-
-def _spread(reached: _Reached) -> tuple[Array, ...]:
-    """Return the standard errors of the numbers of each extension."""
-    errors = _errors(reached)
-    return tuple(errors[place] for place in reached.state.slices)
-
-
-def _uncertainty(model: AxisModel, reached: _Reached) -> Uncertainty:
-    """Return the model's, with the lag as this fit knows it.
-
-    The fit before may have known the lag beside a mode that was still missing, or not at all.
+    std     (numbers,)  standard errors
+    held_m  (rows,)  residual at rows left out
     """
-    place = reached.state.coordinates.slices["lag"]
-    if place.start == place.stop:
-        return model.uncertainty
-    (standard,) = _errors(reached)[place]
-    return model.uncertainty.known_anew("lag_s", reached.state.operator.lag_s, float(standard))
-
-
-def _model(model: AxisModel, end: "_Point", reached: _Reached, held_m: Array) -> AxisModel:
     state = end.state
-    stroke_m = abs(state.scales.displacement_m)
+    coordinates, operator, scales = state.coordinates, state.operator, state.scales
     starts = tuple(
         piece_start(
             part.piece,
             run.forward.memory(run.drive[0], run.memory_slope),
-            state.theta[state.coordinates.offset_slice(index)],
-            state.operator,
-            state.scales,
+            state.theta[coordinates.offset_slice(index)],
+            operator,
+            scales,
         )
         for index, (part, run) in enumerate(zip(end.parts, end.runs, strict=True))
     )
-    zero_m = float(np.mean([start.zero_m.mean() for start in starts]))
-    kind, tested = state.coordinates.shape.lag, model.quality.is_tested
+    uncertainty, lag = model.uncertainty, coordinates.slices["lag"]
+    if lag.stop > lag.start:  # known anew: before, a mode may have been missing beside it
+        uncertainty = uncertainty.known_anew("lag_s", operator.lag_s, float(std[lag][0]))
+    held_rms_m = float(np.sqrt(np.mean(held_m**2)))
+    is_tested = model.quality.is_tested
     return replace(
         model,
-        hysteresis=physical(state.operator, state.scales, zero_m),
-        lag=Lag(kind=kind, time_s=state.operator.lag_s),
+        hysteresis=physical(operator, scales, float(np.mean([s.zero_m.mean() for s in starts]))),
+        lag=Lag(kind=coordinates.shape.lag, time_s=operator.lag_s),
         extensions=tuple(
-            replace(extension, std=tuple(std.tolist()))
-            for extension, std in zip(state.extensions, _spread(reached), strict=True)
+            replace(extension, std=tuple(std[numbers].tolist()))
+            for extension, numbers in zip(state.extensions, state.slices, strict=True)
         ),
         starts=starts,
-        uncertainty=_uncertainty(model, reached),
+        uncertainty=uncertainty,
         quality=replace(
             model.quality,
-            rms_m=reached.rms * stroke_m,
-            held_out_rms_m=(reached.held_out_rms if tested else reached.rms) * stroke_m,
-            held_out_kind=BLOCKS if tested else IN_SAMPLE,
-            rows=reached.rows,
+            rms_m=end.rms_m,
+            held_out_rms_m=held_rms_m if is_tested else end.rms_m,
+            held_out_kind=BLOCKS if is_tested else IN_SAMPLE,
+            rows=end.rows,
             effective_parameters=float(len(state.vector)),
-            converged=reached.converged,
+            converged=converged,
         ),
         certificate=replace(
             model.certificate, remainder_m=float(np.quantile(np.abs(held_m), 0.999))
@@ -242,24 +218,25 @@ class _Point:
 
 @dataclass(frozen=True, eq=False)
 class _OnFold:
-    """The same on the rows kept of a fold, with the columns of the whole search's end."""
+    """A state on the training rows of a fold, with the tangents at the end of the whole search."""
 
     point: _Point
-    kept: Sequence[Array]
+    training: Sequence[Array]
     columns: Sequence[Array]
     gram: Array
 
     @Once
-    def left(self) -> list[Array]:
+    def errors(self) -> list[Array]:
         """The errors, 0 at the rows left out: the columns are megabytes, and are not copied."""
-        return [np.where(k, e, 0.0) for e, k in zip(self.point.errors, self.kept, strict=True)]
+        pairs = zip(self.point.errors, self.training, strict=True)
+        return [np.where(is_training, error, 0.0) for error, is_training in pairs]
 
     @Once
     def cost(self) -> float:
-        return sum(float(e @ e) for e in self.left) + _prior_cost(self.point.state)
+        return sum(float(e @ e) for e in self.errors) + _prior_cost(self.point.state)
 
     def linearised(self) -> NormalEquations:
-        pairs = zip(self.columns, self.left, strict=True)
+        pairs = zip(self.columns, self.errors, strict=True)
         slope = sum((part.T @ error for part, error in pairs), np.zeros(1))
         return _with_prior(self.point.state, self.gram, slope, self.cost)
 
@@ -273,22 +250,6 @@ def _search(
         state.vector,
         bounds,
         rule=Rule(tolerance=CONVERGED, iterations=steps, tries=8, damping=1e-4),
-    )
-
-
-def _judged(end: _Point, bounds: tuple[Array, Array], converged: bool) -> _Reached:
-    """Repeat a search that has ended on the rows kept of each fold."""
-    # Added up, not subtracted from the whole: a column may lie in one fold but for rounding.
-    grams = [_gram_of_fold(end, fold) for fold in range(FOLDS)]
-    kept = [sum(grams[:k] + grams[k + 1 :], np.zeros((1, 1))) for k in range(FOLDS)]
-    folds = [_on_fold(fold, end, bounds, gram) for fold, gram in enumerate(kept)]
-    return _Reached(
-        state=end.state,
-        rms=end.rms,
-        held=np.concatenate([error for _, left_out in folds for error in left_out]),
-        rows=end.rows,
-        folds=np.array([vector for vector, _ in folds]),
-        converged=converged,
     )
 
 
@@ -309,32 +270,32 @@ def _on_fold(
     start = end.state.vector
 
     def at(vector: Array) -> _OnFold:
-        known = np.array_equal(vector, start)  # the end's residual is worth a simulation
-        point = end if known else _Point(end.state.at(vector), end.parts)
+        is_start = np.array_equal(vector, start)  # the end's residual is worth a simulation
+        point = end if is_start else _Point(end.state.at(vector), end.parts)
         return _OnFold(point, kept, end.tangents, gram)
 
-    found = minimise(at, start, bounds, rule=CHORDS)
-    errors = found.point.point.errors
-    return found.x, [error[~k] for error, k in zip(errors, kept, strict=True)]
+    fold_minimum = minimise(at, start, bounds, rule=CHORDS)
+    errors = fold_minimum.point.point.errors
+    return fold_minimum.x, [error[~k] for error, k in zip(errors, kept, strict=True)]
 
 
 def _with_prior(state: State, gram: Array, slope: Array, cost: float) -> NormalEquations:
     """Add what is known beforehand, with the weight of one row each."""
     gram, slope = gram.copy(), slope.copy()
-    for rows, value, place in _priors(state):
-        gram[place, place] += rows.T @ rows
-        slope[place] += rows.T @ (rows @ value)
+    for rows, value, numbers in _priors(state):
+        gram[numbers, numbers] += rows.T @ rows
+        slope[numbers] += rows.T @ (rows @ value)
     return NormalEquations(gram=gram, slope=slope, cost=cost)
 
 
 def _priors(state: State) -> list[tuple[Array, Array, slice]]:
-    found = []
-    for extension, place in zip(state.extensions, state.slices, strict=True):
+    priors = []
+    for extension, numbers in zip(state.extensions, state.slices, strict=True):
         scale = abs(state.scales.displacement_m) if extension.in_metres else 1.0
         rows = extension.prior()
         if len(rows):
-            found.append((rows / scale, extension.free().value, place))
-    return found
+            priors.append((rows / scale, extension.free().value, numbers))
+    return priors
 
 
 def _prior_cost(state: State) -> float:
@@ -343,15 +304,15 @@ def _prior_cost(state: State) -> float:
 
 def tangents_of(state: State, index: int, part: Part, run: Run) -> Array:
     """Return d reading / d vector, (rows, numbers)."""
-    coordinates, place = state.coordinates, part.place
-    rows = np.zeros((len(place), len(state.vector)), order="F")
+    coordinates, sample = state.coordinates, part.place
+    rows = np.zeros((len(sample), len(state.vector)), order="F")
     plays, lag = coordinates.shape.plays, coordinates.slices["lag"]
-    columns = run.by_hysteresis(place)
+    columns = run.by_hysteresis(sample)
     rows[:, : lag.start] = columns[:, plays:]
     rows[:, coordinates.memory_slice(index)] = columns[:, :plays]
     rows[:, coordinates.offset_slice(index)] = 1.0
     if lag.stop > lag.start:
-        rows[:, lag] = run.by_lag(place)[:, None]
-    for number, own in enumerate(state.slices):
-        rows[:, own] = run.by_extension(number, place)
+        rows[:, lag] = run.by_lag(sample)[:, None]
+    for number, own_columns in enumerate(state.slices):
+        rows[:, own_columns] = run.by_extension(number, sample)
     return rows

@@ -37,9 +37,9 @@ from piezoid.records.recording import Recording
 
 ROWS = 12_000  # of all pieces together
 FOLDS = 5
-FEWEST, MOST = 6, 15  # blocks of a piece
+BLOCKS = 6, 15  # of a piece, at least and at most
 BLOCK_s = 4.0
-KEPT = -1  # the fold of blocks that are never left out
+NEVER_OUT = -1  # the fold of blocks that are never left out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,7 +49,7 @@ class Part:
     piece  in scaled units, behind the declared amplifier
     where  the same for extensions
     place  (rows,)  samples that count
-    fold   (rows,)  in which fold each is left out, KEPT where in none
+    fold   (rows,)  in which fold each is left out, NEVER_OUT where in none
     start  how the model says it began, None where the model does not know it
     """
 
@@ -85,61 +85,51 @@ def parts_of(
     """
     pieces = pieces_of(recordings, model.axis, scales_from(model), model.rig)
     share = max(ROWS // len(pieces), 50)
-    known = {name: [s for s in model.starts if s.recording == name] for name in _names(model)}
-    ends = {k: _slices(recording, pieces, k) for k, recording in enumerate(recordings)}
+    slices = {}
+    starts = {}
+    for number, recording in enumerate(recordings):
+        lengths = [len(piece.drive) for piece in pieces if piece.recording == number]
+        slices[number] = _slices_of(recording, lengths)
+        of_recording = [start for start in model.starts if start.recording == recording.name]
+        starts[number] = of_recording if len(of_recording) == len(lengths) else []
     parts = []
     for number, piece in enumerate(pieces):
-        recording = recordings[piece.recording]
-        starts = known.get(recording.name, [])
-        fits = len(starts) == sum(p.recording == piece.recording for p in pieces)
-        start = starts.pop(0) if fits and starts else None
+        start = starts[piece.recording].pop(0) if starts[piece.recording] else None
         if start is not None:
             piece = replace(piece, first=start.first, last=start.last)
-            known[recording.name] = starts
-        where = where_of(recording, model.axis, ends[piece.recording].pop(0))
-        place = _rows(piece, share) if places is None else _within(piece, places[number])
-        parts.append(
-            Part(
-                piece=piece,
-                where=where,
-                place=place,
-                fold=_folds(piece, place, number),
-                start=start,
-            )
-        )
+        recording = recordings[piece.recording]
+        where = where_of(recording, model.axis, slices[piece.recording].pop(0))
+        sample = _thinned(piece, share) if places is None else places[number]
+        sample = sample[(sample >= piece.first) & (sample < piece.last)]
+        sample = np.setdiff1d(sample, piece.lost)
+        fold = _folds(piece, sample, number)
+        parts.append(Part(piece=piece, where=where, place=sample, fold=fold, start=start))
     return parts
 
 
-def _names(model: AxisModel) -> set[str]:
-    return {start.recording for start in model.starts}
+def _slices_of(recording: Recording, lengths: Sequence[int]) -> list[slice]:
+    """Return the rows of the pieces with these lengths, in order."""
+    slices: list[slice] = []
+    for rows in recording.pieces:
+        if len(slices) < len(lengths) and rows.stop - rows.start == lengths[len(slices)]:
+            slices.append(rows)
+    return slices
 
 
-def _slices(recording: Recording, pieces: Sequence[Piece], number: int) -> list[slice]:
-    lengths = [len(piece.drive) for piece in pieces if piece.recording == number]
-    found: list[slice] = []
-    for part in recording.pieces:
-        if len(found) < len(lengths) and part.stop - part.start == lengths[len(found)]:
-            found.append(part)
-    return found
-
-
-def _rows(piece: Piece, share: int) -> Samples:
+def _thinned(piece: Piece, share: int) -> Samples:
+    """Return samples that count, at most ``share``, at random distances."""
     if piece.rows <= share:
         return piece.counting()
     spread = np.random.default_rng(piece.rows).random(share)
     steps = (np.arange(share) + spread) * (piece.rows / share)
-    return np.setdiff1d(np.unique(steps.astype(int)) + piece.first, piece.lost)
+    return np.unique(steps.astype(int)) + piece.first
 
 
-def _within(piece: Piece, place: Samples) -> Samples:
-    return np.setdiff1d(place[(place >= piece.first) & (place < piece.last)], piece.lost)
-
-
-def _folds(piece: Piece, place: Samples, number: int) -> Samples:
+def _folds(piece: Piece, sample: Samples, number: int) -> Samples:
     duration_s = piece.rows / piece.sampling_rate_Hz
-    blocks = int(np.clip(duration_s / BLOCK_s, FEWEST, MOST))
-    quarter = (place - piece.first) * blocks * 4 // piece.rows
-    first = np.where(quarter % 2 == 0, KEPT, (quarter + number) % FOLDS)
+    blocks = int(np.clip(duration_s / BLOCK_s, *BLOCKS))
+    quarter = (sample - piece.first) * blocks * 4 // piece.rows
+    first = np.where(quarter % 2 == 0, NEVER_OUT, (quarter + number) % FOLDS)
     return np.where(quarter < 4, first, (quarter // 4 + number) % FOLDS)
 
 
@@ -213,16 +203,16 @@ class State:
         frees = [e.free() for e in self.extensions]
         lower = np.concatenate([lower, *(f.lower for f in frees)])
         upper = np.concatenate([upper, *(f.upper for f in frees)])
-        for place in self.held:
-            lower[place] = upper[place] = self.vector[place]
+        for numbers in self.held:
+            lower[numbers] = upper[numbers] = self.vector[numbers]
         return lower, upper
 
     def at(self, vector: Array) -> "State":
         """Return the point with these numbers."""
         theta = vector[: len(self.theta)]
         extensions = tuple(
-            extension.moved_to(vector[place])
-            for extension, place in zip(self.extensions, self.slices, strict=True)
+            extension.moved_to(vector[numbers])
+            for extension, numbers in zip(self.extensions, self.slices, strict=True)
         )
         return replace(self, theta=theta, extensions=extensions)
 
@@ -252,7 +242,9 @@ def state_of(
 ) -> State:
     """Return the point at which a model stands, with extensions put to it."""
     scales = scales_from(model)
-    operator = _structured(_scaled(model, scales, keep_lag=structure.lag), structure)
+    operator = _scaled(model, scales, keep_lag=structure.lag)
+    if structure.bends is not None and structure.bends != operator.envelope.zero:
+        operator = bent(operator, structure.bends)
     shape = Shape(
         plays=len(operator.gap),
         below=operator.zero,
@@ -279,31 +271,21 @@ def state_of(
         scales=scales,
         rig=model.rig,
     )
-    return replace(state, held=_held(state, model, structure))
-
-
-def _structured(operator: Scaled, structure: Structure) -> Scaled:
-    if structure.bends is None or structure.bends == operator.envelope.zero:
-        return operator
-    return bent(operator, structure.bends)
-
-
-def _held(state: State, model: AxisModel, structure: Structure) -> tuple[slice, ...]:
-    coordinates, held = state.coordinates, []
+    held: list[slice] = []
     if not structure.operator:
-        known = [any(e is old for old in model.extensions) for e in state.extensions]
-        held += [place for place, old in zip(state.slices, known, strict=True) if old]
+        fitted = [any(e is before for before in model.extensions) for e in state.extensions]
+        held += [numbers for numbers, is_old in zip(state.slices, fitted, strict=True) if is_old]
         held.append(slice(0, coordinates.shared))
     if not structure.memory:
-        held += [coordinates.memory_slice(k) for k in range(len(coordinates.offsets))]
-    return tuple(held)
+        held += [coordinates.memory_slice(k) for k in range(len(parts))]
+    return replace(state, held=tuple(held))
 
 
 def _cycled(operator: Scaled, first: float) -> Array:
     """Return the memory slopes that a drive leaves which went down, up and then to its start."""
-    way = operator.envelope.run(np.array([0.0, -1.0, 1.0, first]))
-    memory = play_columns(way, operator.threshold, np.zeros(len(operator.gap)))[1]
-    return np.asarray(np.diff(memory, prepend=way[-1]) / operator.gap)
+    turns = operator.envelope.run(np.array([0.0, -1.0, 1.0, first]))
+    memory = play_columns(turns, operator.threshold, np.zeros(len(operator.gap)))[1]
+    return np.asarray(np.diff(memory, prepend=turns[-1]) / operator.gap)
 
 
 def _scaled(model: AxisModel, scales: Scales, *, keep_lag: bool) -> Scaled:
@@ -313,7 +295,6 @@ def _scaled(model: AxisModel, scales: Scales, *, keep_lag: bool) -> Scaled:
     stretch = float(envelope.slope[envelope.zero])
     centre = float(zones.slope[zones.zero])
     threshold = hysteresis.plays.threshold / (stretch * scales.voltage_V)
-    bent = envelope.zero > 0
     return Scaled(
         gap=np.diff(threshold),
         threshold=threshold[1:],
@@ -323,6 +304,6 @@ def _scaled(model: AxisModel, scales: Scales, *, keep_lag: bool) -> Scaled:
         zero=zones.zero,
         lag_s=model.lag.time_s if keep_lag else 0.0,
         envelope=from_slopes(envelope.threshold / scales.voltage_V, envelope.slope / stretch)
-        if bent
+        if envelope.zero > 0
         else LINEAR,
     )

@@ -94,7 +94,7 @@ def describe_gap_law(fit: BarrierFit) -> GapLaw:
     )
 
 
-def common_law(fits: Mapping[Direction, BarrierFit], found: DriftFreeDecay) -> GapLaw:
+def common_law(fits: Mapping[Direction, BarrierFit], common: DriftFreeDecay) -> GapLaw:
     """Return the law of all sweeps together: their common decay, the mean of the rest.
 
     fits  of the directions there are, at least one, as ``fit_barrier`` gives them
@@ -105,22 +105,22 @@ def common_law(fits: Mapping[Direction, BarrierFit], found: DriftFreeDecay) -> G
     height_m = np.mean(
         [math.log(law.current_at_zero_height_A / peak_A) / law.decay_per_m for law in laws]
     )
-    log_current = math.log(peak_A) + found.decay_per_m * float(height_m)
+    log_current = math.log(peak_A) + common.decay_per_m * float(height_m)
     shares = [1.0 / max(law.offset_standard_A, 1e-30) ** 2 for law in laws]
-    confidence, reasons = judge_together(fits, found)
-    low, high = found.interval_per_m
+    confidence, reasons = judge_together(fits, common)
+    low, high = common.interval_per_m
     return GapLaw(
         polarity=laws[0].polarity,
-        decay_per_m=found.decay_per_m,
-        decay_interval_per_m=found.interval_per_m,
-        barrier_eV=barrier_of_decay(found.decay_per_m),
+        decay_per_m=common.decay_per_m,
+        decay_interval_per_m=common.interval_per_m,
+        barrier_eV=barrier_of_decay(common.decay_per_m),
         barrier_interval_eV=(barrier_of_decay(low), barrier_of_decay(high)),
         current_at_zero_height_A=math.exp(min(log_current, 700.0)),
         offset_A=float(np.average([law.offset_A for law in laws], weights=shares)),
         offset_standard_A=float(1.0 / np.sqrt(np.sum(shares))),
         floor_A=float(np.mean([law.floor_A for law in laws])),
         gap_jitter_m=float(np.mean([law.gap_jitter_m for law in laws])),
-        sweep_decay_per_m=tuple(one.decay_per_m for one in found.estimates),
+        sweep_decay_per_m=tuple(estimate.decay_per_m for estimate in common.estimates),
         confidence=confidence,
         reasons=tuple(reason.text for reason in reasons),
     )

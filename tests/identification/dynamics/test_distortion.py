@@ -7,8 +7,8 @@ import pytest
 
 from piezoid.identification.dynamics.distortion import detect_distortion, distortion_of
 from piezoid.identification.dynamics.periodic_estimate import PeriodicData
-from piezoid.identification.dynamics.repetition import Repetition, find_repetition
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.repetition import Repetition, find_repetition
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_reports.quantities import NARROW
 from piezoid_reports.render import render

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from piezoid.identification.fit import fit
-from piezoid.identification.hysteresis.applicability import reason_in_loops
-from piezoid.identification.hysteresis.loops import loops_of
+from piezoid.identification.hysteresis.applicability import loops_of, reason_in_loops
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.numerics.arrays import Array
 from tests.identification.hysteresis.stages import (

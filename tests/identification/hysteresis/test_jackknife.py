@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezoid.identification.hysteresis.estimate import remarks_on
 from piezoid.identification.hysteresis.jackknife import Jackknife, left_out
-from piezoid.identification.hysteresis.remarks import remarks_on_numbers
 from piezoid.identification.hysteresis.search import Settings, search
+from piezoid.identification.quality import OTHER_RECORDINGS
 from piezoid.numerics.arrays import Array
 from tests.identification.hysteresis.test_order import SHAPE, pieces
 
@@ -45,5 +46,5 @@ def test_a_start_that_was_not_the_optimum_has_a_remark(iterations: int, gap: flo
     settings = Settings(longest_lag_s=0.02, follow_zero=False)
     fitted = search(pieces(1), SHAPE, replace(settings, iterations=iterations))
     assert fitted.minimum.converged is (iterations == 30)
-    remarks = remarks_on_numbers(replace(fitted, kkt_gap=gap))
+    remarks = remarks_on(replace(fitted, kkt_gap=gap), OTHER_RECORDINGS)
     assert any("optimal only to" in remark for remark in remarks) is (gap > 0.0)

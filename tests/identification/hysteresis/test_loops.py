@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezoid.identification.hysteresis.loops import POINTS, loops_of
+from piezoid.identification.hysteresis.applicability import POINTS, loops_of
 from piezoid.numerics.arrays import Array
 from tests.identification.hysteresis.stages import play_sum, through
 

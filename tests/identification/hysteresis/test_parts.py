@@ -13,14 +13,18 @@ from piezoid.identification.hysteresis.certificate import (
 )
 from piezoid.identification.hysteresis.coordinates import Coordinates, Shape, operator_of
 from piezoid.identification.hysteresis.gauss_newton import rms_of
-from piezoid.identification.hysteresis.jackknife import block_edges, jackknife
+from piezoid.identification.hysteresis.jackknife import block_edges, jackknife, loop_width_m
 from piezoid.identification.hysteresis.physical import envelope_stretch, physical
 from piezoid.identification.hysteresis.pieces import Rig, Scales, pieces_of, scales_of
-from piezoid.identification.hysteresis.placement import gathered_thresholds, group_centres
 from piezoid.identification.hysteresis.rows import simulate
-from piezoid.identification.hysteresis.search import Fitted, Settings, search, transferred
-from piezoid.identification.hysteresis.simplify import simplified
-from piezoid.identification.hysteresis.summary import loop_width_m
+from piezoid.identification.hysteresis.search import (
+    Fitted,
+    Settings,
+    search,
+    simplified,
+    transferred,
+)
+from piezoid.identification.hysteresis.start import gathered_thresholds, group_centres
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import LINEAR
 from tests.identification.hysteresis.stages import decaying, play_sum, recording, wandering

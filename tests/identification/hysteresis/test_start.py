@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from piezoid.identification.hysteresis.coordinates import Shape
-from piezoid.identification.hysteresis.filters import lagged
-from piezoid.identification.hysteresis.lag_search import find_lag
 from piezoid.identification.hysteresis.pieces import Piece, Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.start import (
     ROWS,
     constraints_of,
+    find_lag,
     kuhnen_start,
     placed_zones,
     triangle_of,
@@ -19,6 +18,7 @@ from piezoid.identification.hysteresis.start import (
 )
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import constrained_least_squares, stationarity
+from piezoid.operators.filters import lagged
 from piezoid.operators.play import BLOCK, play_columns
 from tests.identification.hysteresis.stages import (
     RATE_Hz,

@@ -21,9 +21,16 @@ from piezoid.identification.extensions import (
 )
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.joint.fit_extended import fit_extended
-from piezoid.identification.joint.vector import FOLDS, KEPT, Structure, parts_of
+from piezoid.identification.joint.vector import FOLDS, NEVER_OUT, Structure, parts_of
+from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import simulate_recording
-from tests.identification.joint.stage import NOISE_m, disturbed, known_model, recordings_of
+from tests.identification.joint.stage import (
+    MEMORY_V,
+    NOISE_m,
+    disturbed,
+    known_model,
+    recordings_of,
+)
 
 TIMES_s = (0.3, 3.0)
 PIECES = [part.where for part in parts_of(known_model(), recordings_of())]
@@ -115,10 +122,27 @@ def test_of_several_starts_the_closest_fit_is_taken_as_if_it_were_alone() -> Non
 
 def test_every_row_is_left_out_at_most_once_and_beginnings_are_kept() -> None:
     for part in parts_of(known_model(), recordings_of()):
-        assert set(part.fold.tolist()) == {KEPT, *range(FOLDS)}
-        assert part.fold[0] == KEPT
+        assert set(part.fold.tolist()) == {NEVER_OUT, *range(FOLDS)}
+        assert part.fold[0] == NEVER_OUT
         # Rows left out together stand together: the fold changes a few times only.
         assert np.count_nonzero(np.diff(part.fold)) < 20
+
+
+def test_every_piece_of_an_interrupted_recording_begins_as_the_model_says() -> None:
+    recording, _ = recordings_of()
+    starts = [
+        PieceStart(
+            recording=recording.name,
+            memory_V=MEMORY_V,
+            zero_m=np.array([zero_m]),
+            first=0,
+            last=2500,
+        )
+        for zero_m in (1e-6, 2e-6)
+    ]
+    model = replace(known_model(), starts=tuple(starts))
+    parts = parts_of(model, [replace(recording, breaks=(2500,))])
+    assert [part.start for part in parts] == starts
 
 
 def test_an_error_of_the_measurement_that_only_the_rows_left_out_hold_is_not_fitted_away() -> None:
@@ -130,7 +154,7 @@ def test_an_error_of_the_measurement_that_only_the_rows_left_out_hold_is_not_fit
     wrong = disturbed(recordings[0], rows, 1e-7)
     found = fit_extended(known_model(), (wrong, recordings[1]))
     count = sum(len(p.place) for p in parts_of(known_model(), recordings))
-    inside = np.count_nonzero((part.place >= rows.start) & (part.fold != KEPT))
+    inside = np.count_nonzero((part.place >= rows.start) & (part.fold != NEVER_OUT))
     expected_m = np.sqrt((inside * 1e-14 + count * NOISE_m**2) / len(found.held_m))
     assert found.held_out_rms_m > 0.8 * expected_m
     assert found.held_out_rms_m > 1.1 * found.rms_m

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from piezoid.identification.hysteresis.filters import lagged, later
+from piezoid.operators.filters import lagged, later
 
 SIXTEENTHS = st.integers(0, 40 * 16).map(lambda count: count / 16)
 

@@ -36,36 +36,38 @@ def first_order(time_constant_s: float, sampling_rate_Hz: float) -> Coefficients
     return FirstOrder(time_s=time_constant_s, rate_Hz=sampling_rate_Hz).coefficients
 
 
-def relaxed(moved: Array, time_s: float, rate_Hz: float) -> Array:
+def relaxed(signal: Array, time_s: float, rate_Hz: float) -> Array:
     """Return a signal behind a first-order lag, straight between samples."""
-    if len(moved) == 0:
-        return moved
-    columns = moved if moved.ndim == 2 else moved[:, None]
+    if len(signal) == 0:
+        return signal
+    columns = signal if signal.ndim == 2 else signal[:, None]
     state = np.repeat(columns[:1], 2, axis=0)
-    return filter_columns(columns, first_order(time_s, rate_Hz), state).reshape(moved.shape)
+    return filter_columns(columns, first_order(time_s, rate_Hz), state).reshape(signal.shape)
 
 
-def later(moved: Array, samples: float, keep: slice = EVERY) -> Array:
+def later(signal: Array, samples: float, keep: slice = EVERY) -> Array:
     """Return a signal that many samples later, straight between samples, in the rows to keep."""
-    whole = int(np.floor(samples))
-    part = samples - whole
-    first, stop, step = keep.indices(len(moved))
+    whole_samples = int(np.floor(samples))
+    part = samples - whole_samples
+    first, stop, step = keep.indices(len(signal))
     rows = len(range(first, stop, step))
-    early = min(rows, len(range(first, whole + 1, step)))  # they see the first alone
-    found = np.empty((rows, *moved.shape[1:]), order="F")
-    found[:early] = (1.0 - part) * moved[:1] + part * moved[:1]
+    early = min(rows, len(range(first, whole_samples + 1, step)))  # they see the first alone
+    shifted = np.empty((rows, *signal.shape[1:]), order="F")
+    shifted[:early] = (1.0 - part) * signal[:1] + part * signal[:1]
     if early < rows:
-        first += early * step - whole
-        newer, older = (moved[first - k : stop - whole - k : step] for k in (0, 1))
-        found[early:] = (1.0 - part) * newer + part * older
-    return found
+        first += early * step - whole_samples
+        newer, older = (signal[first - k : stop - whole_samples - k : step] for k in (0, 1))
+        shifted[early:] = (1.0 - part) * newer + part * older
+    return shifted
 
 
-def lagged(moved: Array, kind: str, lag_s: float, rate_Hz: float, *, keep: slice = EVERY) -> Array:
+def lagged(
+    signal: Array, kind: str, lag_s: float, rate_Hz: float, *, keep: slice = EVERY
+) -> Array:
     """Return a signal behind a lag: kind ``none``, ``delay`` or ``first_order``.
 
     keep  which rows are wanted; of a delay no others are computed
     """
     if kind == "delay":
-        return later(moved, lag_s * rate_Hz, keep)
-    return (relaxed(moved, lag_s, rate_Hz) if kind == "first_order" else moved)[keep]
+        return later(signal, lag_s * rate_Hz, keep)
+    return (relaxed(signal, lag_s, rate_Hz) if kind == "first_order" else signal)[keep]
