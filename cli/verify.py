@@ -221,7 +221,7 @@ def _comparison(found: "Verification") -> "Table":
         )
         for method in dict.fromkeys(row.method for row in found.comparison)
     ]
-    title = f"spirals of radius {with_unit(found.radius_m, 'm')}: rms error by turns a second"
+    title = f"spirals of radius {with_unit(found.radius_m, 'm')}: rms error by frequency"
     return table(title, ("method", *(with_unit(rate, "Hz") for rate in rates_Hz)), rows, left=1)
 
 

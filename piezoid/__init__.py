@@ -4,14 +4,14 @@
 
     recordings = piezoid.read("sweep.csv", "check.csv", lab="lab.toml")
     model = piezoid.fit(recordings, lab="lab.toml")
-    found = piezoid.diagnose(recordings, model=model, lab="lab.toml")
-    model = model.extended(found)
+    diagnosis = piezoid.diagnose(recordings, model=model, lab="lab.toml")
+    model = model.extended(diagnosis)
     design = piezoid.design(model, lab="lab.toml")
     shipping = piezoid.export(model, design, lab="lab.toml")
 
-Recordings -> ActuatorModel -> Diagnosis -> Design -> ParameterFile -> Verification: each verb is
-one function from frozen records to one frozen record. The names below are what may be relied on;
-all of them load when they are first used.
+Each verb takes frozen records and returns one frozen record: recordings -> ActuatorModel ->
+Diagnosis -> Design -> ParameterFile and Verification. ``__all__`` is the public interface; a name
+is imported when it is first used.
 """
 
 import sys
@@ -153,12 +153,12 @@ __all__ = (
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name when it is first asked for."""
+    """Import a public name when it is first used."""
     if name not in _PUBLIC:
         raise AttributeError(f"module 'piezoid' has no public name {name!r}")
-    found = getattr(import_module(_PUBLIC[name]), name)
-    globals()[name] = found
-    return found
+    value = getattr(import_module(_PUBLIC[name]), name)
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:
@@ -166,9 +166,9 @@ def __dir__() -> list[str]:
 
 
 class _Package(ModuleType):
-    """The package: of ``design`` and ``export`` it shows the verbs, not the folders.
+    """Package whose ``design`` and ``export`` stay the verbs, although folders have these names.
 
-    Importing ``piezoid.design.design_stage`` would otherwise put the folder where the verb is.
+    Importing ``piezoid.design.design_stage`` would otherwise replace the verb by the folder.
     """
 
     def __setattr__(self, name: str, value: object) -> None:

@@ -1,7 +1,7 @@
-"""The verbs of ``import piezoid``: each from records to one record, as the command line does it.
+"""Verbs of ``import piezoid``: each takes records and returns one record.
 
-Wherever a ``lab`` is asked for, a path, a ``Lab`` or None will do. ``progress`` is told what is
-being done, a sentence each time.
+``lab`` is the path of a lab.toml, a ``Lab`` or None. ``progress`` is called with one sentence
+whenever a new step begins.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -12,7 +12,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from piezoid.calibration import calibrate as whole_way
+from piezoid.calibration import calibrate as pipeline
 from piezoid.calibration.calibrate import Calibration
 from piezoid.calibration.controllers import shipped
 from piezoid.design.design import Design
@@ -59,15 +59,16 @@ Progress = Callable[[str], None] | None
 
 
 def read(*files: Place, lab: Lab | Place | None = None) -> Collection:
-    """Read recordings of one stage, in any format ``piezoid inspect`` knows.
+    """Read recordings of one stage from files of any supported format.
 
     files  paths; one file may hold several recordings
-    lab    what the laboratory knows: columns, units, parts to use
+    lab    columns, units and sections to use
 
-    Raises ``UnreadableFileError``, ``UnitError``, ``RecordingError`` or ``LabFileError``; what is
-    merely odd is in each recording's ``problems``.
+    Raises ``UnreadableFileError``, ``UnitError``, ``RecordingError`` or ``LabFileError`` for files
+    that cannot be used. Conditions that do not prevent a fit are in each recording's
+    ``statements``.
 
-    >>> [one.name for one in piezoid.read("sweep.csv", "check.csv", lab="lab.toml")]
+    >>> [recording.name for recording in piezoid.read("sweep.csv", "check.csv", lab="lab.toml")]
     ['sweep.csv', 'check.csv']
     """
     if not files:
@@ -80,7 +81,7 @@ def read(*files: Place, lab: Lab | Place | None = None) -> Collection:
 
 
 def read_lab(path: Place) -> Lab:
-    """Read a lab.toml; raises ``LabFileError`` with the line or table that cannot be used.
+    """Read a lab.toml; raise ``LabFileError`` with the line or table that cannot be used.
 
     >>> piezoid.read_lab("lab.toml").acquisition.dac_bits
     16
@@ -97,27 +98,28 @@ def fit(
     responses: Sequence[FrequencyResponseRecord] = (),
     progress: Progress = None,
 ) -> ActuatorModel:
-    """Fit hysteresis and dynamics of every axis, and the junction of a tunnelling tip.
+    """Fit the hysteresis and dynamics of every axis, and the junction of a tunnelling tip.
 
-    recordings  one or more of one stage
-    sweeps      tables of the current over the height; a Collection brings its own
-    responses   measured frequency responses; a Collection brings its own
+    recordings  of one stage
+    sweeps      current against height, in addition to those of a ``Collection``
+    responses   measured frequency responses, in addition to those of a ``Collection``
 
-    Raises ``RecordingError`` for two of one name, ``ExcitationError`` where nothing can be
-    fitted. A model that does not apply is returned, and ``applies`` is False.
+    Raises ``RecordingError`` for two recordings of the same name and ``ExcitationError`` if the
+    recordings determine no model. If the model class does not apply, the model is returned with
+    ``applies`` False.
 
     >>> fitted = piezoid.fit(recordings["sweep.csv"], lab="lab.toml")
     >>> fitted.applies, fitted["x"].quality.held_out_rms_percent < 1.0
     (True, True)
     """
-    held = collection_of(recordings)
-    with errors_in_counts(counted_in(held.recordings)):
+    collection = collection_of(recordings)
+    with errors_in_counts(counted_in(collection.recordings)):
         model = identification.fit(
-            held.recordings,
+            collection.recordings,
             lab=_lab(lab),
-            sweeps=(*held.sweeps, *sweeps),
-            responses=(*held.responses, *responses),
-            progress=_told(progress),
+            sweeps=(*collection.sweeps, *sweeps),
+            responses=(*collection.responses, *responses),
+            progress=_callback(progress),
         )
     return replace(model, axes={n: texts_in_counts(axis) for n, axis in model.axes.items()})
 
@@ -132,32 +134,32 @@ def diagnose(
     threads: int = 1,
     progress: Progress = None,
 ) -> Diagnosis:
-    """Name what a simulation with hysteresis alone gets wrong about one axis, and how much.
+    """Find the effects that explain the error of a simulation with hysteresis alone, for one axis.
 
-    model    of a fit; ``model.extended(diagnosis)`` holds what was found. None: the axis is fitted
-             first
+    model    fitted model, or None to fit the axis first; ``model.extended(diagnosis)`` contains
+             the effects
     axis     default: the first
-    threads  so many search; what they find does not depend on it
+    threads  number of threads; the result does not depend on it
 
-    Raises ``RecordingError`` where recordings do not fit each other, ``ExcitationError`` where
-    nothing moves.
+    Raises ``RecordingError`` if the recordings contradict each other and ``ExcitationError`` if
+    drive or displacement does not move.
 
-    >>> found = piezoid.diagnose(recordings["check.csv"], lab="lab.toml")
-    >>> found.axis, found.model.axis
+    >>> diagnosis = piezoid.diagnose(recordings["check.csv"], lab="lab.toml")
+    >>> diagnosis.axis, diagnosis.model.axis
     ('x', 'x')
     """
     declared = _lab(lab)
     coupled = None if model is None else model.coupled
-    held = as_single_axes(collection_of(recordings).recordings, declared, coupled)
-    refuse_unusable(held)
-    wanted = axis or (next(iter(model.axes), None) if model is not None else None)
-    with errors_in_counts(counted_in(held)):
+    axis_recordings = as_single_axes(collection_of(recordings).recordings, declared, coupled)
+    refuse_unusable(axis_recordings)
+    selected_axis = axis or (next(iter(model.axes), None) if model is not None else None)
+    with errors_in_counts(counted_in(axis_recordings)):
         diagnosis = engine.diagnose(
-            held,
-            axis=wanted,
+            axis_recordings,
+            axis=selected_axis,
             lab=declared,
-            model=None if model is None else _known(model, wanted, held),
-            progress=_told(progress),
+            model=None if model is None else _axis_of(model, selected_axis, axis_recordings),
+            progress=_callback(progress),
             threads=threads,
         )
     return texts_in_counts(diagnosis)
@@ -174,16 +176,16 @@ def plan(
     clock_Hz: float | None = None,
     seed: int = 0,
 ) -> Plan:
-    """Choose the drive of the next experiment, which tells best what a diagnosis left open.
+    """Choose the drive of the next experiment: the one that best resolves an open question.
 
-    recordings  those that were diagnosed, to say how much better than now it will be
-    effect      ask about this one; default: what was left most open
-    clock_Hz    of the converters, where neither lab nor model says it
-    seed        of what a drive leaves to chance
+    recordings  the diagnosed ones, to compare the new drive with
+    effect      effect to resolve; default: the least certain one
+    clock_Hz    rate of the converters, if neither lab nor model states it
+    seed        of the random drives
 
-    Raises ``ExcitationError`` where no drive shows any of it.
+    Raises ``ExcitationError`` if no drive would show the effect.
 
-    >>> next_drive = piezoid.plan(model, found, lab="lab.toml", clock_Hz=1000.0)
+    >>> next_drive = piezoid.plan(model, diagnosis, lab="lab.toml", clock_Hz=1000.0)
     >>> next_drive.drive.voltage_V.max() <= model["x"].voltage_V[1]
     np.True_
     """
@@ -207,26 +209,26 @@ def design(
     specification: Place | None = None,
     progress: Progress = None,
 ) -> Design:
-    """Design the controllers of a stage with proven margins, every axis of which enough is known.
+    """Design controllers with proven margins for every axis that is known well enough.
 
-    sampling_rate_Hz  of the controller; default: what lab.toml said at the fit
-    specification     path of a design.toml: what is asked for, over the defaults
+    sampling_rate_Hz  of the controller; default: as declared in lab.toml at the fit
+    specification     path of a design.toml, which replaces defaults of the specification
 
-    Raises ``TemplateError`` where no controller meets what is asked, ``DesignError`` where too
-    little is known of every axis.
+    Raises ``TemplateError`` if no controller meets the specification and ``DesignError`` if too
+    little is known about every axis.
 
     >>> [(axis.axis, axis.recommended.method) for axis in design.axes]
     [('x', 'mpi_dob')]
     """
-    place = None if specification is None else path_of(specification)
-    asked = None if place is None else SpecificationText(text=_text(place), source=place.name)
+    path = None if specification is None else path_of(specification)
+    requested = None if path is None else SpecificationText(text=_text(path), source=path.name)
     return design_stage(
         model,
         model_digest=digest_of(model),
         sampling_rate_Hz=sampling_rate_Hz,
         lab=_lab(lab),
-        asked=asked,
-        progress=_told(progress),
+        asked=requested,
+        progress=_callback(progress),
     )
 
 
@@ -239,12 +241,13 @@ def export(
     threads: int = 1,
     progress: Progress = None,
 ) -> Shipping:
-    """Make what firmware needs of a design, run it against the stage, keep the axes that pass.
+    """Convert a design into parameters for firmware, verify them, and keep the axes that pass.
 
-    returned  ``parameters`` that ship, None where none do; ``verification``; ``reasons`` by axis
+    returned  ``parameters`` of the axes that ship, or None; ``verification``; ``reasons`` by axis
+              why it does not ship
 
-    Raises ``ParameterFileError`` for a design of another model or rig, ``LabFileError`` for a tip
-    without guards.
+    Raises ``ParameterFileError`` if the design belongs to another model or lab.toml and
+    ``LabFileError`` for a tunnelling tip without its limits of current.
 
     >>> shipping = piezoid.export(model, design, lab="lab.toml")
     >>> shipping.verification.passed, shipping.reasons
@@ -254,15 +257,15 @@ def export(
         raise ParameterFileError(
             f"the design was made from the model {design.model_digest[:19]}..., this one is "
             f"{digest_of(model)[:19]}...",
-            needed="design and model of one another",
-            remedy="Design the controllers of this model, or load the one of the design.",
+            needed="the model from which the design was made",
+            remedy="Design controllers for this model, or load the model of the design.",
         )
     return shipped(
         model,
         design,
         design_digest=digest_of(design),
         lab=_lab(lab),
-        told=_told(progress),
+        told=_callback(progress),
         threads=threads,
     )
 
@@ -279,23 +282,23 @@ def verify(
     design: Design | None = None,
     bounds: bool = False,
 ) -> Verification:
-    """Run the compiled controller against the stage in every scenario, and judge what happens.
+    """Simulate the compiled controller on the identified stage and compare it with all limits.
 
-    parameters  what ``export`` returned, or a ParameterFile
-    limits      path of a limits.toml; default: those of [verification] in lab.toml
-    seed        of sensor noise and drawn stages
-    design      that was exported; needed for bounds
-    bounds      bound the largest errors as well
+    parameters  result of ``export``, or a ``ParameterFile``
+    limits      path of a limits.toml; default: [verification] of lab.toml
+    seed        of sensor noise and simulated stages
+    design      the exported design; required for ``bounds``
+    bounds      also bound the largest error
 
     >>> piezoid.verify(shipping, model, lab="lab.toml", seed=1).passed
     True
     """
-    place = None if limits is None else path_of(limits)
+    path = None if limits is None else path_of(limits)
     return verify_stage(
         parameters_of(parameters, model, _lab(lab)),
         model,
         lab=_lab(lab),
-        limits=None if place is None else limits_from_toml(_text(place), place.name),
+        limits=None if path is None else limits_from_toml(_text(path), path.name),
         seed=seed,
         threads=threads,
         design=design,
@@ -312,16 +315,15 @@ def simulate_loop(
     lab: Lab | Place | None = None,
     seed: int = 0,
 ) -> LoopRecord:
-    """Run the compiled controller against this stage, from rest in the middle of its range.
+    """Simulate the compiled controller on this stage, from rest in the middle of its range.
 
-    reference_m  (samples,)  m, as the sensor shows it, at the controller's rate; ``zero_m``
-                 of an axis is about the middle
-    controller   a Design, what ``export`` returned, or a ParameterFile
-    lab          a path or a Lab, of the design
-    seed         of the sensor's noise
+    reference_m  (samples,)  m in the coordinates of the sensor, at the sampling rate of the
+                 controller; ``zero_m`` of an axis is near the middle of its range
+    controller   ``Design``, result of ``export``, or ``ParameterFile``
+    lab          of the design
+    seed         of the sensor noise
 
-    What goes wrong: a reference outside the range the controller keeps is limited there, which
-    ``status`` says.
+    A reference beyond the range of the controller is limited; ``status`` then reports it.
 
     >>> reference_m = model["x"].zero_m + 1e-6 * np.sin(2e-3 * np.arange(8000))
     >>> loop = piezoid.simulate_loop(model, reference_m, design, lab="lab.toml")
@@ -344,49 +346,52 @@ def learn(
     sampling_rate_Hz: float | None = None,
     gain: float = 1.0,
 ) -> Learned:
-    """Learn the drive of a periodic motion: from the model first, then from each recorded period.
+    """Compute a feedforward table for a periodic motion, and refine it from recorded periods.
 
         f <- f + Q L E,   max |1 - Q L G| + rho max |Q L G| < 1 on every plant of the family
 
-    E is the error of the recorded period, G what a volt of the table moves, rho half the width of
-    the hysteresis' slope sector over its middle [Norrlof & Gunnarsson 2002].
+    f is the table, E the error of the recorded period, G the displacement per volt of the table,
+    and rho half the width of the slope sector of the hysteresis over its middle
+    [Norrlof & Gunnarsson 2002].
 
-    reference_m       (points,)  one period, m, at the controller's rate
-    controller        the table goes on top of it; None: the table is all of the voltage
-    before, period    the table that was played, and what was recorded then, point 0 first
-    sampling_rate_Hz  without a controller; default: what lab.toml said at the fit
-    gain              of learning, over the best for the worst plant
+    reference_m       (points,)  one period, m, at the sampling rate of the controller
+    controller        the table is added to its output; None: the table is the whole voltage
+    before, period    the last table, and the recording of the motion with it, from point 0 on
+    sampling_rate_Hz  without a controller; default: as declared in lab.toml at the fit
+    gain              learning gain relative to the optimum for the worst plant
 
-    Raises ``DesignError`` for a learning filter that does not contract, ``ParameterFileError``
-    for a reference beyond range or slew, ``RecordingError`` for a recording that is not the
-    period, of another rate, or with a changed reference.
+    Raises ``DesignError`` if the learning filter does not contract, ``ParameterFileError`` if the
+    reference exceeds range or slew rate, and ``RecordingError`` if the recording is not of this
+    period, of another rate or of another reference.
 
-    >>> turns = 2 * np.pi * np.arange(2000) / 2000
-    >>> wanted_m = model["x"].zero_m + 2e-6 * np.sin(turns)
-    >>> table = piezoid.learn(model, wanted_m, controller=shipping)
+    >>> phase = 2 * np.pi * np.arange(2000) / 2000
+    >>> reference_m = model["x"].zero_m + 2e-6 * np.sin(phase)
+    >>> table = piezoid.learn(model, reference_m, controller=shipping)
     >>> table.closed_loop, table.contraction < 1.0
     (True, True)
     """
     declared = _lab(lab)
-    own = None if controller is None else axis_parameters(controller, model, declared, axis)
-    known = model[axis or (next(iter(model.axes)) if own is None else own.axis)]
-    refuse_counts(known.axis, known.counted)
+    parameters = None if controller is None else axis_parameters(controller, model, declared, axis)
+    axis_model = model[axis or (next(iter(model.axes)) if parameters is None else parameters.axis)]
+    refuse_counts(axis_model.axis, axis_model.counted)
     sources = {"model": digest_of(model)}
-    if own is None:
-        asked_Hz = controller_rate_Hz(model, sampling_rate_Hz)
-        plant = lateral_plant(known, sampling_rate_Hz=asked_Hz)
+    if parameters is None:
+        rate_Hz = controller_rate_Hz(model, sampling_rate_Hz)
+        plant = lateral_plant(axis_model, sampling_rate_Hz=rate_Hz)
     else:
-        plant = plant_of(own, model, declared or Lab())
+        plant = plant_of(parameters, model, declared or Lab())
     if (before is None) != (period is None):
         raise RecordingError(
             f"{'no table' if before is None else 'no recording'} is given",
-            needed="a recorded period and the table that was played then",
+            needed="a recorded period and the table that was active during the recording",
             remedy="Pass both, or neither for the first table.",
         )
     if before is None or period is None:
-        return first_table(known, plant, reference_m, parameters=own, gain=gain, sources=sources)
-    refuse_changed(before, reference_m, sources=sources, closed_loop=own is not None)
-    return next_table(before, known, plant, period, parameters=own)
+        return first_table(
+            axis_model, plant, reference_m, parameters=parameters, gain=gain, sources=sources
+        )
+    refuse_changed(before, reference_m, sources=sources, closed_loop=parameters is not None)
+    return next_table(before, axis_model, plant, period, parameters=parameters)
 
 
 def report(
@@ -398,15 +403,17 @@ def report(
     shipping: Shipping | None = None,
     lab: Lab | Place | None = None,
 ) -> str:
-    """Return the page of a stage, HTML in one piece, with what is at hand.
+    """Return the report of a stage as one self-contained HTML page.
 
-    recordings  those of the fit, to draw loops and residuals
+    recordings  of the fit, for loops and residuals
+    lab         of the fit
+    diagnoses, design, shipping  sections of the report; those of None are left out
 
-    >>> page = piezoid.report(model, recordings, diagnoses=[found])
+    >>> page = piezoid.report(model, recordings, diagnoses=[diagnosis])
     >>> page.startswith("<!DOCTYPE html>")
     True
     """
-    held = collection_of(recordings)
+    collection = collection_of(recordings)
     files = {"model.json": write_model(model)}
     if diagnoses:
         files["diagnosis.json"] = write_diagnosis(diagnoses[0], others=diagnoses[1:])
@@ -421,8 +428,8 @@ def report(
             unshipped = shipping.parameters.unshipped
     page: str = _reports().render(
         model,
-        held.recordings,
-        held.sweeps,
+        collection.recordings,
+        collection.sweeps,
         design,
         "" if design is not None else "no design was passed to the report.",
         diagnoses=tuple(diagnoses),
@@ -430,7 +437,7 @@ def report(
         unshipped=unshipped,
         files=files,
         lab=_lab(lab),
-        responses=held.responses,
+        responses=collection.responses,
     )
     return page
 
@@ -443,33 +450,33 @@ def calibrate(
     threads: int = 1,
     progress: Progress = None,
 ) -> Calibration:
-    """Do all of it, as ``piezoid fit`` does: model, diagnoses, controllers, verification, report.
+    """Fit, diagnose, design, verify and report a stage, as ``piezoid fit`` does.
 
-    recordings  paths, or what ``read`` returned
-    returned    ``save(folder)`` writes every file, ``report.html`` among them
+    recordings  paths, or the result of ``read``
+    returned    ``save(folder)`` writes all files, including ``report.html``
 
     >>> piezoid.calibrate("sweep.csv").model.applies
     True
     """
     declared = _lab(lab)
-    held = _collected(recordings, declared)
-    found = whole_way.calibrate(held, declared, _told(progress), threads=threads)
-    made: Calibration = _reports().with_report(found, held, declared)
-    return made
+    collection = _collected(recordings, declared)
+    calibration = pipeline.calibrate(collection, declared, _callback(progress), threads=threads)
+    reported: Calibration = _reports().with_report(calibration, collection, declared)
+    return reported
 
 
-def _known(model: ActuatorModel, axis: str | None, held: Sequence[Recording]) -> AxisModel:
-    """Return an axis, without the memory of recordings other than these."""
-    known = model[axis or ""]
-    own = all(model.sources.get(recording.name) == recording.digest for recording in held)
-    return known if own else replace(known, starts=())
+def _axis_of(model: ActuatorModel, axis: str | None, recordings: Sequence[Recording]) -> AxisModel:
+    """Return one axis of the model; its initial states only if they belong to these recordings."""
+    axis_model = model[axis or ""]
+    is_same = all(model.sources.get(r.name) == r.digest for r in recordings)
+    return axis_model if is_same else replace(axis_model, starts=())
 
 
 def _collected(given: object, lab: Lab | None) -> Collection:
     if isinstance(given, str | Path):
         return collect([path_of(given)], lab)
     if isinstance(given, list | tuple) and given and isinstance(given[0], str | Path):
-        return collect([path_of(one) for one in given], lab)
+        return collect([path_of(file) for file in given], lab)
     return collection_of(given)
 
 
@@ -477,14 +484,14 @@ def _lab(given: object) -> Lab | None:
     return given if given is None or isinstance(given, Lab) else read_lab(path_of(given))
 
 
-def _text(place: Path) -> str:
-    return place.read_text(encoding="utf-8-sig")
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8-sig")
 
 
-def _told(progress: Progress) -> Callable[[str], None]:
+def _callback(progress: Progress) -> Callable[[str], None]:
     return progress or (lambda _: None)
 
 
 def _reports() -> Any:
-    """Return what renders reports, which stand on this library and not under it."""
+    """Import the renderer of reports, which depends on this library."""
     return import_module("piezoid_reports.render")

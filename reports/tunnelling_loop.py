@@ -81,13 +81,13 @@ def _plant(loop: LoopPlant) -> Table:
     rows.append(("amplifier's pole, declared", number(plant.amplifier_pole_Hz, "Hz"), "", ""))
     seen = loop.family_records > 2
     spread = (
-        f"the family covers 95 % of further spots, from {loop.family_records} records"
+        f"the plant family covers 95 % of further spots, from {loop.family_records} records"
         if seen
-        else "the family covers the uncertainty of one record; spots may differ"
+        else "the plant family covers the uncertainty of one record; other spots may differ"
     )
     return Table(
         caption=f"Plant from drive to ln of the current, 95 % intervals; {spread}.",
-        columns=("", "found", "family, from", "to"),
+        columns=("", "identified", "family, from", "to"),
         rows=tuple(rows),
     )
 

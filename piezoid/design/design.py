@@ -14,11 +14,12 @@ from piezoid.design.sensitivity import Margins, closed_loop_polynomial, margins,
 from piezoid.design.specification import Specification
 from piezoid.digests import seal
 from piezoid.errors import DesignError
-from piezoid.html_repr import html_table
+from piezoid.formatting import significant, with_unit
 from piezoid.identification.interchange import control
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.polynomial import product
 from piezoid.record_json import RecordLayout, fields_of, read_sealed, to_json
+from piezoid.summary import Summarised, Summary
 
 if TYPE_CHECKING:
     from scipy.signal import TransferFunction
@@ -200,9 +201,9 @@ class AxisDesign:
         raise KeyError(f"axis {self.axis} has no loop {method!r}")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Design:
-    """What leaves this floor.
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Design(Summarised):
+    """Controllers of a stage, with the plants and the specification that they were designed for.
 
     axes           one per axis
     model_digest   of the model the plants were taken from
@@ -221,16 +222,22 @@ class Design:
     refused: dict[str, str] = field(default_factory=dict)
     decoupling: Decoupling | None = None
 
-    def _repr_html_(self) -> str:
-        loops = [
-            (
-                f"axis {axis.axis}, {loop.method}",
-                f"{loop.bandwidth_Hz:.4g} Hz, modulus margin {loop.worst_modulus_margin:.3f}",
-            )
-            for axis in self.axes
-            for loop in axis.loops
-        ]
-        return html_table("Design", (*loops, ("model", self.model_digest)))
+    def summary(self) -> Summary:
+        """Return a table with one row per loop: bandwidth, worst margins and guaranteed error.
+
+        >>> print(design.summary())
+        Design ...
+        axis  loop ...
+        """
+        margins = ("modulus margin", "delay margin", "guaranteed error")
+        return Summary(
+            title=f"Design for {len(self.axes)} axes",
+            headings=("axis", "loop", "bandwidth", *margins),
+            rows=[(axis.axis, *_cells(axis, loop)) for axis in self.axes for loop in axis.loops],
+            notes=tuple(
+                f"axis {axis}: no controller: {text}" for axis, text in self.refused.items()
+            ),
+        )
 
     def to_json(self) -> bytes:
         """Return the sealed file ``design.json``.
@@ -250,6 +257,21 @@ class Design:
             if axis.axis == name:
                 return axis
         raise KeyError(f"no axis {name!r} in this design")
+
+
+def _cells(axis: AxisDesign, loop: LoopDesign) -> tuple[str, ...]:
+    """Return what the summary shows of one loop."""
+    certificate, delay_s = loop.certificate, loop.worst_delay_margin_s
+    error = "none"
+    if certificate is not None and certificate.is_guaranteed:
+        error = with_unit(certificate.guaranteed_error_m, "m")
+    return (
+        f"{loop.method} (recommended)" if loop is axis.recommended else loop.method,
+        with_unit(loop.bandwidth_Hz, "Hz"),
+        significant(loop.worst_modulus_margin, 2),
+        "unlimited" if delay_s is None else with_unit(delay_s, "s", 2),
+        error,
+    )
 
 
 LAYOUTS = (

@@ -162,7 +162,8 @@ def inverse_bounds(
             f"the drive stays within {with_unit(reach_V, 'V')} of the model's centre",
             f"the true hysteresis lies within {100.0 * confidence:g} % of {len(replicates)} "
             "refits",
-            f"what no such model explains stays below {with_unit(remainder_m, 'm')}",
+            f"the displacement that no model of this class explains stays below "
+            f"{with_unit(remainder_m, 'm')}",
         ),
     )
 

@@ -54,7 +54,7 @@ OVER_TIME = Appearance(
     kind="time",
     along=_time,
     reading="Drift: one slow motion whatever the drive does. A slip: small before, large "
-    "after. Outliers: single spikes. A wrong beginning: gone after the first large cycle.",
+    "after. Outliers: single spikes. A wrong initial state: gone after the first large cycle.",
 )
 OVER_SPEED = Appearance(
     label="speed of the drive",
@@ -85,6 +85,6 @@ def over_time(where: Appearance) -> Appearance:
     """Return the course over time, for recordings in which a coordinate hardly occurs."""
     return replace(
         OVER_TIME,
-        reading="Over time, because too few rows of these recordings have a place on the axis "
-        f"where it shows best, the {where.label}.",
+        reading="Drawn over time, because too few samples of these recordings have a "
+        f"{where.label}, where this effect shows best.",
     )

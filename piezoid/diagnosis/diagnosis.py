@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from piezoid.html_repr import html_table
+from piezoid.formatting import significant, with_unit, words
 from piezoid.identification.model import AxisModel
+from piezoid.summary import Summarised, Summary
 
 NOISE_RATIO = 1.3  # final error over noise above which the largest remaining part is named
 
@@ -156,8 +157,8 @@ def fraction_explained(before: float, after: float, noise: float) -> float:
     return min(max((before**2 - after**2) / explainable, 0.0), 1.0)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Diagnosis:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Diagnosis(Summarised):
     """Everything that was found and not found about one axis.
 
     baseline            of the simulation before any effect
@@ -207,20 +208,42 @@ class Diagnosis:
         remaining = [p for p in self.budget if not p.is_explained and p.part != "noise"]
         return max(remaining, key=lambda part: part.rms_m, default=None)
 
-    def _repr_html_(self) -> str:
-        found = [
-            (finding.effect, f"gain {100 * finding.held_out_gain:.1f} %, p {finding.p_value:.2g}")
+    def summary(self) -> Summary:
+        """Return a table with one row per finding, and the error before and after.
+
+        >>> print(diagnosis.summary())
+        Diagnosis of axis x
+        effect ...
+        """
+        rows = [
+            (
+                words(finding.effect),
+                _interval(finding.size),
+                f"{with_unit(1e-2 * finding.rms_percent * self.stroke_m, 'm')} rms",
+                f"{100 * finding.held_out_gain:.1f} %",
+                significant(finding.p_value, 2),
+            )
             for finding in self.findings
         ]
-        return html_table(
-            f"Diagnosis of axis {self.axis}",
-            (
-                *(found or [("found", "nothing")]),
-                ("error before, after", f"{self.baseline.rms_m:.3g} m, {self.final.rms_m:.3g} m"),
-                ("explained", f"{100 * self.explained_fraction:.0f} %"),
-            ),
+        notes = (
+            f"held-out error: {with_unit(self.baseline.rms_m, 'm')} rms with hysteresis alone, "
+            f"{with_unit(self.final.rms_m, 'm')} with all findings; "
+            f"sensor noise {with_unit(self.noise_floor_rms_m, 'm')}",
+            f"effects not detected: {len(self.not_detected)}",
+        )
+        return Summary(
+            title=f"Diagnosis of axis {self.axis}",
+            headings=("effect", "size (95 % interval)", "contribution", "held-out gain", "p"),
+            rows=rows or [("none found", "", "", "", "")],
+            notes=notes,
             counted=self.counted,
         )
+
+
+def _interval(size: Size) -> str:
+    """Return a size with its interval and unit, for example ``2.1 (1.9 to 2.3) %``."""
+    low, high = (significant(limit) for limit in size.ci95)
+    return f"{significant(size.value)} ({low} to {high}) {size.unit}".strip()
 
 
 def with_finding(diagnosis: Diagnosis, found: Finding) -> Diagnosis:

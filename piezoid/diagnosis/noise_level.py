@@ -29,7 +29,7 @@ MEAN_LOG = -1.2704  # of chi-squared of one degree: the digamma of 1/2, and log 
 LEAST = 1e-3  # of the noise: what rounding may make of a difference
 ENDS = (0.02, 0.98)  # quantiles of the level: the quietest and the loudest place
 # The loudest over the quietest: at most 1.5 on an outsider's healthy stages, 1.7 with a delay, and
-# from 3.7 on where the noise grows by the reading or the speed (docs/something_else.md).
+# from 3.7 on where the noise grows by the reading or the speed (docs/how_piezoid_decides.md).
 LOUDER = 2.0
 MOSTLY = 0.5  # of the power that is left
 

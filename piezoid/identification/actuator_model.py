@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 from numpy.typing import ArrayLike
 
 from piezoid.errors import IdentificationError
-from piezoid.formatting import with_unit
-from piezoid.html_repr import html_table
+from piezoid.formatting import significant, with_unit, words
 from piezoid.identification.coupled.coupled_stage import CoupledStage
+from piezoid.identification.fit_statements import grade_of
 from piezoid.identification.interchange import to_control, to_scipy
 from piezoid.identification.model import AxisModel
 from piezoid.identification.parameters import parameters_of
@@ -17,6 +17,7 @@ from piezoid.identification.prediction import Comparison, compare, predict
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
+from piezoid.summary import Summarised, Summary
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -35,9 +36,9 @@ class Diagnosed(Protocol):
         """The axis with everything found in it, None where no model was at hand."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ActuatorModel:
-    """A whole stage.
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ActuatorModel(Summarised):
+    """Model of a stage: one axis model per axis, and the tunnelling junction if there is one.
 
     stage       its name
     axes        by name; none where only the tunnelling current was recorded
@@ -69,20 +70,21 @@ class ActuatorModel:
             )
         return self.axes[axis]
 
-    def _repr_html_(self) -> str:
-        rows = []
-        for axis in self.axes.values():
-            operator, quality = axis.hysteresis, axis.quality
-            text = (
-                f"{len(operator.plays.weight)} plays, {len(operator.dead_zones.weight) - 1} dead "
-                f"zones; held-out error {with_unit(quality.held_out_rms_m, 'm')} rms, "
-                f"{quality.held_out_rms_percent:.3f} % of the range; noise "
-                f"{with_unit(quality.noise_rms_m, 'm')} rms"
-            )
-            if not axis.verdict.applies:
-                text = f"the model class does not apply: {axis.verdict.reason}"
-            rows.append((f"axis {axis.axis}", text))
-        return html_table(f"Stage {self.stage}", rows, counted=self.counted)
+    def summary(self) -> Summary:
+        """Return a table with one row per axis: error, noise, drive range, order and grade.
+
+        >>> print(model.summary())
+        Stage ...
+        axis  held-out error ...
+        """
+        headings = ("axis", "held-out error", "noise", "drive", "hysteresis", "modes", "grade")
+        return Summary(
+            title=f"Stage {self.stage}",
+            headings=headings,
+            rows=[_row(axis) for axis in self.axes.values()],
+            notes=tuple(note for axis in self.axes.values() for note in _notes(axis)),
+            counted=self.counted,
+        )
 
     @property
     def counted(self) -> tuple[str, ...]:
@@ -136,7 +138,7 @@ class ActuatorModel:
         Raises ``IdentificationError`` for a diagnosis that was made without a model, or read
         from its file: that holds no model.
 
-        >>> model.extended(found)["x"].extensions == found.model.extensions
+        >>> model.extended(diagnosis)["x"].extensions == diagnosis.model.extensions
         True
         """
         stage = self
@@ -236,3 +238,30 @@ class ActuatorModel:
         True
         """
         return to_control(self.one(axis), sampling_rate_Hz)
+
+
+def _row(axis: AxisModel) -> tuple[str, ...]:
+    """Return the row of one axis in the summary."""
+    quality, plays = axis.quality, len(axis.hysteresis.plays.weight)
+    modes_Hz = () if axis.dynamics is None else axis.dynamics.mode_frequency_Hz
+    low_V, high_V = axis.voltage_V
+    return (
+        axis.axis,
+        f"{with_unit(quality.held_out_rms_m, 'm')} rms, {quality.held_out_rms_percent:.2f} %",
+        f"{quality.noise_bound}{with_unit(quality.noise_rms_m, 'm')} rms",
+        f"{significant(low_V)} to {significant(high_V)} V",
+        f"{plays} plays, {len(axis.hysteresis.dead_zones.weight) - 1} dead zones",
+        ", ".join(with_unit(mode_Hz, "Hz") for mode_Hz in modes_Hz) or "none identified",
+        grade_of(axis).value,
+    )
+
+
+def _notes(axis: AxisModel) -> list[str]:
+    """Return what the row of an axis has no column for."""
+    notes = []
+    if not axis.verdict.applies:
+        notes.append(f"axis {axis.axis}: the model class does not apply: {axis.verdict.reason}")
+    if axis.extensions:
+        kinds = ", ".join(words(extension.kind) for extension in axis.extensions)
+        notes.append(f"axis {axis.axis}: extended by {kinds}")
+    return notes

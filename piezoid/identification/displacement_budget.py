@@ -85,7 +85,7 @@ def _from_data(axis: AxisModel) -> tuple[Contribution, ...]:
             freedom=freedom,
         ),
         Contribution(
-            name="zero during a run, from end to end of what was followed",
+            name="drift of the zero during a recording",
             kind="A",
             standard=standard_m,
             shape="rectangular",

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import least_squares
 
-from piezoid.html_repr import html_table
+from piezoid.formatting import with_unit
 from piezoid.identification.extensions.extension import Where
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import where_of, zero_of
 from piezoid.numerics.arrays import Array, freeze, same_length
 from piezoid.records.recording import Quantity, Recording
+from piezoid.summary import Summarised, Summary
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -26,9 +27,9 @@ BEGINNINGS = (0.0, 1.0, -1.0)
 STEPS = 40
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Comparison:
-    """A recording beside what a model says of it.
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Comparison(Summarised):
+    """Measured and predicted displacement of one axis in one recording.
 
     time_s                   (samples,)  s from the first sample
     voltage_V                (samples,)
@@ -81,14 +82,21 @@ class Comparison:
         names = ("time_s", "voltage_V", "measured_m", "predicted_m", "error_m")
         return DataFrame({name: getattr(self, name) for name in names})
 
-    def _repr_html_(self) -> str:
-        return html_table(
-            f"{self.recording}, axis {self.axis}, beside the model",
-            (
-                ("error, rms", f"{self.rms_m:.3g} m, {self.rms_percent:.3f} % of the range"),
-                ("largest", f"{self.largest_m:.3g} m"),
+    def summary(self) -> Summary:
+        """Return a table of the error: rms, share of the range, largest.
+
+        >>> print(model.compare(recordings["check.csv"]).summary())
+        Prediction of check.csv, axis x
+        ...
+        """
+        return Summary(
+            title=f"Prediction of {self.recording}, axis {self.axis}",
+            rows=[
+                ("error, rms", with_unit(self.rms_m, "m")),
+                ("share of the range", f"{self.rms_percent:.2f} %"),
+                ("largest error", with_unit(self.largest_m, "m")),
                 ("samples", str(len(self.time_s))),
-            ),
+            ],
             counted=self.counted,
         )
 

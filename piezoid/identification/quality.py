@@ -45,19 +45,6 @@ WIDEST_HALVED = "other recordings, second half of the widest"
 BLOCKS = "blocks of several seconds, in five folds"
 IN_SAMPLE = "none, one loop"
 
-_HELD_OUT = {
-    OTHER_RECORDINGS: "whole recordings left out of the fit in turn, to which nothing but a "
-    "constant zero and the first memory was fitted",
-    WIDEST_HALVED: "whole recordings left out of the fit in turn, to which nothing but a constant "
-    "zero and the first memory was fitted, and the second half of those that go further than all "
-    "others, or of each of two",
-    SECOND_HALF: "the second half of its only recording, which the fit did not see, with the zero "
-    "where the first half left it",
-    BLOCKS: "blocks of several seconds inside the same recordings, left out in five folds, with "
-    "one constant zero for each recording",
-    IN_SAMPLE: "the very samples it was fitted to, for one loop leaves nothing to test on",
-}
-
 
 NEVER_MEASURED = ("branch", "loop", "speed", "amplitude", "recording")
 
@@ -148,11 +135,6 @@ class FitQuality:
     def noise_bound(self) -> str:
         """What to say in front of the noise: "at most " where it is a bound."""
         return "at most " if self.noise_is_most else ""
-
-    @property
-    def held_out_words(self) -> str:
-        """Which data the held-out error is of, to follow "on"."""
-        return _HELD_OUT.get(self.held_out_kind, self.held_out_kind)
 
     @property
     def lag_is_open(self) -> bool:

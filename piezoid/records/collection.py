@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from piezoid.errors import RecordingError
-from piezoid.html_repr import html_table
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.ingest import ingest_parts
 from piezoid.records.lab import Lab
@@ -15,10 +14,11 @@ from piezoid.records.response_columns import is_response
 from piezoid.records.response_ingest import ingest_response
 from piezoid.records.table import RawTable
 from piezoid.records.units import Dimension
+from piezoid.summary import Summarised, Summary
 
 
-@dataclass(frozen=True, kw_only=True)
-class Collection:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Collection(Summarised):
     """What files of one stage hold; iterated and indexed, its recordings.
 
     recordings  samples over time
@@ -49,11 +49,17 @@ class Collection:
             remedy="Name one of those, or read its file as well.",
         )
 
-    def _repr_html_(self) -> str:
+    def summary(self) -> Summary:
+        """Return a table with one row per recording, sweep and frequency response.
+
+        >>> print(recordings.summary())
+        Recordings of one stage
+        ...
+        """
         rows = [(r.name, f"{r.samples} samples, axis {r.axis}") for r in self.recordings]
         rows += [(sweep.name, f"{sweep.rows} rows over height") for sweep in self.sweeps]
         rows += [(r.name, "frequency response") for r in self.responses]
-        return html_table(f"{len(self.recordings)} recordings", rows)
+        return Summary(title="Recordings of one stage", rows=rows)
 
 
 def collection_of(given: object) -> Collection:

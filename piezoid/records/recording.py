@@ -9,10 +9,10 @@ import numpy as np
 
 from piezoid.digests import digest_of_bytes
 from piezoid.errors import RecordingError
-from piezoid.html_repr import html_table
 from piezoid.numerics.arrays import Array, frozen, same_length
 from piezoid.raw_counts import COUNTS
 from piezoid.statement import Statement
+from piezoid.summary import Summarised, Summary
 
 
 class Quantity(Enum):
@@ -55,8 +55,8 @@ class Channel:
         return COUNTS if self.is_counted else self.quantity.value
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Recording:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Recording(Summarised):
     """One uninterrupted acquisition on a uniform clock.
 
     name              the file's name without its folder
@@ -167,22 +167,25 @@ class Recording:
         edges = (0, *self.breaks, self.samples)
         return tuple(slice(a, b) for a, b in itertools.pairwise(edges))
 
-    def _repr_html_(self) -> str:
+    def summary(self) -> Summary:
+        """Return a table of the channels, sampling rate, duration and statements.
+
+        >>> print(recordings["sweep.csv"].summary())
+        Recording sweep.csv
+        ...
+        """
         channels = ", ".join(f"{c.quantity.name.lower()} of {c.axis}" for c in self.channels)
-        return html_table(
-            f"Recording {self.name}",
-            (
+        return Summary(
+            title=f"Recording {self.name}",
+            rows=[
                 ("channels", channels),
                 ("samples", str(self.samples)),
-                ("rate", f"{self.sampling_rate_Hz:.9g} Hz"),
+                ("sampling rate", f"{self.sampling_rate_Hz:.9g} Hz"),
                 ("duration", f"{self.duration_s:.6g} s"),
                 ("breaks", str(len(self.breaks))),
-                (
-                    "statements",
-                    "; ".join(statement.text for statement in self.statements) or "none",
-                ),
                 ("digest", self.digest),
-            ),
+            ],
+            notes=tuple(statement.text for statement in self.statements),
         )
 
     def find(self, quantity: Quantity, axis: str) -> Channel | None:

@@ -1,10 +1,10 @@
 """Verification: the record that leaves this floor, and its file ``verification.json``."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from piezoid.digests import seal
-from piezoid.html_repr import html_table
+from piezoid.formatting import significant, with_unit
 from piezoid.record_json import (
     RecordLayout,
     Unbounded,
@@ -14,13 +14,11 @@ from piezoid.record_json import (
     to_json,
 )
 from piezoid.runtime.schema import METHODS
+from piezoid.summary import Summarised, Summary
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.plotted_paths import Motion, SpiralTrace
 from piezoid.verification.rebuild import Proof
-
-if TYPE_CHECKING:
-    pass
 
 SCHEMA = "piezoid.verification/1"
 _LARGEST_m, _SMALLEST_m = 1e3, 1e-15  # no stage moves further, and no picture shows less
@@ -118,9 +116,9 @@ class CouplingRow:
     without_percent: float | None
 
 
-@dataclass(frozen=True, kw_only=True)
-class Verification:
-    """What was run, what came out, and whether it passed.
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Verification(Summarised):
+    """Simulation of the compiled controllers on the identified stage, with a verdict per limit.
 
     name             of the stage
     methods          what ships, by axis
@@ -168,15 +166,32 @@ class Verification:
         )
         return all(v.passed for v in self.verdicts) and builds and proofs
 
-    def _repr_html_(self) -> str:
-        n_passed = sum(verdict.passed for verdict in self.verdicts)
-        return html_table(
-            f"Verification of {self.name}: {'passed' if self.passed else 'failed'}",
-            (
-                ("verdicts passed", f"{n_passed} of {len(self.verdicts)}"),
-                *((f"axis {axis}", method) for axis, method in self.methods.items()),
-                ("parameters", self.parameters_digest),
-                ("runtime", self.runtime_digest),
+    def summary(self) -> Summary:
+        """Return a table of the rms tracking error per method and frequency, and failed verdicts.
+
+        >>> print(shipping.verification.summary())
+        Verification of ...: passed, ... of ... verdicts
+        method ...
+        """
+        passed = sum(verdict.passed for verdict in self.verdicts)
+        failed = [verdict for verdict in self.verdicts if not verdict.passed]
+        errors = {(row.method, row.frequency_Hz): row.rms_m for row in self.comparison}
+        frequencies_Hz = sorted({frequency_Hz for _, frequency_Hz in errors})
+        return Summary(
+            title=f"Verification of {self.name}: {'passed' if self.passed else 'failed'}, "
+            f"{passed} of {len(self.verdicts)} verdicts",
+            headings=("method", *(with_unit(f_Hz, "Hz") for f_Hz in frequencies_Hz)),
+            rows=[
+                (method, *(with_unit(errors[method, f_Hz], "m") for f_Hz in frequencies_Hz))
+                for method in dict.fromkeys(row.method for row in self.comparison)
+            ],
+            notes=(
+                f"rms tracking error on spirals of radius {with_unit(self.radius_m, 'm')}",
+                *(
+                    f"failed: {v.name} ({v.scenario}): {significant(v.value)} {v.unit}, "
+                    f"limit {significant(v.limit)}"
+                    for v in failed
+                ),
             ),
         )
 

@@ -8,7 +8,7 @@ from piezoid_reports.page import Page
 from piezoid_reports.parts import Listing, Part, Prose, Section, Table, folded
 from piezoid_reports.quantities import number
 
-LABELS = {Level.ACTION: "act", Level.WARNING: "know"}
+LABELS = {Level.ACTION: "act", Level.WARNING: "note"}
 
 
 def render(page: Page) -> Section:

@@ -113,8 +113,8 @@ def _table(junction: TunnellingModel, page: Page) -> Table:
     columns = [(direction.value, law) for law, direction in laws]
     both = ""
     if len(laws) > 1 and junction.gap_law is not None:
-        columns.insert(0, ("both ways", junction.gap_law))
-        both = " Only the law of both ways is free of drift of the height."
+        columns.insert(0, ("both directions", junction.gap_law))
+        both = " Only the law of both directions is free of height drift."
     return Table(
         caption="Gap law i = ± I0 exp(\N{MINUS SIGN}k z) + offset, z growing as the tip "
         f"retracts; 95 % intervals. The barrier is (k / 10.246 per nm)², in eV.{both}",
@@ -127,14 +127,14 @@ def _shift(junction: TunnellingModel) -> tuple[Part, ...]:
     shift = junction.shift
     if shift is None:
         return ()
-    both = "one decay fits both ways" if shift.is_one_decay else "the decays of both ways differ"
+    both = "one decay fits both directions" if shift.is_one_decay else "the two decays differ"
     low, high = shift.decay_change_interval
     return (
         Prose(
-            text=f"The height at which {number(shift.reference_current_A, 'A')} flow is shifted, "
-            f"backward against forward, by "
+            text=f"Backward sweeps reach {number(shift.reference_current_A, 'A')} at a height "
+            f"that differs from the forward sweeps by "
             f"{with_interval(shift.shift_m, shift.shift_interval_m, 'm')} "
-            f"(hysteresis, creep and drift of the height). The decay is larger by "
+            f"(hysteresis, creep and drift of the height). The decay differs by "
             f"{percent(shift.decay_change)}, {percent(low)} to {percent(high)} (95 %): {both}.",
             tone="plain" if shift.is_one_decay else "middling",
         ),

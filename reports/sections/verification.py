@@ -64,7 +64,7 @@ def _shape_figure(found: Verification) -> Figure:
         )
         for m, rows in curves.items()
     }
-    x = decades_over("turns a second", [p[0] for p in points.values()], "Hz")
+    x = decades_over("frequency", [p[0] for p in points.values()], "Hz")
     y = decades_over("shape error", [p[1] for p in points.values()], "nm")
     canvas = Canvas(x=x, y=y)
     layers = [canvas.line(STROKES[m], METHODS[m], *points[m]) for m in methods]

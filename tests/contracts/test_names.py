@@ -1,7 +1,7 @@
 """Names are nouns and verbs of the field, and messages are short sentences.
 
-The number of bad names in a room may fall and never rise. A name that is right for once says so
-in a comment on its line: ``# name: why``. A room that got better lowers its number in the table.
+The number of bad names in a room may fall and never rise; a room that got better lowers its number
+in the table. An exception is a comment on its line: ``# name: why`` or ``# sentence: why``.
 """
 
 import ast
@@ -47,17 +47,23 @@ def empty_names(text: str) -> int:
 
 
 def long_sentences(text: str) -> int:
-    """Count sentences of more than ``LONGEST_SENTENCE`` words in errors and statements."""
+    """Count sentences of more than ``LONGEST_SENTENCE`` words in strings that are no docstrings.
+
+    Strings of several lines are files that piezoid writes, such as C headers, and not messages.
+    """
+    tree, lines = ast.parse(text), text.splitlines()
+    nodes = list(ast.walk(tree))
+    parts = [part for node in nodes if isinstance(node, ast.JoinedStr) for part in node.values]
+    docstrings = [node.value for node in nodes if isinstance(node, ast.Expr)]
+    skipped = {id(node) for node in (*parts, *docstrings)}
     count = 0
-    for node in ast.walk(ast.parse(text)):
-        if not isinstance(node, ast.Call):
+    for node in nodes:
+        if id(node) in skipped or not isinstance(node, ast.Constant | ast.JoinedStr):
             continue
-        name = getattr(node.func, "id", getattr(node.func, "attr", ""))
-        if not (name.endswith("Error") or name == "Statement"):
-            continue
-        for part in (*node.args, *(keyword.value for keyword in node.keywords)):
-            for sentence in re.split(r"[.;:]\s", written(part)):
-                count += len(sentence.split()) > LONGEST_SENTENCE
+        message = written(node)
+        excused = "# sentence:" in lines[node.lineno - 1] or "\n" in message
+        lengths = (len(sentence.split()) for sentence in re.split(r"[.;:]\s", message))
+        count += 0 if excused else sum(length > LONGEST_SENTENCE for length in lengths)
     return count
 
 
@@ -89,3 +95,6 @@ def test_a_bad_name_and_a_long_sentence_are_counted() -> None:
     assert empty_names("found = 1  # name: a quotation\n") == 0
     assert long_sentences(f"raise DesignError('{'word ' * 31}')") == 1
     assert long_sentences(f"raise DesignError('{'word ' * 20}. {'word ' * 20}')") == 0
+    assert long_sentences(f"REASON = f'{{x}} {'word ' * 31}'") == 1
+    assert long_sentences(f"REASON = '{'word ' * 31}'  # sentence: a quotation") == 0
+    assert long_sentences(f"def f():\n    '{'word ' * 31}'\n") == 0

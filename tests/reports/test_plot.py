@@ -6,25 +6,37 @@ from html import unescape
 import pytest
 
 from piezoid.digests import digest_of_bytes
-from piezoid.html_repr import html_table
+from piezoid.summary import Summary
 from piezoid_reports.plot import plot
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, recording, stage_model
 
 
-def test_a_recording_and_a_model_show_themselves_with_their_numbers() -> None:
+def test_a_recording_and_a_model_show_their_numbers_in_a_notebook() -> None:
     table = Anatomy(recording()._repr_html_())
     assert "500 Hz" in table.all("table")[0].text
     assert digest_of_bytes(b"")[:7] in table.all("table")[0].text
-    assert "held-out error 30.0 nm rms" in stage_model(axis_model())._repr_html_()
+    assert "30.0 nm rms" in stage_model(axis_model())._repr_html_()
     refused = stage_model(axis_model(reason="it turns back"))
     assert "does not apply: it turns back" in refused._repr_html_()
+
+
+def test_a_model_prints_a_short_table_with_units() -> None:
+    model = stage_model(axis_model())
+    title, headings, rule, row = str(model.summary()).splitlines()
+    assert title == f"Stage {model.stage}"
+    assert set(rule) == {"-"}
+    assert row.startswith("x ")
+    assert row.index("30.0 nm rms, 0.12 %") == headings.index("held-out error")
+    assert row.index("5.00 nm rms") == headings.index("noise")
+    assert repr(model) == repr(model.summary()) == str(model.summary())
 
 
 def test_no_name_in_a_shown_record_is_markup() -> None:
     held = replace(recording(), name="<script>alert(1)</script>.csv")
     assert "<script" not in held._repr_html_()
-    assert "<b>" not in html_table("<b>", [("<b>", "<b>")])
+    table = Summary(title="<b>", headings=("<b>",), rows=[("<b>",)], notes=("<b>",))
+    assert "<b>" not in table._repr_html_()
 
 
 @pytest.mark.parametrize(("kind", "figures"), [("loops", 1), ("residual", 2)])

@@ -1,12 +1,12 @@
-"""Amplifier saturation: the supply ends before the command does.
+"""Amplifier saturation: the supply limits the voltage before the command does.
 
 What you see
     The tips of loops are flat: the command goes on, the displacement does not.
 Why it happens
-    The amplifier's output cannot pass its supply, and the ceramic remembers the clipped voltage.
+    The output of the amplifier cannot exceed its supply, and the ceramic sees the clipped voltage.
 How it is detected
-    The static response of a clipped drive explains what that of the command cannot, with a
-    share near one and at one level in every recording.
+    The static response to a clipped drive explains what the response to the command cannot, with a
+    share near one and at the same level in every recording.
 What the extension adds
     The limit in front of the hysteresis; the remedy is a smaller range or another supply.
 Source
@@ -121,9 +121,9 @@ EFFECT = Effect(
     explanation=__doc__ or "",
     unit="percent of the drive range that is cut off",
     experiment="Record slow loops to the full range and to four fifths of it, with the "
-    "amplifier's monitor output: a clip is there in the first and not in the second.",
-    control="Beyond the clip the drive does nothing: narrow the range, or the integrator winds "
-    "up.",
+    "monitor output of the amplifier: only the first are clipped.",
+    control="Beyond the limit the drive has no effect: reduce the range, or the integrator "
+    "winds up.",
     shows=OVER_DRIVE,
     tangent=Tangent(columns=_tangent),
     confounded=("slew_limit",),

@@ -3,9 +3,9 @@
 What you see
     The loop is not symmetric about its centre.
 Why it happens
-    Strain goes with the square of polarisation, and the ceramic is poled.
+    Strain grows with the square of the polarisation, and the ceramic is poled.
 How it is detected
-    Only against a simulation without dead zones; the one used here has them and follows it.
+    Only a simulation without dead zones misses it; the simulation used here has dead zones.
 What the extension adds
     Dead zones behind the plays, which the simulation has already.
 Source
@@ -34,8 +34,8 @@ EFFECT = Effect(
     explanation=__doc__ or "",
     unit="percent of the stroke, rms",
     experiment="Nothing is needed: compare the loading curve of the model with a straight line.",
-    control="A symmetric inverse is wrong by more on one side; dead zones in the model take it up "
-    "exactly.",
+    control="A symmetric inverse has a larger error on one side; the dead zones of the model "
+    "represent the asymmetry exactly.",
     shows=OVER_DRIVE,
     tangent="the model has dead zones and follows it, so that nothing of it can be missing",
     confounded=("non_congruence",),

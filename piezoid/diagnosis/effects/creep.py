@@ -1,22 +1,23 @@
 """Creep: the stage goes on moving for minutes after the drive has stopped.
 
 What you see
-    During a hold the displacement goes on in the direction of the last step, by about as much in
-    every decade of time; repeated loops close late.
+    During a hold the displacement goes on in the direction of the last step, by about the same
+    amount in every decade of time; repeated loops close late.
 Why it happens
     Domains climb barriers of widely spread heights: relaxation times are spread evenly over the
     logarithm of time.
 How it is detected
     The static response behind lags of log-spaced time constants explains what static hysteresis
     cannot, with the sign of the drive, better than the same relaxation run backwards in time.
-    Barriers are spread nearly evenly: of spectra that rise or fall a little with the logarithm of
-    time, and begin with the whole or half of the fastest rung, the one that explains most,
+    The barriers are spread nearly evenly. Several spectra are tried, which rise or fall slightly
+    with the logarithm of time and begin with the whole or half of the fastest rung,
 
         c(t) = a integral (1 + b log10(tau / 10 s)) h_tau(t) d log10 tau,
 
-    h the static response. The size is a, what a step adds in the decade about ten seconds.
+    with h the static response. The size is a, the share of a step in the decade around ten
+    seconds.
 What the extension adds
-    A ladder of relaxations behind the hysteresis, equal shares for each decade.
+    A ladder of relaxations behind the hysteresis, with equal shares for each decade.
 Source
     Jung & Gweon (2000); Kuhnen & Krejci (2009); Vieira (1986)
 """
@@ -158,15 +159,16 @@ EFFECT = Effect(
     model_error=0.15,
     experiment="Record a staircase of random levels, up and down, each held for ten seconds or "
     "more, and the same staircase mirrored: creep changes sign with the steps, drift does not.",
-    control="A feedforward alone drifts off after every step; integral action removes it within "
-    "its bandwidth, and a creep ladder in the feedforward takes it off from the start.",
+    control="With feedforward alone the position drifts after every step. Integral action removes "
+    "the drift within its bandwidth; a creep ladder in the feedforward removes it from the start.",
     shows=Appearance(
         label="time in a hold",
         unit="s",
         decades=True,
         kind="classes",
         along=_in_holds,
-        reading="Times the direction of the last step. Creep: as much in every decade.",
+        reading="Multiplied by the direction of the last step. Creep: the same change in "
+        "every decade.",
     ),
     tangent=Tangent(columns=_tangent),
     confounded=("thermal_drift",),

@@ -1,14 +1,14 @@
-"""Cross coupling: another axis moves and this one answers.
+"""Cross coupling: this axis moves when another axis is driven.
 
 What you see
-    The displacement moves while this axis' drive rests and another one's does not.
+    The displacement changes while the drive of this axis is constant and another drive moves.
 Why it happens
     Flexures are not quite orthogonal, sensors are tilted, amplifiers share a ground.
 How it is detected
-    The other axis' drive, its square and its plays explain what this axis' hysteresis cannot;
-    the same drives run backwards in time do not.
+    The drive of the other axis, its square and its plays explain what the hysteresis of this axis
+    cannot; the same drives run backwards in time do not.
 What the extension adds
-    A static response to the other axis' drive.
+    A static response to the drive of the other axis.
 Source
     Devasia, Eleftheriou & Moheimani (2007)
 """
@@ -114,16 +114,16 @@ EFFECT = Effect(
     name="cross_coupling",
     explanation=__doc__ or "",
     unit="percent of the stroke, rms where most",
-    experiment="Hold this axis, drive the other one over its range in decaying loops, and record "
-    "both drives and this displacement.",
-    control="Each axis must be told what the other does: feed its drive forward, or the loop must "
-    "reject it as a disturbance.",
+    experiment="Hold this axis, drive the other one over its range in decaying loops, and "
+    "record both drives and this displacement.",
+    control="Feed the drive of the other axis forward; otherwise the loop must reject its "
+    "effect as a disturbance.",
     shows=Appearance(
         label="drive of the other axis",
         unit="V",
         kind="classes",
         along=_other_drive,
-        reading="Coupling: a line, or a loop, with the other axis' drive.",
+        reading="Coupling: a line or a loop over the drive of the other axis.",
     ),
     tangent=Tangent(columns=_tangent),
     untestable=_untestable,

@@ -1,12 +1,12 @@
-"""Delay: the reading comes delay_tangent, at every frequency by the same time.
+"""Delay: the reading comes late, by the same time at every frequency.
 
 What you see
     Loops open with the speed of the drive, large and small ones alike; nothing is attenuated.
 Why it happens
-    Converters, digital filters and cables hand over a value some time after it was true.
+    Converters, digital filters and cables deliver a value some time after it was measured.
 How it is detected
-    The static response of the drive, later, explains what static hysteresis cannot; whether by the
-    same time or by as many samples in every recording is tried.
+    The delayed static response explains what static hysteresis cannot. A delay of the same time
+    and a delay of the same number of samples in all recordings are both tried.
 What the extension adds
     A pure delay behind the hysteresis.
 Source
@@ -85,8 +85,8 @@ EFFECT = Effect(
     model_error=0.004,
     experiment="Record a small multisine or chirp up to a third of the resonance: a delay turns "
     "the phase in proportion to frequency and leaves the gain flat, a lag attenuates.",
-    control="It takes phase in proportion to frequency and so bounds the bandwidth; a constant "
-    "delay can be taken off the reference.",
+    control="A delay costs phase in proportion to frequency and limits the bandwidth; the "
+    "reference can be advanced by a constant delay.",
     shows=OVER_SPEED,
     tangent=delay_tangent(_passed, "delay_s"),
     confounded=("lag", "rate_dependence", "resonance"),

@@ -1,17 +1,17 @@
-"""Gain change: from one instant on, or ever more, the stage is more or less sensitive.
+"""Gain change: the sensitivity of the stage changes, at one instant or gradually.
 
 What you see
-    Equal cycles before and after an instant have different heights; their shape is the same. Or
-    each cycle is a little lower than the one before.
+    Equal cycles before and after an instant have different heights and the same shape. Or each
+    cycle is a little lower than the one before.
 Why it happens
-    A load was put on, a connector moved, a heater switched. A ceramic warms up
-    or loses its poling.
+    A load was put on, a connector moved, a heater switched. A ceramic warms up or loses its
+    poling.
 How it is detected
-    A step of the gain at one instant explains what static hysteresis and a gain of each
-    recording's own cannot, better than a ramp or a passing change of the gain at the same place.
-    Where a drive repeats eight times or more, a straight line over all of it is one as well; of
-    fewer cycles it would be creep, or a past. Between two recordings it is one gain of all that
-    came later, as fast ones as before.
+    A step of the gain at one instant explains what static hysteresis with one gain for each
+    recording cannot, better than a ramp or a temporary change at the same instant. If a drive
+    repeats eight times or more, a gain that changes linearly over the recording is tried as
+    well; with fewer cycles it would be confounded with creep or the initial state. Between
+    recordings, all later recordings share one gain, if they are as fast as the earlier ones.
 What the extension adds
     A gain that changes at an instant, or over a whole recording; the remedy is two models, one
     for each condition, or a sweep when the stage is warm.
@@ -193,16 +193,16 @@ WITHIN = Effect(
     name="gain_change",
     explanation=__doc__ or "",
     unit="percent",
-    experiment="Record equal full cycles for the whole time, and write down when anything on the "
-    "stage is touched; a small multisine tells a load, which moves the resonance, from the rest.",
-    control="The inverse carries a gain that is no longer true; fit again, or keep the margin for "
-    "it.",
+    experiment="Record equal full cycles for the whole time, and write down when anything on "
+    "the stage is touched. A small multisine shows whether a load, which moves the resonance, "
+    "is the cause.",
+    control="The gain of the inverse is no longer right: fit again, or keep a margin for it.",
     shows=Appearance(
         label="time",
         unit="s",
         kind="time",
         along=_about_middle,
-        reading="Times the side of the range. A change of gain: a step to one side for good, or a "
+        reading="Multiplied by the side of the range. A gain change: a permanent step, or a "
         "slope from end to end.",
     ),
     tangent=Tangent(columns=_tangent, own=True),

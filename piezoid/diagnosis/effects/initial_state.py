@@ -1,15 +1,16 @@
-"""Initial state: the stage remembers what nobody recorded.
+"""Initial state: the hysteresis depends on the drive before the recording.
 
 What you see
-    The beginning of a recording is wrong, and the error ends as the drive visits its range.
+    The error is large at the beginning of a recording and disappears once the drive has covered
+    its range.
 Why it happens
-    The drive turned elsewhere before the recording began, and hysteresis remembers it.
+    The hysteresis depends on turning points of the drive that were not recorded.
 How it is detected
-    A memory fitted for each recording explains its beginning better than what laboratories do on
-    purpose, and always alike, would leave: drives cycled over their range, at rest before, or one
+    An initial state fitted for each recording explains its beginning better than the usual
+    histories of a laboratory: a drive cycled over its range, a drive at rest, or recordings one
     after another.
 What the extension adds
-    A memory of its own for each recording.
+    An initial state for each recording.
 Source
     Mayergoyz (1991); Krejci (1996)
 """
@@ -83,8 +84,8 @@ EFFECT = Effect(
     unit="percent of the stroke, rms",
     experiment="Cycle the drive twice over its whole range before every recording, and begin the "
     "recording with one full cycle.",
-    control="The first motion after switching on follows another branch: cycle the drive before "
-    "it counts.",
+    control="The first motion after switching on follows another branch: cycle the drive "
+    "before precise work.",
     shows=OVER_TIME,
     tangent="its remedy is to cycle the drive first, as every planned drive does",
     confounded=("creep", "thermal_drift", "gain_change", "amplifier_saturation"),

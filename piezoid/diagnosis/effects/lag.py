@@ -1,16 +1,17 @@
-"""Lag: an overdamped filter that nobody declared.
+"""Lag: a first-order filter that was not declared.
 
 What you see
-    Loops open with the speed of the drive, and fast motion comes out smaller.
+    Loops open with the speed of the drive, and fast motion is attenuated.
 Why it happens
-    A filter of the sensor, a servo of low bandwidth, a demodulator; or an amplifier that charges
-    the ceramic slowly, and then walls follow what is left of the command.
+    A filter of the sensor, a servo of low bandwidth or a demodulator. Or an amplifier that
+    charges the ceramic slowly; the hysteresis then follows the filtered command.
 How it is detected
-    The static response behind one pole explains what static hysteresis cannot, with nearly all of
-    the response passing through it. At low frequency this is a delay, and then that is said. In
-    front of the hysteresis it stands where that leaves clearly less.
+    The static response behind one pole explains what static hysteresis cannot, with nearly all
+    of the response passing through it. At low frequency a lag cannot be told from a delay, and
+    the report says so. The pole is placed in front of the hysteresis if the error is clearly
+    smaller there.
 What the extension adds
-    A first-order pole behind the hysteresis.
+    A first-order pole behind or in front of the hysteresis.
 Source
     Fleming & Leang (2014)
 """
@@ -61,8 +62,8 @@ BEHIND = Effect(
     model_error=0.015,
     experiment="Record a small multisine or chirp beyond the corner 1/(2 pi lag): a lag "
     "attenuates there, a delay does not.",
-    control="It takes phase and gain; declare the filter in lab.toml or let the plant carry it, "
-    "or the loop is designed on the wrong plant.",
+    control="A lag costs phase and gain. Declare the filter in lab.toml or keep it in the "
+    "model; otherwise the loop is designed for the wrong plant.",
     shows=OVER_SPEED,
     tangent=delay_tangent(_passed, "time_s"),
     confounded=("delay", "rate_dependence", "resonance"),

@@ -43,7 +43,7 @@ EFFECT = Effect(
     experiment="Record minor loops of five sizes at three biases, each twice: they decide between "
     "classes of hysteresis.",
     control="The inverse of plays with dead zones leaves this error in open loop; feedback or a "
-    "trajectory computed in advance with the wider class takes it off.",
+    "trajectory computed in advance with the wider class removes it.",
     shows=OVER_DRIVE,
     tangent="the widest class of hysteresis is compared with the model, not a single column",
     inject=inject,

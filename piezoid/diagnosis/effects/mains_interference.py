@@ -1,13 +1,13 @@
-"""Mains interference: the grid hums in the reading.
+"""Mains interference: the reading contains the mains frequency.
 
 What you see
     A steady ripple of 50 or 60 Hz and its harmonics, the same whether the stage moves or not.
 Why it happens
-    Stray fields and ground loops couple the grid into sensor and amplifier.
+    Stray fields and ground loops couple the mains into sensor and amplifier.
 How it is detected
-    Lines near the grid's frequency or twice or three times that, whose phase may wander, explain
+    Lines near the mains frequency or twice or three times that, whose phase may wander, explain
     what static hysteresis cannot, and lines near six other frequencies, sought in the same way, do
-    not. A recording in which the drive itself makes such a line is left out.
+    not. A recording in which the drive itself contains such a line is left out.
 What the extension adds
     A note for the observer; the remedy is shielding.
 Source
@@ -228,10 +228,10 @@ EFFECT = Effect(
     name="mains_interference",
     explanation=__doc__ or "",
     unit="percent of the stroke, rms where most",
-    experiment="Record one minute with the drive at rest at 1 kHz or more, then once more with "
-    "the amplifier unplugged: what stays comes from the sensor's side.",
-    control="It is noise to the loop: a controller with gain at its frequency makes the stage "
-    "follow the hum. Mend the wiring before the loop is made fast.",
+    experiment="Record one minute with the drive at rest at 1 kHz or more, then once more "
+    "with the amplifier unplugged: a hum that remains comes from the sensor.",
+    control="A controller with gain at this frequency makes the stage follow the hum. Repair "
+    "the wiring before you raise the bandwidth.",
     shows=IN_SPECTRUM,
     tangent=Tangent(columns=_tangent, own=True),
     untestable=_untestable,

@@ -3,13 +3,14 @@
 What you see
     Small loops of equal span are wider at one end of the range than at the other.
 Why it happens
-    Walls are freer where the ceramic is less polarised; no sum of plays or relays knows of that.
+    Domain walls move more easily where the ceramic is less polarised, which no sum of plays or
+    relays represents.
 How it is detected
-    The fitted loop less its middle line, times the drive, explains what plays, friction, powers of
-    their states and the Bouc-Wen state that serves these best cannot; a good part of what any
-    products of states with the drive explain, and it opens by more than ceramics do by themselves.
+    The drive times the fitted loop without its centre line explains what plays, friction states,
+    powers of these states and the best Bouc-Wen state cannot. It must explain a large part of
+    what all products of states with the drive explain, and more than healthy ceramics show.
 What the extension adds
-    An nuisance class in front of the plays (the generalised model), as far as it can follow.
+    An envelope in front of the plays (the generalised model).
 Source
     Mayergoyz (1991); Al Janaideh, Rakheja & Su (2009)
 """
@@ -116,8 +117,8 @@ EFFECT = Effect(
     unit="percent of the stroke, rms",
     experiment="Record the same small loop at five biases, each reached from above and "
     "from below.",
-    control="Minor loops differ with the bias beyond what the inverse knows: keep feedback for "
-    "small scans at the ends of the range.",
+    control="The inverse does not represent how minor loops change with the bias: use "
+    "feedback for small scans near the ends of the range.",
     shows=OVER_DRIVE,
     tangent=Tangent(columns=_tangent),
     confounded=("asymmetry",),

@@ -5,11 +5,11 @@ What you see
 Why it happens
     Sparks, bit errors, switching relays.
 How it is detected
-    Few readings far from the median of five or nine around them, beyond where the tail of all
-    such distances can reach, where the neighbours agree with one another and the static response
-    makes no such jump.
+    A few readings lie far from the median of the five or nine readings around them, beyond the
+    tail of all such distances. Their neighbours agree with each other, and the static response
+    has no such jump.
 What the extension adds
-    Nothing: such readings are replaced by straight lines and said.
+    Nothing: such readings are replaced by linear interpolation and reported.
 Source
     Hampel (1974)
 """

@@ -1,4 +1,4 @@
-"""Quantisation: a converter's steps are coarse.
+"""Quantisation: the steps of a converter are coarse.
 
 What you see
     The reading takes few values, all multiples of one step, and rests on them; or it climbs in
@@ -6,15 +6,15 @@ What you see
 Why it happens
     A converter has too few bits, or its range is far wider than the signal.
 How it is detected
-    All readings lie on one lattice whose step is a visible part of stroke and noise. Of a drive:
-    the residual is a saw of the drive,
+    All readings are multiples of one step that is visible beside stroke and noise. For a drive,
+    the residual is a sawtooth of the drive,
 
         e = -D w,   w = (u - v) / D - round((u - v) / D),
 
-    whose first wave has the height D / pi its own period asks for, in phase with all the others.
+    whose fundamental has the height D / pi of its period and is in phase with its harmonics.
 What the extension adds
-    The drive as its converter gave it. For a reading nothing: the remedy is a finer converter or a
-    narrower range.
+    The quantised drive. Nothing for a reading: the remedy is a finer converter or a narrower
+    range.
 Source
     Widrow & Kollar (2008); Rayleigh (1880) on phases that point together
 """
@@ -254,7 +254,7 @@ EFFECT = Effect(
     unit="nm, one step",
     experiment="Record the same sweep with the converter's range reduced to the signal, or with "
     "more bits; a step that shrinks with the range is the converter's.",
-    control="The loop hunts between steps; a finer converter range helps, filters do not.",
+    control="The loop hunts between steps; a narrower converter range helps, filters do not.",
     shows=OVER_TIME,
     tangent="its remedy is a finer converter range, not another drive",
     fault=FaultTest(find=_fault, bound=_bound),

@@ -1,13 +1,14 @@
-"""Rate dependence: what is irreversible needs time to follow.
+"""Rate dependence: the irreversible part of the response needs time.
 
 What you see
-    Loops open as the drive goes faster, large ones more than small ones: small fast motion, which
-    moves no walls, is not late at all.
+    Loops open as the drive goes faster, large ones more than small ones: small fast motion,
+    which moves no domain walls, is not delayed.
 Why it happens
     Domain walls climb barriers by thermal activation; faster drives need a larger lead.
 How it is detected
-    The irreversible part of the static response, behind in proportion to its speed or to the
-    logarithm of it, explains what static hysteresis cannot, better than a lag of all of it does.
+    The irreversible part of the static response, delayed in proportion to its speed or to the
+    logarithm of its speed, explains what static hysteresis cannot, and explains it better than a
+    lag of the whole response.
 What the extension adds
     A lag of the irreversible part, linear in its speed or saturating to a logarithm.
 Source
@@ -134,8 +135,8 @@ EFFECT = Effect(
     unit="percent of the stroke, rms where most",
     experiment="Record full and tenth-size loops at four rates over two decades: rate dependence "
     "opens the large ones only, a delay or a lag opens both.",
-    control="The inverse is right at one speed only; let the observer take the rest, or identify "
-    "at the speed that is used.",
+    control="The inverse is right at one speed only: identify the stage at the speed that you "
+    "use, or leave the rest to the observer.",
     shows=OVER_SPEED,
     tangent=Tangent(columns=_tangent),
     confounded=("delay", "lag", "resonance", "slew_limit"),

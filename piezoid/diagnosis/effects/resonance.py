@@ -1,14 +1,14 @@
 """Resonance: the stage is a mass on a spring.
 
 What you see
-    Ringing after corners of the drive; fast motion comes out larger near one frequency.
+    Ringing after corners of the drive; motion is amplified near one frequency.
 Why it happens
-    Flexures and ceramic are springs, stage and sample masses, and little damps them.
+    Flexures and ceramic are springs, stage and sample are masses, and the damping is small.
 How it is detected
     The static response behind one mode explains what static hysteresis cannot, with a positive
     share of at most the whole, a damping well below one and a frequency inside the band searched.
 What the extension adds
-    One mode in parallel with what follows at once; with a share of one, all passes through it.
+    One mode in parallel with the direct response; with a share of one, the mode carries all of it.
 Source
     Devasia, Eleftheriou & Moheimani (2007); Fleming & Leang (2014)
 """
@@ -150,8 +150,8 @@ EFFECT = Effect(
     model_error=0.002,
     experiment="Record a small chirp or multisine through the suspected mode, at three "
     "amplitudes, at ten times its frequency or more.",
-    control="It limits the bandwidth: keep a notch or a template there, and smooth the corners of "
-    "triangles.",
+    control="The resonance limits the bandwidth: use a notch or a limit on the sensitivity "
+    "there, and round the corners of triangles.",
     shows=IN_SPECTRUM,
     tangent=Tangent(columns=_tangent, lags=True, scale=500.0, found="frequency_Hz"),
     confounded=("delay", "lag"),

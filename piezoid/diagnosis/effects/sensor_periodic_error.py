@@ -1,16 +1,16 @@
-"""Sensor periodic error: the reading is wrong once every period of displacement.
+"""Sensor periodic error: the error of the reading repeats with the displacement.
 
 What you see
     Slow ramps show a ripple with a fixed spacing in displacement, the same up and down.
 Why it happens
-    Two beams of an interferometer mix, or an encoder's two phases are of unequal size.
+    Two beams of an interferometer mix, or the two phases of an encoder are of unequal size.
 How it is detected
-    Waves of one spatial frequency explain what static hysteresis cannot, far better than those of
-    all other spatial frequencies that were tried. Every recording may have its own phase, for an
-    interferometer counts from where it was switched on. A wave lower than half a step of a coarse
-    converter is left out: rounding alone makes one of step / pi.
+    A sinusoid of one spatial frequency explains what static hysteresis cannot, far better than all
+    other spatial frequencies that were tried. Each recording may have its own phase, because an
+    interferometer counts from the position at which it was switched on. An amplitude below half a
+    step of a coarse converter is ignored: rounding alone causes one of step / pi.
 What the extension adds
-    A first and a second order of the cyclic error behind the stage, to be corrected there.
+    First and second order of the cyclic error of the sensor, to be corrected there.
 Source
     Heydemann (1981)
 """
@@ -186,8 +186,8 @@ EFFECT = Effect(
     unit="nm, amplitude",
     experiment="Record slow ramps over the whole range, up and down, with a hundred rows or more "
     "for each period, and compare with a second sensor.",
-    control="The loop holds the reading, not the stage: feedback prints this error onto the "
-    "motion. Correct the sensor first.",
+    control="Feedback controls the reading, so this error becomes motion of the stage. "
+    "Correct the sensor first.",
     shows=Appearance(
         label="displacement",
         unit="m",

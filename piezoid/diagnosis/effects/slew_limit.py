@@ -1,11 +1,11 @@
-"""Slew limit: the amplifier's current charges the ceramic only so fast.
+"""Slew limit: the current of the amplifier limits the speed of the drive.
 
 What you see
-    Nothing is wrong below a speed; above it the motion is a straight line that comes late.
+    Below some speed the model is right; above it the motion is a straight line that comes late.
 Why it happens
     A ceramic is a large capacitor, and an amplifier has a largest current.
 How it is detected
-    The static response of a drive held to a largest speed explains what that of the command
+    The static response to a drive of limited speed explains what the response to the command
     cannot, with a share near one and a limit below the fastest drive.
 What the extension adds
     The limit in front of the hysteresis; the remedy is a slower trajectory.
@@ -84,10 +84,9 @@ EFFECT = Effect(
     explanation=__doc__ or "",
     unit="V/s, at the command",
     model_error=0.002,
-    experiment="Record full triangles at rising rates with the amplifier's monitor output: the "
-    "limit is where its slope stops rising.",
-    control="Fast large ramps arrive late whatever the controller asks: bound the reference's "
-    "speed.",
+    experiment="Record full triangles at rising rates with the monitor output of the "
+    "amplifier: its slope stops rising at the limit.",
+    control="Fast large ramps arrive late with any controller: limit the speed of the reference.",
     shows=OVER_SPEED,
     tangent=Tangent(columns=_tangent),
     confounded=("delay", "lag", "rate_dependence"),

@@ -1,12 +1,13 @@
-"""Thermal drift: the stage moves slowly whatever the drive does.
+"""Thermal drift: the stage moves slowly, whatever the drive does.
 
 What you see
     Levels that should repeat wander smoothly; both halves of a loop move together.
 Why it happens
-    Frame and sensor expand as the electronics warm up and the room breathes.
+    Frame and sensor expand as the electronics warm up and the room temperature changes.
 How it is detected
     A smooth curve of time for each recording (a cubic, less for short ones) explains what static
-    hysteresis cannot, clearly better than as many half waves, which heat is too slow for.
+    hysteresis cannot, clearly better than the same number of half waves, which are too fast for
+    heat.
 What the extension adds
     A smooth zero for each recording; the controller leaves it to the observer.
 Source
@@ -79,8 +80,8 @@ EFFECT = Effect(
     unit="percent of the stroke, rms where most",
     experiment="Record ten minutes with the drive at rest, with the room's temperature; then a "
     "staircase and its mirror image, whose half sum is drift.",
-    control="No feedforward can know of it; only a sensor in the loop, or waiting, helps. Re-zero "
-    "before long scans.",
+    control="Feedforward cannot compensate drift; feedback from a sensor can. Without it, "
+    "wait, and re-zero before long scans.",
     shows=OVER_TIME,
     tangent=Tangent(columns=_tangent, own=True),
     confounded=("creep",),

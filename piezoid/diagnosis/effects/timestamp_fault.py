@@ -1,15 +1,15 @@
-"""Timestamp fault: the reader of the sensor loses step with the drive.
+"""Timestamp fault: displacement and drive get out of step.
 
 What you see
     From one instant on the displacement comes early or late by a fixed number of samples.
 Why it happens
     A buffer overran and readings are gone, or the reader stalled and repeated its last value.
 How it is detected
-    A delay that begins at one instant takes a good part of a recording's error, beside a constant
-    delay, lags, creep and all that grows with speed; and among stretches of equal speed it is one
-    number before the instant and another behind it.
+    A delay that begins at one instant explains a large part of the error of a recording, beside
+    a constant delay, lags, creep and everything that grows with speed. At equal speed it has one
+    value before the instant and another after it.
 What the extension adds
-    Nothing: the readings are put back in step and the rows in between are left out.
+    Nothing: the readings are shifted back into step and the rows in between are left out.
 Source
     what acquisition programs do when the disk is busy
 """

@@ -212,14 +212,16 @@ def _fit_recordings(
     """Fit the dynamics to the recording that excites them furthest, and decide what limits it."""
     exciting = excites_dynamics(recordings, axis.axis)
     if not exciting:
-        verdict = unmeasured(stated_Hz, "no recording drives fast enough")
+        verdict = unmeasured(stated_Hz, "no recording is fast enough")
         return AxisDynamics() if stated_Hz is None else AxisDynamics().with_bandwidth(verdict)
     recording, highest_Hz = max(exciting, key=lambda pair: pair[1])
     try:
         measured = measure_behind_hysteresis(axis, recording)
     except ExcitationError as refusal:
         fit = AxisDynamics(remarks=(f"no linear dynamics: {refusal}",))
-        return fit.with_bandwidth(unmeasured(stated_Hz, f"{recording.name} holds {refusal.found}"))
+        return fit.with_bandwidth(
+            unmeasured(stated_Hz, f"{recording.name} contains {refusal.found}")
+        )
     drives = f"{recording.name} drives up to {highest_Hz:.0f} Hz"
     fit = _fit_behind_hysteresis(axis, measured, recording, recordings, drives)
     verdict = decide_bandwidth(
@@ -246,9 +248,9 @@ def _fit_behind_hysteresis(
     low_Hz, high_Hz = dynamics.band_Hz
     if not is_determined(dynamics):
         text = (
-            f"{drives}, but between {low_Hz:.3g} and {high_Hz:.4g} Hz it determines no mode and "
-            "no pole; only the lag stands. Record a chirp or a multisine through the first "
-            "resonance"
+            f"{recording.name}: no resonance or pole could be identified between {low_Hz:.3g} and "
+            f"{high_Hz:.4g} Hz; the model keeps a pure lag. Record a chirp or a multisine through "
+            "the first resonance."
         )
         return AxisDynamics(remarks=(text,))
     text = (

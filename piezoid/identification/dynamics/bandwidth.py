@@ -23,11 +23,13 @@ PEAK_SIGMAS = 4.0  # standard deviations: the peak is the largest of many lines
 REST = 2.0  # the gain at rest is the median up to so many times the lowest line
 UNKNOWN_DELAY_s = (0.0, np.inf)
 
+UNDECIDED = "These recordings do not show whether a pole or a resonance limits the stage"
 MEANING = {
     "first_order": "a first-order pole limits the stage",
     "resonance": "a resonance limits the stage",
-    "undecided": "pole or resonance is not decidable on this data; declare amplifier and sensor, "
-    "and record a chirp or a multisine from a tenth of that frequency to three times it",
+    "undecided": "these recordings do not show whether this is a pole or a resonance; declare "
+    "amplifier and sensor, and record a chirp or a multisine from a tenth of that frequency to "
+    "three times it",
 }
 
 
@@ -106,8 +108,8 @@ def decide_bandwidth(
             f"The gain peaks at {peak_Hz:.4g} Hz with {ratio:.3g} times that at rest: "
             f"{MEANING[kind]}."
             if is_peak
-            else f"Pole or resonance is not decidable on this data: usable lines end at "
-            f"{f[-1]:.4g} Hz, where the gain is still {gain[-1]:.2f} times that at rest. "
+            else f"{UNDECIDED}: usable lines end at {f[-1]:.4g} Hz, where the gain is still "
+            f"{gain[-1]:.2f} times that at rest. "
             f"{_remedy(stated_Hz)}"
         )
     else:
@@ -147,8 +149,7 @@ def unmeasured(stated_Hz: float | None, reason: str) -> BandwidthVerdict:
         peak_ratio=None,
         peak_Hz=None,
         highest_Hz=0.0,
-        text=f"{_stated(stated_Hz)}Pole or resonance is not decidable on this data: {reason}. "
-        f"{_remedy(stated_Hz)}",
+        text=f"{_stated(stated_Hz)}{UNDECIDED}: {reason}. {_remedy(stated_Hz)}",
     )
 
 

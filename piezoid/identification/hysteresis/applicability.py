@@ -157,15 +157,15 @@ def _butterfly(piece: Piece) -> str:
         return ""
     mean = np.bincount(bins, response, BINS) / count
     height = float(np.ptp(response))
-    for curve, extreme in ((mean, "least"), (-mean, "most")):
+    for curve, extreme in ((mean, "minimum"), (-mean, "maximum")):
         left, right = float(curve[0] - curve.min()), float(curve[-1] - curve.min())
         if min(left, right) > BUTTERFLY * height:
             return (
-                f"the loop reverses its sign (a butterfly): the displacement turns back at its "
-                f"{extreme} inside the range of the drive, {100 * left / height:.0f} % and "
-                f"{100 * right / height:.0f} % of its range from where it is at the two ends, as "
-                "of a ceramic driven beyond its coercive field, an electrostrictor, or a reading "
-                "without its sign; a sum of plays rises with the drive throughout"
+                f"the loop reverses its sign (a butterfly): the displacement has its {extreme} "
+                f"inside the range of the drive, {100 * left / height:.0f} % and "
+                f"{100 * right / height:.0f} % of its range away from its values at the two ends. "
+                "A ceramic driven beyond its coercive field, an electrostrictor and a reading "
+                "without its sign do this; a sum of plays rises with the drive throughout"
             )
     return ""
 

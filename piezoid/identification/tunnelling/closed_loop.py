@@ -265,6 +265,6 @@ def _judge(
     pole_Hz = fit.plant.sensor_pole_Hz
     highest_Hz = HIGHEST_POLE_SHARE * rate_Hz
     if not declared and not 1.01 * MIN_POLE_Hz < pole_Hz < 0.99 * highest_Hz:
-        text = f"sensor pole at {1e-3 * pole_Hz:.3g} kHz, the end of what is sought, or beyond"
+        text = f"the sensor pole, {1e-3 * pole_Hz:.3g} kHz, lies at the limit of the search"
         reasons.append(Reason(grade=Confidence.MEDIUM, text=text))
     return lowest_grade(reasons)

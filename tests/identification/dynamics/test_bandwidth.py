@@ -87,7 +87,6 @@ def test_lines_that_end_before_the_gain_falls_decide_nothing(
     verdict = decide_bandwidth(short, DECLARATION, delay_s=KNOWN, stated_Hz=630.0)
     assert verdict.kind == "undecided"
     assert verdict.fallen_Hz is None
-    assert "not decidable on this data" in verdict.text
     assert "to 1890 Hz" in verdict.text
 
 
@@ -110,7 +109,7 @@ def test_a_stated_bandwidth_no_recording_reaches_is_said_to_be_open() -> None:
     found = fit_axis_dynamics(axis_model(), [slow], stated_Hz=630.0)
     assert found.bandwidth is not None
     assert found.bandwidth.kind == "undecided"
-    assert "not decidable on this data" in found.remarks[0]
+    assert found.bandwidth.text in found.remarks
 
 
 def slewed(frequency_Hz: np.ndarray, limited_from_Hz: float) -> np.ndarray:
