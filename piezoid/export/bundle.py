@@ -1,8 +1,7 @@
-"""The bundle: six files a firmware engineer copies, compiles, and is done with.
+"""The bundle: six files that a firmware engineer copies and compiles.
 
-golden.csv: inputs for every axis, and what the shipped source answers to them.
-
-A firmware engineer's own build must give the same numbers before it meets a stage.
+``golden.csv`` contains inputs for every axis and the outputs of the exported source. The firmware
+must reproduce them before it drives a stage.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,37 +35,52 @@ SHIPPED = ("piezoid_runtime.h", "piezoid_runtime.c", "example_main.c")
 _README = """\
 # Controller of {name}
 
-| file | what it is |
+| file | content |
 | --- | --- |
-| `piezoid_runtime.h`, `piezoid_runtime.c` | the controller, C99; this very source was verified |
+| `piezoid_runtime.h`, `piezoid_runtime.c` | the controller in C99, as it was verified |
 | `piezo_params.h` | the parameters of this stage |
-| `example_main.c` | how firmware calls it; also compares your build with `golden.csv` |
-| `golden.csv` | {samples} samples per axis, and the answers in both precisions |
+| `example_main.c` | a program that calls the controller and tests your build |
+| `golden.csv` | {samples} samples per axis with the expected outputs in double and float |
+
+## Test your build
 
     cc -std=c99 -O2 -ffp-contract=off example_main.c piezoid_runtime.c -o example
     ./example < golden.csv
 
-must say that 0 samples differ. Add `-DPZ_REAL_FLOAT` for a target of single precision.
-With `-ffp-contract=off` every IEEE machine gives these bits; a compiler that contracts products
-and sums may choose a neighbouring converter code here and there.
+must print `0 differ`. Add `-DPZ_REAL_FLOAT` for single precision. With `-ffp-contract=off` every
+IEEE machine gives the same bits; without it some outputs may differ by one converter code.
+
+## Call it
+
+1. At power-up, for each axis: `pz_start(&state, &piezo_params[index], voltage_V, measured)` with
+   the present converter voltage and sensor reading. It returns `PZ_OK`, or the index of an invalid
+   parameter (`pz_describe` gives its name).
+2. In the interrupt, at the rate of the table below: write the voltage that
+   `pz_step(&state, &piezo_params[index], reference, measured)` returns to the converter.
+   `reference` and `measured` are in metres in the coordinates of the sensor; for an axis with
+   method `rst` they are tunnelling currents in amperes. `reference` is the position that you want
+   `preview_samples` (see `piezo_params.h`) later.
+3. If `state.status` is not 0, its bits (`PZ_STATUS_...`) state why the output differs from the
+   requested one. If `PZ_STATUS_LATCHED` is set, the axis holds its voltage (x, y) or its tip stays
+   retracted (z) until an operator has found the cause and you call `pz_reset(&state)`.
+
+You own the states, one `pz_state` per axis; the controller does not allocate, print or keep
+anything. The comment of each function in `piezoid_runtime.h` states its cost and when it may be
+called.
 
 {which_voltage}
 
-Nothing is allocated, printed or kept by the controller; there is one `pz_state` per axis, and it
-is yours. `piezoid_runtime.h` says beside each call what it does, what it costs, and when it may
-be called.
+The guaranteed error of an axis (`design.json`, report) holds while none of these status bits is
+set: `PZ_STATUS_UNCERTIFIED`, `REFERENCE_LIMITED`, `VOLTAGE_LIMITED`, `VOLTAGE_STEP`,
+`BAD_MEASUREMENT`, `MEASUREMENT_LIMITED`, `STUCK_SENSOR` and `BLIND`.
 
-The error bound of an axis holds while `status` holds none of `PZ_STATUS_UNCERTIFIED`,
-`..._REFERENCE_LIMITED`, `..._VOLTAGE_LIMITED`, `..._VOLTAGE_STEP` and of the bits about its
-sensor.
-
-Where `status` holds `PZ_STATUS_LATCHED`, an axis waits: a tip that had to flee several times
-(the other bits say from what) is retracted, X and Y without a usable sensor are held. Show it to
-somebody, and call `pz_reset` from the background when they have looked.
-
-| axis | index | method | calls per second | plays | dead zones | observer order | states, bytes |
+| axis | index | method | calls per second | plays | dead zones | observer order | state, bytes |
 | --- | --- | --- | --- | --- | --- | --- | --- |
 {axes}
+
+Methods: `mpi_dob` is a disturbance observer on the inverse hysteresis model, `dob` an observer
+without the inverse, `mpi` the inverse without feedback, `rst` a polynomial controller on the
+logarithm of a current.
 {unshipped}{decoupled}
 Parameters: {digest}
 Runtime source: {source}
@@ -120,20 +134,19 @@ def bundle(file: ParameterFile) -> Bundle:
 
 
 def _unshipped(file: ParameterFile) -> str:
-    """Say which axes firmware will look for in vain, a paragraph each."""
+    """Return a paragraph for each axis without a controller."""
     return "".join(
-        f"\nAxis {plain_ascii(axis)} is not in here: {plain_ascii(reason, length=600)}\n"
+        f"\nAxis {plain_ascii(axis)} is not included: {plain_ascii(reason, length=600)}\n"
         for axis, reason in file.unshipped.items()
     )
 
 
 _DECOUPLED = """
 The drives of the axes {names} act on all of their displacements. Before `pz_step`, multiply their
-references by the matrix `piezo_decoupling` of `piezo_params.h`, and their readings by the same
-matrix; the controllers then see axes that answer to their own drives, up to what `design.json`
-says is left. References alone are not enough: feedback would bring each reading, coupling
-included, to a reference that is not that of the axis. `golden.csv` and the limits of references
-are of the controllers, behind the matrix.
+references and their readings by the matrix `piezo_decoupling` of `piezo_params.h`; each axis then
+depends on its own drive, up to the coupling that `design.json` states. Multiplying the references
+alone is not enough, because feedback would control the coupled readings. `golden.csv` and the
+limits of references apply behind the matrix.
 
 | | {heads} |
 | --- | {rules} |
@@ -142,7 +155,7 @@ are of the controllers, behind the matrix.
 
 
 def _decoupled(file: ParameterFile) -> str:
-    """Say what stands in front of the controllers, if anything does."""
+    """Return the paragraph on the decoupling matrix; empty if no axes are coupled."""
     decoupled = file.decoupled
     if decoupled is None:
         return ""

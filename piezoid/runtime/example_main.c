@@ -1,14 +1,14 @@
-/* How firmware uses the runtime: two calls at power-up, one in the 20 kHz interrupt, and
- * pz_reset(&state[axis]) from the background, when an operator has looked at an axis whose status
- * holds PZ_STATUS_LATCHED: until then it keeps its voltage, and the other bits say why.
+/* How firmware uses the runtime: pz_start at power-up, pz_step in the interrupt, and
+ * pz_reset(&state[axis]) from the background after PZ_STATUS_LATCHED, once the cause is known.
+ * Until then the axis holds its voltage; the other bits of its status state the cause.
  *
- * On a desk computer this program steps the controllers through golden.csv and compares, so that
- * your compiler, your flags and your precision can prove themselves before they meet a stage:
+ * On a desktop computer this program steps the controllers through golden.csv and compares the
+ * outputs, which tests compiler, flags and precision before they drive a stage:
  *
  *     cc -std=c99 -ffp-contract=off example_main.c piezoid_runtime.c -o example
  *     ./example < golden.csv
  *
- * Add -DPZ_REAL_FLOAT for what a single-precision target will do.
+ * Add -DPZ_REAL_FLOAT for a single-precision target.
  */
 #include <stdio.h>
 
@@ -17,17 +17,17 @@
 
 #define GOLDEN_SAMPLES 1000L /* of every axis in golden.csv */
 
-/* One state per axis, yours; the parameters stay in ROM. */
+/* One state per axis; the parameters stay in ROM. */
 static pz_state state[PIEZO_AXES];
 
-/* Power-up: start where the converter and the sensor are, so that nothing jumps. Answers with the
- * name of the parameter that cannot be used, or NULL. */
+/* Power-up: start at the present voltage and reading, without a step. Returns NULL, or the name of
+ * an invalid parameter. */
 static const char *power_up(int axis, pz_real voltage_V, pz_real measured) {
     const int32_t unusable = pz_start(&state[axis], &piezo_params[axis], voltage_V, measured);
     return unusable == PZ_OK ? NULL : pz_describe(unusable)->name;
 }
 
-/* The interrupt: measured in, voltage out. Finite and inside the limits, whatever comes in. */
+/* Interrupt: reading in, voltage out; finite and inside the limits for any input. */
 static pz_real on_sample(int axis, pz_real reference, pz_real measured) {
     return pz_step(&state[axis], &piezo_params[axis], reference, measured);
 }
@@ -50,7 +50,7 @@ int main(void) {
         if (played[axis]++ == 0) {
             const char *const unusable = power_up(axis, (pz_real)0, (pz_real)measured);
             if (unusable != NULL) {
-                fprintf(stderr, "unusable parameter: %s\n", unusable);
+                fprintf(stderr, "invalid parameter: %s\n", unusable);
                 return 1;
             }
         }

@@ -1,4 +1,10 @@
-/* piezoid runtime: the controller of one axis of a piezo stage. Two files; nothing to configure.
+/* piezoid runtime: the controller of one axis of a piezo stage, in two files.
+ *
+ * Use: one pz_state per axis; the parameters come from piezo_params.h. At power-up call pz_start
+ * with the present voltage and reading. Then call pz_step once per sample in the interrupt and
+ * write the voltage that it returns to the converter. state.status states why the output differs
+ * from the requested one. pz_reset continues after a fault that has latched. pz_check, pz_start,
+ * pz_schedule and pz_describe belong in the background; pz_reset may be called at any time.
  *
  * The loop, once per sample (X and Y; quantities relative to their offsets, displacements times
  * the polarity):
@@ -8,14 +14,14 @@
  *     u  = Gamma^-1[a v - creep]      or  (a v - creep) / a          inverse      [V]
  *     u  = u + f                                                     feedforward, where given
  *     u_a = lsb round(clip(u) / lsb)                                 converter    [V]
- *     v_a = (Gamma[u_a] + creep) / a  or  u_a + creep / a            really applied, linearised
+ *     v_a = (Gamma[u_a] + creep) / a  or  u_a + creep / a            applied, linearised
  *     x = A x + B (v_a + d)                                          predict      (observer)
  *
  * Gamma = Psi o H o gamma is the Modified Prandtl-Ishlinskii model (Kuhnen 2003): weighted plays
  * H, then one-sided dead zones Psi; an envelope gamma in front of the plays where the model has
  * one (Al Janaideh, Rakheja & Su 2011). Its inverse is solved from the forward memory, which
- * follows the voltage really applied; there is no second memory that rounding or clipping could
- * lead astray. creep = sum_i c_i x_i,  x_i = x_i + rate_i (Gamma[u_a] - x_i).
+ * follows the applied voltage, after rounding and clipping.
+ * creep = sum_i c_i x_i,  x_i = x_i + rate_i (Gamma[u_a] - x_i).
  *
  * Z, on the logarithm of the tunnelling current (Landau's letters: R acts on the measurement, S
  * on the output; Longchamp exchanges them; polynomials in q^-1, S and A_0 monic):
@@ -23,18 +29,20 @@
  *     (1 - q^-1) S u = T ln(r / i_0) - R ln(max(i, i_floor) / i_0)
  *     and while the converter limits u: (1 - q^-1) S u_a + A_0 (u - u_a) = the same right side
  *
- * That equation holds near the set point only. While i < r exp(-c), c = contact_log, or after it
- * fell below r exp(-2 c), the tip approaches: u = u + approach_step_V, nothing is integrated. When
- * the current is there, the equation starts from rest at what it shows, and its reference climbs
- * by approach_log_step to r. Whatever cannot be believed retracts the tip; trip_limit retracts,
- * each within trip_samples of the last and twice as long, wait for pz_reset.
+ * This equation applies near the set point only. At the start, and after the current has fallen
+ * below r exp(-2 c) with c = contact_log, the tip approaches: u = u + approach_step_V, without
+ * integration, until i >= r exp(-c). Then the equation starts from rest at the present current,
+ * and its reference rises by approach_log_step per sample to r. An implausible current retracts
+ * the tip. Each retract within trip_samples of the last takes twice as long; after trip_limit of
+ * them the tip stays retracted until pz_reset.
  *
- * Floating point: one type, pz_real: double, or float when PZ_REAL_FLOAT is defined. No call of
- * the mathematical library, no contraction needed: with -ffp-contract=off every IEEE machine gives
- * the same bits. Never compile this with -ffast-math (refused below).
+ * Floating point: one type, pz_real: double, or float if PZ_REAL_FLOAT is defined. The
+ * mathematical library is not called. With -ffp-contract=off every IEEE machine gives the same
+ * bits. -ffast-math is refused below.
  *
- * Ownership: the caller owns both structures; nothing is allocated, kept or printed here. Any
- * number of axes may run at the same time, each with its own state; parameters may be in ROM.
+ * Ownership: the caller owns both structures; the runtime does not allocate, print or keep
+ * anything. Any number of axes may run at the same time, each with its own state; parameters may
+ * be in ROM.
  */
 #ifndef PIEZOID_RUNTIME_H
 #define PIEZOID_RUNTIME_H
@@ -76,7 +84,7 @@ enum {
     PZ_METHOD_RST = 4      /* Z: polynomial controller on the logarithm of the current */
 };
 
-/* Constant while the loop runs. Unused places hold 0. Order and sizes are the schema's. */
+/* Constant while the loop runs. Unused elements are 0. */
 typedef struct {
     int32_t schema;                  /* PZ_SCHEMA_VERSION */
     int32_t size_bytes;              /* sizeof(pz_parameters) */
@@ -92,14 +100,14 @@ typedef struct {
     int32_t reference_section_count; /* biquads on the reference; 0: none */
     int32_t command_section_count;   /* biquads on the linearised command; 0: none */
     int32_t observer_order;          /* states of x, the disturbance not counted */
-    int32_t preview_samples;         /* the reference given is that of so many samples ahead */
+    int32_t preview_samples;         /* the reference is for this many samples ahead */
     int32_t stuck_samples;           /* equal measurements that mean a stuck sensor; 0: off */
-    int32_t blind_samples;           /* X, Y: unusable measurements in a row to fly on; 0: any */
+    int32_t blind_samples;           /* X, Y: unusable readings before a hold; 0: no hold */
     int32_t bad_samples;             /* Z: unusable currents in a row that mean retract */
     int32_t retract_samples;         /* Z: samples of a first retract; each in a row doubles */
     int32_t contact_samples;         /* Z: samples at the set point that make a contact */
-    int32_t trip_limit;              /* Z: retracts that wait for pz_reset; 0: none does */
-    int32_t trip_samples;            /* Z: a retract later than this counts as the first */
+    int32_t trip_limit;              /* Z: retracts in a row before a latch; 0: no latch */
+    int32_t trip_samples;            /* Z: samples after which a retract is a first one */
     int32_t rst_T_count;             /* coefficients of T */
     int32_t rst_R_count;             /* coefficients of R */
     int32_t rst_S_count;             /* coefficients of S, its integrator not counted */
@@ -162,7 +170,7 @@ typedef struct {
     pz_real rst_A0[PZ_MAX_TAPS]; /* monic; 1 alone: shortest anti-windup */
 } pz_parameters;
 
-/* Schema index of every parameter, what pz_check answers with. */
+/* Index of every parameter, as pz_check returns it. */
 enum {
     PZ_OK = 0,
     PZ_SCHEMA,
@@ -245,28 +253,28 @@ enum {
     PZ_PARAMETER_END
 };
 
-/* Bits of the status words: what happened in a sample. 0: nothing. */
+/* Bits of the status words: events of a sample. 0: none. */
 enum {
-    PZ_STATUS_BAD_REFERENCE = 1,       /* NaN or infinite: the last one was kept */
+    PZ_STATUS_BAD_REFERENCE = 1,       /* NaN or infinite: the last one is used */
     PZ_STATUS_REFERENCE_LIMITED = 2,   /* outside its range, or faster than its step */
-    PZ_STATUS_BAD_MEASUREMENT = 4,     /* NaN or infinite: X, Y go on by the model; Z holds */
+    PZ_STATUS_BAD_MEASUREMENT = 4,     /* NaN or infinite: X, Y use the model; Z holds */
     PZ_STATUS_MEASUREMENT_LIMITED = 8, /* outside its range */
-    PZ_STATUS_STUCK_SENSOR = 16,       /* unchanged although the voltage moved */
-    PZ_STATUS_VOLTAGE_LIMITED = 32,    /* the converter's end was reached */
+    PZ_STATUS_STUCK_SENSOR = 16,       /* unchanged although the voltage changed */
+    PZ_STATUS_VOLTAGE_LIMITED = 32,    /* a limit of the converter was reached */
     PZ_STATUS_VOLTAGE_STEP = 64,       /* voltage_step_V was reached */
     PZ_STATUS_CURRENT_LOST = 128,      /* Z: current below its floor */
     PZ_STATUS_RETRACTED = 256,         /* Z: retracted */
     PZ_STATUS_RESTARTED = 512,         /* a number overflowed: voltage held, memory set to rest */
     PZ_STATUS_NOT_STARTED = 1024,      /* pz_start was not called, or refused */
-    PZ_STATUS_APPROACHING = 2048,      /* Z: extending slowly until the current is there */
-    PZ_STATUS_NO_CURRENT = 4096,       /* Z: none where the search or the drive ends */
-    PZ_STATUS_WRONG_SIGN = 8192,       /* Z: the current flows the wrong way */
+    PZ_STATUS_APPROACHING = 2048,      /* Z: extending slowly until current flows */
+    PZ_STATUS_NO_CURRENT = 4096,       /* Z: no current up to the end of the search or drive */
+    PZ_STATUS_WRONG_SIGN = 8192,       /* Z: the current has the wrong sign */
     PZ_STATUS_LATCHED = 16384,         /* waits for pz_reset; Z: the bits of the cause are set */
     PZ_STATUS_BLIND = 32768,           /* X, Y: held, no usable measurement for blind_samples */
-    PZ_STATUS_UNCERTIFIED = 65536      /* X, Y: the reference is faster than its error bound's */
+    PZ_STATUS_UNCERTIFIED = 65536      /* X, Y: reference faster than the error bound allows */
 };
 
-/* Everything that changes from one sample to the next. One per axis. Read it, never write it. */
+/* State of one axis. Read its members, never write them. */
 typedef struct {
     uint32_t ready;
     uint32_t status;      /* PZ_STATUS_... of the last sample */
@@ -285,7 +293,7 @@ typedef struct {
     pz_real voltage_V;     /* u_a: the last returned */
     pz_real command_V;     /* clipped, before rounding */
     pz_real reference_m;   /* after range and step */
-    pz_real bias_m;        /* without feedback: what start found between model and stage */
+    pz_real bias_m;        /* without feedback: zero shift that pz_start found */
     pz_real measured;      /* the last usable, m or A */
     pz_real moved_V;       /* voltage when the measurement last changed */
     pz_real gain_ratio;    /* Z: set by pz_schedule */
@@ -314,7 +322,7 @@ typedef struct {
 typedef char pz_parameters_have_no_holes
     [sizeof(pz_parameters) == PZ_INTEGERS * sizeof(int32_t) + PZ_REALS * sizeof(pz_real) ? 1 : -1];
 
-/* What is known of a parameter; the same table as in the schema. */
+/* Name, place and limits of a parameter. */
 typedef struct {
     const char *name;
     size_t offset_bytes;
@@ -326,58 +334,56 @@ typedef struct {
 
 /* ---- background: any time, not from the interrupt ------------------------------------------ */
 
-/* What is known of the parameter with this schema index; NULL outside 1 .. PZ_PARAMETER_END - 1.
- * The answer lives as long as the program. */
+/* Description of the parameter with this index; NULL outside 1 .. PZ_PARAMETER_END - 1. The result
+ * is static. */
 const pz_field *pz_describe(int32_t index);
 
 /* CRC-32 (IEEE 802.3) of all bytes behind the member `checksum`. Eight shifts for
  * each of the 3180 (float) or 6264 (double) bytes. */
 uint32_t pz_checksum(const pz_parameters *parameters);
 
-/* PZ_OK, or the schema index of the first unusable parameter: other schema or size, changed bytes,
- * NaN, out of bounds, a model without inverse, an unstable filter, an observer whose static gains
- * disagree. That the loop is stable is the design's promise, not checked here. Any bytes may be
- * given. Cost: the checksum's, and all members once. */
+/* PZ_OK, or the index of the first invalid parameter: other schema or size, changed bytes, NaN,
+ * out of bounds, a model without inverse, an unstable filter, an observer with inconsistent static
+ * gains. The stability of the loop is not checked. Any bytes may be passed. Cost: pz_checksum, and
+ * one pass over all members. */
 int32_t pz_check(const pz_parameters *parameters);
 
 /* Set `state` to rest so that the next step with reference == measured returns voltage_V (clipped
- * and rounded as the converter does). Checks first and answers as pz_check; a refused state makes
- * pz_step return the voltage nearest 0 inside the limits, and say NOT_STARTED.
- * Creep counts as having come to rest. The memory of the hysteresis is set so that the model rests
- * where the sensor shows: as if the stage had come straight from the one extreme, within the
- * limits of the voltage, that explains it. What no extreme explains is taken for a shift of the
- * sensor's zero: without feedback (none, mpi) references count from it. With NaN for `measured`
- * memory and references are the model's own.
- *   voltage_V  V       what the converter puts out now; not finite: nearest 0 inside the limits
- *   measured   m or A  what the sensor shows now; not finite: what the model says */
+ * and rounded as by the converter). Calls pz_check first and returns its result; after a refusal
+ * pz_step returns the voltage nearest 0 inside the limits and sets NOT_STARTED.
+ * Creep is assumed to be at rest. The memory of the hysteresis is set so that the model agrees
+ * with the reading, as if the stage had come straight from one extreme voltage within the limits.
+ * A reading that no extreme explains is treated as a shift of the sensor's zero; without feedback
+ * (none, mpi) references are relative to it.
+ *   voltage_V  V       present output of the converter; not finite: nearest 0 inside the limits
+ *   measured   m or A  present reading; not finite: the reading that the model predicts */
 int32_t pz_start(pz_state *state, const pz_parameters *parameters, pz_real voltage_V,
                  pz_real measured);
 
-/* Z: the plant's gain is now `ratio` times the one designed for; the controller's is divided by
- * it, without a bump. Kept inside the schedule limit; not finite: ignored. */
+/* Z: the gain of the plant is now `ratio` times that of the design; the gain of the controller is
+ * divided by it, without a step. Limited by schedule_limit; not finite: ignored. */
 void pz_schedule(pz_state *state, const pz_parameters *parameters, pz_real ratio);
 
-/* An operator has looked: what latched may go on with the next step. Z approaches from where it
- * was retracted to, as far as the drive reaches. X, Y start bumpless at the voltage held, from
- * what the sensor shows then. Also forgets retracts that are counted. One write, any time. */
+/* Continue after a latched fault, from the next step on. Z approaches again from where it was
+ * retracted, up to the end of the drive. X, Y start without a step at the held voltage and the
+ * present reading. Clears the count of retracts. One write; may be called at any time. */
 void pz_reset(pz_state *state);
 
 /* ---- real time: from the interrupt, once per sample ---------------------------------------- */
 
-/* One sample: the voltage to put out now. Always finite and inside the limits, whatever comes in;
- * state->status says why when it is not what was asked for.
- *   reference  m  X, Y: wanted displacement.  A  Z: wanted current
+/* One sample: return the voltage for the converter. It is finite and inside the limits for any
+ * input; state->status states why it differs from the requested one.
+ *   reference  m  X, Y: position wanted preview_samples later.  A  Z: wanted current
  *   measured   m  X, Y: displacement.         A  Z: current, positive for the bias in use
  *   returned   V
- * Cost: linear in plays + knots + taps + (order + 1)^2; no loop depends on the data's values
- * except early exits. */
+ * Cost: linear in plays + knots + taps + (order + 1)^2; the data affect early exits only. */
 pz_real pz_step(pz_state *state, const pz_parameters *parameters, pz_real reference,
                 pz_real measured);
 
-/* The same with a table's value on top, for periodic motion: added to the voltage behind the
- * inverse and before the limits, so that memory and observer know what is really applied.
- *   feedforward_V  V  of this point of the period; 0 is pz_step, bit for bit. Not finite: counts
- *                     as 0, and the status says BAD_REFERENCE. Z: not used */
+/* pz_step with a feedforward voltage for periodic motion, added behind the inverse and before the
+ * limits, so that memory and observer follow the applied voltage.
+ *   feedforward_V  V  for this point of the period; 0: pz_step, bit for bit. Not finite: counts as
+ *                     0 and sets BAD_REFERENCE. Z: not used */
 pz_real pz_step_feedforward(pz_state *state, const pz_parameters *parameters, pz_real reference,
                             pz_real measured, pz_real feedforward_V);
 

@@ -53,6 +53,6 @@ def test_the_header_holds_it_as_it_is(tmp_path) -> None:  # type: ignore[no-unty
 
 def test_the_readme_says_what_to_do_with_it_and_is_silent_without() -> None:
     told = bundle(FILE).files["README.md"].decode()
-    assert "readings by the same\nmatrix" in told
+    assert "references and their readings by the matrix" in told
     assert "| x | 1 | -0.125 | 0.333333 |" in told
     assert "piezo_decoupling" not in bundle(stage()).files["README.md"].decode()

@@ -253,7 +253,7 @@ def test_x_and_a_tip_over_a_rough_surface_go_to_a_verdict_by_the_verbs(folder, w
     assert partly.exit_code == 1
     assert "axis z does not ship" in partly.output
     assert json.loads((folder / "params.json").read_bytes())["axes"][0]["axis"] == "x"
-    assert b"Axis z is not in here" in (folder / "bundle" / "README.md").read_bytes()
+    assert b"Axis z is not included" in (folder / "bundle" / "README.md").read_bytes()
     assert called("verify", folder).exit_code == 0
     (folder / "lab.toml").write_text(GUARDED)
     assert called("export", folder).exit_code == 0
