@@ -32,14 +32,12 @@ def batch(
         ),
     ],
     scheduler: Annotated[
-        str, typer.Option(help="Work there instead of here.", metavar="tcp://HOST:PORT")
+        str, typer.Option(help="Use this dask scheduler.", metavar="tcp://HOST:PORT")
     ] = "",
     workers: Annotated[
-        int | None, typer.Option(help="Processes here; one for each core if not given.", min=1)
+        int | None, typer.Option(help="Number of worker processes; default: one per core.", min=1)
     ] = None,
-    retries: Annotated[
-        int, typer.Option(help="How often a stage whose work broke off is tried again.", min=0)
-    ] = 2,
+    retries: Annotated[int, typer.Option(help="Retries per stage.", min=0)] = 2,
     force: Annotated[
         bool, typer.Option("--force", help="Do stages again whose files have changed.")
     ] = False,
@@ -48,16 +46,16 @@ def batch(
         bool, typer.Option("--json", help="For scripts: print batch.json itself.")
     ] = False,
 ) -> None:
-    """Calibrate many stages at once: every folder that holds recordings and a lab.toml is one.
+    """Calibrate many stages: one for each folder with recordings and a lab.toml.
 
     Writes stages/NAME/ as `piezoid fit` does, summary.html (spread of the parameters, outliers,
     drift over serial numbers, failures with reasons), parameters.parquet and batch.json.
 
-    Workers write the results: they must see --out under the same name, as they must see FOLDER.
+    Workers write the results, so they must see --out and FOLDER under the same names.
     An --out such as s3://night/results needs the package of that store, here s3fs.
 
-    A worker that dies loses nothing. Interrupted or started again, it goes on where it was:
-    stages are finished while their files and the version of piezoid are the same.
+    A killed worker costs time and no result. A second start skips stages that are finished, as
+    long as their files and the version of piezoid are the same.
 
     Exit status 1 means that at least one stage did not pass; the summary says which and why.
 

@@ -23,8 +23,7 @@ def demo(
 ) -> None:
     """Calibrate the bundled three-axis stage: `piezoid fit` on recordings that come with piezoid.
 
-    X and Y with hysteresis, Z with a tunnelling tip, and their lab.toml, from any folder. Open
-    report.html in the folder of results; the recordings themselves are named in it.
+    X and Y have hysteresis, Z has a tunnelling tip. Open report.html in the folder of results.
 
     [bold]Examples[/bold]
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def design(
     stage: Annotated[Path, typer.Argument(help="Folder that `piezoid fit` wrote.")],
-    spec: Annotated[Path | None, typer.Option(help="design.toml: what is asked.")] = None,
+    spec: Annotated[Path | None, typer.Option(help="design.toml: specification.")] = None,
     rate: Annotated[
         float | None,
         typer.Option(help="Controller's samples per second, if lab.toml did not say.", min=0.0),
@@ -32,8 +32,8 @@ def design(
 ) -> None:
     """Design the controllers of a stage: write design.json and design.html beside model.json.
 
-    Exit status 4 means that no controller meets what is asked; the message says which could. Where
-    that is so of one axis among several the others are written, and the status is 1.
+    Exit status 4 means that no controller meets the specification; the message states what could
+    be met. If this applies to one axis of several, the others are written and the status is 1.
 
     [bold]Examples[/bold]
 

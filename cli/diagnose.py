@@ -39,10 +39,10 @@ def diagnose(
         bool, typer.Option("--json", help="For scripts: print diagnosis.json itself.")
     ] = False,
 ) -> None:
-    """Name what a simulation with hysteresis alone gets wrong: write diagnosis.json and .html.
+    """Find the effects that hysteresis alone does not explain: write diagnosis.json and .html.
 
-    Errors are those of the fitted model. With the model.json of an earlier fit in front, that
-    model is refitted, and what changed since then is reported as well.
+    Errors are those of the fitted model. If the first file is the model.json of an earlier fit,
+    that model is refitted, and changes since then are reported as well.
 
     [bold]Examples[/bold]
 

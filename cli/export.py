@@ -1,4 +1,4 @@
-"""`piezoid export`: a designed stage in, what firmware needs beside it."""
+"""`piezoid export`: from a design to parameters and C source for firmware."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -37,11 +37,10 @@ def export(
     as the bundle. --target pid adds settings and second-order sections of a PID with notches,
     --target nanonis sensitivity and hysteresis tables, --target waveform a predistorted drive for
     a wave generator, each with its loss compared with the exported controller; --box declares the
-    limits of the hardware. Folders of other targets are deleted: they belong to another design.
+    limits of the hardware. Stale target folders are deleted.
 
-    The controller is run against the identified stage first. An axis that fails there does not
-    ship: its figures go to refused/, for study, and exit status 1 says that it is missing. It
-    keeps no other back.
+    The controllers are first verified on the identified stage. An axis that fails is not
+    exported: its figures go to refused/ and the exit status is 1. The other axes are exported.
 
     [bold]Examples[/bold]
 

@@ -50,15 +50,15 @@ def fit(
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Do all of it: fit a stage, diagnose it, design its controllers, verify what ships.
+    """Do all of it: fit a stage, diagnose it, design controllers, verify them.
 
     Writes model.json, diagnosis.json, design.json, params.json, bundle/ (C source to compile),
-    verification.json and report.html. Without a controller's sampling rate in lab.toml, or with
-    nothing that limits the stage's speed, there is no controller, and the report says what is
-    missing.
+    verification.json and report.html. If lab.toml does not state the sampling rate
+    of the controller, or nothing limits the speed of the stage, no controller is designed, and the
+    report states what is missing.
 
-    Exit status 1 means that a verdict failed, that the model class does not apply, or that no
-    controller of an axis may ship; the other axes ship all the same, and the report says why.
+    Exit status 1 means that a verdict failed, that the model class does not apply, or that an axis
+    does not ship; the other axes still ship, and the report states the reason.
 
     [bold]Examples[/bold]
 

@@ -19,8 +19,8 @@ def init(
 ) -> None:
     """Write a commented lab.toml from recordings, after showing what was understood.
 
-    Every file that is read without doubt becomes an entry; what only you know (amplifier, sensor,
-    controller) stands there as a comment to complete.
+    Every file that is understood becomes an entry; facts about amplifier, sensor and controller
+    are comments to complete.
 
     Exit status 3 means that an entry must be completed before its file can be used; the lab.toml
     is written all the same, with the reason above the entry.

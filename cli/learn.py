@@ -41,9 +41,8 @@ def learn(
 ) -> None:
     """Learn the feedforward of a periodic motion: write learning.json and the table to play.
 
-    Without a recording the table is computed from the model. With one, the next is made of it.
-    A learning filter that does not contract on every plant the recordings allow is refused, exit
-    status 4.
+    Without a recording the table is computed from the model; with one, the table is refined. Exit
+    status 4 means that the learning filter does not contract on every plant of the family.
 
     [bold]Examples[/bold]
 

@@ -101,13 +101,18 @@ def _tell_version(asked: bool) -> None:
 def piezoid(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_tell_version, is_eager=True, help="Tell the version."),
+        typer.Option(
+            "--version",
+            callback=_tell_version,
+            is_eager=True,
+            help="Show the version and exit.",
+        ),
     ] = False,
 ) -> None:
     """From recordings of a piezo stage to a calibrated, verified controller.
 
-    [bold]The usual way[/bold]: see what was understood, write a lab.toml to complete, then all of
-    it at once. Open stage42/report.html, compile stage42/bundle/.
+    [bold]Typical use[/bold]: check what was understood, complete the draft of lab.toml, calibrate.
+    Then open stage42/report.html and compile stage42/bundle/.
 
     piezoid inspect sweep.csv check.csv
 
@@ -115,12 +120,11 @@ def piezoid(
 
     piezoid fit sweep.csv check.csv --lab lab.toml --out stage42/
 
-    Every verb has examples in its own help, as in: piezoid fit --help
+    The help of every verb has examples, as in: piezoid fit --help
 
     Exit status: 0 done, 1 a verdict failed, 2 usage, 3 data or file unusable, 4 no solution,
-    70 internal error, 130 interrupted. With -v anywhere, every stage of the work is told as it
-    begins, with its time; without a terminal, one line at most every ten seconds. With --debug
-    anywhere, an error shows its traceback.
+    70 internal error, 130 interrupted. -v, --verbose: log each step with its elapsed time.
+    --debug: add a traceback to errors.
     """
 
 

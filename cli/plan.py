@@ -20,7 +20,7 @@ def plan(
     stage: Annotated[Path, typer.Argument(help="Folder with model.json and diagnosis.json.")],
     files: Annotated[
         list[Path] | None,
-        typer.Argument(help="The recordings that were diagnosed, to say what more is gained."),
+        typer.Argument(help="The diagnosed recordings, to compare the new drive with."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for the plan; default: beside model.json.")
@@ -42,7 +42,7 @@ def plan(
         bool, typer.Option("--json", help="For scripts: print plan.json itself.")
     ] = False,
 ) -> None:
-    """Plan the next experiment: write drive.csv and plan.json, say why and what to expect.
+    """Plan the next experiment: write drive.csv and plan.json.
 
     [bold]Examples[/bold]
 
@@ -50,9 +50,9 @@ def plan(
 
     piezoid plan stage42/ --effect creep --out next/ --json | jq .alternatives[].name
 
-    Every drive stays inside the range that was used before and the limits of lab.toml. Where none
-    of them answers, the best is written all the same, with how little it would give and which
-    limit forbids more ("answers": false in plan.json); exit status 3 means that none shows it.
+    Every drive stays inside the recorded range and the limits of lab.toml. If no drive resolves
+    the question, the best one is written with its expected gain and the limit that prevents more
+    ("answers": false in plan.json); exit status 3 means that no drive shows the effect.
     """
     from piezoid.output_folder import add_to_folder, check_folder, write_folder
     from piezoid_cli.progress import shown

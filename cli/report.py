@@ -31,8 +31,7 @@ def report(
 ) -> None:
     """Draw report.html again from the sealed files, for example after `piezoid verify`.
 
-    The folder does not hold the recordings: name them to have loops and residuals drawn. A file
-    that is not, byte for byte, one of those of the fit is refused.
+    Name the recordings of the fit to draw loops and residuals; other files are refused.
 
     [bold]Examples[/bold]
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def simulate(
     out: Annotated[Path, typer.Option(help="Folder for recordings/ and truth/.")],
-    seed: Annotated[int, typer.Option(min=0, help="Decides everything left to chance.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
     effect: Annotated[
         list[str] | None,
         typer.Option(
@@ -45,9 +45,10 @@ def simulate(
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Record a virtual stage: CSV files, a lab.toml, and apart from them the truth.
+    """Simulate recordings of a virtual stage: CSV files, a lab.toml, and the truth.
 
-    Known names are listed when one is not known. The laboratory shares no code with the model.
+    An unknown name of an effect, drive or ceramic lists the known ones. The simulator shares no
+    code with the model.
 
     [bold]Examples[/bold]
 

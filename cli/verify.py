@@ -54,7 +54,7 @@ def verify(
 ) -> None:
     """Run the compiled controller of params.json against the stage; write verification.json.
 
-    Exit status 1 means that a verdict failed; verification.json is written all the same.
+    Exit status 1 means that a verdict failed; verification.json is still written.
 
     [bold]Examples[/bold]
 

@@ -28,9 +28,9 @@ from piezoid.records.table import Column, RawTable
 from piezoid.records.units import unit_of
 
 HEAD = f"""\
-# What this laboratory knows about its rig, written by `piezoid init` from the recordings below.
-# Lines that begin with # are not read. Everything is optional: complete what you know, remove
-# the #, and pass the file with --lab. All units are SI and end the names.
+# Description of the rig, drafted by `piezoid init` from the recordings below. Lines that begin
+# with # are comments. Everything is optional: complete the values that you know, remove the #,
+# and pass the file with --lab. All units are SI and end the names.
 
 [rig]
 # name = "stage 42"              # heads the report
@@ -39,17 +39,17 @@ HEAD = f"""\
 
 [amplifier]                      # between the controller's output and the piezo
 # gain_V_per_V = 15
-# bandwidth_Hz = 4000            # -3 dB; taken out of what is fitted as the stage's own lag
+# bandwidth_Hz = 4000            # -3 dB; the fit accounts for this pole
 # output_min_V = -30             # where the output clips
 # output_max_V = 180
-# slew_V_per_s = 20000           # the fastest it can follow
+# slew_V_per_s = 20000           # largest slew rate
 
 [actuator]
-# bandwidth_Hz = 630             # of the data sheet; the fit tells whether pole or resonance
+# bandwidth_Hz = 630             # first resonance or pole, from the data sheet
 
 [sensor]
 # bandwidth_Hz = 8500            # -3 dB
-# gain_V_per_m = 2e5             # needed where a recording holds the sensor's volts
+# gain_V_per_m = 2e5             # needed if a recording is in volts of the sensor
 
 [acquisition]
 # sampling_rate_Hz = 20000       # of the controller; without it no controller is designed
@@ -57,12 +57,12 @@ HEAD = f"""\
 # adc_bits = 16
 # input_range_V = [-10, 10]
 
-[uncertainty]                    # of the certificates; without them the budget is a lower bound
-# sensor_gain_relative = 0.001   # standard uncertainty, as a share of one
-# sensor_linearity_m = 5e-9      # the sensor's error lies within plus and minus this
+[uncertainty]                    # from certificates; otherwise the budget is a lower bound
+# sensor_gain_relative = 0.001   # relative standard uncertainty
+# sensor_linearity_m = 5e-9      # limits of the linearity error, plus and minus
 # tilt_rad = 0.01                # between the sensor's axis and the motion
 # temperature_range_K = 2        # of the room
-# expansion_m_per_K = 50e-9      # what the sensor sees of it
+# expansion_m_per_K = 50e-9      # apparent motion per kelvin
 """
 
 

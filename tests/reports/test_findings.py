@@ -167,7 +167,7 @@ def test_creep_without_a_hold_is_drawn_over_time_and_says_so() -> None:
     page = Anatomy(render_diagnosis(stage_model(axis_model()), [recording()], found))
     (figure,) = page.all("figure", "chart")
     assert "residual against time" in figure.text
-    assert "too few rows of these recordings have a place" in figure.text
+    assert effect_named("creep").shows.label in figure.text
 
 
 def test_a_note_on_the_pictures_stands_where_there_are_pictures() -> None:

@@ -127,7 +127,7 @@ static void start_converters(void) {
 static void start_timer(void) {
     SYSTICK_RELOAD = SYSTICK_MASK;
     SYSTICK_VALUE = 0;
-    SYSTICK_CONTROL = 5; /* counts cycles of the core, calls nobody */
+    SYSTICK_CONTROL = 5; /* counts core cycles, without an interrupt */
     TIM2(0x28) = 0;
     TIM2(0x2C) = TIMER_Hz / RATE_Hz - 1u;
     TIM2(0x0C) = 1u;

@@ -923,7 +923,7 @@ FILES: tuple[Messy, ...] = (
     ),
     Messy(
         name="formulas.xlsx",
-        wrong="positions as formulas that nobody computed",
+        wrong="positions as formulas without stored values",
         write=excel(computed_cells),
         refused="cell C2 of sheet 'Sheet' holds the formula",
     ),
