@@ -303,7 +303,8 @@ def remarks_on(fitted: Fitted, held_out_kind: str) -> tuple[str, ...]:
         unexcited = int((forgetting_sample(drive, operator.threshold) >= len(drive)).sum())
         if unexcited:
             remarks.append(
-                f"{piece.name} does not excite the largest {unexcited} of {plays} play thresholds."
+                f"{piece.name} does not excite the largest of the {plays} play thresholds "
+                f"({unexcited} of them)."
             )
     on_zero = int((operator.weight[1:] <= 0.0).sum())
     if on_zero:
