@@ -78,6 +78,8 @@ def check_folder(
         )
     _check_names(target, listed, listed if names is None else names, force=force)
     beside = next(above for above in target.parents if above.exists())
+    if not beside.is_dir():
+        raise refusal(f"{beside} is a file")
     for place in (beside, target) if target.exists() else (beside,):
         if not os.access(place, os.W_OK | os.X_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(place))

@@ -237,6 +237,12 @@ def test_what_is_read_is_never_replaced(tmp_path: Path) -> None:
             check_folder(folder, force=True, inputs=[tmp_path / "night/runs/sweep.csv"])
 
 
+def test_a_folder_below_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "s.csv").write_text("precious")
+    with pytest.raises(OutputFolderError, match=r"s\.csv is a file"):
+        check_folder(tmp_path / "s.csv/stage")
+
+
 @pytest.mark.parametrize("target", ["stage", "nowhere", "."])
 def test_a_link_is_not_followed(target: str, tmp_path: Path) -> None:
     write_folder(tmp_path / "stage", OLD)
