@@ -156,10 +156,10 @@ def baseline_steps(
     steps = []
     for step in candidates:
         across = readings.spanning((step,))
-        others = [other for other in candidates if other is not step]
+        without_step = [candidate for candidate in candidates if candidate is not step]
         if len(across.difference) and across.unexplained(
             candidates
-        ) < MAX_UNEXPLAINED * across.unexplained(others):
+        ) < MAX_UNEXPLAINED * across.unexplained(without_step):
             steps.append(step)
     return tuple(steps)
 
@@ -181,11 +181,11 @@ def _step_between_cycles(reading: Array, drive: Array) -> tuple[BaselineStep, ..
     means = np.convolve(difference, np.full(period, 1.0 / period), "valid")
     start = int(np.argmax(np.abs(means)))
     size, instant = float(means[start]), start + 2 * period
-    others = np.concatenate([means[: max(start - period, 0)], means[start + period :]])
+    other_means = np.concatenate([means[: max(start - period, 0)], means[start + period :]])
     scatter = 1.4826 * float(np.median(np.abs(np.diff(difference)))) / np.sqrt(2.0 * period)
-    if not len(others):
+    if not len(other_means):
         return ()
-    if not abs(size) > MIN_STEP_RATIO * max(float(np.abs(others).max()), scatter):
+    if not abs(size) > MIN_STEP_RATIO * max(float(np.abs(other_means).max()), scatter):
         return ()
     in_period = np.zeros(len(difference), dtype=bool)
     in_period[start : start + period] = True
@@ -237,9 +237,9 @@ def _outstanding_steps(reading: Array, drive: Array, width: int) -> list[Baselin
     for k in np.flatnonzero(is_large).tolist():
         if size[k] < size[max(k - width, 0) : k + width + 1].max():
             continue
-        left = size[max(k - NEIGHBOUR_WIDTHS * width, 0) : max(k - width, 0)]
-        right = size[k + width + 1 : k + NEIGHBOUR_WIDTHS * width + 1]
-        largest = max(float(left.max(initial=0.0)), float(right.max(initial=0.0)))
+        earlier = size[max(k - NEIGHBOUR_WIDTHS * width, 0) : max(k - width, 0)]
+        later = size[k + width + 1 : k + NEIGHBOUR_WIDTHS * width + 1]
+        largest = max(float(earlier.max(initial=0.0)), float(later.max(initial=0.0)))
         response = gain * float(driven[max(k - MAX_RESPONSE - width, 0) : k + width + 1].max())
         if size[k] > 2.0 * max(largest, response):
             steps.append(BaselineStep(first=k, last=k + width, size=float(excess[k])))
@@ -283,17 +283,17 @@ def _readings_at_rest(reading: Array) -> RepeatedReadings:
 
 
 def _statement(steps: Sequence[BaselineStep], recording: Recording, axis: str) -> Statement:
-    places = [
+    steps_in_words = [
         f"{'+' if step.size > 0 else ''}{with_unit(step.size, 'm')} at "
         f"{step.first / recording.sampling_rate_Hz:.4g} s"
         for step in steps[:MAX_PLACES]
     ]
-    more = f" and {len(steps) - MAX_PLACES} more" if len(steps) > MAX_PLACES else ""
+    further = f" and {len(steps) - MAX_PLACES} more" if len(steps) > MAX_PLACES else ""
     times = "once" if len(steps) == 1 else f"{len(steps)} times"
     text = (
         f"{axis}: the zero of the displacement steps {times} while the drive does not: "
-        f"{', '.join(places)}{more}. Likely cause: {_cause(steps)}. The spans between are fitted "
-        "with separate zeros."
+        f"{', '.join(steps_in_words)}{further}. Likely cause: {_cause(steps)}. The spans between "
+        "are fitted with separate zeros."
     )
     return finding(
         quantity="zero_jump",

@@ -94,9 +94,9 @@ def plain_rate_Hz(rate_Hz: float, uncertainty: float = 0.0) -> float:
     Two recordings of one rig then have the same rate, however their stamps were rounded.
     """
     for digits in range(1, 16):
-        plain = float(f"{rate_Hz:.{digits}g}")
-        if abs(plain - rate_Hz) <= max(uncertainty, 1e-9) * rate_Hz:
-            return plain
+        rounded_Hz = float(f"{rate_Hz:.{digits}g}")
+        if abs(rounded_Hz - rate_Hz) <= max(uncertainty, 1e-9) * rate_Hz:
+            return rounded_Hz
     return rate_Hz
 
 
@@ -190,8 +190,10 @@ def _faulty_clock(time_s: Array, resolution_s: float, name: str, place: PlaceOf)
     return Clock(
         sampling_rate_Hz=plain_rate_Hz(1 / interval_s, (resolution_s + jitter_s) / np.ptp(time_s)),
         jitter_rms_s=jitter_s,
-        breaks=tuple(sorted({*faults.gaps[faults.lost > 1].tolist(), *faults.back.tolist()})),
-        bridged=tuple(faults.gaps[faults.lost == 1].tolist()),
+        breaks=tuple(
+            sorted({*faults.gaps[faults.missing > 1].tolist(), *faults.backward.tolist()})
+        ),
+        bridged=tuple(faults.gaps[faults.missing == 1].tolist()),
         statements=tuple(statements),
     )
 
@@ -216,16 +218,16 @@ class StampFaults:
     """Where time stamps are not those of a uniform clock.
 
     gaps       (count,)  first sample behind missing time
-    lost       (count,)  samples missing in front of each of these, at least one
+    missing    (count,)  samples missing in front of each of these, at least one
     repeated   (count,)  samples that repeat the stamp before
-    back       (count,)  first sample behind a step backwards
+    backward   (count,)  first sample behind a step backwards
     stepped    (count,)  samples by which each of these steps back from where it should be
     """
 
     gaps: Stamps
-    lost: Stamps
+    missing: Stamps
     repeated: Stamps
-    back: Stamps
+    backward: Stamps
     stepped: Stamps
 
     @classmethod
@@ -238,22 +240,23 @@ class StampFaults:
         resolution_s  to which the stamps were printed
         """
         steps = np.diff(time_s)
-        back = np.flatnonzero(steps < -max_excess_s) + 1
-        gaps, lost = _gaps(time_s, interval_s, max_excess_s)
+        backward = np.flatnonzero(steps < -max_excess_s) + 1
+        stepped = 1.0 - steps[backward - 1] / interval_s
+        gaps, missing = _gaps(time_s, interval_s, max_excess_s)
         return cls(
             gaps=gaps,
-            lost=lost,
+            missing=missing,
             repeated=_repeated(steps, interval_s, resolution_s),
-            back=back,
-            stepped=np.round(np.minimum(1.0 - steps[back - 1] / interval_s, MAX_LOST)).astype(int),
+            backward=backward,
+            stepped=np.round(np.minimum(stepped, MAX_LOST)).astype(int),
         )
 
     def statements(self, time_s: Array, place: PlaceOf) -> list[Statement]:
         """Return one statement for each kind of fault: the count, and the first places."""
-        single = int(np.sum(self.lost == 1))
+        single = int(np.sum(self.missing == 1))
         bridged = f"; {single} of single samples, bridged by straight lines" if single else ""
         faults = (
-            ("gap", "time is missing", self.gaps, int(self.lost.sum()), bridged),
+            ("gap", "time is missing", self.gaps, int(self.missing.sum()), bridged),
             (
                 "duplicate_time",
                 "the time stamp is repeated",
@@ -261,7 +264,7 @@ class StampFaults:
                 len(self.repeated),
                 "",
             ),
-            ("time_reversed", "the clock steps back", self.back, int(self.stepped.sum()), ""),
+            ("time_reversed", "the clock steps back", self.backward, int(self.stepped.sum()), ""),
         )
         statements = []
         for quantity, sentence, rows, samples, addition in faults:
@@ -271,12 +274,14 @@ class StampFaults:
                 f"{place(k)}, t = {time_s[k]:.6g} s (step {time_s[k] - time_s[k - 1]:.6g} s)"
                 for k in rows[:_MAX_PLACES].tolist()
             ]
-            more = f" and {len(rows) - _MAX_PLACES} more" if len(rows) > _MAX_PLACES else ""
+            unlisted = len(rows) - _MAX_PLACES
+            further = f" and {unlisted} more" if unlisted > 0 else ""
             statements.append(
                 finding(
                     quantity=quantity,
                     place=place(int(rows[0])),
-                    text=f"{sentence} at {len(rows)} places: {'; '.join(first)}{more}{addition}",
+                    text=f"{sentence} at {len(rows)} places: {'; '.join(first)}{further}"
+                    f"{addition}",
                     value=float(samples),
                     unit="samples",
                 )
@@ -290,7 +295,7 @@ def _gaps(time_s: Array, interval_s: float, max_excess_s: float) -> tuple[Stamps
     A late stamp, or a clock catching up, is no gap: the time must stay lost over the samples
     around the step, so the step is compared between spans of stamps, not between two stamps.
     """
-    gaps, lost = [], []
+    gaps, missing = [], []
     for k in (np.flatnonzero(np.diff(time_s) > interval_s + max_excess_s) + 1).tolist():
         before = k - 1
         while before > 0 and time_s[before - 1] == time_s[before]:
@@ -302,8 +307,8 @@ def _gaps(time_s: Array, interval_s: float, max_excess_s: float) -> tuple[Stamps
             up_to_here_s = time_s[k] - time_s[before] - (k - before) * interval_s
             missing_s = min(missing_s, up_to_here_s, MAX_LOST * interval_s)
             gaps.append(k)
-            lost.append(max(round(missing_s / interval_s), 1))
-    return np.array(gaps, dtype=int), np.array(lost, dtype=int)
+            missing.append(max(round(missing_s / interval_s), 1))
+    return np.array(gaps, dtype=int), np.array(missing, dtype=int)
 
 
 def _repeated(steps: Array, interval_s: float, resolution_s: float) -> Stamps:
@@ -329,7 +334,7 @@ def _refuse_false_clock(
     A repeated stamp may be one sample too many, or be made up for when the clock catches up.
     """
     span = (time_s[-1] - time_s[0]) / interval_s
-    steps = len(time_s) - 1 + int(faults.lost.sum()) - int(faults.stepped.sum())
+    steps = len(time_s) - 1 + int(faults.missing.sum()) - int(faults.stepped.sum())
     tolerance = MAX_UNACCOUNTED * max(abs(span), steps) + SPARE_STEPS
     if steps - len(faults.repeated) - tolerance <= span <= steps + tolerance:
         return
@@ -344,9 +349,9 @@ def _refuse_false_clock(
     )
 
 
-def _no_clock(name: str, found: str, needed: str) -> RecordingError:
+def _no_clock(name: str, observed: str, needed: str) -> RecordingError:
     return RecordingError(
-        f"{name}: {found}",
+        f"{name}: {observed}",
         needed=needed,
         remedy="Record with a hardware clock, or state sampling_rate_Hz for this file in lab.toml "
         "and name no time column if the samples are known to be uniform.",

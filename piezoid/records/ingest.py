@@ -36,11 +36,11 @@ from piezoid.records.row_alignment import (
     Rows,
     SampleRows,
     complete_rows,
+    on_common_rows,
     positions_in,
     skips,
     unique_rows,
 )
-from piezoid.records.slower_channels import on_common_rows
 from piezoid.records.table import RawTable
 from piezoid.records.time_stamps import stretches_of_one_rate
 from piezoid.records.units import Dimension
