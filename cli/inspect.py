@@ -90,8 +90,8 @@ def _json(inspections: "tuple[Inspection, ...]") -> str:
 
 
 def _place(statement: "Statement") -> str:
-    """Return where a statement holds: a place in the file, or an axis."""
-    return statement.place or f"axis {statement.axis}"
+    """Return where a statement holds: a place in the file, an axis, or the recording."""
+    return statement.place or (f"axis {statement.axis}" if statement.axis else "recording")
 
 
 def show(inspections: "tuple[Inspection, ...]") -> None:
