@@ -67,20 +67,30 @@ def grade_of(axis: AxisModel) -> Grade:
 
 def fit_statements(axis: AxisModel) -> tuple[Statement, ...]:
     """Return the statements about one fitted axis, most important first."""
-    return (
-        *_model_class(axis),
-        *_data_limits(axis),
-        *_noise(axis),
-        *_intervals(axis),
-        *_search(axis),
-        *_zero(axis),
-        *(
-            _limit(
-                axis, Level.NOTE, DYNAMICS if remark in axis.dynamics_remarks else "fit", remark
-            )
-            for remark in axis.verdict.remarks
-        ),
-    )
+    statements = []
+    if not axis.verdict.applies:
+        text = (
+            f"The hysteresis model does not apply: {axis.verdict.reason}. Check the assignment of "
+            "the columns and that both channels are sampled at the same instant, then sweep ten "
+            "times slower."
+        )
+        statements.append(_limit(axis, Level.ACTION, "model_class", text))
+    for limit in axis.quality.limits:  # never measured, or odd about the recordings
+        level = Level.ACTION if limit.most <= ACTION_SCORE else Level.WARNING
+        text = f"{sentence(limit.reason)} {REMEDIES.get(limit.lack, '')}".strip()
+        statements.append(_limit(axis, level, limit.lack, text))
+    statements += [*_noise(axis), *_intervals(axis)]
+    if not axis.quality.converged:
+        text = (
+            "The search stopped at its limit of iterations; a better fit may exist. Record "
+            "reversals of decreasing size over the whole range and fit again."
+        )
+        statements.append(_limit(axis, Level.WARNING, "convergence", text))
+    statements += _zero(axis)
+    for remark in axis.verdict.remarks:
+        quantity = DYNAMICS if remark in axis.dynamics_remarks else "fit"
+        statements.append(_limit(axis, Level.NOTE, quantity, remark))
+    return tuple(statements)
 
 
 def _limit(
@@ -107,38 +117,6 @@ def _limit(
 def sentence(clause: str) -> str:
     """Return a clause as a sentence, with its capital and its full stop."""
     return f"{clause[:1].upper()}{clause[1:].rstrip('.')}."
-
-
-def _remarks(axis: AxisModel) -> list[Statement]:
-    """Return what the fit remarked of itself, as notes."""
-    return [
-        _limit(axis, Level.NOTE, DYNAMICS if remark in axis.dynamics_remarks else "fit", remark)
-        for remark in axis.verdict.remarks
-    ]
-
-
-def _model_class(axis: AxisModel) -> list[Statement]:
-    if axis.verdict.applies:
-        return []
-    text = (
-        f"The hysteresis model does not apply: {axis.verdict.reason}. Check the assignment of the "
-        "columns and that both channels are sampled at the same instant, then sweep ten times "
-        "slower."
-    )
-    return [_limit(axis, Level.ACTION, "model_class", text)]
-
-
-def _data_limits(axis: AxisModel) -> list[Statement]:
-    """Return what was never measured and what is odd about the recordings."""
-    return [
-        _limit(
-            axis,
-            Level.ACTION if limit.most <= ACTION_SCORE else Level.WARNING,
-            limit.lack,
-            f"{sentence(limit.reason)} {REMEDIES.get(limit.lack, '')}".strip(),
-        )
-        for limit in axis.quality.limits
-    ]
 
 
 def _noise(axis: AxisModel) -> list[Statement]:
@@ -175,16 +153,6 @@ def _intervals(axis: AxisModel) -> list[Statement]:
         )
         statements.append(_limit(axis, Level.WARNING, "loop_width", text, half_m, "m"))
     return statements
-
-
-def _search(axis: AxisModel) -> list[Statement]:
-    if axis.quality.converged:
-        return []
-    text = (
-        "The search stopped at its limit of iterations; a better fit may exist. Record reversals "
-        "of decreasing size over the whole range and fit again."
-    )
-    return [_limit(axis, Level.WARNING, "convergence", text)]
 
 
 def _zero(axis: AxisModel) -> list[Statement]:

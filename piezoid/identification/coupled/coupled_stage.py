@@ -137,9 +137,9 @@ class CoupledStage:
         spectrum = np.fft.rfft(drive, axis=0)
         f = np.arange(len(spectrum)) * self.sampling_rate_Hz / len(drive)
         spectrum[(f < 0.5 * self.band_Hz[0]) | (f > self.band_Hz[1])] = 0.0
-        moved = np.einsum("foi,fi->fo", self._without_delay(f, coordinate), spectrum)
-        moved *= np.exp(-2j * np.pi * f * self.delay_s)[:, None]
-        return np.asarray(np.fft.irfft(moved, len(drive), axis=0)[:count])
+        response = np.einsum("foi,fi->fo", self._without_delay(f, coordinate), spectrum)
+        response *= np.exp(-2j * np.pi * f * self.delay_s)[:, None]
+        return np.asarray(np.fft.irfft(response, len(drive), axis=0)[:count])
 
     @property
     def coupling_m_per_V(self) -> Array:

@@ -183,9 +183,9 @@ def driven_axes(recording: Recording, axes: Sequence[str]) -> list[str]:
 
 def _periodic_recording(recording: Recording, declared: Coupled) -> PeriodicRecording | None:
     axes, settling = declared.axes, declared.settling_periods
-    wanted = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
+    quantities = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
     complete = all(
-        recording.find(quantity, axis) is not None for quantity in wanted for axis in axes
+        recording.find(quantity, axis) is not None for quantity in quantities for axis in axes
     )
     if recording.breaks or not complete or len(driven_axes(recording, axes)) < len(axes):
         return None

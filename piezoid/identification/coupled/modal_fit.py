@@ -54,14 +54,14 @@ class LevelSpectra:
     def of(data: PeriodicData) -> "LevelSpectra":
         """Return the spectra of periodic data, each realisation weighted by its power."""
         lines = data.excited_lines()
-        moved = np.fft.rfft(data.displacement_m.mean(axis=3), axis=0)[lines]
+        response = np.fft.rfft(data.displacement_m.mean(axis=3), axis=0)[lines]
         return LevelSpectra(
             level_V=float(data.voltage_V.std()),
             samples=len(data.voltage_V),
             frequency_Hz=data.frequency_Hz(lines),
             drive=np.fft.rfft(data.voltage_V.mean(axis=3), axis=0)[lines],
-            moved=moved,
-            weight=1.0 / (np.abs(moved) ** 2).sum(axis=(0, 1)),
+            moved=response,
+            weight=1.0 / (np.abs(response) ** 2).sum(axis=(0, 1)),
         )
 
     def without(self, realisation: int) -> "LevelSpectra":
@@ -255,9 +255,9 @@ class Point:
             slope = slope - flat @ residual.reshape(-1).view(np.float64)
             rows = np.concatenate([tangents, residual[None]])
             products = products_with_residues(level.columns, level.drive, rows)
-            both = np.concatenate([s * products for s in level.spread])
-            inner = inner + both[..., :-1]
-            penalised = penalised + both[..., -1]
+            products_by_order = np.concatenate([s * products for s in level.spread])
+            inner = inner + products_by_order[..., :-1]
+            penalised = penalised + products_by_order[..., -1]
         solution = cho_solve(self.factor, inner.reshape(len(inner), -1)).reshape(inner.shape)
         return NormalEquations(
             gram=np.asarray(gram - np.einsum("aon,aom->nm", inner, solution)),

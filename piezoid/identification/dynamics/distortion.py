@@ -106,28 +106,15 @@ class DistortionFound:
     lines: DetectionLines
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PeriodicRecordings:
-    """Recordings of one axis that differ in nothing but the phases of their drive.
-
-    names  of the recordings, one realisation each
-    data   their steady periods, drift that is straight over the record taken out
-    """
-
-    names: tuple[str, ...]
-    data: PeriodicData
-
-
 def distortion_of(recordings: Sequence[Recording], axis: str) -> tuple[DistortionFound, ...]:
     """Return what every odd multisine with detection lines among the recordings shows.
 
     recordings  any; those that are no such multisine are passed over
     """
-    groups = periodic_recordings(recordings, axis)
     return tuple(
-        DistortionFound(recordings=group.names, lines=detect_distortion(group.data))
-        for group in groups
-        if _detects(group.data.excited_lines())
+        DistortionFound(recordings=names, lines=detect_distortion(data))
+        for names, data in periodic_recordings(recordings, axis)
+        if _detects(data.excited_lines())
     )
 
 
@@ -181,10 +168,12 @@ def _detects(excited: NDArray[np.int64]) -> bool:
 
 def periodic_recordings(
     recordings: Sequence[Recording], axis: str
-) -> tuple[PeriodicRecordings, ...]:
+) -> tuple[tuple[tuple[str, ...], PeriodicData], ...]:
     """Return the recordings in which one axis alone is driven periodically, same lines together.
 
     recordings  any; those with breaks or with fewer than three periods are passed over
+    returned    for each group the names, one realisation each, and its steady periods, straight
+                drift removed
     """
     groups: dict[tuple[float, int, bytes], list[tuple[Recording, Repetition]]] = {}
     for recording in recordings:
@@ -197,7 +186,7 @@ def periodic_recordings(
         key = (recording.sampling_rate_Hz, repetition.period_samples, lines.tobytes())
         groups.setdefault(key, []).append((recording, repetition))
     return tuple(
-        PeriodicRecordings(names=tuple(r.name for r, _ in group), data=_cut(group, axis))
+        (tuple(recording.name for recording, _ in group), _cut(group, axis))
         for group in groups.values()
     )
 

@@ -246,11 +246,11 @@ def _covariances(fit: _Point, structure: Structure) -> tuple[Array, float]:
     scale = np.sqrt(np.maximum(np.diag(curvature), TINY))
     inverse = np.linalg.pinv(curvature / np.outer(scale, scale), rcond=1e-14, hermitian=True)
     inverse /= np.outer(scale, scale)
-    plain = 0.5 * excess * inverse
+    expected = 0.5 * excess * inverse
     meat = scores.T @ scores * lines / spare
-    ratio = np.diag(inverse @ meat @ inverse) / np.maximum(np.diag(plain), TINY)
+    ratio = np.diag(inverse @ meat @ inverse) / np.maximum(np.diag(expected), TINY)
     wider = np.sqrt(np.maximum(ratio, 1.0))
-    covariance = np.asarray(plain * np.outer(wider, wider))
+    covariance = np.asarray(expected * np.outer(wider, wider))
     by_shape = gain_slope.sum(axis=0)
     variance = 0.5 * excess * float(np.sum(fit.path.root.sum(axis=0) ** 2))
     variance += float(by_shape @ covariance @ by_shape)

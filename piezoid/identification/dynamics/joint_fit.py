@@ -415,7 +415,7 @@ def _heavier(
     """
     longest = max(segment.samples for segment in segments)
     heavier = []
-    for segment, before in zip(segments, weights, strict=True):
+    for segment, previous in zip(segments, weights, strict=True):
         power = np.abs(rfft(_residual(layout, theta, segment))) ** 2
         lines = np.arange(len(power))
         band = np.floor(BANDS_PER_DECADE * np.log10(np.maximum(lines / BAND_LINES, 1.0)))
@@ -424,7 +424,7 @@ def _heavier(
         mean, middle = np.bincount(band, power) / count, np.bincount(band, lines) / count
         weight = 1.0 / np.sqrt(np.maximum(np.interp(lines, middle, mean), TINY))
         weight[0] = weight[lines > MAX_FREQUENCY * segment.samples] = 0.0
-        heavier.append(np.maximum(np.sqrt(longest / segment.samples) * weight, before))
+        heavier.append(np.maximum(np.sqrt(longest / segment.samples) * weight, previous))
     return heavier
 
 
@@ -482,13 +482,13 @@ def _covariance(
     curvature = np.zeros((layout.size, layout.size))
     by_sample, by_part = curvature.copy(), curvature.copy()
     for segment, weight in zip(segments, weights, strict=True):
-        both = np.vstack(
+        signals = np.vstack(
             [
                 _without_line(layout.tangents(theta, segment)),
                 _residual(layout, theta, segment),
             ]
         )
-        whitened = irfft(rfft(both) * weight, segment.samples) * np.sqrt(segment.samples)
+        whitened = irfft(rfft(signals) * weight, segment.samples) * np.sqrt(segment.samples)
         tangents, scores = whitened[:-1], whitened[:-1] * whitened[-1]
         curvature += tangents @ tangents.T
         edges = np.zeros((len(scores), NEIGHBOURS))

@@ -45,8 +45,8 @@ class PeriodicData:
             (samples, len(self.inputs), realisations, periods),
             (samples, len(self.outputs), realisations, periods),
         )
-        if (found := (self.voltage_V.shape, self.displacement_m.shape)) != expected:
-            raise ValueError(f"voltage_V and displacement_m have shapes {found}, not {expected}")
+        if (shapes := (self.voltage_V.shape, self.displacement_m.shape)) != expected:
+            raise ValueError(f"voltage_V and displacement_m have shapes {shapes}, not {expected}")
 
     def select(self, realisations: Sequence[int]) -> "PeriodicData":
         """Return the data of these realisations alone, for fitting or for holding out.
@@ -54,11 +54,11 @@ class PeriodicData:
         >>> levels[0].select([0, 1]).voltage_V.shape[2]
         2
         """
-        chosen = list(realisations)
+        indices = list(realisations)
         return replace(
             self,
-            voltage_V=self.voltage_V[:, :, chosen, :],
-            displacement_m=self.displacement_m[:, :, chosen, :],
+            voltage_V=self.voltage_V[:, :, indices, :],
+            displacement_m=self.displacement_m[:, :, indices, :],
         )
 
     def spectra(self, lines: NDArray[np.int64]) -> tuple[Spectrum, Spectrum]:
@@ -117,15 +117,15 @@ def estimate_response(
     distortion cannot be seen; with one period, noise cannot be told from it and all variance is
     called distortion.
     """
-    used = data.excited_lines() if lines is None else np.asarray(lines, dtype=np.int64)
-    drive, moved = data.spectra(used)
+    used_lines = data.excited_lines() if lines is None else np.asarray(lines, dtype=np.int64)
+    drive, response = data.spectra(used_lines)
     inputs, realisations, periods = drive.shape[1:]
     _check_enough(inputs, realisations, periods)
-    U, Y = drive.mean(axis=3), moved.mean(axis=3)
+    U, Y = drive.mean(axis=3), response.mean(axis=3)
     gram = U @ _adjoint(U)
     inverse = np.linalg.inv(gram)
     G = Y @ _adjoint(U) @ inverse
-    total, noise, freedom, is_interference = _output_variances(drive, moved, G)
+    total, noise, freedom, is_interference = _output_variances(drive, response, G)
     per_input = np.einsum("kjj->kj", inverse).real[:, None, :]
     power = (np.abs(Y) ** 2).mean(axis=2)
     coherence = np.clip(1.0 - total / np.maximum(power, np.finfo(float).tiny), 0.0, 1.0)
@@ -133,7 +133,7 @@ def estimate_response(
         inputs=data.inputs,
         outputs=data.outputs,
         sampling_rate_Hz=data.sampling_rate_Hz,
-        frequency_Hz=data.frequency_Hz(used),
+        frequency_Hz=data.frequency_Hz(used_lines),
         response=G,
         noise_variance=noise[:, :, None] * per_input,
         distortion_variance=np.maximum(total - noise, 0.0)[:, :, None] * per_input,
@@ -163,7 +163,7 @@ def _adjoint(matrix: ComplexArray) -> ComplexArray:
 
 
 def _output_variances(
-    drive: ComplexArray, moved: ComplexArray, G: ComplexArray
+    drive: ComplexArray, response: ComplexArray, G: ComplexArray
 ) -> tuple[Array, Array, float, NDArray[np.bool_]]:
     """Variances of an output's mean over periods: in all, and from noise alone, (lines, outputs).
 
@@ -173,7 +173,7 @@ def _output_variances(
     out of their neighbourhood; those do not raise the variance of the lines around them.
     """
     inputs, realisations, periods = drive.shape[1:]
-    residual = moved - np.einsum("koi,kirp->korp", G, drive)
+    residual = response - np.einsum("koi,kirp->korp", G, drive)
     noise = np.zeros(residual.shape[:2])
     noise_freedom = realisations * (periods - 1)
     if noise_freedom:

@@ -319,8 +319,8 @@ def _fit_with_slow_part(
         )
         inner = inner + (gains[n + m] if has_direct else 0.0)
         creep = (f / slow.from_Hz) ** x[-2] * np.exp(1j * x[-1])
-        late = np.exp(-2j * np.pi * f * x[shapes - 1] * delay_unit_s)
-        residual = weight * (whole - gain_unit * chain * late * creep * inner)
+        delay = np.exp(-2j * np.pi * f * x[shapes - 1] * delay_unit_s)
+        residual = weight * (whole - gain_unit * chain * delay * creep * inner)
         return np.concatenate([residual.real, residual.imag])
 
     gains = np.concatenate([d.mode_gain_m_per_V, d.lag_gain_m_per_V])
@@ -372,11 +372,11 @@ def _covariance(error: Callable[[Array], Array], x: Array, lines: int) -> tuple[
     scale = np.maximum(np.linalg.norm(slopes, axis=0), TINY)
     inverse = np.linalg.pinv((slopes / scale).T @ (slopes / scale), rcond=1e-14, hermitian=True)
     inverse /= np.outer(scale, scale)
-    plain = 0.5 * max(1.0, cost / spare) * inverse
+    expected = 0.5 * max(1.0, cost / spare) * inverse
     scores = (slopes * residual[:, None]).reshape(2, lines, -1).sum(axis=0)
     sandwich = inverse @ (scores.T @ scores * lines / spare) @ inverse
-    wider = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(plain), TINY), 1.0))
-    return np.asarray(plain * np.outer(wider, wider)), cost
+    wider = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(expected), TINY), 1.0))
+    return np.asarray(expected * np.outer(wider, wider)), cost
 
 
 def _rough_variance(response: ComplexArray) -> Array:

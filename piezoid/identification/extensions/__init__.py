@@ -43,8 +43,8 @@ EXTENSIONS: tuple[type[Extension], ...] = (
 
 def in_order(extensions: Iterable[Extension]) -> tuple[Extension, ...]:
     """Return extensions in the order in which a model applies them."""
-    place = {known.kind: number for number, known in enumerate(EXTENSIONS)}
-    return tuple(sorted(extensions, key=lambda one: place.get(one.kind, len(place))))
+    order = {known.kind: number for number, known in enumerate(EXTENSIONS)}
+    return tuple(sorted(extensions, key=lambda extension: order.get(extension.kind, len(order))))
 
 
 def _entry(extension: Extension) -> dict[str, Any]:
@@ -54,9 +54,9 @@ def _entry(extension: Extension) -> dict[str, Any]:
 def _extension(entry: Mapping[str, Any]) -> Extension:
     """Read one extension back by its kind; ``ValueError`` for a kind nobody knows."""
     kind = entry["kind"]
-    for known in (*EXTENSIONS, *Extension.__subclasses__()):
-        if known.kind == kind:
-            return from_fields(known, entry)
+    for extension_type in (*EXTENSIONS, *Extension.__subclasses__()):
+        if extension_type.kind == kind:
+            return from_fields(extension_type, entry)
     raise ValueError(f"extension kind {kind!r}")
 
 

@@ -27,13 +27,13 @@ class AmplifierLimits(Extension):
     high_V: float | None = None
 
     def __post_init__(self) -> None:
-        given = self._given
-        if not given:
+        limits = self._given
+        if not limits:
             raise ValueError("an amplifier without limits is none")
-        for value in given:
+        for value in limits:
             within("amplifier limit", value, -FARTHEST_V, FARTHEST_V)
-        if len(given) == 2 and not given[0] < given[1]:
-            raise ValueError(f"amplifier limits are {given}, expected rising")
+        if len(limits) == 2 and not limits[0] < limits[1]:
+            raise ValueError(f"amplifier limits are {limits}, expected rising")
 
     @property
     def _given(self) -> tuple[float, ...]:
@@ -57,6 +57,6 @@ class AmplifierLimits(Extension):
 
     def moved_to(self, value: Array) -> Self:
         """Return other limits on the same sides."""
-        rest = value.tolist()
-        low = None if self.low_V is None else rest.pop(0)
-        return type(self)(low_V=low, high_V=None if self.high_V is None else rest.pop(0))
+        values = value.tolist()
+        low = None if self.low_V is None else values.pop(0)
+        return type(self)(low_V=low, high_V=None if self.high_V is None else values.pop(0))

@@ -49,8 +49,8 @@ class Delay(Extension):
         """Return the delay at an end of its interval."""
         half = NORMAL_95 * (self.std[0] if self.std else 0.0)
         if self.delay_samples > 0.0:
-            late = max(self.delay_samples + slower * half, 0.0)
-            return replace(self, delay_samples=min(late, MOST_SAMPLES))
+            samples = max(self.delay_samples + slower * half, 0.0)
+            return replace(self, delay_samples=min(samples, MOST_SAMPLES))
         return replace(self, delay_s=min(max(self.delay_s + slower * half, 0.0), LONGEST_s))
 
     def free(self) -> Free:

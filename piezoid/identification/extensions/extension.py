@@ -57,10 +57,10 @@ class Free:
 
     def __post_init__(self) -> None:
         for name in ("value", "lower", "upper", "step"):
-            given = np.atleast_1d(np.asarray(getattr(self, name), dtype=np.float64))
-            object.__setattr__(self, name, frozen(np.where(np.isinf(given), 0.0, given), name))
+            values = np.atleast_1d(np.asarray(getattr(self, name), dtype=np.float64))
+            object.__setattr__(self, name, frozen(np.where(np.isinf(values), 0.0, values), name))
             if name in ("lower", "upper"):
-                object.__setattr__(self, name, given)
+                object.__setattr__(self, name, values)
 
 
 def free(value: Any, lower: Any, upper: Any, step: Any) -> Free:
@@ -155,7 +155,7 @@ class Extension:
         return np.zeros((0, 0))
 
 
-def within(place: str, value: float, low: float, high: float) -> None:
+def within(name: str, value: float, low: float, high: float) -> None:
     """Refuse a number outside [low, high] or not finite."""
     if not low <= value <= high or not np.isfinite(value):
-        raise ValueError(f"{place} is {value!r}, expected {low:g} to {high:g}")
+        raise ValueError(f"{name} is {value!r}, expected {low:g} to {high:g}")

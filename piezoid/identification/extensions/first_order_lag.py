@@ -44,8 +44,8 @@ class FirstOrderLag(Extension):
         """Return the pole."""
         if self.lag_s == 0.0:
             return NOTHING
-        rate_per_s, one = 1.0 / self.lag_s, np.ones((1, 1))
-        pole = ContinuousSystem(A=-rate_per_s * one, B=rate_per_s * one, C=one, D=0.0 * one)
+        rate_per_s, unit = 1.0 / self.lag_s, np.ones((1, 1))
+        pole = ContinuousSystem(A=-rate_per_s * unit, B=rate_per_s * unit, C=unit, D=0.0 * unit)
         return LoopEffect(system=pole)
 
     def at_corner(self, slower: float, sharper: float) -> Self:  # noqa: ARG002

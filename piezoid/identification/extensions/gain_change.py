@@ -53,10 +53,10 @@ class GainChange(Extension):
 
     def gain(self, where: Where) -> Array | float:
         """Return 1 before and the ratio after."""
-        after = self._after(where)
-        if after is None:
+        share = self._after(where)
+        if share is None:
             return 1.0
-        return np.asarray(1.0 + (self.ratio - 1.0) * after, dtype=np.float64)
+        return np.asarray(1.0 + (self.ratio - 1.0) * share, dtype=np.float64)
 
     def response(self, moved: Array, where: Where) -> Array:
         """Return the displacement at the gain of its time."""

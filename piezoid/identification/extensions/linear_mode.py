@@ -1,6 +1,7 @@
 """One mechanical mode behind the hysteresis."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import pi
 from typing import ClassVar, Self
 
@@ -8,10 +9,9 @@ import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
 from piezoid.identification.extensions.loop_effect import LoopEffect
-from piezoid.identification.extensions.signals import rung
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import NORMAL_95
-from piezoid.operators.linear import ContinuousSystem
+from piezoid.operators.linear import ContinuousSystem, recursive_filter
 
 LEAST_QUALITY, MOST_QUALITY = 0.5, 1e4
 MOST_PART = 3.0
@@ -84,6 +84,28 @@ class LinearMode(Extension):
         """Return another mode."""
         f, quality, part = value.tolist()
         return type(self)(frequency_Hz=f, quality=quality, participation=part)
+
+
+def rung(moved: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> Array:
+    """Return a signal behind one mode, x'' + (w / Q) x' + w^2 x = w^2 u, straight between samples.
+
+    moved  (samples,) or (samples, columns)
+    """
+    fraction, start = _mode(frequency_Hz, quality, rate_Hz), moved[:1]
+    changes = (moved - start).reshape(len(moved), -1).T
+    rung_up = [recursive_filter(*fraction, change) for change in changes]
+    return np.asarray(np.stack(rung_up, axis=-1).reshape(moved.shape) + start)
+
+
+@lru_cache(maxsize=256)
+def _mode(frequency_Hz: float, quality: float, rate_Hz: float) -> tuple[Array, Array]:
+    """Return numerator and denominator of the exact sampling behind a first-order hold."""
+    from scipy.signal import cont2discrete
+
+    w = 2.0 * np.pi * frequency_Hz
+    system = ([w * w], [1.0, w / quality, w * w])
+    b, a, _ = cont2discrete(system, 1.0 / rate_Hz, method="foh")
+    return np.asarray(b).ravel(), np.asarray(a)
 
 
 def mode_spread(

@@ -8,7 +8,6 @@ import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
 from piezoid.identification.extensions.loop_effect import LoopEffect
-from piezoid.identification.extensions.signals import hats
 from piezoid.numerics.arrays import Array
 
 WANDER_s = 6.0  # how long the grid keeps a phase
@@ -91,20 +90,20 @@ class MainsLines(Extension):
 
     def columns(self, where: Where) -> Array | None:
         """Return cosines and sines under their hats, at the places of this piece."""
-        found, first = None, 0
+        columns, first = None, 0
         total = sum(2 * len(hum.cosine_m) for hum in self.hums)
         for hum in self.hums:
             count = len(hum.cosine_m)
             if (hum.recording, hum.first) == (where.recording, where.first):
-                found = np.zeros((where.samples, total))
-                found[:, first : first + 2 * count] = self._waves(hum, where)
+                columns = np.zeros((where.samples, total))
+                columns[:, first : first + 2 * count] = self._waves(hum, where)
             first += 2 * count
-        return found
+        return columns
 
     def _waves(self, hum: Hum, where: Where) -> Array:
         knots = len(hum.cosine_m) // len(hum.harmonic)
-        place = np.linspace(0.0, knots - 1.0, where.samples)
-        under = hats(place, knots)
+        position = np.linspace(0.0, knots - 1.0, where.samples)
+        under = hats(position, knots)
         turn = 2.0 * np.pi * self.frequency_Hz * where.time_s[:, None]
         parts = [np.cos(n * turn) * under for n in hum.harmonic]
         return np.hstack(parts + [np.sin(n * turn) * under for n in hum.harmonic])
@@ -125,11 +124,11 @@ class MainsLines(Extension):
 
     def moved_to(self, value: Array) -> Self:
         """Return other amplitudes."""
-        rest, hums = value.tolist(), []
+        values, hums = value.tolist(), []
         for hum in self.hums:
             count = len(hum.cosine_m)
-            cosine_m, sine_m = tuple(rest[:count]), tuple(rest[count : 2 * count])
-            rest = rest[2 * count :]
+            cosine_m, sine_m = tuple(values[:count]), tuple(values[count : 2 * count])
+            values = values[2 * count :]
             hums.append(
                 Hum(
                     recording=hum.recording,
@@ -151,3 +150,12 @@ class MainsLines(Extension):
             parts += [np.diff(np.eye(knots), axis=0)] * (2 * len(hum.harmonic))
         wide = sum(2 * len(hum.cosine_m) for hum in self.hums)
         return np.asarray(block_diag(*parts)).reshape(-1, wide)
+
+
+def hats(place: Array, knots: int) -> Array:
+    """Return smooth hats with their tops at 0, 1, .. knots - 1, (samples, knots); they add to 1.
+
+    place  (samples,)  0 to knots - 1; what lies outside counts as the end
+    """
+    away = np.abs(np.clip(place, 0.0, knots - 1.0)[:, None] - np.arange(knots))
+    return np.asarray(np.where(away < 1.0, 0.5 * (1.0 + np.cos(np.pi * away)), 0.0))

@@ -55,15 +55,15 @@ class ThermalDrift(Extension):
 
     def columns(self, where: Where) -> Array | None:
         """Return the hats of this piece among the places of all."""
-        found, total = None, sum(len(curve.level_m) for curve in self.curves)
+        columns, total = None, sum(len(curve.level_m) for curve in self.curves)
         first = 0
         for curve in self.curves:
             count = len(curve.level_m)
             if (curve.recording, curve.first) == (where.recording, where.first):
-                found = np.zeros((where.samples, total))
-                found[:, first : first + count] = _splines(count + 1, where.samples)[:, 1:]
+                columns = np.zeros((where.samples, total))
+                columns[:, first : first + count] = _splines(count + 1, where.samples)[:, 1:]
             first += count
-        return found
+        return columns
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
         """Return range and speed of the drift; knots lie at least a second apart."""
@@ -81,10 +81,10 @@ class ThermalDrift(Extension):
 
     def moved_to(self, value: Array) -> Self:
         """Return other levels."""
-        rest, curves = value.tolist(), []
+        values, curves = value.tolist(), []
         for curve in self.curves:
             count = len(curve.level_m)
-            level_m, rest = tuple(rest[:count]), rest[count:]
+            level_m, values = tuple(values[:count]), values[count:]
             curves.append(
                 DriftCurve(recording=curve.recording, first=curve.first, level_m=level_m)
             )

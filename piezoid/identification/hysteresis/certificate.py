@@ -52,10 +52,10 @@ def certify(
     reach_V = scales.voltage_V
     vectors = drawn_vectors(jack, coordinates.bounds(longest_lag_s), DRAWS, SEED)
     drawn_models = [physical(operator_of(theta, coordinates), scales) for theta in vectors]
-    terms = [apart(model, other, reach_V) for other in drawn_models]
+    terms = [distance_terms(model, drawn, reach_V) for drawn in drawn_models]
     plays_m, zones_m = np.quantile(np.array(terms), 0.95, axis=0)
     drives_V = adversarial_drives(reach_V, SEED)
-    reached = [reached_difference(model, other, drives_V, reach_V) for other in drawn_models]
+    reached = [reached_difference(model, drawn, drives_V, reach_V) for drawn in drawn_models]
     return Certificate(
         plays_m=float(plays_m),
         dead_zones_m=float(zones_m),
@@ -84,7 +84,7 @@ def adversarial_drives(reach_V: float, seed: int) -> Array:
 
 def reached_difference(
     model: ModifiedPrandtlIshlinskii,
-    other: ModifiedPrandtlIshlinskii,
+    drawn: ModifiedPrandtlIshlinskii,
     drives_V: Array,
     reach_V: float,
 ) -> float:
@@ -93,15 +93,15 @@ def reached_difference(
     A common zero is taken away: it is fitted for every recording. The worst input of two play
     sums begins at the end of the range, so it may follow anything; its mirror image counts too.
     """
-    own = worst_case(other.plays, model.plays, reach_V).extrema
-    voltage_V = model.voltage_offset_V + np.concatenate([drives_V, own, -own])
-    first, second = (m.run(voltage_V, m.virgin_memory())[0] for m in (model, other))
+    worst_V = worst_case(drawn.plays, model.plays, reach_V).extrema
+    voltage_V = model.voltage_offset_V + np.concatenate([drives_V, worst_V, -worst_V])
+    first, second = (m.run(voltage_V, m.virgin_memory())[0] for m in (model, drawn))
     difference = second - first
     return float(np.ptp(difference) / 2)
 
 
-def apart(
-    model: ModifiedPrandtlIshlinskii, other: ModifiedPrandtlIshlinskii, reach_V: float
+def distance_terms(
+    model: ModifiedPrandtlIshlinskii, drawn: ModifiedPrandtlIshlinskii, reach_V: float
 ) -> tuple[float, float]:
     """Return the play and the dead-zone term of the distance between two models, m.
 
@@ -109,18 +109,18 @@ def apart(
     the same operator in another gauge is no distance away.
     """
     end = np.array([reach_V])
-    ratio = float(model.plays.loading_curve(end)[0] / other.plays.loading_curve(end)[0])
-    other = other.rescaled(ratio)
+    ratio = float(model.plays.loading_curve(end)[0] / drawn.plays.loading_curve(end)[0])
+    drawn = drawn.rescaled(ratio)
     steepest = float(model.dead_zones.slope.max())
     reach = np.array([-reach_V, reach_V])
-    widest_V = float(np.abs(other.envelope.run(reach)).max())
-    bends_V = _sup_difference(model.envelope, other.envelope, reach_V)
+    widest_V = float(np.abs(drawn.envelope.run(reach)).max())
+    bends_V = _sup_difference(model.envelope, drawn.envelope, reach_V)
     plays_m = steepest * (
-        worst_case(other.plays, model.plays, widest_V).bound
+        worst_case(drawn.plays, model.plays, widest_V).bound
         + float(np.abs(model.plays.weight).sum()) * bends_V
     )
-    top_m = float(other.plays.loading_curve(np.array([widest_V]))[0])
-    return plays_m, _sup_difference(model.dead_zones, other.dead_zones, top_m)
+    top_m = float(drawn.plays.loading_curve(np.array([widest_V]))[0])
+    return plays_m, _sup_difference(model.dead_zones, drawn.dead_zones, top_m)
 
 
 def _sup_difference(first: DeadZones, second: DeadZones, reach: float) -> float:

@@ -203,18 +203,18 @@ def read_approach(
     present = np.isfinite(height) & np.isfinite(current)
     order = np.argsort(height[present], kind="stable")
     saturated = rows_at_limit(current[present][order])
-    used = np.flatnonzero(present)[np.sort(order[saturated:])]
-    if len(used) < MIN_POINTS:
+    rows = np.flatnonzero(present)[np.sort(order[saturated:])]
+    if len(rows) < MIN_POINTS:
         clipped = f", {saturated} more lie at the amplifier's limit" if saturated else ""
         raise ExcitationError(
-            f"{label}: {len(used)} rows hold both a height and a current{clipped}",
+            f"{label}: {len(rows)} rows hold both a height and a current{clipped}",
             needed=f"at least {MIN_POINTS}",
             remedy="Record the sweep again with more points.",
-            points=len(used),
+            points=len(rows),
         )
-    if not np.ptp(height[used]) > 0.0:
+    if not np.ptp(height[rows]) > 0.0:
         raise ExcitationError(
-            f"{label}: all heights are {height[used][0]:.6g} m",
+            f"{label}: all heights are {height[rows][0]:.6g} m",
             needed="a height that moves",
             remedy="Pass the relative height of the sweep, in metres.",
         )
@@ -222,8 +222,8 @@ def read_approach(
         label=label,
         direction=direction,
         bias_V=bias_V,
-        height_m=height[used],
-        current_A=current[used],
+        height_m=height[rows],
+        current_A=current[rows],
         rows=len(height),
         saturated=saturated,
         pair=pair,

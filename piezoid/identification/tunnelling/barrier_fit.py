@@ -135,18 +135,18 @@ def fit_barrier(
     root = np.sqrt(state.points.weight)
     jacobian, residual = state.fit.jacobian(state.points) * root[:, None], state.residual_A * root
     height_m = state.points.height_m
-    full, blocks = _block_covariance(jacobian, residual, height_m, 0)
-    offset, _ = _block_covariance(jacobian, residual, height_m, full.shape[0] - 1)
+    by_parameter, blocks = _block_covariance(jacobian, residual, height_m, 0)
+    offset, _ = _block_covariance(jacobian, residual, height_m, by_parameter.shape[0] - 1)
     # ln I_0 = mean over sweeps of ln A + k z_0, with z_0 the lowest height.
-    to_pair = np.zeros((2, full.shape[0]))
+    to_pair = np.zeros((2, by_parameter.shape[0]))
     to_pair[:, 0] = (1.0, state.lowest_m)
     for sweep in range(sweeps):
         to_pair[1, 1 + state.first_piece(sweep)] += 1.0 / sweeps
-    covariance = to_pair @ full @ to_pair.T
+    covariance = to_pair @ by_parameter @ to_pair.T
     decays = _decay_of_each_sweep(state, sweeps)
-    plain = 1.0 / max(float(_information(jacobian, 0).sum()), TINY)
+    independent = 1.0 / max(float(_information(jacobian, 0).sum()), TINY)
     between = float(np.var(decays, ddof=1)) / sweeps if sweeps > 2 else 0.0
-    inflation = max(float(covariance[0, 0]) / plain, between / plain, 1.0)
+    inflation = max(float(covariance[0, 0]) / independent, between / independent, 1.0)
     quantile = float(student_quantile(0.975, max(blocks - 1, 1)))
     low, high = profile_interval(state.points, state.fit, quantile**2 * inflation)
     calibration = NORMAL_95 * height_relative_uncertainty * decay
@@ -184,13 +184,13 @@ def _decay_of_each_sweep(state: WeightedFit, sweeps: int) -> tuple[float, ...]:
         return (state.fit.decay_per_m,)
     decays, points = [], state.points
     for sweep in range(sweeps):
-        chosen = state.sweep_of_point == sweep
+        of_sweep = state.sweep_of_point == sweep
         part = replace(
             points,
-            height_m=points.height_m[chosen],
-            current_A=points.current_A[chosen],
-            piece=np.unique(points.piece[chosen], return_inverse=True)[1],
-            weight=points.weight[chosen],
+            height_m=points.height_m[of_sweep],
+            current_A=points.current_A[of_sweep],
+            piece=np.unique(points.piece[of_sweep], return_inverse=True)[1],
+            weight=points.weight[of_sweep],
         )
         decays.append(fit_exponential(part).decay_per_m)
     return tuple(decays)
@@ -311,8 +311,8 @@ def _slope_change(state: WeightedFit) -> float:
         if half.sum() < 5:
             return 0.0
         slopes.append(np.polyfit(height_m[half], state.log_residual[half], 1, w=root[half])[0])
-    near, far = (state.fit.decay_per_m - slope for slope in slopes)
-    return float(far / near - 1.0)
+    near_decay, far_decay = (state.fit.decay_per_m - slope for slope in slopes)
+    return float(far_decay / near_decay - 1.0)
 
 
 def _information(jacobian: Array, column: int) -> Array:
@@ -321,9 +321,9 @@ def _information(jacobian: Array, column: int) -> Array:
     jacobian  (points, parameters)  whitened
     returned  (points,)             squared, so that the sum is 1 / variance
     """
-    others, wanted = np.delete(jacobian, column, axis=1), jacobian[:, column]
-    explained = others @ np.linalg.lstsq(others, wanted, rcond=None)[0]
-    return np.asarray((wanted - explained) ** 2)
+    remaining, target = np.delete(jacobian, column, axis=1), jacobian[:, column]
+    explained = remaining @ np.linalg.lstsq(remaining, target, rcond=None)[0]
+    return np.asarray((target - explained) ** 2)
 
 
 def _block_covariance(
@@ -342,8 +342,8 @@ def _block_covariance(
     pseudo-inverse.
     """
     heights, row = np.unique(height_m, return_inverse=True)
-    known = np.bincount(row, weights=_information(jacobian, column), minlength=len(heights))
-    share = (np.cumsum(known) - 0.5 * known) / max(float(known.sum()), TINY)
+    by_height = np.bincount(row, weights=_information(jacobian, column), minlength=len(heights))
+    share = (np.cumsum(by_height) - 0.5 * by_height) / max(float(by_height.sum()), TINY)
     block = np.unique(np.minimum((share * BLOCKS).astype(int), BLOCKS - 1), return_inverse=True)[1]
     block = block[row]
     scale = 1.0 / np.sqrt(np.maximum((jacobian**2).sum(axis=0), TINY))

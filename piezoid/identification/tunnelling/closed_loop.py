@@ -236,7 +236,7 @@ def pole_interval(
     A pole that may lie where a hold no longer shows it is bounded from below only, unless it is
     declared.
     """
-    lowest, highest = (ends[1] for ends in bounds_of_logs(sampling_rate_Hz, declared_Hz))
+    lowest, highest = (limits[1] for limits in bounds_of_logs(sampling_rate_Hz, declared_Hz))
     bounded = high < highest or declared_Hz is not None
     return math.exp(max(low, lowest)), math.exp(high) if bounded else math.inf
 

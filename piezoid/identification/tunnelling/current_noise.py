@@ -107,12 +107,15 @@ def estimate_noise(residual_A: Array, mean_A: Array, chain: CurrentChain) -> Cur
         variance = noise.variance(mean_A)
         return float(np.sum(np.log(variance) + residual_A**2 / variance))
 
-    quiet_A = float(np.median(np.abs(residual_A[np.abs(mean_A) <= np.median(np.abs(mean_A))])))
+    dark_A = float(np.median(np.abs(residual_A[np.abs(mean_A) <= np.median(np.abs(mean_A))])))
     starts = [
-        (math.log(max(quiet_A, 1e-6 * typical_A)), math.log(max(typical_A / scale_A, _SMOOTHEST))),
+        (
+            math.log(max(dark_A, 1e-6 * typical_A)),
+            math.log(max(typical_A / scale_A, _SMOOTHEST)),
+        ),
         (math.log(typical_A), math.log(_SMOOTHEST) / 2.0),
     ]
-    found = [
+    minima = [
         minimize(
             deviance,
             np.clip(start, [b[0] for b in bounds], [b[1] for b in bounds]),
@@ -122,7 +125,7 @@ def estimate_noise(residual_A: Array, mean_A: Array, chain: CurrentChain) -> Cur
         )
         for start in starts
     ]
-    best = min(found, key=lambda result: float(result.fun)).x
+    best = min(minima, key=lambda result: float(result.fun)).x
     return CurrentNoise(
         floor_A=math.exp(float(best[0])), relative=math.exp(float(best[1])), chain=chain
     )

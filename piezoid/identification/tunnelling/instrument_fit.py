@@ -129,12 +129,12 @@ def fit_with_instrument(
     logs, cost, deviation = problem.settle(starts, problem.deviation(response))
     freedom = problem.freedom(_WITH_TAIL)
     if known_mode is None and cost > freedom + 2.0 * math.sqrt(2.0 * freedom):
-        beside = [
+        starts_with_mode = [
             np.append(logs[:_PLANT], [math.log(share), math.log(10.0), part])
             for share in _MODE_STARTS_SHARE
             for part in (0.1, 0.9)
         ]
-        with_mode = problem.settle(beside, deviation)
+        with_mode = problem.settle(starts_with_mode, deviation)
         if with_mode[1] < cost - _MODE_WORTH * cost / freedom:
             logs, cost, deviation = with_mode
     misfit = cost / problem.freedom(len(logs))
@@ -292,23 +292,23 @@ class _Moments:
             facts.append((_LN_POLE, math.log(self.declared_pole_Hz), POLE_SPREAD))
         if self.known_mode is not None:
             of_mode = zip(self.known_mode.numbers, self.known_mode.deviation, strict=True)
-            facts += [(_PLANT + place, *fact) for place, fact in enumerate(of_mode)]
+            facts += [(_PLANT + number, *fact) for number, fact in enumerate(of_mode)]
         rows = np.zeros((len(facts), numbers))
-        for row, (place, _, spread) in zip(rows, facts, strict=True):
-            row[place] = 1.0 / spread
+        for row, (number, _, spread) in zip(rows, facts, strict=True):
+            row[number] = 1.0 / spread
         return rows, np.array([center / spread for _, center, spread in facts])
 
     def jacobian(self, logs: Array, deviation: Array) -> Array:
         """d weighted / d logs by central differences, (2 lines, numbers)."""
         columns = []
         low, high = self.bounds(len(logs))
-        for place in range(len(logs)):
+        for number in range(len(logs)):
             step = np.zeros(len(logs))
-            step[place] = 1e-5
+            step[number] = 1e-5
             forward = np.minimum(logs + step, high)
             backward = np.maximum(logs - step, low)
             change = self.weighted(forward, deviation) - self.weighted(backward, deviation)
-            columns.append(change / (forward - backward)[place])
+            columns.append(change / (forward - backward)[number])
         return np.column_stack(columns)
 
     def covariance(self, logs: Array, deviation: Array, misfit: float) -> tuple[Array, Array]:
@@ -323,8 +323,8 @@ class _Moments:
         moments = moments - moments.mean(axis=0)
         parts = np.concatenate([moments.real, moments.imag], axis=1)
         jacobian = self.jacobian(logs, deviation)
-        known, _ = self.known(len(logs))
-        inverse = np.linalg.pinv(np.vstack([jacobian, known]))
+        prior, _ = self.known(len(logs))
+        inverse = np.linalg.pinv(np.vstack([jacobian, prior]))
         of_record, of_known = np.split(inverse, [len(jacobian)], axis=1)
         pulls = parts @ of_record.T / len(parts)
         sandwich = pulls.T @ pulls * len(parts) / (len(parts) - 1)
@@ -334,5 +334,5 @@ class _Moments:
         change = 1e4 * (faster.weighted(logs, deviation) - self.weighted(logs, deviation))
         of_amplifier = POLE_SPREAD * (of_record @ change)
         common = of_known @ of_known.T + np.outer(of_amplifier, of_amplifier)
-        own: Array = misfit * sandwich * np.outer(stretch, stretch)
-        return own + common, common
+        widened: Array = misfit * sandwich * np.outer(stretch, stretch)
+        return widened + common, common

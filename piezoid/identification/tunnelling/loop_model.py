@@ -160,10 +160,10 @@ def spread_family(fits: Sequence[ClosedLoopFit]) -> tuple[JunctionPlant, ...]:
     allows neither to be anything.
     """
     mean = np.mean([fit.logs for fit in fits], axis=0)
-    own, between, common = _covariances(fits)
-    covariance, reach = own + common, NORMAL_95
+    of_record, between, common = _covariances(fits)
+    covariance, reach = of_record + common, NORMAL_95
     if between is not None:
-        covariance = between + (between + own) / len(fits) + common
+        covariance = between + (between + of_record) / len(fits) + common
         reach = float(student_quantile(0.975, len(fits) - 1))
     nominal = _plant(mean, fits[0].plant)
     low, high = bounds_of_logs(nominal.sampling_rate_Hz, fits[0].declared_pole_Hz)
@@ -187,14 +187,14 @@ def mean_of(fits: Sequence[ClosedLoopFit]) -> tuple[Array, Array]:
     in all of them and does not average.
     """
     logs = np.array([fit.logs for fit in fits])
-    own, between, common = _covariances(fits)
+    of_record, between, common = _covariances(fits)
     if between is None:
         reach = NORMAL_95
         scatter = np.var(logs, axis=0, ddof=min(len(fits) - 1, 1))
-        total = np.maximum(np.diag(own), scatter)
+        total = np.maximum(np.diag(of_record), scatter)
     else:
         reach = float(student_quantile(0.975, len(fits) - 1))
-        total = np.diag(between + own)
+        total = np.diag(between + of_record)
     alike = NORMAL_95**2 * np.diag(common)
     return logs.mean(axis=0), np.sqrt(reach**2 * total / len(fits) + alike)
 
@@ -206,12 +206,12 @@ def _covariances(fits: Sequence[ClosedLoopFit]) -> tuple[Array, Array | None, Ar
     dimensions]; None with fewer than three records, which cannot show it.
     """
     common = np.mean([fit.common for fit in fits], axis=0)
-    own = np.mean([fit.covariance - fit.common for fit in fits], axis=0)
+    of_record = np.mean([fit.covariance - fit.common for fit in fits], axis=0)
     if len(fits) < _MIN_RECORDS:
-        return own, None, common
+        return of_record, None, common
     scatter = np.cov([fit.logs for fit in fits], rowvar=False)
-    values, vectors = np.linalg.eigh(scatter - own)
-    return own, (vectors * np.maximum(values, 0.0)) @ vectors.T, common
+    values, vectors = np.linalg.eigh(scatter - of_record)
+    return of_record, (vectors * np.maximum(values, 0.0)) @ vectors.T, common
 
 
 def _intervals(fits: Sequence[ClosedLoopFit]) -> tuple[Interval, Interval, Interval]:

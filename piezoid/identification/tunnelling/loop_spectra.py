@@ -158,11 +158,11 @@ def _cut(
     )
 
 
-def _lines(spectra: LoopSpectra, chosen: NDArray[np.bool_]) -> LoopSpectra:
+def _lines(spectra: LoopSpectra, is_used: NDArray[np.bool_]) -> LoopSpectra:
     return LoopSpectra(
-        frequency_Hz=spectra.frequency_Hz[chosen],
-        reference=spectra.reference[:, chosen],
-        drive=spectra.drive[:, chosen],
-        output=spectra.output[:, chosen],
+        frequency_Hz=spectra.frequency_Hz[is_used],
+        reference=spectra.reference[:, is_used],
+        drive=spectra.drive[:, is_used],
+        output=spectra.output[:, is_used],
         through=spectra.through,
     )

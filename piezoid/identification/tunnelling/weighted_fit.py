@@ -98,16 +98,16 @@ def solve_at(points: Points, decay_per_m: float) -> Exponential:
     """Return the best amplitudes, none of them negative, and the offset for a given decay."""
     decayed = np.exp(-decay_per_m * points.height_m)
     root = np.sqrt(points.weight)
-    used = np.ones(points.pieces, dtype=bool)
+    is_used = np.ones(points.pieces, dtype=bool)
     while True:
-        columns = [decayed * (points.piece == piece) for piece in np.flatnonzero(used)]
+        columns = [decayed * (points.piece == piece) for piece in np.flatnonzero(is_used)]
         design = np.column_stack([*columns, np.ones_like(decayed)])
         solution = np.linalg.lstsq(design * root[:, None], points.current_A * root, rcond=None)[0]
         if (solution[:-1] >= 0.0).all():
             break
-        used[np.flatnonzero(used)[solution[:-1] < 0.0]] = False
+        is_used[np.flatnonzero(is_used)[solution[:-1] < 0.0]] = False
     amplitude_A = np.zeros(points.pieces)
-    amplitude_A[used] = solution[:-1]
+    amplitude_A[is_used] = solution[:-1]
     return Exponential(
         decay_per_m=decay_per_m,
         amplitude_A=amplitude_A,

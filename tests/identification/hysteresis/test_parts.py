@@ -8,7 +8,7 @@ import pytest
 from piezoid.identification.forward import Forward
 from piezoid.identification.hysteresis.certificate import (
     adversarial_drives,
-    apart,
+    distance_terms,
     reached_difference,
 )
 from piezoid.identification.hysteresis.coordinates import Coordinates, Shape, operator_of
@@ -155,10 +155,10 @@ def test_distance_of_two_models_bounds_what_any_drive_reaches(rng: np.random.Gen
         shared = slice(0, found.task.coordinates.shared)
         theta[shared] *= 1 + 0.05 * rng.standard_normal(shared.stop)
         other = physical(operator_of(theta, found.task.coordinates), scales)
-        plays_m, zones_m = apart(model, other, scales.voltage_V)
+        plays_m, zones_m = distance_terms(model, other, scales.voltage_V)
         reached_m = reached_difference(model, other, drives_V, scales.voltage_V)
         assert 0 < reached_m <= plays_m + zones_m
-    same = apart(model, model.rescaled(3.0), scales.voltage_V)
+    same = distance_terms(model, model.rescaled(3.0), scales.voltage_V)
     np.testing.assert_allclose(same, 0.0, atol=1e-18)
 
 
@@ -172,7 +172,7 @@ def test_without_dead_zones_the_bound_is_attained() -> None:
     ratio = float(model.plays.loading_curve(end)[0] / other.plays.loading_curve(end)[0])
     other = other.rescaled(ratio)
     other = replace(other, dead_zones=model.dead_zones)
-    plays_m, zones_m = apart(model, other, scales.voltage_V)
+    plays_m, zones_m = distance_terms(model, other, scales.voltage_V)
     none = np.zeros(1)
     reached_m = reached_difference(model, other, none, scales.voltage_V)
     assert zones_m == pytest.approx(0.0, abs=1e-18)
