@@ -169,14 +169,17 @@ def _show(found: "Diagnosis", out: Path) -> None:
         console.print(_table(found))
     before, after = with_unit(found.baseline.rms_m, "m"), with_unit(found.final.rms_m, "m")
     noise = with_unit(found.noise_floor_rms_m, "m")
-    line = f"axis {found.axis}: held-out error {before} without, {after} with what was found; "
-    console.print(plain(in_counts(f"{line}sensor noise {noise}", found.counted)))
+    line = (
+        f"axis {found.axis}: held-out error {before} with hysteresis alone, {after} with all "
+        f"findings; sensor noise {noise}"
+    )
+    console.print(plain(in_counts(line, found.counted)))
     facts = diagnosis_statements(found)
     least = Level.ACTION if found.findings else Level.NOTE
     if any(fact.quantity == "no_effect_tested" for fact in facts):
         least = min(least, Level.WARNING)
     show_statements(record_in_counts(facts, found.counted), least)
-    console.print(plain(f"all that was tested: {out / 'diagnosis.html'}"))
+    console.print(plain(f"details: {out / 'diagnosis.html'}"))
 
 
 def _table(found: "Diagnosis") -> "Table":
@@ -194,7 +197,7 @@ def _table(found: "Diagnosis") -> "Table":
         for finding in largest_first(found)
     ]
     headings = ("effect", "gain", "size", "95 %", "not separable from")
-    return table(f"axis {found.axis}: {len(found.findings)} found", headings, rows, left=5)
+    return table(f"axis {found.axis}: {len(found.findings)} effects found", headings, rows, left=5)
 
 
 def diagnosis_page(

@@ -72,7 +72,7 @@ def simulate(
     else:
         sizes = dict(_sized(text) for text in effect or ())
         with shown(quiet=quiet or json) as told:
-            told("recording the virtual stage")
+            told("simulating the virtual stage")
             try:
                 campaign = draw_campaign(
                     seed, effects=sizes, truth=truth, plans=recording, careless=careless
@@ -100,7 +100,7 @@ def _write_junction(
     )
 
     with shown(quiet=quiet) as told:
-        told("recording the virtual tip")
+        told("simulating the virtual tip")
         try:
             campaign = draw_junction_campaign(seed, seconds=seconds)
         except ValueError as error:

@@ -177,7 +177,7 @@ def _proved(
 ) -> "tuple[LimitProof, ...]":
     from piezoid.verification.limit_proof import prove
 
-    executor.report("proving that no input leads past a limit, about a minute an axis")
+    executor.report("proving that no input exceeds a limit, about a minute per axis")
     return prove(file, held, executor=executor)
 
 

@@ -201,7 +201,7 @@ def compare(
             needed="recordings in the units of the model",
             remedy="Write scale = { ... } into lab.toml as at the fit.",
         )
-    progress("simulating the model as it was")
+    progress("simulating the earlier model")
     model = model.without_loop_shape()  # what is refitted is plays with dead zones
     lasting = tuple(e for e in model.extensions if not isinstance(e, RECORDING_EFFECTS))
     start = replace(model, extensions=lasting, starts=())

@@ -302,7 +302,7 @@ def _absent(effect: Effect, rest: Rest, final: Array) -> NotDetected:
         effect=effect.name,
         upper_bound_m=bound_m,
         detection_limit_m=bound_m,
-        reason=f"no sign of it; {with_unit(bound_m, 'm')} rms would have shown",
+        reason=f"not detected; {with_unit(bound_m, 'm')} rms would have been",
         next_experiment=effect.experiment,
     )
 

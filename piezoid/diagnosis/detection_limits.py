@@ -36,18 +36,18 @@ def absent(effect: Effect, outcome: Outcome) -> NotDetected:
         effect=effect.name,
         upper_bound_m=limit_m,
         detection_limit_m=limit_m,
-        reason=f"no sign of it; {with_unit(limit_m, 'm')} would have shown",
+        reason=f"not detected; {with_unit(limit_m, 'm')} would have been",
         next_experiment=effect.experiment,
     )
 
 
 def not_sought(effect: Effect, against: str) -> NotDetected:
-    """Say of an effect that it was not looked for, because the model class does not apply."""
+    """Say of an effect that it was not tested, because the model class does not apply."""
     return NotDetected(
         effect=effect.name,
         upper_bound_m=None,
         detection_limit_m=None,
-        reason=f"not looked for, because the model class does not apply: {against}",
+        reason=f"not tested, because the model class does not apply: {against}",
         next_experiment=effect.experiment,
     )
 
@@ -85,8 +85,9 @@ def _bounded(found: ScoreTest, outcome: Outcome) -> NotDetected:
         upper_bound_m=bound_m,
         detection_limit_m=limit_m,
         reason=(
-            f"at most {with_unit(bound_m, 'm')} rms; it takes {100 * found.cv.gain:.2g} % off the "
-            f"error on rows left out ({found.cv.z:.2g} standard errors){_beside_placebo(found)}"
+            f"at most {with_unit(bound_m, 'm')} rms; it reduces the held-out error by "
+            f"{100 * found.cv.gain:.2g} % ({found.cv.z:.2g} standard errors)"
+            f"{_beside_placebo(found)}"
             f"{_held_back(found, outcome) or _in_spite_of(found, outcome)}"
         ),
         next_experiment=found.effect.experiment,
@@ -104,17 +105,17 @@ def _in_spite_of(found: ScoreTest, outcome: Outcome) -> str:
     if found.cv.gain < found.effect.minimum_gain or found.cv.z < MINIMUM_Z:
         return ""
     if not found.physical:
-        return ": not named, because physics allows it no such size"
+        return ": not named, because this size is physically impossible"
     if not exceeds_structure(found.share, outcome.final.rms, outcome.final.noise):
-        return ": not named, because it is no larger than what no hysteresis here follows"
+        return ": not named, because structure that no hysteresis class explains is as large"
     causes = ", ".join(words(cause.effect.name) for cause in outcome.causes)
-    rest = f", or may be what {causes} leave over" if causes else ""
-    return f": not named, because refitted with everything else it is no better than others{rest}"
+    rest = f", or it is a residue of {causes}" if causes else ""
+    return f": not named, because it is not significant beside the other effects{rest}"
 
 
 def _held_back(found: ScoreTest, outcome: Outcome) -> str:
     if found.effect.name not in outcome.held_back:
         return ""
     causes = ", ".join(words(cause.effect.name) for cause in outcome.causes)
-    beside = f"what {causes} may leave over" if causes else "what else no hysteresis here follows"
-    return f": not named, because these recordings do not tell it from {beside}"
+    beside = f"a residue of {causes}" if causes else "structure that no hysteresis class explains"
+    return f": not named, because these recordings cannot separate it from {beside}"

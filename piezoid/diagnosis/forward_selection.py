@@ -195,7 +195,7 @@ def select_forward(
 
     initial  of the view, where they are known
     """
-    executor.report("looking behind jumps of the drive")
+    executor.report("looking for modes after steps of the drive")
     selected = modes_behind_jumps(clean)
     state = SelectionState(
         clean=clean,

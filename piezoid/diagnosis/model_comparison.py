@@ -53,7 +53,7 @@ def _compare_each(
 ) -> tuple[list[Candidate], Confounded]:
     causes, near = [], {}
     for k, one in enumerate(selected):
-        executor.report(f"telling {words(one.effect.name)} from its rivals")
+        executor.report(f"comparing {words(one.effect.name)} with confounded effects")
         others = [other for n, other in enumerate(selected) if n != k]
         there, beside = _where_seen(one, clean, others)
         # judged once more, refined beside all others

@@ -111,7 +111,7 @@ def refitted(
         broken = again(raw or recordings, final.model.extensions, structure=structure)
         without |= dict.fromkeys(faults, broken)
     if whole is not None:
-        progress("refitting without what has no name")
+        progress("refitting without the unnamed structure")
         without[NAME] = again(
             whole,
             final.model.extensions,

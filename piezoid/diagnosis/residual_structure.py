@@ -223,13 +223,13 @@ def with_something_else(view: View, first: Outcome, executor: Executor) -> Searc
     view   of the recordings as they came
     first  the search on it
     """
-    executor.report("asking where the rest lives")
+    executor.report("locating the unexplained residual")
     remainder = Remainder.of(first.final, tangents_of(first, first.final))
     lives = everywhere(remainder)
     plain = SearchResult(raw=view, outcome=first, unexplained=rest_of(first, lives))
     best, least = plain, BETTER * first.final.rms
     for found in _sought(remainder, lives, first):
-        executor.report("searching again without it")
+        executor.report("searching again without this structure")
         again = search(without(view, found), executor)
         if again.final.rms < least:
             least = again.final.rms

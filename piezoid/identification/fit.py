@@ -59,7 +59,7 @@ def fit(
 
     declared = lab or Lab()
     inputs = prepare_fit(recordings, declared, sweeps, responses, progress=progress)
-    progress("fitting the tunnelling current, where there is one")
+    progress("fitting the tunnelling current")
     tunnelling = fit_junction(sweeps, inputs.recordings, declared)
     axes = {
         axis: fit_axis(

@@ -12,4 +12,4 @@ def test_a_diagnosis_is_the_same_byte_for_byte_however_many_threads_make_it() ->
     alone, said = diagnose(recordings, lab=lab), set()
     together = diagnose(recordings, lab=lab, threads=3, progress=said.add)
     assert write_diagnosis(together) == write_diagnosis(alone)
-    assert {"testing lag", "telling lag from its rivals"} <= said
+    assert {"testing lag", "comparing lag with confounded effects"} <= said
