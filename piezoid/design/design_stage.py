@@ -182,8 +182,9 @@ def _unused(lab: Lab, axes: Sequence[str]) -> Iterator[str]:
 def _edited(lab: Lab | None) -> str:
     now = "There is no lab.toml any more" if lab is None else f"{lab.place} is not that of the fit"
     return (
-        f"{now}: converters, limits and guards are what it says now, poles and gains what the fit "
-        "took from it. Fit again where [amplifier], [actuator] or [sensor] changed."
+        f"{now}: converters, limits and guards are what it says now, poles, gains and, without "
+        "--rate, the sampling rate what the fit took from it. Fit again where [amplifier], "
+        "[actuator], [sensor] or sampling_rate_Hz changed."
     )
 
 

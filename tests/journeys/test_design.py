@@ -61,6 +61,19 @@ def test_a_fitted_stage_gets_both_forms_and_keeps_its_other_files(stage: Path) -
     assert undesigned.count("ceiling_A is missing") == 1
 
 
+def test_a_rate_that_lab_toml_states_after_the_fit_is_not_passed_for_the_one_designed_for(
+    stage: Path,
+) -> None:
+    (stage / "lab.toml").write_text("[acquisition]\nsampling_rate_Hz = 5000\n")
+    status, shown, _ = run(stage)
+    assert status == 0
+    design = design_from_json((stage / "design.json").read_bytes())
+    assert design.axis("x").sampling_rate_Hz == 20e3
+    said = " ".join(shown.split())
+    assert "without --rate, the sampling rate what the fit took from it" in said
+    assert "or sampling_rate_Hz changed" in said
+
+
 def test_what_is_asked_is_asked_of_its_axis(stage: Path, tmp_path: Path) -> None:
     spec = tmp_path / "design.toml"
     spec.write_text("[x]\nbandwidth_Hz = 100\n")
