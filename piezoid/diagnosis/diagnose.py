@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from piezoid.diagnosis.attribution import ModelErrors, attribute_errors
+from piezoid.diagnosis.attribution import ModelErrors, attribute_errors, repaired
 from piezoid.diagnosis.budget import RemainingErrors, corrected, with_budget
 from piezoid.diagnosis.closed_loop_recordings import with_creep_of_holds
 from piezoid.diagnosis.constant_drive import diagnose_at_rest
@@ -22,7 +22,12 @@ from piezoid.diagnosis.forward_selection import SLIP
 from piezoid.diagnosis.identified_modes import split_known_modes, with_modes
 from piezoid.diagnosis.ingest_faults import with_ingested
 from piezoid.diagnosis.residual_structure import NAME as SOMETHING_ELSE
-from piezoid.diagnosis.residual_structure import SearchResult, search_all, without_names
+from piezoid.diagnosis.residual_structure import (
+    SearchResult,
+    search_all,
+    with_it,
+    without_names,
+)
 from piezoid.diagnosis.residual_view import View, view_of
 from piezoid.diagnosis.segments import tracks_of
 from piezoid.diagnosis.selection import Outcome, without_causes
@@ -102,7 +107,7 @@ def diagnose(
         recordings, selected_axis, start, declared, executor, is_rejected=is_rejected
     )
     progress("fitting dynamics and loop shape of the extended model")
-    final = refined(selection.errors.model, recordings, declared, response)
+    final = refined(selection.errors.model, selection.repaired(recordings), declared, response)
     return _assembled(selection, start, final, recordings)
 
 
@@ -129,6 +134,15 @@ class _Selection:
     recordings: tuple[Recording, ...]
     mode_recordings: tuple[Recording, ...]
     scales: Scales
+
+    def repaired(self, recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+        """Return the recordings, those searched without the faults repaired."""
+        raw, clean = self.result.raw.tracks, self.result.outcome.clean.tracks
+        if self.result.discovered is not None:
+            clean = with_it(self.result.outcome.clean, self.result.discovered).tracks
+        mended = repaired(self.recordings, self.axis, raw, clean, self.scales)
+        by_name = {recording.name: recording for recording in mended}
+        return tuple(by_name.get(recording.name, recording) for recording in recordings)
 
 
 def _select_effects(
@@ -170,10 +184,10 @@ def _select_effects(
     else:
         result = _data_faults_only(view, model.verdict.reason, executor)
         errors = attribute(result)
-    repaired = _drop_useless_slips(result, errors)
+    kept = _drop_useless_slips(result, errors)
     return _Selection(
         axis=axis,
-        result=replace(repaired, outcome=with_ingested(repaired.outcome, searched, view.stroke_m)),
+        result=replace(kept, outcome=with_ingested(kept.outcome, searched, view.stroke_m)),
         errors=errors,
         recordings=searched,
         mode_recordings=mode_recordings,

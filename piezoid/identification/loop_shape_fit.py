@@ -1,12 +1,13 @@
 """Fit loop shape: the wide class of hysteresis, to what plays with dead zones leave.
 
-    y - y_plays = F(X w) + sum_k a_k D_k + zero - t dy/dt + e
+    y - y_plays = F(X w) + sum_k a_k D_k + zero + sum_j t_j dy/dp_j + e
 
 X are the columns of ``operators.wide_hysteresis`` along the drive, F the filters behind the
 hysteresis, D_k the change that another history of the drive makes in the response of the model,
-and t is the error of the lag. The zero moves between the knots of the fit of the plays. Ridge
-regression with one prior variance for each family of columns gives the coefficients. D_k and the
-lag depend on the last estimate, so that a few rounds are made.
+and t_j the errors of the numbers p_j of lag and extensions. The zero moves between the knots of
+the fit of the plays. Ridge regression with one prior variance for each family of columns gives the
+coefficients. D_k and the derivatives depend on the last estimate: rounds are made until the
+numbers are at rest (Gauss-Newton with the linear coefficients eliminated).
 
 Families are made free of redundancy: each keeps only what the families before it cannot represent.
 Otherwise friction and Bouc-Wen states cancel each other with contributions of a thousand times the
@@ -22,7 +23,7 @@ from operator import add
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.identification.extensions.extension import Where
+from piezoid.identification.extensions.extension import Extension, Free, Where, free
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
 from piezoid.identification.loop_shape import (
     LoopShape,
@@ -52,7 +53,7 @@ from piezoid.records.recording import Recording
 
 ROWS = 10_000  # of all pieces together
 FEWEST_ROWS = 500
-ROUNDS = 3
+FEWEST_ROUNDS, MOST_ROUNDS = 3, 8
 FOLDS = 5
 BLOCKS_OF_A_PIECE = 15
 # Of the noise variance in the final solve: neighbouring residuals of a class that is slightly
@@ -62,17 +63,18 @@ BLOCKS_OF_A_PIECE = 15
 NOISE_FACTOR = 10.0
 COVERED = 0.97  # of the range of a piece: before, its initial state is unresolved
 WORTH = 0.97  # held-out error over that without loop shape: less gain is not worth the class
+WORSE = 1.02  # noise variance over the least: lag and extensions no longer improve it
 STEP_WORTH = 0.9  # held-out error with a step of the zero over that without
 STEP_PLACES = 60  # of a piece, at which a step of the zero is tried
 SHRINK = (1.0, 0.1, 0.01, 0.001)  # common factors of the prior variances
 FAR = 7.0  # robust standard deviations
 JUMP = 0.03  # half ranges in one sample, four times the neighbouring steps: an isolated step
 JITTER = 1e-7  # of the mean diagonal: what is smaller is redundant
-LAG_s = 1e-5  # unit of the lag's error
-LAG_MOVED = 0.02  # samples: columns are made again
+SHIFT = 0.02  # of the residual: a larger change by lag and extensions makes columns anew
 FILTERED = 0.02  # of the motion, rms: less than this a delay may miss of the filters
 MANY_HISTORIES = 120  # columns of initial states of all pieces together
-UNPENALISED = ("zero", "lag", "step")
+UNPENALISED = ("zero", "number", "step")
+LAG_s = 1e-6  # step for the derivative
 NEVER = -1  # number of the fold of rows that no fold leaves out
 
 
@@ -96,9 +98,8 @@ class _Piece:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Columns:
-    """What a lag determines.
+    """What lag and extensions determine.
 
-    plain_m    (rows,)           response of the plays, without zeros, m
     x          (rows, columns)   the wide class, scaled
     scale      (columns,)        what the columns were divided by
     change     (columns, columns)  from coefficients without redundancy to those of ``x``
@@ -106,7 +107,6 @@ class _Columns:
     paths      path of each piece's drive to its first rows, for other histories
     """
 
-    plain_m: Array
     x: Array
     scale: Array
     change: Array
@@ -144,6 +144,9 @@ class _Regression:
     change  (columns, columns)
     use     (rows,)          whether a row counts
     fold    (rows,)
+    value, lower, upper  (numbers,)  of lag and extensions, with their bounds
+    step    (numbers,)       their changes by coefficients of 1
+    prior   sums of what is known of them beforehand
     """
 
     design: Array
@@ -152,6 +155,29 @@ class _Regression:
     change: Array
     use: NDArray[np.bool_]
     fold: NDArray[np.intp]
+    value: Array
+    lower: Array
+    upper: Array
+    step: Array
+    prior: Moments | None = None
+
+    @property
+    def number_places(self) -> NDArray[np.intp]:
+        """Return the columns of lag and extensions."""
+        return self.places("number")
+
+    def outward(self, coefficient: Array) -> NDArray[np.bool_]:
+        """Return which columns would move a number beyond the bound at which it is."""
+        step = self.step * coefficient[self.number_places]
+        outward = np.zeros(len(self.family), dtype=bool)
+        outward[self.number_places] = ((self.value <= self.lower) & (step < 0.0)) | (
+            (self.value >= self.upper) & (step > 0.0)
+        )
+        return outward
+
+    def without(self, columns: NDArray[np.bool_]) -> "_Regression":
+        """Return the regression in which some columns are 0."""
+        return replace(self, design=np.where(columns, 0.0, self.design))
 
     def moments(self) -> tuple[Moments, ...]:
         """Return the sums of every fold, and at the end of the rows that are never left out."""
@@ -162,7 +188,7 @@ class _Regression:
             gram = self.change.T @ (x.T @ x) @ self.change
             moment = self.change.T @ (x.T @ y)
             sums.append(Moments(gram=gram, moment=moment, square=float(y @ y), count=len(y)))
-        return tuple(sums)
+        return tuple(sums) if self.prior is None else (*sums[:-1], sums[-1] + self.prior)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -176,12 +202,14 @@ class _Regression:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Estimate:
-    """Loop shape, initial states, zeros and lag after some rounds.
+    """Loop shape, initial states, zeros, lag and extensions after some rounds.
 
-    model       with loop shape and lag
+    model       with loop shape, lag and extensions
     weights     (histories,) of every piece
     zeros       (knots,) of every piece, m
-    coefficient (columns,)  of the columns of the wide class as they are scaled
+    wide        (columns,)  coefficients of the wide class, of unscaled columns
+    coefficient (columns,)  of all columns of the last regression
+    shift       of the reading by the last change of lag and extensions, of the residual
     variance    prior variance by family; noise, too
     parameters  effective number of them
     residual_m  (rows,)
@@ -192,7 +220,9 @@ class _Estimate:
     model: AxisModel
     weights: tuple[Array, ...]
     zeros: tuple[Array, ...]
+    wide: Array
     coefficient: Array
+    shift: float
     variance: dict[str, float]
     noise: float
     parameters: float
@@ -211,19 +241,41 @@ def with_loop_shape(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMod
     pieces = _pieces(axis, recordings)
     if sum(len(piece.rows) for piece in pieces) < FEWEST_ROWS:
         return axis
-    rate_Hz = max(piece.where.rate_Hz for piece in pieces)
     columns = _columns(axis, pieces)
     estimate = _first(axis, pieces, columns)
     plain = _plain_errors(_regression(estimate, pieces, columns))
-    late = axis
-    for _ in range(ROUNDS):
-        estimate = _improved(estimate, pieces, columns, _regression(estimate, pieces, columns))
-        lag = estimate.model.lag
-        if abs(lag.time_s - late.lag.time_s) * rate_Hz > LAG_MOVED:
-            late = replace(axis, lag=lag)
-            columns = _columns(late, pieces)
-    settled = replace(estimate.model, lag=late.lag)
-    return _accepted(axis, replace(estimate, model=settled), pieces, columns, plain)
+    best = estimate, pieces, columns
+    for number in range(MOST_ROUNDS):
+        regression = _regression(estimate, pieces, columns)
+        improved = _improved(estimate, pieces, columns, regression)
+        settled = replace(improved, model=_with_numbers_of(estimate.model, improved.model))
+        if number < FEWEST_ROUNDS - 1 or settled.noise < best[0].noise:
+            best = settled, pieces, columns
+        elif settled.noise > WORSE * best[0].noise:
+            break
+        if improved.shift > SHIFT:
+            pieces = _driven(improved.model, pieces)
+            columns = _columns(improved.model, pieces)
+            estimate = improved
+        else:
+            estimate = settled
+            if number + 1 >= FEWEST_ROUNDS:
+                break
+    estimate, pieces, columns = best
+    return _accepted(axis, estimate, pieces, columns, plain)
+
+
+def _with_numbers_of(estimated: AxisModel, model: AxisModel) -> AxisModel:
+    """Return a model with lag and extensions of the estimate before."""
+    return replace(model, lag=estimated.lag, extensions=estimated.extensions)
+
+
+def _driven(axis: AxisModel, pieces: Sequence[_Piece]) -> tuple[_Piece, ...]:
+    """Return the pieces with the drive that reaches the hysteresis of a model."""
+    return tuple(
+        replace(piece, drive_V=axis.forward.driven_V(piece.voltage_V, piece.where.rate_Hz))
+        for piece in pieces
+    )
 
 
 def _pieces(axis: AxisModel, recordings: Sequence[Recording]) -> tuple[_Piece, ...]:
@@ -281,9 +333,9 @@ def _folds(level: Array, rows: NDArray[np.intp], number: int) -> NDArray[np.intp
 
 
 def _columns(axis: AxisModel, pieces: Sequence[_Piece]) -> _Columns:
-    """Return everything that depends on the lag."""
+    """Return everything that depends on lag and extensions."""
     shape, forward = _empty(axis), axis.forward
-    plain, tables, paths = [], [], []
+    tables, paths = [], []
     number = min(len(histories(0.0)), max(3, MANY_HISTORIES // len(pieces)))
     for piece in pieces:
         late = forward.late_s(piece.where.rate_Hz) * piece.where.rate_Hz
@@ -291,7 +343,6 @@ def _columns(axis: AxisModel, pieces: Sequence[_Piece]) -> _Columns:
         zero_m = zero_of(piece.start, piece.where.samples)
         read_m = forward.read(forward.position(static_m, piece.where, zero_m)) - zero_m
         moved_m = read_m[piece.rows]
-        plain.append(moved_m)
         drive_V, places = _path(piece.drive_V, piece.rows, late)
         history = history_of(axis.hysteresis, piece.start.memory_V, shape)
         delayed_m = axis.invertible_m(drive_V, piece.start.memory_V, piece.where.rate_Hz)[places]
@@ -311,7 +362,6 @@ def _columns(axis: AxisModel, pieces: Sequence[_Piece]) -> _Columns:
     x = np.concatenate([np.hstack(list(table.values())) for table in tables])
     scale, change = _without_redundancy(x, np.array(family))
     return _Columns(
-        plain_m=np.concatenate(plain),
         x=x / scale,
         scale=scale,
         change=change,
@@ -432,12 +482,14 @@ def _without_redundancy(x: Array, family: NDArray[np.str_]) -> tuple[Array, Arra
 
 def _first(axis: AxisModel, pieces: Sequence[_Piece], columns: _Columns) -> _Estimate:
     """Return the estimate of the plays alone."""
-    rows = len(columns.plain_m)
+    rows = len(columns.x)
     return _Estimate(
         model=replace(axis, loop_shape=_empty(axis)),
         weights=tuple(np.zeros(path.plays_m.shape[1] - 1) for path in columns.paths),
         zeros=tuple(np.array(piece.start.zero_m) for piece in pieces),
-        coefficient=np.zeros(len(columns.scale)),
+        wide=np.zeros(len(columns.scale)),
+        coefficient=np.zeros(0),
+        shift=0.0,
         variance={},
         noise=0.0,
         parameters=0.0,
@@ -448,46 +500,154 @@ def _first(axis: AxisModel, pieces: Sequence[_Piece], columns: _Columns) -> _Est
 
 
 def _regression(
-    estimate: _Estimate, pieces: Sequence[_Piece], columns: _Columns, *, has_lag: bool = True
+    estimate: _Estimate, pieces: Sequence[_Piece], columns: _Columns, *, has_numbers: bool = True
 ) -> _Regression:
-    """Return the rows whose coefficients are the next estimate; zeros are those of the pieces."""
-    shape = estimate.model.loop_shape
+    """Return the rows whose coefficients are the next estimate; zeros are those of the pieces.
+
+    The target is the error of the present estimate and what its linear coefficients contribute.
+
+    has_numbers  whether lag and extensions may change
+    """
+    axis = estimate.model
+    shape = axis.loop_shape
     assert shape is not None
-    scale_m, is_first = _scale_m(estimate.model), not estimate.variance
+    scale_m, is_first = _scale_m(axis), not estimate.variance
     rows = np.cumsum([0, *estimate.rows])
-    lag = np.zeros((rows[-1], 1))
-    sizes = [len(piece.start.zero_m) for piece in pieces]
+    sizes = [len(zero_m) for zero_m in estimate.zeros]
     first = np.cumsum([0, *sizes])
     zeros = np.zeros((rows[-1], first[-1]))
-    held = [np.zeros((rows[-1], 0 if is_first else len(w))) for w in estimate.weights]
+    histories_of = [np.zeros((rows[-1], 0 if is_first else len(w))) for w in estimate.weights]
+    numbers_m, error_m = [], []
     for k, piece in enumerate(pieces):
-        own = slice(rows[k], rows[k + 1])
+        span = slice(rows[k], rows[k + 1])
+        start = replace(piece.start, zero_m=estimate.zeros[k])
         knots = np.eye(sizes[k])
         for j in range(sizes[k]):
-            hat = replace(piece.start, zero_m=knots[j])
-            zeros[own, first[k] + j] = zero_of(hat, piece.where.samples)[piece.rows]
+            hat = replace(start, zero_m=knots[j])
+            zeros[span, first[k] + j] = zero_of(hat, piece.where.samples)[piece.rows]
         if not is_first:
             changes = columns.paths[k].changes_m(shape) / abs(scale_m)
-            held[k][rows[k] : rows[k] + len(changes)] = changes
-        plain_m = columns.plain_m[own]
-        slope = np.gradient(plain_m, piece.rows / piece.where.rate_Hz)
-        lag[own, 0] = -LAG_s * slope / scale_m
-    if estimate.model.lag.kind == "none" or not has_lag:
-        lag = lag[:, :0]
-    design = np.hstack([columns.x, *held, zeros, lag])
-    counts = (sum(h.shape[1] for h in held), zeros.shape[1], lag.shape[1])
-    names = np.repeat(["initial state", "zero", "lag"], counts).tolist()
+            histories_of[k][rows[k] : rows[k] + len(changes)] = changes
+            start = replace(start, history_weight=estimate.weights[k])
+        static_m = axis.static_m(piece.drive_V, start.memory_V, piece.where.rate_Hz)
+        if not is_first:
+            changes_m = axis.history_changes_m(piece.drive_V, start.memory_V, piece.where.rate_Hz)[
+                :, : len(estimate.weights[k])
+            ]
+            static_m = static_m + changes_m @ estimate.weights[k]
+        read_m = _read_m(axis, piece, start, static_m)
+        error_m.append(piece.measured_m[piece.rows] - read_m)
+        if has_numbers:
+            numbers_m.append(_changes_m(axis, piece, start, static_m, read_m))
+    numbers = _numbers(axis) if has_numbers else free([], [], [], [])
+    slopes = np.concatenate(numbers_m) / scale_m if has_numbers else np.zeros((rows[-1], 0))
+    size = np.sqrt((slopes**2).mean(axis=0))
+    size[size < 1e-12] = 1.0
+    step, slopes = numbers.step / size, slopes / size
+    local = {
+        "initial state": np.hstack(histories_of),
+        "zero": zeros,
+        "number": slopes,
+    }
+    design = np.hstack([columns.x, *local.values()])
+    names = [name for name, table in local.items() for _ in range(table.shape[1])]
     change = np.eye(design.shape[1])
     change[: len(columns.scale), : len(columns.scale)] = columns.change
-    measured_m = np.concatenate([piece.measured_m[piece.rows] for piece in pieces])
+    target = np.concatenate(error_m) / scale_m + columns.x @ (estimate.wide * columns.scale)
+    target = target + zeros @ (np.concatenate(estimate.zeros) / scale_m)
+    if not is_first:
+        target = target + local["initial state"] @ np.concatenate(estimate.weights)
     return _Regression(
         design=design,
-        target=(measured_m - columns.plain_m) / scale_m,
+        target=target,
         family=(*columns.family, *names),
         change=change,
         use=estimate.use,
         fold=np.concatenate([piece.fold for piece in pieces]),
+        value=numbers.value,
+        lower=numbers.lower,
+        upper=numbers.upper,
+        step=step,
+        prior=_prior(axis, step, design.shape[1]) if has_numbers else None,
     )
+
+
+def _read_m(axis: AxisModel, piece: _Piece, start: PieceStart, static_m: Array) -> Array:
+    """Return the reading at the rows of a piece, (rows,)."""
+    forward = axis.forward
+    zero_m = zero_of(start, piece.where.samples)
+    return forward.read(forward.position(static_m, piece.where, zero_m))[piece.rows]
+
+
+def _numbers(axis: AxisModel) -> Free:
+    """Return the lag, where the model has one, and the numbers of all extensions."""
+    late = free(axis.lag.time_s, 0.0, np.inf, LAG_s)
+    frees = [] if axis.lag.kind == "none" else [late]
+    frees += [extension.free() for extension in axis.extensions]
+    value, lower, upper, step = (
+        np.concatenate([np.zeros(0), *(getattr(numbers, name) for numbers in frees)])
+        for name in ("value", "lower", "upper", "step")
+    )
+    return Free(value=value, lower=lower, upper=upper, step=step)
+
+
+def _at(axis: AxisModel, values: Array) -> AxisModel:
+    """Return the model with these numbers of lag and extensions."""
+    lag, extensions = axis.lag, []
+    if lag.kind != "none":
+        lag, values = replace(lag, time_s=float(values[0])), values[1:]
+    for extension in axis.extensions:
+        count = len(extension.free().value)
+        extensions.append(replace(extension.moved_to(values[:count]), std=extension.std))
+        values = values[count:]
+    return replace(axis, lag=lag, extensions=tuple(extensions))
+
+
+def _changes_m(
+    axis: AxisModel, piece: _Piece, start: PieceStart, static_m: Array, read_m: Array
+) -> Array:
+    """Return the change of the reading by a step of every number, (rows, numbers)."""
+    numbers = _numbers(axis)
+    changes = np.zeros((len(piece.rows), len(numbers.value)))
+    parts: list[Extension | None] = [] if axis.lag.kind == "none" else [None]
+    for extension in axis.extensions:
+        parts += [extension] * len(extension.free().value)
+    for k, (part, step) in enumerate(zip(parts, numbers.step, strict=True)):
+        sign = 1.0 if numbers.value[k] + step <= numbers.upper[k] else -1.0
+        values = numbers.value.copy()
+        values[k] += sign * step
+        changed, changed_m = _at(axis, values), static_m
+        if part is not None and not _is_behind_hysteresis(part):
+            drive_V = changed.forward.driven_V(piece.voltage_V, piece.where.rate_Hz)
+            changed_m = changed.static_m(drive_V, start.memory_V, piece.where.rate_Hz)
+        changes[:, k] = sign * (_read_m(changed, piece, start, changed_m) - read_m)
+    return changes
+
+
+def _is_behind_hysteresis(extension: Extension) -> bool:
+    kind = type(extension)
+    return kind.drive is Extension.drive and kind.irreversible is Extension.irreversible
+
+
+def _prior(axis: AxisModel, steps: Array, count: int) -> Moments:
+    """Return the sums of what is known of the extensions' numbers beforehand, one row each.
+
+    steps  (numbers,)  what a coefficient of 1 means
+    count  of all columns
+    """
+    gram, moment, square, rows = np.zeros((count, count)), np.zeros(count), 0.0, 0
+    first = int(axis.lag.kind != "none")
+    for extension in axis.extensions:
+        last = first + len(extension.free().value)
+        relations = extension.prior() / (abs(_scale_m(axis)) if extension.in_metres else 1.0)
+        if len(relations):
+            span = slice(count - len(steps) + first, count - len(steps) + last)
+            change, value = relations * steps[first:last], relations @ extension.free().value
+            gram[span, span] += change.T @ change
+            moment[span] -= change.T @ value
+            square, rows = square + float(value @ value), rows + len(relations)
+        first = last
+    return Moments(gram=gram, moment=moment, square=square, count=rows)
 
 
 def _scale_m(axis: AxisModel) -> float:
@@ -509,33 +669,44 @@ def _improved(
     axis, scale_m = estimate.model, _scale_m(estimate.model)
     total = _sum(regression.moments())
     ridge = _ridge(estimate, regression, total)
+    outward = regression.outward(regression.change @ ridge.mean(total))
+    if outward.any():
+        regression = regression.without(outward)
+        total = _sum(regression.moments())
     bounded = np.array([name == "initial state" for name in regression.labels])
     ceiling = np.where(bounded, 1.0, np.inf)
     ridge, reduced, parameters = ridge.maximised(total, ceiling=ceiling, steps=steps)
     coefficient = regression.change @ reduced
     residual = regression.target - regression.design @ coefficient
     wide = coefficient[: len(columns.scale)]
-    late_s = LAG_s * float(np.sum(coefficient[regression.places("lag")]))
-    lag = replace(axis.lag, time_s=max(axis.lag.time_s + late_s, 0.0))
+    places = regression.number_places
+    change_m = regression.design[:, places] @ coefficient[places]
+    if len(places):
+        values = regression.value + regression.step * coefficient[places]
+        axis = _at(axis, np.clip(values, regression.lower, regression.upper))
     density, smooth = coefficients(wide / columns.scale)
     shape = replace(
         axis.loop_shape or _empty(axis),
         density_m=abs(scale_m) * density,
         smooth_m=abs(scale_m) * smooth,
     )
-    held = coefficient[regression.places("initial state")]
+    histories_weight = coefficient[regression.places("initial state")]
     counts = [len(weight) for weight in estimate.weights]
-    weights = np.split(held, np.cumsum(counts)[:-1]) if len(held) else estimate.weights
+    weights = estimate.weights
+    if len(histories_weight):
+        weights = tuple(np.split(histories_weight, np.cumsum(counts)[:-1]))
     knots = np.cumsum([len(piece.start.zero_m) for piece in pieces])[:-1]
     use = estimate.use
     if estimate.variance:
         far = np.abs(residual) > FAR * 1.4826 * np.median(np.abs(residual))
         use = ~(far & ~np.roll(far, 1) & ~np.roll(far, -1))  # several in a row are no outliers
     return _Estimate(
-        model=replace(axis, loop_shape=shape, lag=lag),
-        weights=tuple(weights),
+        model=replace(axis, loop_shape=shape),
+        weights=weights,
         zeros=tuple(np.split(scale_m * coefficient[regression.places("zero")], knots)),
+        wide=wide / columns.scale,
         coefficient=coefficient,
+        shift=float(np.sqrt(np.mean(change_m[use] ** 2) / np.mean(residual[use] ** 2))),
         variance=dict(zip(regression.labels, ridge.variance.tolist(), strict=True)),
         noise=ridge.noise,
         parameters=parameters,
@@ -569,7 +740,7 @@ def _accepted(
     plain: "_Errors",
 ) -> AxisModel:
     """Return the axis with loop shape, or without where left-out blocks gain too little."""
-    regression = _regression(estimate, pieces, columns, has_lag=False)
+    regression = _regression(estimate, pieces, columns, has_numbers=False)
     errors, factor = _errors(estimate, regression)
     stepped = _with_step(estimate, regression)
     if stepped is not None:
@@ -631,7 +802,7 @@ def _again(
     regression: _Regression,
 ) -> _Regression:
     """Return the regression with the histories' columns of the new estimate, and the same step."""
-    fresh = _regression(estimate, pieces, columns, has_lag=False)
+    fresh = _regression(estimate, pieces, columns, has_numbers=False)
     step = regression.places("step")
     return _beside(fresh, regression.design[:, step[0]]) if len(step) else fresh
 
@@ -680,6 +851,11 @@ def _plain_errors(regression: _Regression) -> _Errors:
         design=regression.design[:, free],
         family=tuple(np.array(regression.family)[free].tolist()),
         change=np.eye(int(free.sum())),
+        value=regression.value[:0],
+        lower=regression.lower[:0],
+        upper=regression.upper[:0],
+        step=regression.step[:0],
+        prior=None,
     )
     folds = zeros.moments()
     total = _sum(folds)

@@ -300,7 +300,7 @@ class AxisModel:
         static_m = self.static_m(driven_V, memory_V, where.rate_Hz)
         if history_weight is not None and np.any(history_weight):
             changes_m = self.history_changes_m(driven_V, memory_V, where.rate_Hz)
-            static_m = static_m + changes_m @ history_weight
+            static_m = static_m + changes_m[:, : len(history_weight)] @ history_weight
         return forward.position(static_m, where)
 
     @property
