@@ -42,7 +42,7 @@ class PlainFit:
 
     lag_s           s
     rms_m           residual on the rows with which loop shape was fitted, m
-    held_out_rms_m  on left-out blocks of them, m; plays were fitted to these as well
+    held_out_rms_m  on left-out blocks of them, m
     quality         as it was stated
     starts          of the pieces
     """

@@ -243,7 +243,7 @@ def with_loop_shape(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMod
         return axis
     columns = _columns(axis, pieces)
     estimate = _first(axis, pieces, columns)
-    plain = _plain_errors(_regression(estimate, pieces, columns))
+    plain = _plain_errors(axis, _regression(estimate, pieces, columns))
     best = estimate, pieces, columns
     for number in range(MOST_ROUNDS):
         regression = _regression(estimate, pieces, columns)
@@ -747,7 +747,7 @@ def _accepted(
         errors_with_step, factor_with_step = _errors(estimate, stepped)
         if errors_with_step.held_out < STEP_WORTH * errors.held_out:
             regression, factor = stepped, factor_with_step
-            plain, errors = _plain_errors(stepped), errors_with_step
+            plain, errors = _plain_errors(axis, stepped), errors_with_step
     if errors.held_out > WORTH * plain.held_out:
         return replace(axis, loop_shape=None)
     shrunk = replace(
@@ -843,8 +843,12 @@ class _Errors:
     held_out: float
 
 
-def _plain_errors(regression: _Regression) -> _Errors:
-    """Return the errors of the plays with dead zones, which were fitted to all blocks."""
+def _plain_errors(axis: AxisModel, regression: _Regression) -> _Errors:
+    """Return the errors of the plays with dead zones.
+
+    The plays were fitted to all blocks. What leaving blocks out adds to their error is known from
+    their own fit: on the bundled axis y 16.4 nm become 17.5, and loop shape leaves 16.6.
+    """
     free = np.isin(regression.family, ("zero", "step"))
     zeros = replace(
         regression,
@@ -867,7 +871,10 @@ def _plain_errors(regression: _Regression) -> _Errors:
     )
     error = zeros.target - zeros.design @ ridge.mean(total)
     explained = float(np.sqrt(np.mean(error[zeros.use] ** 2)))
-    return _Errors(explained=explained, held_out=_error(zeros, folds, total, ridge))
+    quality = axis.quality
+    optimism = quality.held_out_rms_m / quality.rms_m if quality.is_tested else 1.0
+    held_out = max(optimism, 1.0) * _error(zeros, folds, total, ridge)
+    return _Errors(explained=explained, held_out=held_out)
 
 
 def _errors(estimate: _Estimate, regression: _Regression) -> tuple[_Errors, float]:
