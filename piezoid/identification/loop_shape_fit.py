@@ -63,7 +63,7 @@ BLOCKS_OF_A_PIECE = 15
 # noise); at 100 such laws are explained to 1.35 times the noise only.
 NOISE_FACTOR = 10.0
 COVERED = 0.97  # of the range of a piece: before, its initial state is unresolved
-WORTH = 0.97  # held-out error over that without loop shape: less gain is not worth the class
+WORTH = 0.97  # each of both errors over that without loop shape: less gain is not worth the class
 WORSE = 1.02  # noise variance over the least: lag and extensions no longer improve it
 STEP_WORTH = 0.9  # held-out error with a step of the zero over that without
 STEP_PLACES = 60  # of a piece, at which a step of the zero is tried
@@ -749,7 +749,7 @@ def _accepted(
         if errors_with_step.held_out < STEP_WORTH * errors.held_out:
             regression, factor = stepped, factor_with_step
             plain, errors = _plain_errors(axis, stepped), errors_with_step
-    if errors.held_out > WORTH * plain.held_out:
+    if errors.held_out > WORTH * plain.held_out or errors.explained > WORTH * plain.explained:
         return replace(axis, loop_shape=None)
     shrunk = replace(
         estimate,
@@ -838,7 +838,11 @@ def _starts(final: _Estimate, pieces: Sequence[_Piece]) -> tuple[PieceStart, ...
 
 @dataclass(frozen=True, kw_only=True)
 class _Errors:
-    """Error in sample and on left-out blocks, in units of half the stroke."""
+    """Errors in units of half the stroke.
+
+    explained  in sample, corrected for the number of parameters of loop shape
+    held_out   on left-out blocks
+    """
 
     explained: float
     held_out: float
@@ -848,7 +852,9 @@ def _plain_errors(axis: AxisModel, regression: _Regression) -> _Errors:
     """Return the errors of the plays with dead zones.
 
     The plays were fitted to all blocks. What leaving blocks out adds to their error is known from
-    their own fit: on the bundled axis y 16.4 nm become 17.5, and loop shape leaves 16.6.
+    their own fit: on the bundled axis y 16.4 nm become 17.5, and loop shape leaves 16.6. It stands
+    on the same plays, so that on a stage of plays its error of left-out blocks is below theirs as
+    well; only the error in sample shows that it adds nothing.
     """
     free = np.isin(regression.family, ("zero", "step"))
     zeros = replace(
@@ -894,7 +900,9 @@ def _errors(estimate: _Estimate, regression: _Regression) -> tuple[_Errors, floa
         )
         tried[factor] = _error(regression, folds, total, _ridge(shrunk, regression, total))
     factor = min(SHRINK, key=tried.__getitem__)
-    explained = float(np.sqrt(np.mean(estimate.residual_m[estimate.use] ** 2)))
+    residual_m = estimate.residual_m[estimate.use]
+    free = max(len(residual_m) - estimate.parameters, 1.0)
+    explained = float(np.sqrt(np.sum(residual_m**2) / free)) / abs(_scale_m(estimate.model))
     return _Errors(explained=explained, held_out=tried[factor]), factor
 
 
