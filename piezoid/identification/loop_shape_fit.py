@@ -900,9 +900,10 @@ def _errors(estimate: _Estimate, regression: _Regression) -> tuple[_Errors, floa
         )
         tried[factor] = _error(regression, folds, total, _ridge(shrunk, regression, total))
     factor = min(SHRINK, key=tried.__getitem__)
-    residual_m = estimate.residual_m[estimate.use]
-    free = max(len(residual_m) - estimate.parameters, 1.0)
-    explained = float(np.sqrt(np.sum(residual_m**2) / free)) / abs(_scale_m(estimate.model))
+    coefficient = regression.change @ _ridge(estimate, regression, total).mean(total)
+    residual = (regression.target - regression.design @ coefficient)[regression.use]
+    free = max(len(residual) - estimate.parameters, 1.0)
+    explained = float(np.sqrt(np.sum(residual**2) / free))
     return _Errors(explained=explained, held_out=tried[factor]), factor
 
 
