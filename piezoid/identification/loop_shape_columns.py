@@ -1,0 +1,314 @@
+"""Rows and columns of the regression for loop shape: the wide class of hysteresis along a drive.
+
+Families of columns are made free of redundancy: each keeps only what the families before it
+cannot represent. Otherwise friction and Bouc-Wen states cancel each other with contributions of a
+thousand times the displacement, and left-out blocks are missed by as much.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.identification.extensions.extension import Where
+from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
+from piezoid.identification.loop_shape import (
+    LoopShape,
+    PlainFit,
+    histories,
+    history_of,
+    remembered,
+)
+from piezoid.identification.model import AxisModel
+from piezoid.identification.piece_start import PieceStart
+from piezoid.identification.simulation import starts_of, where_of, zero_of
+from piezoid.numerics.arrays import Array
+from piezoid.operators.play import turns_of, way_to
+from piezoid.operators.wide_hysteresis import (
+    CHUNK,
+    EDGES,
+    WIDTHS,
+    HysteresisStates,
+    States,
+    class_columns,
+    smooth_count,
+)
+from piezoid.records.recording import Recording
+
+ROWS = 10_000  # of all pieces together
+FOLDS = 5
+BLOCKS_OF_A_PIECE = 15
+COVERED = 0.97  # of the range of a piece: before, its initial state is unresolved
+JUMP = 0.03  # half ranges in one sample, four times the neighbouring steps: an isolated step
+JITTER = 1e-7  # of the mean diagonal: what is smaller is redundant
+FILTERED = 0.02  # of the motion, rms: less than this a delay may miss of the filters
+MANY_HISTORIES = 120  # columns of initial states of all pieces together
+NEVER = -1  # number of the fold of rows that no fold leaves out
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Piece:
+    """One piece of a recording with the rows that are used.
+
+    drive_V  (samples,)  V, in front of the hysteresis
+    rows     (rows,)     samples
+    fold     (rows,)     the fold that leaves a row out, or ``NEVER``
+    """
+
+    where: Where
+    voltage_V: Array
+    measured_m: Array
+    drive_V: Array
+    start: PieceStart
+    rows: NDArray[np.intp]
+    fold: NDArray[np.intp]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Path:
+    """A drive at the rows that may remember its initial state, with its states after histories.
+
+    drive_V   (rows,)
+    plays_m   (rows, 1 + histories)  response of the plays: of the fitted memory, of each history
+    states    of the wide class, likewise
+    """
+
+    drive: Array
+    plays_m: Array
+    states: tuple[States, ...]
+
+    def changes_m(self, shape: LoopShape) -> Array:
+        """Return by how much every history changes the response, (rows, histories)."""
+        made = [shape.of_states(self.drive, states) for states in self.states]
+        total_m = self.plays_m + np.stack(made, axis=1)
+        return np.asarray(total_m[:, 1:] - total_m[:, :1])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Columns:
+    """What lag and extensions determine.
+
+    x          (rows, columns)   the wide class, scaled
+    scale      (columns,)        what the columns were divided by
+    change     (columns, columns)  from coefficients without redundancy to those of ``x``
+    family     (columns,)        name of each column's family
+    paths      path of each piece's drive to its first rows, for other histories
+    """
+
+    x: Array
+    scale: Array
+    change: Array
+    family: tuple[str, ...]
+    paths: tuple[_Path, ...]
+
+
+def pieces_of(axis: AxisModel, recordings: Sequence[Recording]) -> tuple[Piece, ...]:
+    """Return the pieces whose start is known, thinned to ``ROWS`` rows together."""
+    most = max(1, ROWS // max(len(axis.starts), 1))
+    low_V, high_V = axis.voltage_V
+    pieces: list[Piece] = []
+    for recording in recordings:
+        starts = starts_of(axis, recording)
+        parts = [p for p in recording.pieces if p.stop - p.start >= MINIMUM_SAMPLES]
+        if len(starts) != len(parts):
+            continue
+        bridged = np.array(recording.bridged, dtype=np.intp)
+        for part, start in zip(parts, starts, strict=True):
+            where = where_of(recording, axis.axis, part)
+            voltage_V = recording.voltage_V(axis.axis)[part]
+            level = 2.0 * (voltage_V - low_V) / (high_V - low_V) - 1.0
+            unknown = np.concatenate([bridged - part.start, _after_jumps(level)])
+            stride = max(1, -(-(start.last - start.first) // most))
+            rows = np.setdiff1d(np.arange(start.first, start.last, stride), unknown)
+            pieces.append(
+                Piece(
+                    where=where,
+                    voltage_V=voltage_V,
+                    measured_m=recording.displacement_m(axis.axis)[part],
+                    drive_V=axis.forward.driven_V(voltage_V, where.rate_Hz),
+                    start=start,
+                    rows=rows,
+                    fold=_folds(level, rows, len(pieces)),
+                )
+            )
+    return tuple(piece for piece in pieces if len(piece.rows))
+
+
+def with_drive_of(axis: AxisModel, pieces: Sequence[Piece]) -> tuple[Piece, ...]:
+    """Return the pieces with the drive that reaches the hysteresis of a model."""
+    return tuple(
+        replace(piece, drive_V=axis.forward.driven_V(piece.voltage_V, piece.where.rate_Hz))
+        for piece in pieces
+    )
+
+
+def _after_jumps(level: Array) -> NDArray[np.intp]:
+    """Return the two samples after every isolated step: its instant within a sample is unknown."""
+    step = np.abs(np.diff(level))
+    padded = np.pad(step, 3)
+    neighbour = np.maximum(padded[:-6], padded[6:])
+    jumps = np.flatnonzero((step > JUMP) & (step > 4.0 * neighbour))
+    return np.concatenate([jumps + 1, jumps + 2])
+
+
+def _folds(level: Array, rows: NDArray[np.intp], number: int) -> NDArray[np.intp]:
+    """Return the fold of every row: blocks of whole cycles in turn, from piece to piece others."""
+    span = np.maximum.accumulate(level) - np.minimum.accumulate(level)
+    middle = 0.5 * (level.max() + level.min())
+    rises = np.flatnonzero((level[:-1] < middle) & (level[1:] >= middle))
+    edges = np.linspace(0, len(level), BLOCKS_OF_A_PIECE + 1)[1:-1]
+    if len(rises) >= BLOCKS_OF_A_PIECE:
+        edges = np.unique(rises[np.abs(rises[:, None] - edges).argmin(axis=0)])
+    block = np.searchsorted(edges, rows, side="right")
+    settled = (span >= COVERED * span[-1])[rows]
+    return np.where(settled, (block + number) % FOLDS, NEVER)
+
+
+def columns_of(axis: AxisModel, pieces: Sequence[Piece]) -> Columns:
+    """Return everything that depends on lag and extensions."""
+    shape, forward = no_loop_shape(axis), axis.forward
+    tables, paths = [], []
+    number = min(len(histories(0.0)), max(3, MANY_HISTORIES // len(pieces)))
+    for piece in pieces:
+        late = forward.late_s(piece.where.rate_Hz) * piece.where.rate_Hz
+        static_m = axis.invertible_m(piece.drive_V, piece.start.memory_V, piece.where.rate_Hz)
+        zero_m = zero_of(piece.start, piece.where.samples)
+        read_m = forward.read(forward.position(static_m, piece.where, zero_m)) - zero_m
+        moved_m = read_m[piece.rows]
+        drive_V, places = _path(piece.drive_V, piece.rows, late)
+        history = history_of(axis.hysteresis, piece.start.memory_V, shape)
+        delayed_m = axis.invertible_m(drive_V, piece.start.memory_V, piece.where.rate_Hz)[places]
+        is_late_only = np.std(moved_m - axis.polarity * delayed_m) < FILTERED * np.std(moved_m)
+        if is_late_only or forward.is_memoryless:
+            table = _delayed_columns(shape.scaled(piece.drive_V), piece.rows, late, history)
+        else:
+            everywhere = np.arange(int(piece.rows[-1]) + 1)
+            unfiltered = class_columns(*_states(shape.scaled(piece.drive_V), everywhere, history))
+            table = {
+                name: forward.behind(x, piece.where, instant=True)[piece.rows]
+                for name, x in unfiltered.items()
+            }
+        tables.append({name: x * _gain(axis, piece) for name, x in table.items()})
+        paths.append(_remembering_path(axis, shape, drive_V, places, piece.start, number))
+    family = tuple(name for name, x in tables[0].items() for _ in range(x.shape[1]))
+    x = np.concatenate([np.hstack(list(table.values())) for table in tables])
+    scale, change = _without_redundancy(x, np.array(family))
+    return Columns(
+        x=x / scale,
+        scale=scale,
+        change=change,
+        family=family,
+        paths=tuple(paths),
+    )
+
+
+def _gain(axis: AxisModel, piece: Piece) -> Array | float:
+    """Return the factor of the displacement at the rows, (rows, 1)."""
+    gain: Array | float = 1.0
+    for extension in axis.extensions:
+        gain = gain * extension.gain(piece.where)
+    return gain if isinstance(gain, float) else gain[piece.rows, None]
+
+
+def no_loop_shape(axis: AxisModel) -> LoopShape:
+    """Return loop shape of which all coefficients are 0."""
+    low_V, high_V = axis.voltage_V
+    return LoopShape(
+        centre_V=0.5 * (low_V + high_V),
+        reach_V=0.5 * (high_V - low_V),
+        density_m=np.zeros((len(WIDTHS), len(EDGES) - 1)),
+        smooth_m=np.zeros(smooth_count()),
+        plain=PlainFit(
+            lag_s=axis.lag.time_s,
+            rms_m=0.0,
+            held_out_rms_m=0.0,
+            quality=axis.quality,
+            starts=axis.starts,
+        ),
+    )
+
+
+def _path(drive_V: Array, rows: NDArray[np.intp], late: float) -> tuple[Array, NDArray[np.intp]]:
+    """Return the turns of a drive with its values ``late`` samples before rows; their places."""
+    at = np.maximum(rows - late, 0.0)
+    turns = np.flatnonzero(turns_of(drive_V))
+    turns = turns[turns <= at[-1]]
+    order = np.argsort(np.concatenate([turns, at]), kind="stable")
+    values = np.concatenate([drive_V[turns], np.interp(at, np.arange(len(drive_V)), drive_V)])
+    places = np.empty(len(order), dtype=np.intp)
+    places[order] = np.arange(len(order))
+    return values[order], places[len(turns) :]
+
+
+def _states(
+    drive: Array, places: NDArray[np.intp], history: Sequence[float]
+) -> tuple[Array, States]:
+    """Return a scaled drive and the states of the wide class at some samples of it."""
+    states = HysteresisStates((*history, float(drive[0])))
+    parts: list[States] = []
+    for first in range(0, len(drive), CHUNK):
+        followed = states.follow(drive[first : first + CHUNK])
+        rows = places[(places >= first) & (places < first + CHUNK)] - first
+        parts.append((followed[0][rows], followed[1][rows], followed[2][rows]))
+    plays, friction, bouc_wen = (np.concatenate(kind) for kind in zip(*parts, strict=True))
+    return drive[places], (plays, friction, bouc_wen)
+
+
+def _delayed_columns(
+    drive: Array, rows: NDArray[np.intp], late: float, history: Sequence[float]
+) -> dict[str, Array]:
+    """Return the columns ``late`` samples before rows, straight between samples as in a delay."""
+    whole = int(np.floor(late))
+    newer = np.maximum(rows - whole, 0)
+    older = np.maximum(newer - 1, 0)
+    both = np.union1d(newer, older)
+    path, places = way_to(drive, both)
+    level, states = _states(path, places, history)
+    share = late - whole
+    table: dict[str, Array] = {}
+    for weight, at in ((1.0 - share, newer), (share, older)):
+        place = np.searchsorted(both, at)
+        chosen = (states[0][place], states[1][place], states[2][place])
+        for name, x in class_columns(level[place], chosen).items():
+            table[name] = weight * x + table.get(name, np.zeros(1))
+    return table
+
+
+def _remembering_path(
+    axis: AxisModel,
+    shape: LoopShape,
+    drive_V: Array,
+    places: NDArray[np.intp],
+    start: PieceStart,
+    number: int,
+) -> _Path:
+    """Follow histories for as long as they show."""
+    drive_V = drive_V[: remembered(shape.scaled(drive_V))]
+    places = places[places < len(drive_V)]
+    drive = shape.scaled(drive_V)
+    memories = [(start.memory_V, history_of(axis.hysteresis, start.memory_V, shape))]
+    tried = histories(float(drive[0]))[:number]
+    memories += [(axis.memory_after(shape.turns_V(history)), history) for history in tried]
+    plays_m = [axis.invertible_m(drive_V, memory_V, 1.0)[places] for memory_V, _ in memories]
+    states = [_states(drive, places, history)[1] for _, history in memories]
+    return _Path(drive=drive[places], plays_m=np.stack(plays_m, axis=1), states=tuple(states))
+
+
+def _without_redundancy(x: Array, family: NDArray[np.str_]) -> tuple[Array, Array]:
+    """Return scales of the columns, and the change that makes families free of redundancy."""
+    scale = np.sqrt((x**2).mean(axis=0))
+    for name in set(family):
+        if name.startswith("density"):  # the prior fixes the relative size of its components
+            scale[family == name] = scale[family == name].max()
+    scale[scale < 1e-12] = 1.0
+    z = (x - x.mean(axis=0)) / scale
+    gram, change, before = z.T @ z, np.eye(len(family)), np.zeros(0, dtype=np.intp)
+    for name in dict.fromkeys(family):
+        place = np.flatnonzero(family == name)
+        if len(before):
+            known = gram[np.ix_(before, before)]
+            known = known + JITTER * np.trace(known) / len(before) * np.eye(len(before))
+            change[np.ix_(before, place)] = -np.linalg.solve(known, gram[np.ix_(before, place)])
+        before = np.concatenate([before, place])
+    return scale, change

@@ -1,0 +1,295 @@
+"""One round of the fit of loop shape: a regression that is linear about the present estimate.
+
+    y - y_estimate + Z c = Z c' + sum_j t_j dy/dp_j + e
+
+Z are the columns of the wide class, of the initial states and of the zeros, c and c' their present
+and next coefficients, and t_j the errors of the numbers p_j of lag and extensions.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.identification.extensions.extension import Extension, Free, free
+from piezoid.identification.loop_shape_columns import FOLDS, NEVER, Columns, Piece, no_loop_shape
+from piezoid.identification.model import AxisModel
+from piezoid.identification.piece_start import PieceStart
+from piezoid.identification.simulation import zero_of
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.family_ridge import Moments
+
+LAG_s = 1e-6  # step of the lag for its derivative
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate:
+    """Loop shape, initial states, zeros, lag and extensions after some rounds.
+
+    model       with loop shape, lag and extensions
+    weights     (histories,) of every piece
+    zeros       (knots,) of every piece, m
+    wide        (columns,)  coefficients of the wide class, of unscaled columns
+    coefficient (columns,)  of all columns of the last regression
+    shift       of the reading by the last change of lag and extensions, of the residual
+    variance    prior variance by family; noise, too
+    parameters  effective number of them
+    residual_m  (rows,)
+    use         (rows,)  whether a row is no outlier
+    rows        of every piece
+    """
+
+    model: AxisModel
+    weights: tuple[Array, ...]
+    zeros: tuple[Array, ...]
+    wide: Array
+    coefficient: Array
+    shift: float
+    variance: dict[str, float]
+    noise: float
+    parameters: float
+    residual_m: Array
+    use: NDArray[np.bool_]
+    rows: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Regression:
+    """Rows of the regression, with their sums fold by fold.
+
+    design  (rows, columns)  scaled
+    target  (rows,)          in units of half the stroke
+    family  (columns,)       name of each column's family
+    change  (columns, columns)
+    use     (rows,)          whether a row counts
+    fold    (rows,)
+    value, lower, upper  (numbers,)  of lag and extensions, with their bounds
+    step    (numbers,)       their changes by coefficients of 1
+    prior   sums of what is known of them beforehand
+    """
+
+    design: Array
+    target: Array
+    family: tuple[str, ...]
+    change: Array
+    use: NDArray[np.bool_]
+    fold: NDArray[np.intp]
+    value: Array
+    lower: Array
+    upper: Array
+    step: Array
+    prior: Moments | None = None
+
+    @property
+    def number_places(self) -> NDArray[np.intp]:
+        """Return the columns of lag and extensions."""
+        return self.places("number")
+
+    def outward(self, coefficient: Array) -> NDArray[np.bool_]:
+        """Return which columns would move a number beyond the bound at which it is."""
+        step = self.step * coefficient[self.number_places]
+        outward = np.zeros(len(self.family), dtype=bool)
+        outward[self.number_places] = ((self.value <= self.lower) & (step < 0.0)) | (
+            (self.value >= self.upper) & (step > 0.0)
+        )
+        return outward
+
+    def without(self, columns: NDArray[np.bool_]) -> "Regression":
+        """Return the regression in which some columns are 0."""
+        return replace(self, design=np.where(columns, 0.0, self.design))
+
+    def moments(self) -> tuple[Moments, ...]:
+        """Return the sums of every fold, and at the end of the rows that are never left out."""
+        sums = []
+        for number in (*range(FOLDS), NEVER):
+            rows = (self.fold == number) & self.use
+            x, y = self.design[rows], self.target[rows]
+            gram = self.change.T @ (x.T @ x) @ self.change
+            moment = self.change.T @ (x.T @ y)
+            sums.append(Moments(gram=gram, moment=moment, square=float(y @ y), count=len(y)))
+        return tuple(sums) if self.prior is None else (*sums[:-1], sums[-1] + self.prior)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Return the families in their order."""
+        return tuple(dict.fromkeys(self.family))
+
+    def places(self, name: str) -> NDArray[np.intp]:
+        """Return the columns of one family."""
+        return np.flatnonzero(np.array(self.family) == name)
+
+
+def first_estimate(axis: AxisModel, pieces: Sequence[Piece], columns: Columns) -> Estimate:
+    """Return the estimate of the plays alone."""
+    rows = len(columns.x)
+    return Estimate(
+        model=replace(axis, loop_shape=no_loop_shape(axis)),
+        weights=tuple(np.zeros(path.plays_m.shape[1] - 1) for path in columns.paths),
+        zeros=tuple(np.array(piece.start.zero_m) for piece in pieces),
+        wide=np.zeros(len(columns.scale)),
+        coefficient=np.zeros(0),
+        shift=0.0,
+        variance={},
+        noise=0.0,
+        parameters=0.0,
+        residual_m=np.zeros(rows),
+        use=np.ones(rows, dtype=bool),
+        rows=tuple(len(piece.rows) for piece in pieces),
+    )
+
+
+def regression_of(
+    estimate: Estimate, pieces: Sequence[Piece], columns: Columns, *, has_numbers: bool = True
+) -> Regression:
+    """Return the rows whose coefficients are the next estimate; zeros are those of the pieces.
+
+    The target is the error of the present estimate and what its linear coefficients contribute.
+
+    has_numbers  whether lag and extensions may change
+    """
+    axis = estimate.model
+    shape = axis.loop_shape
+    assert shape is not None
+    scale_m, is_first = half_range_m(axis), not estimate.variance
+    rows = np.cumsum([0, *estimate.rows])
+    sizes = [len(zero_m) for zero_m in estimate.zeros]
+    first = np.cumsum([0, *sizes])
+    zeros = np.zeros((rows[-1], first[-1]))
+    histories_of = [np.zeros((rows[-1], 0 if is_first else len(w))) for w in estimate.weights]
+    numbers_m, error_m = [], []
+    for k, piece in enumerate(pieces):
+        span = slice(rows[k], rows[k + 1])
+        start = replace(piece.start, zero_m=estimate.zeros[k])
+        knots = np.eye(sizes[k])
+        for j in range(sizes[k]):
+            hat = replace(start, zero_m=knots[j])
+            zeros[span, first[k] + j] = zero_of(hat, piece.where.samples)[piece.rows]
+        if not is_first:
+            changes = columns.paths[k].changes_m(shape) / abs(scale_m)
+            histories_of[k][rows[k] : rows[k] + len(changes)] = changes
+            start = replace(start, history_weight=estimate.weights[k])
+        static_m = axis.static_m(piece.drive_V, start.memory_V, piece.where.rate_Hz)
+        if not is_first:
+            changes_m = axis.history_changes_m(piece.drive_V, start.memory_V, piece.where.rate_Hz)[
+                :, : len(estimate.weights[k])
+            ]
+            static_m = static_m + changes_m @ estimate.weights[k]
+        read_m = _read_m(axis, piece, start, static_m)
+        error_m.append(piece.measured_m[piece.rows] - read_m)
+        if has_numbers:
+            numbers_m.append(_changes_m(axis, piece, start, static_m, read_m))
+    numbers = _numbers(axis) if has_numbers else free([], [], [], [])
+    slopes = np.concatenate(numbers_m) / scale_m if has_numbers else np.zeros((rows[-1], 0))
+    size = np.sqrt((slopes**2).mean(axis=0))
+    size[size < 1e-12] = 1.0
+    step, slopes = numbers.step / size, slopes / size
+    local = {
+        "initial state": np.hstack(histories_of),
+        "zero": zeros,
+        "number": slopes,
+    }
+    design = np.hstack([columns.x, *local.values()])
+    names = [name for name, table in local.items() for _ in range(table.shape[1])]
+    change = np.eye(design.shape[1])
+    change[: len(columns.scale), : len(columns.scale)] = columns.change
+    target = np.concatenate(error_m) / scale_m + columns.x @ (estimate.wide * columns.scale)
+    target = target + zeros @ (np.concatenate(estimate.zeros) / scale_m)
+    if not is_first:
+        target = target + local["initial state"] @ np.concatenate(estimate.weights)
+    return Regression(
+        design=design,
+        target=target,
+        family=(*columns.family, *names),
+        change=change,
+        use=estimate.use,
+        fold=np.concatenate([piece.fold for piece in pieces]),
+        value=numbers.value,
+        lower=numbers.lower,
+        upper=numbers.upper,
+        step=step,
+        prior=_prior(axis, step, design.shape[1]) if has_numbers else None,
+    )
+
+
+def _read_m(axis: AxisModel, piece: Piece, start: PieceStart, static_m: Array) -> Array:
+    """Return the reading at the rows of a piece, (rows,)."""
+    forward = axis.forward
+    zero_m = zero_of(start, piece.where.samples)
+    return forward.read(forward.position(static_m, piece.where, zero_m))[piece.rows]
+
+
+def _numbers(axis: AxisModel) -> Free:
+    """Return the lag, where the model has one, and the numbers of all extensions."""
+    late = free(axis.lag.time_s, 0.0, np.inf, LAG_s)
+    frees = [] if axis.lag.kind == "none" else [late]
+    frees += [extension.free() for extension in axis.extensions]
+    value, lower, upper, step = (
+        np.concatenate([np.zeros(0), *(getattr(numbers, name) for numbers in frees)])
+        for name in ("value", "lower", "upper", "step")
+    )
+    return Free(value=value, lower=lower, upper=upper, step=step)
+
+
+def with_numbers(axis: AxisModel, values: Array) -> AxisModel:
+    """Return the model with these numbers of lag and extensions."""
+    lag, extensions = axis.lag, []
+    if lag.kind != "none":
+        lag, values = replace(lag, time_s=float(values[0])), values[1:]
+    for extension in axis.extensions:
+        count = len(extension.free().value)
+        extensions.append(replace(extension.moved_to(values[:count]), std=extension.std))
+        values = values[count:]
+    return replace(axis, lag=lag, extensions=tuple(extensions))
+
+
+def _changes_m(
+    axis: AxisModel, piece: Piece, start: PieceStart, static_m: Array, read_m: Array
+) -> Array:
+    """Return the change of the reading by a step of every number, (rows, numbers)."""
+    numbers = _numbers(axis)
+    changes = np.zeros((len(piece.rows), len(numbers.value)))
+    parts: list[Extension | None] = [] if axis.lag.kind == "none" else [None]
+    for extension in axis.extensions:
+        parts += [extension] * len(extension.free().value)
+    for k, (part, step) in enumerate(zip(parts, numbers.step, strict=True)):
+        sign = 1.0 if numbers.value[k] + step <= numbers.upper[k] else -1.0
+        values = numbers.value.copy()
+        values[k] += sign * step
+        changed, changed_m = with_numbers(axis, values), static_m
+        if part is not None and not _is_behind_hysteresis(part):
+            drive_V = changed.forward.driven_V(piece.voltage_V, piece.where.rate_Hz)
+            changed_m = changed.static_m(drive_V, start.memory_V, piece.where.rate_Hz)
+        changes[:, k] = sign * (_read_m(changed, piece, start, changed_m) - read_m)
+    return changes
+
+
+def _is_behind_hysteresis(extension: Extension) -> bool:
+    kind = type(extension)
+    return kind.drive is Extension.drive and kind.irreversible is Extension.irreversible
+
+
+def _prior(axis: AxisModel, steps: Array, count: int) -> Moments:
+    """Return the sums of what is known of the extensions' numbers beforehand, one row each.
+
+    steps  (numbers,)  what a coefficient of 1 means
+    count  of all columns
+    """
+    gram, moment, square, rows = np.zeros((count, count)), np.zeros(count), 0.0, 0
+    first = int(axis.lag.kind != "none")
+    for extension in axis.extensions:
+        last = first + len(extension.free().value)
+        relations = extension.prior() / (abs(half_range_m(axis)) if extension.in_metres else 1.0)
+        if len(relations):
+            span = slice(count - len(steps) + first, count - len(steps) + last)
+            change, value = relations * steps[first:last], relations @ extension.free().value
+            gram[span, span] += change.T @ change
+            moment[span] -= change.T @ value
+            square, rows = square + float(value @ value), rows + len(relations)
+        first = last
+    return Moments(gram=gram, moment=moment, square=square, count=rows)
+
+
+def half_range_m(axis: AxisModel) -> float:
+    """Return half the range of the displacement, negative where it falls as the drive rises."""
+    return axis.polarity * 0.5 * axis.quality.range_m
