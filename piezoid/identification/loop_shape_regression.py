@@ -21,6 +21,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.family_ridge import Moments
 
 LAG_s = 1e-6  # step of the lag for its derivative
+SENSOR_STEP = 1e-4  # half ranges, for the derivative of a reading
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -157,7 +158,7 @@ def regression_of(
     first = np.cumsum([0, *sizes])
     zeros = np.zeros((rows[-1], first[-1]))
     histories_of = [np.zeros((rows[-1], 0 if is_first else len(w))) for w in estimate.weights]
-    numbers_m, error_m = [], []
+    numbers_m, error_m, sensor_slope = [], [], []
     for k, piece in enumerate(pieces):
         span = slice(rows[k], rows[k + 1])
         start = replace(piece.start, zero_m=estimate.zeros[k])
@@ -177,6 +178,7 @@ def regression_of(
             static_m = static_m + changes_m @ estimate.weights[k]
         read_m = _read_m(axis, piece, start, static_m)
         error_m.append(piece.measured_m[piece.rows] - read_m)
+        sensor_slope.append(_sensor_slope(axis, piece, start, static_m))
         if has_numbers:
             numbers_m.append(_changes_m(axis, piece, start, static_m, read_m))
     numbers = _numbers(axis) if has_numbers else free([], [], [], [])
@@ -184,16 +186,18 @@ def regression_of(
     size = np.sqrt((slopes**2).mean(axis=0))
     size[size < 1e-12] = 1.0
     step, slopes = numbers.step / size, slopes / size
+    gain = np.concatenate(sensor_slope)[:, None]
+    wide, zeros = gain * columns.x, gain * zeros
     local = {
-        "initial state": np.hstack(histories_of),
+        "initial state": gain * np.hstack(histories_of),
         "zero": zeros,
         "number": slopes,
     }
-    design = np.hstack([columns.x, *local.values()])
+    design = np.hstack([wide, *local.values()])
     names = [name for name, table in local.items() for _ in range(table.shape[1])]
     change = np.eye(design.shape[1])
     change[: len(columns.scale), : len(columns.scale)] = columns.change
-    target = np.concatenate(error_m) / scale_m + columns.x @ (estimate.wide * columns.scale)
+    target = np.concatenate(error_m) / scale_m + wide @ (estimate.wide * columns.scale)
     target = target + zeros @ (np.concatenate(estimate.zeros) / scale_m)
     if not is_first:
         target = target + local["initial state"] @ np.concatenate(estimate.weights)
@@ -219,11 +223,27 @@ def _read_m(axis: AxisModel, piece: Piece, start: PieceStart, static_m: Array) -
     return forward.read(forward.position(static_m, piece.where, zero_m))[piece.rows]
 
 
+def _sensor_slope(axis: AxisModel, piece: Piece, start: PieceStart, static_m: Array) -> Array:
+    """Return by how much the reading changes with the position, (rows,)."""
+    if not any(_is_sensor(extension) for extension in axis.extensions):
+        return np.ones(len(piece.rows))
+    step_m = SENSOR_STEP * abs(half_range_m(axis))
+    zero_m = zero_of(start, piece.where.samples)
+    above_m, below_m = (
+        axis.forward.read(axis.forward.position(static_m, piece.where, zero_m + away_m))
+        for away_m in (step_m, -step_m)
+    )
+    return np.asarray((above_m - below_m)[piece.rows] / (2.0 * step_m))
+
+
 def _numbers(axis: AxisModel) -> Free:
-    """Return the lag, where the model has one, and the numbers of all extensions."""
+    """Return the lag, where the model has one, and the numbers of extensions but of the sensor.
+
+    The reading of a periodic error is far from linear in its wavelength: such numbers stay.
+    """
     late = free(axis.lag.time_s, 0.0, np.inf, LAG_s)
     frees = [] if axis.lag.kind == "none" else [late]
-    frees += [extension.free() for extension in axis.extensions]
+    frees += [extension.free() for extension in axis.extensions if not _is_sensor(extension)]
     value, lower, upper, step = (
         np.concatenate([np.zeros(0), *(getattr(numbers, name) for numbers in frees)])
         for name in ("value", "lower", "upper", "step")
@@ -237,6 +257,9 @@ def with_numbers(axis: AxisModel, values: Array) -> AxisModel:
     if lag.kind != "none":
         lag, values = replace(lag, time_s=float(values[0])), values[1:]
     for extension in axis.extensions:
+        if _is_sensor(extension):
+            extensions.append(extension)
+            continue
         count = len(extension.free().value)
         extensions.append(replace(extension.moved_to(values[:count]), std=extension.std))
         values = values[count:]
@@ -251,7 +274,8 @@ def _changes_m(
     changes = np.zeros((len(piece.rows), len(numbers.value)))
     parts: list[Extension | None] = [] if axis.lag.kind == "none" else [None]
     for extension in axis.extensions:
-        parts += [extension] * len(extension.free().value)
+        if not _is_sensor(extension):
+            parts += [extension] * len(extension.free().value)
     for k, (part, step) in enumerate(zip(parts, numbers.step, strict=True)):
         sign = 1.0 if numbers.value[k] + step <= numbers.upper[k] else -1.0
         values = numbers.value.copy()
@@ -262,6 +286,10 @@ def _changes_m(
             changed_m = changed.static_m(drive_V, start.memory_V, piece.where.rate_Hz)
         changes[:, k] = sign * (_read_m(changed, piece, start, changed_m) - read_m)
     return changes
+
+
+def _is_sensor(extension: Extension) -> bool:
+    return type(extension).reading is not Extension.reading
 
 
 def _is_behind_hysteresis(extension: Extension) -> bool:
@@ -278,6 +306,8 @@ def _prior(axis: AxisModel, steps: Array, count: int) -> Moments:
     gram, moment, square, rows = np.zeros((count, count)), np.zeros(count), 0.0, 0
     first = int(axis.lag.kind != "none")
     for extension in axis.extensions:
+        if _is_sensor(extension):
+            continue
         last = first + len(extension.free().value)
         relations = extension.prior() / (abs(half_range_m(axis)) if extension.in_metres else 1.0)
         if len(relations):

@@ -70,7 +70,7 @@ def test_a_stage_of_two_axes_is_one_model_one_report_and_a_diagnosis_of_each(
 
 
 def test_an_axis_that_another_process_cannot_fit_is_one_message(tmp_path: Path) -> None:
-    write_sweep(tmp_path / "x.csv", LOOP)
+    write_sweep(tmp_path / "x.csv", LOOP + 0.2 * np.tanh(np.roll(LOOP, 9) - 5))
     write_sweep(tmp_path / "y.csv", np.full(len(LOOP), 2.0))
     (tmp_path / "lab.toml").write_text(
         '[[recording]]\nfile = "y.csv"\naxis = "y"\n'
