@@ -170,8 +170,8 @@ def _show(found: "Diagnosis", out: Path) -> None:
     before, after = with_unit(found.baseline.rms_m, "m"), with_unit(found.final.rms_m, "m")
     noise = with_unit(found.noise_floor_rms_m, "m")
     line = (
-        f"axis {found.axis}: held-out error {before} with hysteresis alone, {after} with all "
-        f"findings; sensor noise {noise}"
+        f"axis {found.axis}: held-out error {before} without the findings, {after} with "
+        f"them; sensor noise {noise}"
     )
     console.print(plain(in_counts(line, found.counted)))
     facts = diagnosis_statements(found)

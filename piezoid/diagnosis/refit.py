@@ -21,6 +21,7 @@ from piezoid.identification.extensions.first_order_lag import FirstOrderLag
 from piezoid.identification.joint.fit_extended import Extended, fit_extended
 from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel, Lag
+from piezoid.identification.piece_start import wandering_zeros
 from piezoid.numerics.arrays import Array
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
@@ -40,7 +41,7 @@ class Refitted:
     extensions  the extensions each effect became, as fitted
     spread      for each effect the standard errors of their numbers
     model       what ships: with the fitted lag where no lag or delay was found; as it was given
-                where no effect extends it and it predicts left-out rows no worse
+                where its class does not apply
     """
 
     baseline: Extended
@@ -117,17 +118,22 @@ def refitted(
             structure=structure,
             places=places_of_whole,
         )
-    shipped = _shipped(model, recordings, final, structure, places)
     return Refitted(
         baseline=baseline,
         final=final,
         without=without,
         extensions=fitted,
         spread={name: _spread_of(parts, final) for name, parts in fitted.items()},
-        model=shipped
-        if given or shipped.quality.held_out_rms_m < model.quality.held_out_rms_m
+        model=_shipped(model, recordings, final, structure, places)
+        if given or (not _drifts(model) and (model.verdict.applies or found))
         else model,
     )
+
+
+def _drifts(model: AxisModel) -> bool:
+    """Return whether the zero of a piece moves, which a refit without a drift would leave out."""
+    quality = model.quality
+    return bool(wandering_zeros(model.starts, quality.rms_m, quality.range_m))
 
 
 def _loosened(
