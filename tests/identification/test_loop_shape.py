@@ -97,6 +97,18 @@ def test_a_recording_that_was_not_fitted_is_predicted_better() -> None:
     assert wide_m < 0.5 * plain_m
 
 
+def test_many_recordings_are_simulated_with_fewer_histories_each() -> None:
+    """Beyond ten pieces not all histories of the drive are weighed."""
+    levels = np.array([-1.0, 1.0, -1.0, 0.6, -0.7, 0.3, -0.2])
+    recordings = [recorded("dahl", through(k * levels), f"{k}") for k in np.linspace(1, 0.9, 13)]
+    plain = estimate_axis(recordings, "x", Rig(), orders=((6, 2),))
+    axis = with_loop_shape(plain, recordings)
+    assert axis.loop_shape is not None
+    assert any(np.any(start.history_weight) for start in axis.starts)
+    error_m = simulate_recording(axis, recordings[5]) - recordings[5].displacement_m("x")
+    assert np.std(error_m) < plain.quality.rms_m
+
+
 def test_a_sum_of_plays_is_predicted_no_worse() -> None:
     _, plain, axis = fitted("plays")
     assert axis.quality.held_out_rms_m <= plain.quality.held_out_rms_m
