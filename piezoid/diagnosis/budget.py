@@ -115,7 +115,12 @@ def with_budget(
             diagnosis, errors, explained - wide, is_largest=largest == LOOP_SHAPE
         )
     diagnosis, remaining = _with_something_else(diagnosis, errors, remaining)
-    effects = _effect_parts(diagnosis, total - after, other_recordings)
+    gains = {}
+    if errors.before_m is not None:
+        gains[LOOP_SHAPE] = float(np.clip(errors.before_m**2, after, total)) - after
+    effects = _effect_parts(
+        diagnosis, total - after - sum(gains.values()), gains, other_recordings
+    )
     effects = [part for part in effects if part.part not in remaining]
     parts = [
         *effects,
@@ -155,28 +160,33 @@ def _with_something_else(
 
 
 def _effect_parts(
-    diagnosis: Diagnosis, power: float, apart: Mapping[str, str]
+    diagnosis: Diagnosis, power: float, gains: Mapping[str, float], apart: Mapping[str, str]
 ) -> list[BudgetPart]:
-    """Divide the gain of the model among the findings; loop shape outside the model has none."""
+    """Divide the gain of the model among the findings; loop shape outside the model has none.
+
+    power  gain of all effects together, of the model without loop shape
+    gains  of single parts that were measured one after another, by name
+    """
     rises = {
         finding.effect: max(
             finding.held_out_rms_before_m**2 - finding.held_out_rms_after_m**2, 0.0
         )
         for finding in diagnosis.findings
-        if finding.effect not in apart
+        if finding.effect not in apart and finding.effect not in gains
     }
     whole = sum(rises.values())
     if whole == 0.0 and power > 0.0:
         # the model's lag, which is no finding where it cannot be told from a width of the loop
         rises["lag"] = whole = power
     parts = []
-    names = dict.fromkeys((*(finding.effect for finding in diagnosis.findings), *rises))
+    names = dict.fromkeys((*(finding.effect for finding in diagnosis.findings), *rises, *gains))
     for name in names:
         share = rises.get(name, 0.0) / whole if whole > 0.0 else 0.0
+        gain = gains.get(name, power * share)
         parts.append(
             BudgetPart(
                 part=name,
-                rms_m=sqrt(power * share),
+                rms_m=sqrt(gain),
                 is_explained=True,
                 text=apart.get(name, _effect_text(name)),
             )

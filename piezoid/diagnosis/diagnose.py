@@ -52,8 +52,6 @@ from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording, counted_in
 
-# Held-out error without loop shape over that with it: a smaller gain names no effect.
-LOOP_SHAPE_WORTH = 1.3
 Progress = Callable[[str], None]
 AttributeErrors = Callable[[SearchResult], ModelErrors]
 
@@ -315,11 +313,10 @@ def _assembled(
 def _remaining_errors(outcome: Outcome, errors: ModelErrors, final: AxisModel) -> RemainingErrors:
     rows, columns = outcome.final.null.every.shape
     plain_m = final.without_loop_shape().quality.held_out_rms_m
-    is_named = plain_m > LOOP_SHAPE_WORTH * final.quality.held_out_rms_m
     return RemainingErrors(
         explained_m=final.quality.explained_rms_m,
         wide_m=outcome.final.rms * outcome.first.stroke_m * corrected(rows, columns),
         scatter=errors.scatter,
-        before_m=plain_m if is_named else None,
+        before_m=plain_m if plain_m > final.quality.held_out_rms_m else None,
         is_compared=not outcome.against,
     )

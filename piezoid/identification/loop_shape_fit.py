@@ -137,7 +137,7 @@ def _improved(
     coefficient = regression.change @ reduced
     residual = regression.target - regression.design @ coefficient
     wide = coefficient[: len(columns.scale)]
-    places = regression.number_places
+    places = regression.places("number")
     change_m = regression.design[:, places] @ coefficient[places]
     if len(places):
         values = regression.value + regression.step * coefficient[places]

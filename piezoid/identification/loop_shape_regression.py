@@ -21,6 +21,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.family_ridge import Moments
 
 LAG_s = 1e-6  # step of the lag for its derivative
+SMALLEST = 1e-12  # half ranges: a number that moves the reading by less is in no reading
 SENSOR_STEP = 1e-4  # half ranges, for the derivative of a reading
 
 
@@ -82,16 +83,12 @@ class Regression:
     step: Array
     prior: Moments | None = None
 
-    @property
-    def number_places(self) -> NDArray[np.intp]:
-        """Return the columns of lag and extensions."""
-        return self.places("number")
-
     def outward(self, coefficient: Array) -> NDArray[np.bool_]:
         """Return which columns would move a number beyond the bound at which it is."""
-        step = self.step * coefficient[self.number_places]
+        places = self.places("number")
+        step = self.step * coefficient[places]
         outward = np.zeros(len(self.family), dtype=bool)
-        outward[self.number_places] = ((self.value <= self.lower) & (step < 0.0)) | (
+        outward[places] = ((self.value <= self.lower) & (step < 0.0)) | (
             (self.value >= self.upper) & (step > 0.0)
         )
         return outward
@@ -154,56 +151,43 @@ def regression_of(
     assert shape is not None
     scale_m, is_first = half_range_m(axis), not estimate.variance
     rows = np.cumsum([0, *estimate.rows])
-    sizes = [len(zero_m) for zero_m in estimate.zeros]
-    first = np.cumsum([0, *sizes])
-    zeros = np.zeros((rows[-1], first[-1]))
-    histories_of = [np.zeros((rows[-1], 0 if is_first else len(w))) for w in estimate.weights]
-    numbers_m, error_m, sensor_slope = [], [], []
+    knots = np.cumsum([0, *(len(zero_m) for zero_m in estimate.zeros)])
+    zeros = np.zeros((rows[-1], knots[-1]))
+    histories = [np.zeros((rows[-1], 0 if is_first else len(w))) for w in estimate.weights]
+    slopes, error_m, sensor_slope = [], [], []
     for k, piece in enumerate(pieces):
-        span = slice(rows[k], rows[k + 1])
+        weight = None if is_first else estimate.weights[k]
         start = replace(piece.start, zero_m=estimate.zeros[k])
-        knots = np.eye(sizes[k])
-        for j in range(sizes[k]):
-            hat = replace(start, zero_m=knots[j])
-            zeros[span, first[k] + j] = zero_of(hat, piece.where.samples)[piece.rows]
+        zeros[rows[k] : rows[k + 1], knots[k] : knots[k + 1]] = _zero_columns(piece, start)
         if not is_first:
             changes = columns.paths[k].changes_m(shape) / abs(scale_m)
-            histories_of[k][rows[k] : rows[k] + len(changes)] = changes
-            start = replace(start, history_weight=estimate.weights[k])
-        static_m = axis.static_m(piece.drive_V, start.memory_V, piece.where.rate_Hz)
-        if not is_first:
-            changes_m = axis.history_changes_m(piece.drive_V, start.memory_V, piece.where.rate_Hz)[
-                :, : len(estimate.weights[k])
-            ]
-            static_m = static_m + changes_m @ estimate.weights[k]
+            histories[k][rows[k] : rows[k] + len(changes)] = changes
+        static_m = axis.static_after_m(piece.drive_V, start.memory_V, piece.where.rate_Hz, weight)
         read_m = _read_m(axis, piece, start, static_m)
         error_m.append(piece.measured_m[piece.rows] - read_m)
         sensor_slope.append(_sensor_slope(axis, piece, start, static_m))
         if has_numbers:
-            numbers_m.append(_changes_m(axis, piece, start, static_m, read_m))
+            slopes.append(_changes_m(axis, piece, start, static_m, read_m) / scale_m)
     numbers = _numbers(axis) if has_numbers else free([], [], [], [])
-    slopes = np.concatenate(numbers_m) / scale_m if has_numbers else np.zeros((rows[-1], 0))
-    size = np.sqrt((slopes**2).mean(axis=0))
-    size[size < 1e-12] = 1.0
-    step, slopes = numbers.step / size, slopes / size
+    number_columns, size = _of_unit_size(slopes, int(rows[-1]))
+    step = numbers.step / size
     gain = np.concatenate(sensor_slope)[:, None]
-    wide, zeros = gain * columns.x, gain * zeros
-    local = {
-        "initial state": gain * np.hstack(histories_of),
-        "zero": zeros,
-        "number": slopes,
-    }
-    design = np.hstack([wide, *local.values()])
-    names = [name for name, table in local.items() for _ in range(table.shape[1])]
+    linear = np.hstack([gain * table for table in (columns.x, *histories, zeros)])
+    present = np.concatenate(
+        [
+            estimate.wide * columns.scale,
+            *(() if is_first else estimate.weights),
+            np.concatenate(estimate.zeros) / scale_m,
+        ]
+    )
+    design = np.hstack([linear, number_columns])
+    counts = (sum(table.shape[1] for table in histories), zeros.shape[1], len(step))
+    names = np.repeat(["initial state", "zero", "number"], counts).tolist()
     change = np.eye(design.shape[1])
     change[: len(columns.scale), : len(columns.scale)] = columns.change
-    target = np.concatenate(error_m) / scale_m + wide @ (estimate.wide * columns.scale)
-    target = target + zeros @ (np.concatenate(estimate.zeros) / scale_m)
-    if not is_first:
-        target = target + local["initial state"] @ np.concatenate(estimate.weights)
     return Regression(
         design=design,
-        target=target,
+        target=np.concatenate(error_m) / scale_m + linear @ present,
         family=(*columns.family, *names),
         change=change,
         use=estimate.use,
@@ -214,6 +198,20 @@ def regression_of(
         step=step,
         prior=_prior(axis, step, design.shape[1]) if has_numbers else None,
     )
+
+
+def _zero_columns(piece: Piece, start: PieceStart) -> Array:
+    """Return the zero of a piece for each of its knots at 1, (rows, knots)."""
+    hats = [replace(start, zero_m=knot) for knot in np.eye(len(start.zero_m))]
+    return np.stack([zero_of(hat, piece.where.samples)[piece.rows] for hat in hats], axis=1)
+
+
+def _of_unit_size(tables: Sequence[Array], rows: int) -> tuple[Array, Array]:
+    """Return columns of rms 1, and what they were divided by."""
+    columns = np.concatenate(tables) if tables else np.zeros((rows, 0))
+    size = np.sqrt((columns**2).mean(axis=0))
+    size[size < SMALLEST] = 1.0
+    return columns / size, size
 
 
 def _read_m(axis: AxisModel, piece: Piece, start: PieceStart, static_m: Array) -> Array:

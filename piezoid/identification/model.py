@@ -297,10 +297,7 @@ class AxisModel:
         """
         forward = self.forward
         driven_V = forward.driven_V(voltage_V, where.rate_Hz)
-        static_m = self.static_m(driven_V, memory_V, where.rate_Hz)
-        if history_weight is not None and np.any(history_weight):
-            changes_m = self.history_changes_m(driven_V, memory_V, where.rate_Hz)
-            static_m = static_m + changes_m[:, : len(history_weight)] @ history_weight
+        static_m = self.static_after_m(driven_V, memory_V, where.rate_Hz, history_weight)
         return forward.position(static_m, where)
 
     @property
@@ -336,6 +333,27 @@ class AxisModel:
             return static_m
         history = history_of(self.hysteresis, memory_V, self.loop_shape)
         return static_m + self.loop_shape.response(driven_V, history)
+
+    def static_after_m(
+        self,
+        driven_V: Array,
+        memory_V: Array,
+        rate_Hz: float,
+        history_weight: Array | None = None,
+    ) -> Array:
+        """Return the static response after a memory and weighted other histories, (samples,).
+
+        history_weight  as in ``PieceStart``; None: the memory is all that is known
+
+        >>> u, memory = np.array([0.0, 5.0]), model["x"].virgin_memory_V
+        >>> model["x"].static_after_m(u, memory, 1000.0).shape
+        (2,)
+        """
+        static_m = self.static_m(driven_V, memory_V, rate_Hz)
+        if history_weight is None or not np.any(history_weight):
+            return static_m
+        changes_m = self.history_changes_m(driven_V, memory_V, rate_Hz)
+        return np.asarray(static_m + changes_m[:, : len(history_weight)] @ history_weight)
 
     def invertible_m(self, driven_V: Array, memory_V: Array, rate_Hz: float) -> Array:
         """Return the response of the part that a controller inverts, (samples,).

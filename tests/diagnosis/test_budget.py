@@ -14,6 +14,8 @@ from tests.diagnosis.ceramic import NOISE_um, bouc_wen_um
 from tests.records.responses import write_csv
 from tests.reports.known_diagnosis import diagnosed, finding
 
+BUNDLED = Path(__file__).resolve().parents[2] / "datasets"
+
 
 @cache
 def bouc_wen_diagnosis(folder: Path) -> Diagnosis:
@@ -84,3 +86,19 @@ def test_a_model_at_the_noise_has_nothing_left_to_name() -> None:
 
     silent = replace(quiet, noise_floor_rms_m=2.5e-8)
     assert silent.largest_remaining is None
+
+
+@pytest.mark.slow
+def test_no_effect_is_given_the_gain_of_loop_shape() -> None:
+    """Axis y of the bundled stage: a Preisach ceramic, and two recordings of unknown past."""
+    recordings = read(*(BUNDLED / f"y_{name}.csv" for name in ("check", "sweep")))
+    found = diagnose(recordings, lab=BUNDLED / "lab.toml")
+    assert found.model is not None
+    assert found.model.loop_shape is not None
+    parts = {part.part: part for part in found.budget}
+    plain_m = found.model.without_loop_shape().quality.held_out_rms_m
+    assert parts["loop_shape"].is_explained
+    assert parts["loop_shape"].rms_m == pytest.approx(
+        np.sqrt(plain_m**2 - found.final.rms_m**2), rel=0.2
+    )
+    assert power(found) == pytest.approx(found.baseline.rms_m**2, rel=1e-9)
