@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.identification.hysteresis.order import folds_of, is_untested
+from piezoid.identification.hysteresis.order import folds_of
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.derivative_free import direct_search
@@ -75,23 +75,21 @@ def _thinned(piece: Piece) -> Piece:
 
 def _fitted(pieces: Sequence[Piece], longest_lag_s: float, *, numbers: int) -> LagRival:
     squares, rows, x, rises = 0.0, 0, np.zeros(3), True
-    for training, testing in folds_of(pieces):
+    for fold in folds_of(pieces):
+        training = fold.training
         x = _searched(training, longest_lag_s, numbers) if numbers else NO_LAG
         columns = [_columns(piece, x, longest_lag_s) for piece in training]
         gain, _ = _regression(training, columns)
         slope = np.polynomial.Polynomial([0.0, *gain.tolist()]).deriv()
         rises &= bool((slope(np.linspace(-1.0, 1.0, 41)) > 0.0).all())
-        for number, piece in enumerate(testing):
-            sample = piece.counting()
-            parts = [k for k, t in enumerate(training) if t.recording == piece.recording]
-            if parts and not is_untested(training):  # the rows that its training part did not see
-                sample = sample[sample >= training[number].last]
+        for number, piece in enumerate(fold.testing):
+            sample = fold.unseen_samples(number)
             residual = piece.response[sample] - _columns(piece, x, longest_lag_s)[sample] @ gain
             zero = float(residual.mean())
-            if parts:
-                trained = training[parts[0]].counting()
-                fitted = columns[parts[0]][trained] @ gain
-                zero = float(np.mean(training[parts[0]].response[trained] - fitted))
+            if number < fold.trained:
+                trained = training[number].counting()
+                fitted = columns[number][trained] @ gain
+                zero = float(np.mean(training[number].response[trained] - fitted))
             squares += float(np.sum((residual - zero) ** 2))
             rows += len(sample)
     frequency, damping, delay_s = _numbers(x, longest_lag_s)

@@ -45,6 +45,27 @@ ROUNDED = 1e-9  # of a sum of squares: more than its rounding
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Fold:
+    """What a trial is fitted to, and what it is judged on.
+
+    training  pieces, or first halves of pieces
+    testing   pieces
+    trained   how many of the pieces tested were trained on in part: both begin with them
+    """
+
+    training: tuple[Piece, ...]
+    testing: tuple[Piece, ...]
+    trained: int
+
+    def unseen_samples(self, number: int) -> Samples:
+        """Return the samples of a tested piece that count and were not trained on."""
+        piece = self.testing[number]
+        if number >= self.trained or self.training == self.testing:
+            return piece.counting()  # of one loop nothing is unseen: all of it is looked at
+        return replace(piece, first=self.training[number].last).counting()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
     """One shape and its held-out error.
 
@@ -147,10 +168,7 @@ def _kind_of(pieces: Sequence[Piece]) -> str:
         return IN_SAMPLE
     if _recordings(pieces) == 1:
         return SECOND_HALF
-    is_separate = all(
-        {p.recording for p in training}.isdisjoint(p.recording for p in testing)
-        for training, testing in folds_of(pieces)
-    )
+    is_separate = all(fold.trained == 0 for fold in folds_of(pieces))
     return OTHER_RECORDINGS if is_separate else WIDEST_HALVED
 
 
@@ -190,9 +208,9 @@ def attempt(
     A shape that is that wrong on some folds stays so whatever the others show: they are skipped.
     """
     rows = sum(
-        len(_unseen_samples(number, piece, training, testing))
-        for training, testing in folds_of(pieces)
-        for number, piece in enumerate(testing)
+        len(fold.unseen_samples(number))
+        for fold in folds_of(pieces)
+        for number in range(len(fold.testing))
     )
     room = within**2 * rows * (1.0 + ROUNDED)
     folds = []
@@ -209,17 +227,17 @@ def _folded(
     pieces: Sequence[Piece], shape: Shape, settings: Settings
 ) -> Iterator[tuple[Array, Scaled]]:
     """Fit a shape to every fold's training part and look at the part it did not see."""
-    for training, testing in folds_of(pieces):
-        fitted = search(training, shape, settings)
-        yield _unseen(fitted, training, testing), fitted.operator
+    for fold in folds_of(pieces):
+        fitted = search(fold.training, shape, settings)
+        yield _unseen(fitted, fold), fitted.operator
 
 
 def _recordings(pieces: Sequence[Piece]) -> int:
     return len({piece.recording for piece in pieces})
 
 
-def folds_of(pieces: Sequence[Piece]) -> Iterator[tuple[tuple[Piece, ...], tuple[Piece, ...]]]:
-    """Yield (training, testing): whole recordings in turn, or two halves of a single one.
+def folds_of(pieces: Sequence[Piece]) -> Iterator[Fold]:
+    """Yield folds that test whole recordings in turn, or the second half of a single one.
 
     A recording that goes further than all the others tells what they cannot know: its first half
     stays in the training, as of each of two, for one alone tells too little of a shape that both
@@ -227,7 +245,7 @@ def folds_of(pieces: Sequence[Piece]) -> Iterator[tuple[tuple[Piece, ...], tuple
     """
     count = _recordings(pieces)
     if is_untested(pieces):
-        yield tuple(pieces), tuple(pieces)
+        yield Fold(training=tuple(pieces), testing=tuple(pieces), trained=len(pieces))
         return
     folds = min(count, FOLDS)
     for fold in range(folds):
@@ -236,7 +254,11 @@ def folds_of(pieces: Sequence[Piece]) -> Iterator[tuple[tuple[Piece, ...], tuple
         wide = tuple(p for p in held_out if count == 2 or not _is_covered(p, remaining))
         parts = tuple(replace(p, last=p.first + p.rows // 2) for p in wide)
         if held_out and (remaining or parts):
-            yield (*parts, *remaining), (*wide, *(p for p in held_out if p not in wide))
+            yield Fold(
+                training=(*parts, *remaining),
+                testing=(*wide, *(p for p in held_out if p not in wide)),
+                trained=len(parts),
+            )
 
 
 def _is_covered(piece: Piece, remaining: Sequence[Piece]) -> bool:
@@ -264,39 +286,22 @@ def is_untested(pieces: Sequence[Piece]) -> bool:
     return crossings <= MANY and scope_of(pieces).is_untested
 
 
-def _part_of(number: int, piece: Piece, training: Sequence[Piece]) -> Piece | None:
-    """Return what of a piece that is tested was trained on, if anything was."""
-    is_part = any(part.recording == piece.recording for part in training)
-    return training[number] if is_part else None
-
-
-def _unseen_samples(
-    number: int, piece: Piece, training: Sequence[Piece], testing: Sequence[Piece]
-) -> Samples:
-    """Return those samples of a piece that count and were not trained on."""
-    part = _part_of(number, piece, training)
-    if part is None or training == testing:  # one loop: nothing is unseen
-        return piece.counting()
-    return replace(piece, first=part.last).counting()
-
-
-def _unseen(fitted: Fitted, training: Sequence[Piece], testing: Sequence[Piece]) -> Array:
+def _unseen(fitted: Fitted, fold: Fold) -> Array:
     """Return the residual of a fit where it was not trained.
 
     Zero and memory of other recordings are fitted, and the zero of the half of one that is among
     others; that of the only recording stays where its first half left it.
     """
-    parts = [_part_of(number, piece, training) for number, piece in enumerate(testing)]
-    fresh = [piece for piece, part in zip(testing, parts, strict=True) if part is None]
+    fresh = fold.testing[fold.trained :]
     refitted = transferred(fitted, fresh) if fresh else fitted
-    is_only_recording = _recordings((*training, *testing)) == 1
-    residuals, trained = [], len(testing) - len(fresh)
-    for number, (piece, part) in enumerate(zip(testing, parts, strict=True)):
-        if part is None:
-            output = continued(refitted, number - trained, piece)
-        else:  # its zero stays where the part left it
-            output = continued(fitted, number, part)
-        error = (output - piece.response)[_unseen_samples(number, piece, training, testing)]
-        is_offset_free = part is not None and not is_only_recording
+    is_only_recording = _recordings((*fold.training, *fold.testing)) == 1
+    residuals = []
+    for number, piece in enumerate(fold.testing):
+        if number < fold.trained:  # its zero stays where the trained part left it
+            output = continued(fitted, number, fold.training[number])
+        else:
+            output = continued(refitted, number - fold.trained, piece)
+        error = (output - piece.response)[fold.unseen_samples(number)]
+        is_offset_free = number < fold.trained and not is_only_recording
         residuals.append(error - error.mean() if is_offset_free else error)
     return np.concatenate(residuals)

@@ -1,5 +1,6 @@
 """The smallest shape that the error cannot tell from the best, with weights a stage can have."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -95,11 +96,33 @@ def test_a_recording_that_goes_further_than_all_others_cannot_blow_up(small: flo
         assert order.held_out_rms_m < 0.02 * quality.range_m
 
 
+def test_a_recording_whose_parts_go_unequally_far_is_held_out_by_its_parts() -> None:
+    """Only the part of the widest recording that goes furthest is trained on by half."""
+    rng = np.random.default_rng(4)
+    wide = decaying(12)
+    made = []
+    for name, drive, breaks in (
+        ("wide", np.concatenate([0.5 * wide, wide]), (len(wide),)),
+        ("small", 0.6 * wide, ()),
+        ("smaller", 0.5 * wide, ()),
+    ):
+        clean_m = play_sum(drive, LOOP_THRESHOLD, LOOP_WEIGHT * 2.0, np.full(6, drive[0]))
+        noise_m = rng.normal(0.0, 5e-8, len(drive))
+        made.append(replace(recording(drive, clean_m + noise_m, f"{name}.csv"), breaks=breaks))
+    pieces = pieces_of(made, "x", scales_of(made, "x"), Rig())
+    folds = [fold for fold in folds_of(pieces) if fold.trained]
+    assert [(fold.trained, len(fold.testing)) for fold in folds] == [(1, 2)]
+    assert len(folds[0].unseen_samples(0)) == pytest.approx(len(wide) / 2, abs=1)
+    assert len(folds[0].unseen_samples(1)) == len(wide)
+    quality = estimate_axis(made, "x", Rig(), orders=((2, 0), (8, 2))).quality
+    assert quality.held_out_rms_m < 0.02 * quality.range_m
+
+
 def test_what_is_trained_on_goes_as_far_as_what_is_tested() -> None:
     rows = decaying(12)
     made = [recording(k * rows, 1e-6 * k * rows, f"{k}.csv") for k in (1.0, 0.3, 0.98)]
     pieces = pieces_of(made, "x", scales_of(made, "x"), Rig())
     assert not is_untested(pieces)
-    for training, testing in folds_of(pieces):
-        furthest = max(float(np.ptp(piece.drive)) for piece in testing)
-        assert max(float(np.ptp(piece.drive)) for piece in training) > 0.94 * furthest
+    for fold in folds_of(pieces):
+        furthest = max(float(np.ptp(piece.drive)) for piece in fold.testing)
+        assert max(float(np.ptp(piece.drive)) for piece in fold.training) > 0.94 * furthest
