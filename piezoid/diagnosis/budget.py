@@ -218,22 +218,22 @@ def _with_loop_shape(
 ) -> Diagnosis:
     """Return the diagnosis with loop shape among its findings, or among what was not detected.
 
-    It is found where the model has a wider class of hysteresis, or where the final error is above
-    the noise and loop shape is its largest part, or a significant half of the explained error.
+    It is found where the error without it is above the noise, and the model has a wider class of
+    hysteresis, or loop shape is the largest part, or a significant half of the explained error.
     """
-    doubt = max(errors.scatter, 1e-6) * errors.explained_m**2
-    if errors.before_m is not None:
-        before_m, after_m = errors.before_m, diagnosis.final.rms_m
+    noise_m, after_m = diagnosis.noise_floor_rms_m, diagnosis.final.rms_m
+    if errors.before_m is None:
+        before_m = after_m
+        doubt = max(errors.scatter, 1e-6) * errors.explained_m**2
+        is_half = power > 0.5 * (errors.explained_m**2 - noise_m**2)
+        is_named = is_largest or (is_half and power > ONE_SIDED_95 * doubt)
+    else:
+        before_m = errors.before_m
         power = max(before_m**2 - after_m**2, 0.0)
         doubt = max(errors.scatter, 1e-6) * before_m**2
-    else:
-        before_m = after_m = diagnosis.final.rms_m
-        noise_m = diagnosis.noise_floor_rms_m
-        far = diagnosis.final.rms_m > NOISE_RATIO * noise_m
-        is_significant = power > ONE_SIDED_95 * doubt
-        half = power > 0.5 * (errors.explained_m**2 - noise_m**2)
-        if not (far and (is_largest or (half and is_significant))):
-            return _without_loop_shape(diagnosis, sqrt(max(power, 0.0) + ONE_SIDED_95 * doubt))
+        is_named = True
+    if before_m <= NOISE_RATIO * noise_m or not is_named:
+        return _without_loop_shape(diagnosis, sqrt(max(power, 0.0) + ONE_SIDED_95 * doubt))
     effect = effect_named(LOOP_SHAPE)
     low, high = (sqrt(max(power + side * 1.96 * doubt, 0.0)) for side in (-1.0, 1.0))
     gain = 1.0 - after_m / before_m if before_m > 0.0 else 0.0
