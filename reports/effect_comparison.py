@@ -14,10 +14,14 @@ from numpy.typing import NDArray
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid.diagnosis.effect import Tangent
 from piezoid.diagnosis.effects import effect_named
-from piezoid.diagnosis.planning.drive_response import Driven, null_columns, rows_of
+from piezoid.diagnosis.planning.drive_response import (
+    Driven,
+    driven_recording,
+    null_columns,
+    rows_of,
+)
 from piezoid.diagnosis.planning.open_questions import suspect_of
 from piezoid.diagnosis.planning.separation import basis_of, block_of, scale_of
-from piezoid.diagnosis.planning.simulated_drives import driven_recording
 from piezoid.diagnosis.residual_structure import NAME as SOMETHING_ELSE
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import simulate_recording

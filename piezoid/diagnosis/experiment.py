@@ -8,26 +8,22 @@ the plan says how little the best would give and which limit forbids more. Nothi
 here: the expectation is that of separation.py.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.diagnosis.planning.drive_limits import Bench, bench_of
-from piezoid.diagnosis.planning.excitation import Drive, DriveLimits
+from piezoid.diagnosis.planning.drive_limits import Bench, Drive, DriveLimits, bench_of
+from piezoid.diagnosis.planning.drive_response import driven_recording
 from piezoid.diagnosis.planning.open_questions import Question, is_open, questions_of
 from piezoid.diagnosis.planning.plan_ranking import Alternative, Choice, Table, table_of
 from piezoid.diagnosis.planning.separation import Told
-from piezoid.diagnosis.planning.simulated_drives import driven_recording, drives_axis
 from piezoid.errors import ExcitationError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.raw_counts import VOLTAGE, refuse_counts
 from piezoid.records.lab import Lab
-from piezoid.records.recording import Recording
-
-if TYPE_CHECKING:
-    pass
-
+from piezoid.records.recording import Quantity, Recording
 
 LOOSER = 4.0  # times the limit
 FELT = 0.9  # of what is left open: a limit that changes less does not stand in the way
@@ -64,7 +60,7 @@ class Plan:
     @property
     def duration_s(self) -> float:
         """Return how long the drive takes."""
-        return len(self.drive.voltage_V) / self.drive.sampling_rate_Hz
+        return self.drive.duration_s
 
 
 def plan(
@@ -92,46 +88,27 @@ def plan(
     axis = model[diagnosis.axis]
     refuse_counts(axis.axis, axis.counted, quantities=(VOLTAGE,))
     bench = bench_of(model, axis, lab or Lab(), recordings, clock_Hz)
-    recorded = [driven_recording(axis, one) for one in recordings if drives_axis(one, axis)]
+    recorded = [
+        driven_recording(axis, recording)
+        for recording in recordings
+        if (channel := recording.find(Quantity.VOLTAGE, axis.axis)) is not None
+        and float(np.ptp(channel.values)) > 0.0
+    ]
 
     def table_on(bench: Bench) -> Table:
         return table_of(axis, bench, diagnosis, recorded, seed)
 
-    table = table_on(bench)
-    chosen, set_aside = _first_answered(table, questions_of(diagnosis, effect))
-    forbids = "" if chosen.answers else _why_none(chosen, bench, table_on)
-    return _plan(chosen, table, bench, forbids, set_aside)
-
-
-def _why_none(chosen: Choice, bench: Bench, table_on: Callable[[Bench], Table]) -> str:
-    if chosen.question.kind == "detect" and not is_open(chosen.question):
-        return ""  # nothing is missing
-
-    def left(looser: Bench) -> float:
+    def remaining_share(looser: Bench) -> float:
         return table_on(looser).choice(chosen.question).left
 
-    return what_forbids(bench, left, chosen.left)
-
-
-def _first_answered(
-    table: Table, questions: Sequence[Question]
-) -> tuple[Choice, tuple[Question, ...]]:
-    """Return the first question that a drive answers, and those before it.
-
-    Where none is answered: the first of which a drive shows anything, else the first.
-    """
-    tried: list[Choice] = []
-    for question in questions:
-        choice = table.choice(question)
-        if choice.answers:
-            return choice, tuple(one.question for one in tried)
-        tried.append(choice)
-    return next((one for one in tried if one.shows), tried[0]), ()
-
-
-def _plan(
-    chosen: Choice, table: Table, bench: Bench, forbids: str, set_aside: tuple[Question, ...]
-) -> Plan:
+    table = table_on(bench)
+    chosen, set_aside = _first_answered(table, questions_of(diagnosis, effect))
+    is_missing = chosen.question.kind != "detect" or is_open(chosen.question)
+    forbids = (
+        what_forbids(bench, remaining_share, chosen.left)
+        if is_missing and not chosen.answers
+        else ""
+    )
     drive, told = table.drives[chosen.best.name], chosen.best.told
     if not chosen.shows or told is None or not isinstance(drive, Drive):
         raise ExcitationError(
@@ -156,38 +133,36 @@ def _plan(
     )
 
 
+def _first_answered(
+    table: Table, questions: Sequence[Question]
+) -> tuple[Choice, tuple[Question, ...]]:
+    """Return the first question that a drive answers, and those before it.
+
+    Where none is answered: the first of which a drive shows anything, else the first.
+    """
+    tried: list[Choice] = []
+    for question in questions:
+        choice = table.choice(question)
+        if choice.answers:
+            return choice, tuple(one.question for one in tried)
+        tried.append(choice)
+    return next((one for one in tried if one.shows), tried[0]), ()
+
+
 def what_forbids(bench: Bench, best: Best, left: float) -> str:
     """Return which limit forbids more, or that none does, as one sentence.
 
     best  (bench) -> how much of the question the best drive of the menu leaves there
     left  what it leaves inside the limits there are
     """
-    found = {words: best(looser) for words, looser in _looser(bench).items()}
-    words, least = min(found.items(), key=lambda one: one[1])
-    if least > FELT * left:
-        return (
-            f"No limit stands in the way: {LOOSER:g} times the range, the speed or the clock "
-            "would not change that"
-            + ("." if bench.others else "; no other axis is known that could be driven.")
-        )
-    return (
-        f"What forbids more is {words}: {LOOSER:g} times as much would leave {100 * least:.0f} % "
-        f"of what is open, not {100 * left:.0f} %."
-    )
-
-
-def _looser(bench: Bench) -> Mapping[str, Bench]:
-    """Return benches of which one limit each is looser, by that limit in words."""
-    limits = bench.limits
-    span_V = limits.voltage_max_V - limits.voltage_min_V
-    more_V = 0.5 * (LOOSER - 1.0) * span_V
+    limits, margin_V = bench.limits, 0.5 * (LOOSER - 1.0) * np.ptp(bench.limits.range_V)
     wider = replace(
         limits,
-        voltage_min_V=limits.voltage_min_V - more_V,
-        voltage_max_V=limits.voltage_max_V + more_V,
+        voltage_min_V=limits.voltage_min_V - margin_V,
+        voltage_max_V=limits.voltage_max_V + margin_V,
     )
     faster = replace(limits, slew_V_per_s=LOOSER * limits.slew_V_per_s)
-    return {
+    looser = {
         f"the speed, {limits.slew_V_per_s:.3g} V/s ({bench.speed_from})": replace(
             bench, limits=faster
         ),
@@ -196,3 +171,15 @@ def _looser(bench: Bench) -> Mapping[str, Bench]:
         f"the range, {limits.voltage_min_V:.4g} to {limits.voltage_max_V:.4g} V "
         f"({bench.range_from})": replace(bench, limits=wider),
     }
+    shares = {name: best(one) for name, one in looser.items()}
+    name, least = min(shares.items(), key=lambda pair: pair[1])
+    if least > FELT * left:
+        return (
+            f"No limit stands in the way: {LOOSER:g} times the range, the speed or the clock "
+            "would not change that"
+            + ("." if bench.others else "; no other axis is known that could be driven.")
+        )
+    return (
+        f"What forbids more is {name}: {LOOSER:g} times as much would leave {100 * least:.0f} % "
+        f"of what is open, not {100 * left:.0f} %."
+    )

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from piezoid.diagnosis.diagnosis import Diagnosis, FinalError, Finding, HeldOut, NotDetected, Size
-from piezoid.diagnosis.planning.excitation import Drive
+from piezoid.diagnosis.planning.drive_limits import Drive
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel

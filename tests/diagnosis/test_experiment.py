@@ -11,8 +11,7 @@ import pytest
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.experiment import Plan, plan
 from piezoid.diagnosis.planning.candidate_drives import MENU, Experiment, played
-from piezoid.diagnosis.planning.drive_limits import Bench
-from piezoid.diagnosis.planning.excitation import DriveLimits
+from piezoid.diagnosis.planning.drive_limits import Bench, DriveLimits
 from piezoid.diagnosis.planning.plan_file import SCHEMA, plan_files, sentences
 from piezoid.diagnosis.sealed_diagnosis import read_diagnosis, write_diagnosis
 from piezoid.digests import unseal

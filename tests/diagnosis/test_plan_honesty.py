@@ -14,8 +14,7 @@ from piezoid.diagnosis.effect import Tangent
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.experiment import Plan, plan
 from piezoid.diagnosis.planning.candidate_drives import MENU, played
-from piezoid.diagnosis.planning.drive_limits import Bench, bench_of
-from piezoid.diagnosis.planning.excitation import DriveLimits
+from piezoid.diagnosis.planning.drive_limits import Bench, DriveLimits, bench_of
 from piezoid.diagnosis.planning.open_questions import (
     Question,
     answers,

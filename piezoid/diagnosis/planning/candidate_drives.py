@@ -1,7 +1,7 @@
-"""The menu: every experiment that can be planned, as one visible tuple, with its drive.
+"""Candidate experiments of a plan, each with its drive.
 
-Each begins with cycles over the whole range, and begins and ends at rest. Slow ones are played at
-a part of the converter's clock, so that a file of minutes stays readable.
+Each drive begins with cycles over the whole range, and begins and ends at rest. Slow drives are
+played at a part of the converter's clock, so that a file of minutes stays readable.
 """
 
 from collections.abc import Callable
@@ -9,19 +9,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.planning.drive_limits import Bench
-from piezoid.diagnosis.planning.excitation import Drive, DriveLimits, multisines, odd_lines
-from piezoid.diagnosis.planning.full_range_drives import (
+from piezoid.diagnosis.planning.drive_limits import Bench, Drive, DriveLimits
+from piezoid.diagnosis.planning.waveforms import (
     between,
     decaying_loops,
     equal_cycles,
     held_levels,
+    multisine_period,
+    odd_lines,
     path_V,
     rest_V,
     reversal_curves,
     rising_ramps,
     sine_grid,
 )
+from piezoid.errors import ExcitationError
 from piezoid.numerics.arrays import Array
 
 SLOW_Hz = 500.0
@@ -54,47 +56,43 @@ class Experiment:
 
 
 def played(experiment: Experiment, bench: Bench, seed: int) -> Drive:
-    """Return the drive of an experiment on a bench; the same seed gives the same drive."""
+    """Return the drive of an experiment on a bench; the same seed gives the same drive.
+
+    Raises ``ExcitationError`` where the bench cannot play it.
+    """
+    if experiment.needs_other and not bench.others:
+        raise ExcitationError(
+            "no other axis is known to the model or to lab.toml",
+            needed="another axis that can be driven",
+            remedy="Record its drive as well.",
+        )
     rate_Hz, voltage_V, others_V = experiment.drive(bench, np.random.default_rng(seed))
-    low, high = bench.limits.voltage_min_V, bench.limits.voltage_max_V
-    columns = [np.clip(voltage_V, low, high), *others_V.values()]
+    low_V, high_V = bench.limits.voltage_min_V, bench.limits.voltage_max_V
     return Drive(
         name=experiment.name,
         why=experiment.why,
         sampling_rate_Hz=rate_Hz,
         axes=(bench.axis, *others_V),
-        voltage_V=np.column_stack(columns),
+        voltage_V=np.column_stack([np.clip(voltage_V, low_V, high_V), *others_V.values()]),
     )
 
 
-def slower(clock_Hz: float, wanted_Hz: float) -> float:
+def divided_clock_Hz(clock_Hz: float, highest_Hz: float) -> float:
     """Return the largest whole part of the clock that is not above a rate."""
-    return clock_Hz / max(int(np.ceil(clock_Hz / wanted_Hz - 1e-9)), 1)
+    return clock_Hz / max(int(np.ceil(clock_Hz / highest_Hz - 1e-9)), 1)
 
 
-def at(wanted_Hz: float, body: Body) -> Maker:
-    """Return the drive of this axis alone that plays a body between the cycles and rest.
+def at(highest_Hz: float, body: Body) -> Maker:
+    """Return the drive of this axis alone, at the clock or a whole part of it.
 
-    wanted_Hz  rate it is played at, where the clock has that part
+    highest_Hz  largest rate at which the drive is played
     """
 
-    def made(bench: Bench, rng: np.random.Generator) -> Made:
-        rate_Hz = slower(bench.clock_Hz, wanted_Hz)
-        return _alone(bench, rate_Hz, body(bench, rate_Hz, rng))
+    def drive(bench: Bench, rng: np.random.Generator) -> Made:
+        rate_Hz = divided_clock_Hz(bench.clock_Hz, highest_Hz)
+        return rate_Hz, between(body(bench, rate_Hz, rng), rate_Hz, bench.limits), {}
 
-    return made
-
-
-def _alone(bench: Bench, rate_Hz: float, body_V: Array) -> Made:
-    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
-
-
-def _held_levels(bench: Bench, rate_Hz: float, rng: np.random.Generator) -> Array:
-    return held_levels(bench.limits, rate_Hz, levels=20, hold_s=8.0, mirrored=False, rng=rng)
-
-
-def _mirrored_levels(bench: Bench, rate_Hz: float, rng: np.random.Generator) -> Array:
-    return held_levels(bench.limits, rate_Hz, levels=10, hold_s=8.0, mirrored=True, rng=rng)
+    return drive
 
 
 def _sines(bench: Bench, rate_Hz: float, _: np.random.Generator) -> Array:
@@ -103,76 +101,70 @@ def _sines(bench: Bench, rate_Hz: float, _: np.random.Generator) -> Array:
 
 
 def _small_multisine(bench: Bench, rate_Hz: float, rng: np.random.Generator) -> Array:
-    low, high = bench.limits.voltage_min_V, bench.limits.voltage_max_V
+    limits, samples = bench.limits, round(rate_Hz)
+    low_V, high_V = limits.voltage_min_V, limits.voltage_max_V
     lines = odd_lines(5.0, rate_Hz / 10.0, 1.0, left_out_of=4, rng=rng)
     # the rms speed of equal lines, with room for a peak of four times as much
     turning = 2 * np.pi * float(np.sqrt(np.mean(lines.astype(float) ** 2)))
-    rms_V = min(MULTISINE_RMS * (high - low) / 2, bench.limits.slew_V_per_s / (5.0 * turning))
-    (drive,) = multisines(
-        lines,
-        period_samples=round(rate_Hz),
-        periods=MULTISINE_PERIODS,
-        realisations=1,
-        rms_V=rms_V,
-        offset_V=(low + high) / 2,
-        axes=(bench.axis,),
-        sampling_rate_Hz=rate_Hz,
-        limits=bench.limits,
-        rng=rng,
-    )
-    return drive.voltage_V[:, 0]
+    rms_V = min(MULTISINE_RMS * (high_V - low_V) / 2, limits.slew_V_per_s / (5.0 * turning))
+    period_V = 0.5 * (low_V + high_V) + rms_V * multisine_period(lines, samples, rng)
+    slew_V_per_s = float(np.abs(np.diff(period_V, append=period_V[0])).max()) * rate_Hz
+    if slew_V_per_s > limits.slew_V_per_s:
+        raise ExcitationError(
+            f"the multisine moves at up to {slew_V_per_s:.4g} V/s",
+            needed=f"at most {limits.slew_V_per_s:g} V/s",
+            remedy="Allow a larger slew_V_per_s, or a lower sampling rate.",
+        )
+    return np.tile(period_V, MULTISINE_PERIODS)
 
 
 def _other_axes(bench: Bench, _: np.random.Generator) -> Made:
-    rate_Hz = slower(bench.clock_Hz, SLOW_Hz)
-    low, high = bench.limits.voltage_min_V, bench.limits.voltage_max_V
-    moves = {
+    """Hold this axis at mid-range while every other axis runs loops that decay."""
+    rate_Hz = divided_clock_Hz(bench.clock_Hz, SLOW_Hz)
+    second, middle_V = round(rate_Hz), 0.5 * sum(bench.limits.range_V)
+    loops = {
         axis: decaying_loops(limits, rate_Hz, frequency_Hz=0.7, cycles=10)
         for axis, limits in bench.others.items()
     }
-    longest = max(len(move) for move in moves.values())
-    still_V = np.full(longest, (low + high) / 2)
-    own_V = between(np.pad(still_V, round(rate_Hz), mode="edge"), rate_Hz, bench.limits)
-    before = int(np.flatnonzero(own_V == still_V[0])[-len(still_V) - round(rate_Hz)])
-    there = {axis: _there(move, bench.others[axis], rate_Hz) for axis, move in moves.items()}
-    late = max(0, *(len(way) - before for way in there.values()))
-    own_V = np.pad(own_V, (late, 0), mode="edge")
+    approach = {
+        axis: path_V([rest_V(limits), float(loops[axis][0])], limits, rate_Hz, move_s=1.0)
+        for axis, limits in bench.others.items()
+    }
+    longest = max(map(len, loops.values()))
+    own_V = between(np.full(longest + 2 * second, middle_V), rate_Hz, bench.limits)
+    settled = int(np.flatnonzero(own_V == middle_V)[-longest - second])
+    begin = max(settled, *map(len, approach.values()))
+    own_V = np.pad(own_V, (begin - settled, 0), mode="edge")
     others_V = {}
-    for axis, move in moves.items():
-        limits, rest = bench.others[axis], rest_V(bench.others[axis])
-        back = path_V([float(move[-1]), rest], limits, rate_Hz, move_s=1.0)
-        still = np.full(before + late - len(there[axis]), rest)
-        others_V[axis] = np.concatenate([still, there[axis], move, back])
-    longest = max(len(own_V), *map(len, others_V.values()))
-    ended = {axis: _lasting(whole, longest) for axis, whole in others_V.items()}
-    return rate_Hz, _lasting(own_V, longest), ended
+    for axis, limits in bench.others.items():
+        rest, loop_V = rest_V(limits), loops[axis]
+        wait_V = np.full(begin - len(approach[axis]), rest)
+        return_V = path_V([float(loop_V[-1]), rest], limits, rate_Hz, move_s=1.0)
+        others_V[axis] = np.concatenate([wait_V, approach[axis], loop_V, return_V])
+    samples = max(len(own_V), *map(len, others_V.values()))
+
+    def padded(drive_V: Array) -> Array:
+        return np.pad(drive_V, (0, samples - len(drive_V)), mode="edge")
+
+    return rate_Hz, padded(own_V), {axis: padded(drive_V) for axis, drive_V in others_V.items()}
 
 
-def _there(move: Array, limits: DriveLimits, rate_Hz: float) -> Array:
-    """Return the way from rest to where a move begins."""
-    return path_V([rest_V(limits), float(move[0])], limits, rate_Hz, move_s=1.0)
-
-
-def _lasting(drive: Array, samples: int) -> Array:
-    """Return a drive that stays where it ended until the longest has ended."""
-    return np.pad(drive, (0, samples - len(drive)), mode="edge")
-
-
-def _ramps(bench: Bench, _: np.random.Generator) -> Made:
-    span_V = bench.limits.voltage_max_V - bench.limits.voltage_min_V
-    fastest_Hz = bench.limits.slew_V_per_s / (2.0 * span_V)
-    rate_Hz = slower(bench.clock_Hz, max(RAMP_ROWS * fastest_Hz, SLOWER_Hz))
-    return _alone(bench, rate_Hz, rising_ramps(bench.limits, rate_Hz, slowest=0.1, steps=8))
+def _ramps(bench: Bench, rng: np.random.Generator) -> Made:
+    low_V, high_V = bench.limits.range_V
+    fastest_Hz = bench.limits.slew_V_per_s / (2.0 * (high_V - low_V))
+    return at(
+        max(RAMP_ROWS * fastest_Hz, SLOWER_Hz),
+        lambda b, f, _: rising_ramps(b.limits, f, slowest=0.1, steps=8),
+    )(bench, rng)
 
 
 def _slow_ramp(bench: Bench, rate_Hz: float, _: np.random.Generator) -> Array:
-    low, high = bench.limits.voltage_min_V, bench.limits.voltage_max_V
-    return path_V([low, high, low], bench.limits, rate_Hz, move_s=40.0)
+    low_V, high_V = bench.limits.range_V
+    return path_V([low_V, high_V, low_V], bench.limits, rate_Hz, move_s=40.0)
 
 
 def _still(limits: DriveLimits, rate_Hz: float, time_s: float) -> Array:
-    low, high = limits.voltage_min_V, limits.voltage_max_V
-    return np.full(round(time_s * rate_Hz), (low + high) / 2)
+    return np.full(round(time_s * rate_Hz), 0.5 * sum(limits.range_V))
 
 
 MENU: tuple[Experiment, ...] = (
@@ -191,13 +183,23 @@ MENU: tuple[Experiment, ...] = (
     Experiment(
         name="held_levels",
         why="Random levels, each held: what goes on by itself, with the sign of the step.",
-        drive=at(SLOWER_Hz, _held_levels),
+        drive=at(
+            SLOWER_Hz,
+            lambda b, f, rng: held_levels(
+                b.limits, f, levels=20, hold_s=8.0, mirrored=False, rng=rng
+            ),
+        ),
     ),
     Experiment(
         name="held_levels_mirrored",
         why="Random levels and the same mirrored: creep changes sign with the steps, drift "
         "does not.",
-        drive=at(SLOWER_Hz, _mirrored_levels),
+        drive=at(
+            SLOWER_Hz,
+            lambda b, f, rng: held_levels(
+                b.limits, f, levels=10, hold_s=8.0, mirrored=True, rng=rng
+            ),
+        ),
     ),
     Experiment(
         name="sine_grid",

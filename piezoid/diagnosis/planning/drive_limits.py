@@ -1,28 +1,89 @@
-"""What a bench may play: the range, speed and clock of its drive, and which of them says so."""
+"""Limits of a drive, a drive to be played, and the limits of one bench with their origin."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from piezoid.diagnosis.planning.excitation import DriveLimits
 from piezoid.errors import LabFileError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
+from piezoid.numerics.arrays import Array, frozen
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bench:
-    """What can be played.
+class DriveLimits:
+    """Range and speed that amplifier and actuator bear; every waveform stays inside.
 
-    axis         the one to be known better
+    voltage_min_V    lowest voltage
+    voltage_max_V    highest voltage
+    slew_V_per_s     largest rate of change, > 0
+    """
+
+    voltage_min_V: float
+    voltage_max_V: float
+    slew_V_per_s: float
+
+    def __post_init__(self) -> None:
+        if not (self.voltage_max_V > self.voltage_min_V and self.slew_V_per_s > 0):
+            raise ValueError(f"limits must be ordered and the slew positive, found {self}")
+
+    @property
+    def range_V(self) -> tuple[float, float]:
+        """Return the lowest and the highest voltage."""
+        return self.voltage_min_V, self.voltage_max_V
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Drive:
+    """Voltages for the converters, one column for each axis.
+
+    name              of the experiment
+    why               one sentence: what it will show
+    sampling_rate_Hz  > 0
+    axes              names of the driven axes
+    voltage_V         (samples, axes)
+    """
+
+    name: str
+    why: str
+    sampling_rate_Hz: float
+    axes: tuple[str, ...]
+    voltage_V: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "voltage_V", frozen(self.voltage_V, "voltage_V", ndim=2))
+        if self.voltage_V.shape[1] != len(self.axes):
+            raise ValueError(f"{self.voltage_V.shape[1]} columns for axes {self.axes}")
+
+    @property
+    def duration_s(self) -> float:
+        """Return the duration of the drive."""
+        return len(self.voltage_V) / self.sampling_rate_Hz
+
+    def to_csv(self) -> str:
+        """Return the drive as text: a header with units, then one row for each sample.
+
+        Numbers come back exactly; ingest reads the header as it is.
+        """
+        header = ",".join(["time [s]", *(f"voltage_{axis} [V]" for axis in self.axes)])
+        time_s = np.arange(len(self.voltage_V)) / self.sampling_rate_Hz
+        rows = np.column_stack([time_s, self.voltage_V]).tolist()
+        return "\n".join([header, *(",".join(map(repr, row)) for row in rows)]) + "\n"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench:
+    """Limits of all drives of one stage.
+
+    axis         whose next experiment is planned
     limits       of its drive
     clock_Hz     of the converters
     others       limits of other axes that may be driven, by name
-    range_from   what sets the range, in words
-    speed_from   what sets the speed, in words
+    range_from   origin of the range, in words
+    speed_from   origin of the largest speed, in words
     """
 
     axis: str
@@ -34,7 +95,7 @@ class Bench:
 
     @property
     def limits_from(self) -> str:
-        """Return where the limits come from, in words."""
+        """Return the origin of the limits, in words."""
         return f"{self.range_from}; {self.speed_from}"
 
 
@@ -45,24 +106,26 @@ def bench_of(
     recordings: Sequence[Recording],
     clock_Hz: float | None,
 ) -> Bench:
-    """Return what may be played on one axis, and where that is known from."""
-    own = _limits(axis, lab)
-    others = {name: _limits(other, lab) for name, other in model.axes.items() if name != axis.axis}
+    """Return the limits of an axis and of the axes beside it, from the model and lab.toml."""
+    limits, range_from, speed_from = _limits(axis, lab)
+    others = {
+        name: _limits(other, lab)[0] for name, other in model.axes.items() if name != axis.axis
+    }
     for recording in recordings:
         for channel in recording.channels:
             if channel.quantity is Quantity.VOLTAGE and channel.axis not in (axis.axis, *others):
-                moved = channel.values
-                if np.ptp(moved) > 0.0:
+                low_V, high_V = float(channel.values.min()), float(channel.values.max())
+                if high_V > low_V:
                     others[channel.axis] = replace(
-                        own, voltage_min_V=float(moved.min()), voltage_max_V=float(moved.max())
+                        limits, voltage_min_V=low_V, voltage_max_V=high_V
                     )
     return Bench(
         axis=axis.axis,
-        limits=own,
+        limits=limits,
         clock_Hz=_clock_Hz(model, lab, recordings, clock_Hz),
         others=others,
-        range_from=_range_from(axis, lab),
-        speed_from=_speed_from(axis, lab),
+        range_from=range_from,
+        speed_from=speed_from,
     )
 
 
@@ -80,15 +143,28 @@ def _clock_Hz(
     return declared or max(rates)
 
 
-def _limits(axis: AxisModel, lab: Lab) -> DriveLimits:
-    """Return the range that was used, inside what lab.toml allows, and the fastest drive."""
-    amplifier, gain = lab.amplifier_of(axis.axis), _gain(axis, lab)
-    low_V, high_V = axis.voltage_V
-    for floor_V, ceiling_V in _bounds_V(axis, lab).values():
-        low_V, high_V = max(low_V, floor_V), min(high_V, ceiling_V)
+def _limits(axis: AxisModel, lab: Lab) -> tuple[DriveLimits, str, str]:
+    """Return the recorded range inside lab.toml, the largest speed, and the origin of each."""
+    amplifier = lab.amplifier_of(axis.axis)
+    gain = amplifier.gain_V_per_V or 1.0
+    output_V = sorted(
+        default if declared_V is None else declared_V / gain
+        for declared_V, default in (
+            (amplifier.output_min_V, -np.inf),
+            (amplifier.output_max_V, np.inf),
+        )
+    )
+    declared = {
+        "output_min_V and output_max_V": output_V,
+        "input_range_V": lab.acquisition.input_range_V or (-np.inf, np.inf),
+    }
+    low_V = max(axis.voltage_V[0], *(floor_V for floor_V, _ in declared.values()))
+    high_V = min(axis.voltage_V[1], *(ceiling_V for _, ceiling_V in declared.values()))
     slew_V_per_s = axis.certificate.slew_V_per_s
+    speed_from = "as fast as it was driven before, for lab.toml declares no slew limit"
     if amplifier.slew_V_per_s is not None:
         slew_V_per_s = amplifier.slew_V_per_s / abs(gain)
+        speed_from = "as fast as lab.toml allows (slew_V_per_s)"
     if not (high_V > low_V and slew_V_per_s > 0.0):
         raise LabFileError(
             f"{lab.place}: axis {axis.axis} was driven from {axis.voltage_V[0]:g} to "
@@ -96,38 +172,13 @@ def _limits(axis: AxisModel, lab: Lab) -> DriveLimits:
             needed="limits that hold a part of what was driven",
             remedy="Correct output_min_V, output_max_V, gain_V_per_V or input_range_V.",
         )
-    return DriveLimits(voltage_min_V=low_V, voltage_max_V=high_V, slew_V_per_s=slew_V_per_s)
-
-
-def _gain(axis: AxisModel, lab: Lab) -> float:
-    return lab.amplifier_of(axis.axis).gain_V_per_V or 1.0
-
-
-def _bounds_V(axis: AxisModel, lab: Lab) -> dict[str, tuple[float, float]]:
-    """Return what lab.toml allows the drive, by the names of its entries."""
-    amplifier, gain = lab.amplifier_of(axis.axis), _gain(axis, lab)
-    declared = [amplifier.output_min_V, amplifier.output_max_V]
-    low_V, high_V = sorted(
-        (-np.inf, np.inf)[k] if v is None else v / gain for k, v in enumerate(declared)
-    )
-    return {
-        "output_min_V and output_max_V": (low_V, high_V),
-        "input_range_V": lab.acquisition.input_range_V or (-np.inf, np.inf),
-    }
-
-
-def _range_from(axis: AxisModel, lab: Lab) -> str:
-    low_V, high_V = axis.voltage_V
-    cut = [
+    binding = [
         name
-        for name, (floor_V, ceiling_V) in _bounds_V(axis, lab).items()
-        if floor_V > low_V or ceiling_V < high_V
+        for name, (floor_V, ceiling_V) in declared.items()
+        if floor_V > axis.voltage_V[0] or ceiling_V < axis.voltage_V[1]
     ]
-    inside = f" ({' and '.join(cut)})" if cut else ""
-    return f"the range of the drive in the model's data, inside the limits of lab.toml{inside}"
-
-
-def _speed_from(axis: AxisModel, lab: Lab) -> str:
-    if lab.amplifier_of(axis.axis).slew_V_per_s is None:
-        return "as fast as it was driven before, for lab.toml declares no slew limit"
-    return "as fast as lab.toml allows (slew_V_per_s)"
+    range_from = "the range of the drive in the model's data, inside the limits of lab.toml" + (
+        f" ({' and '.join(binding)})" if binding else ""
+    )
+    limits = DriveLimits(voltage_min_V=low_V, voltage_max_V=high_V, slew_V_per_s=slew_V_per_s)
+    return limits, range_from, speed_from

@@ -1,4 +1,4 @@
-"""Driven: what the fitted model makes of a drive, and how it would change with its parameters.
+"""Response of the fitted model to a recorded or planned drive, and its derivatives.
 
     y = Psi(h),   h = sum_i w_i z_i,   z_i the plays' states
 
@@ -7,8 +7,7 @@ The model's own Jacobian along the drive has the columns
     Psi'(h) z_i,  Psi'(h) w_i dz_i/dr_i,  s_j(h),  1{h beyond r_j},  Psi'(h) D[u^p],  dy/dt
 
 of play weights and thresholds, dead-zone weights and thresholds, a bent input (p = 0, 2, 3), and
-a lag; beside them, for each drive of its own, a zero and what other initial states
-would have left.
+a lag; beside them, for each drive, a zero and the differences that other initial states make.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,11 +17,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from piezoid.diagnosis.planning.drive_limits import Bench, Drive
+from piezoid.diagnosis.planning.waveforms import equal_cycles
 from piezoid.identification.model import AxisModel
+from piezoid.identification.simulation import starts_of
 from piezoid.numerics.arrays import Array
 from piezoid.operators.chain import Chain, Following
 from piezoid.operators.dead_zone import LINEAR
+from piezoid.records.recording import Quantity, Recording
 
+ROWS = 700  # of each drive that are compared
+SLOW_Hz = 0.5
+CYCLE_ROWS = 200.0
 BENT = (0, 2, 3)  # powers of the input that the model might have bent
 BEND = 1e-3  # of half the range, for the difference that stands for a derivative
 SETTLED = 2  # cycles over the range before a drive of which the initial state is not known
@@ -171,6 +177,63 @@ def rows_of(samples: int, count: int) -> NDArray[np.int_]:
         return np.arange(samples)
     spread = np.random.default_rng(samples).random(count)
     return np.unique(((np.arange(count) + spread) * (samples / count)).astype(int))
+
+
+def driven_recording(axis: AxisModel, recording: Recording) -> Driven:
+    """Return a recording's drive from the memory the fit found for its first piece."""
+    starts = starts_of(axis, recording)
+    others = {
+        channel.axis: channel.values
+        for channel in recording.channels
+        if channel.quantity is Quantity.VOLTAGE and channel.axis != axis.axis
+    }
+    return Driven(
+        name=recording.name,
+        model=axis,
+        rate_Hz=recording.sampling_rate_Hz,
+        voltage_V=recording.voltage_V(axis.axis),
+        rows=rows_of(recording.samples, ROWS),
+        others=_scaled(others),
+        memory_V=starts[0].memory_V if starts else None,
+    )
+
+
+def driven_drive(axis: AxisModel, drive: Drive) -> Driven:
+    """Return a planned drive, from an initial state that cycled over the range."""
+    return Driven(
+        name=drive.name,
+        model=axis,
+        rate_Hz=drive.sampling_rate_Hz,
+        voltage_V=drive.voltage_V[:, 0],
+        rows=rows_of(len(drive.voltage_V), ROWS),
+        others=_scaled({name: drive.voltage_V[:, k + 1] for k, name in enumerate(drive.axes[1:])}),
+    )
+
+
+def usual_drives(axis: AxisModel, bench: Bench) -> tuple[Driven, ...]:
+    """Return full cycles, slow and as fast as the stage was driven: the usual recordings."""
+    limits = replace(bench.limits, slew_V_per_s=axis.certificate.slew_V_per_s)
+    low_V, high_V = limits.range_V
+    fast_Hz = max(limits.slew_V_per_s / (np.pi * (high_V - low_V)), SLOW_Hz)
+    found = []
+    for frequency_Hz in (SLOW_Hz, fast_Hz):
+        rate_Hz = min(bench.clock_Hz, CYCLE_ROWS * frequency_Hz)
+        voltage_V = equal_cycles(limits, rate_Hz, frequency_Hz=frequency_Hz, cycles=5)
+        rows = rows_of(len(voltage_V), ROWS)
+        found.append(
+            Driven(name="full cycles", model=axis, rate_Hz=rate_Hz, voltage_V=voltage_V, rows=rows)
+        )
+    return tuple(found)
+
+
+def _scaled(others_V: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the drives that move, about their middle and over half their range."""
+    spans = {axis: (float(u.min()), float(u.max())) for axis, u in others_V.items()}
+    return {
+        axis: (2.0 * others_V[axis] - low - high) / (high - low)
+        for axis, (low, high) in spans.items()
+        if high > low
+    }
 
 
 def null_columns(drives: Sequence[Driven], *, lag: bool) -> Array:

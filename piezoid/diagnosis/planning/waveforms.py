@@ -1,17 +1,19 @@
-"""Drives that move walls: loops, reversal curves, held levels, fast ramps, inside the limits.
+"""Waveforms inside the limits: loops, reversal curves, held levels, sines, ramps, multisines.
 
-Every one begins and ends at rest and, before it begins, cycles twice over the whole range: what
-the stage did before is then forgotten by every play that the range can reach.
+A waveform is played between two cycles over the whole range and a return to rest: every play that
+the range can reach has then forgotten what the stage did before.
 """
 
 from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
-from piezoid.diagnosis.planning.excitation import DriveLimits
+from piezoid.diagnosis.planning.drive_limits import DriveLimits
 from piezoid.numerics.arrays import Array
 
+CREST_TRIALS = 20  # draws of phases; the one with the lowest peak is taken
 CYCLES_BEFORE = 2
 CYCLE_s = 2.0  # of one such cycle, where the slew limit allows
 FULL_AT_Hz = 100.0  # fastest sine of the full range: mechanics is spared
@@ -118,8 +120,7 @@ def sine_grid(
 
 def rising_ramps(limits: DriveLimits, rate_Hz: float, *, slowest: float, steps: int) -> Array:
     """Return full triangles whose speed rises from a share of the slew limit up to it."""
-    low_V, _ = limits.voltage_min_V, limits.voltage_max_V
-    _, reach_V = _middle(limits)
+    low_V, (_, reach_V) = limits.voltage_min_V, _middle(limits)
     parts = [np.array([low_V])]
     for share in np.geomspace(slowest, 1.0, steps):
         frequency_Hz = share * limits.slew_V_per_s / (4.5 * reach_V)
@@ -139,11 +140,53 @@ def equal_cycles(
     return np.asarray(middle_V + reach_V * np.sin(2 * np.pi * phase))
 
 
+def odd_lines(
+    lowest_Hz: float,
+    highest_Hz: float,
+    resolution_Hz: float,
+    *,
+    left_out_of: int,
+    rng: np.random.Generator,
+) -> NDArray[np.int64]:
+    """Return odd multiples of the resolution in a band, one of every group left out at random.
+
+    left_out_of  size of a group; the line left out detects odd distortion, as all even lines
+                 detect even distortion. 0 leaves none out
+    """
+    first = int(np.ceil(lowest_Hz / resolution_Hz))
+    lines = np.arange(first + 1 - first % 2, int(highest_Hz / resolution_Hz) + 1, 2)
+    if left_out_of > 1:
+        groups = len(lines) // left_out_of
+        silent = np.arange(groups) * left_out_of + rng.integers(0, left_out_of, groups)
+        lines = np.delete(lines, silent)
+    return np.asarray(lines, dtype=np.int64)
+
+
+def multisine_period(lines: NDArray[np.int64], samples: int, rng: np.random.Generator) -> Array:
+    """Return one period of a random-phase multisine of equal lines and rms 1, (samples,).
+
+        u(t) = sum_k cos(2 pi k f_0 t + phi_k)         [Pintelon & Schoukens 2012]
+
+    Of several draws of the phases the one with the lowest peak is taken.
+
+    lines  which multiples of the inverse period it contains
+    """
+
+    def period(phase_rad: Array) -> Array:
+        spectrum = np.zeros(samples // 2 + 1, dtype=np.complex128)
+        spectrum[lines] = np.exp(1j * phase_rad)
+        wave = np.fft.irfft(spectrum, samples)
+        return np.asarray(wave / np.sqrt(np.mean(wave**2)))
+
+    draws = rng.uniform(0.0, 2.0 * np.pi, (CREST_TRIALS, len(lines)))
+    return min((period(draw) for draw in draws), key=lambda wave: float(np.abs(wave).max()))
+
+
 def triangle(phase: Array) -> Array:
     """Return the triangle that turns where the sine of 2 pi phase does."""
     return np.asarray(2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * phase)))
 
 
 def _middle(limits: DriveLimits) -> tuple[float, float]:
-    low_V, high_V = limits.voltage_min_V, limits.voltage_max_V
+    low_V, high_V = limits.range_V
     return 0.5 * (low_V + high_V), 0.5 * (high_V - low_V)
