@@ -22,7 +22,7 @@ from piezoid.operators.wide_hysteresis import (
     EDGES,
     HysteresisStates,
     States,
-    smooth_columns,
+    smooth_response,
 )
 
 History = tuple[float, ...]
@@ -96,8 +96,7 @@ class LoopShape:
         total_m = -np.interp(drive, EDGES, knots_m.sum(axis=0))
         for play, knot_m in zip(states[0].T, knots_m, strict=True):
             total_m += np.interp(play, EDGES, knot_m)
-        columns = np.hstack(list(smooth_columns(drive, states).values()))
-        return np.asarray(total_m + columns @ self.smooth_m)
+        return np.asarray(total_m + smooth_response(drive, states, self.smooth_m))
 
     def turns_V(self, history: Sequence[float]) -> Array:
         """Return the full cycles and the history as a drive, V."""

@@ -352,8 +352,8 @@ class AxisModel:
         static_m = self.static_m(driven_V, memory_V, rate_Hz)
         if history_weight is None or not np.any(history_weight):
             return static_m
-        changes_m = self.history_changes_m(driven_V, memory_V, rate_Hz)
-        return np.asarray(static_m + changes_m[:, : len(history_weight)] @ history_weight)
+        changes_m = self.history_changes_m(driven_V, memory_V, rate_Hz, len(history_weight))
+        return np.asarray(static_m + changes_m @ history_weight)
 
     def invertible_m(self, driven_V: Array, memory_V: Array, rate_Hz: float) -> Array:
         """Return the response of the part that a controller inverts, (samples,).
@@ -378,11 +378,14 @@ class AxisModel:
         inner_V = self.forward.inner(turns_V - self.hysteresis.voltage_offset_V)
         return self.hysteresis.plays.run(inner_V, self.virgin_memory_V)[1]
 
-    def history_changes_m(self, driven_V: Array, memory_V: Array, rate_Hz: float) -> Array:
+    def history_changes_m(
+        self, driven_V: Array, memory_V: Array, rate_Hz: float, count: int | None = None
+    ) -> Array:
         """Return by how much other histories change the response, (samples, histories).
 
         driven_V  (samples,)  V, in front of the hysteresis
         memory_V  (plays,)    V, of the history that they are compared with
+        count     of histories; None: all
 
         >>> u, memory = np.array([0.0, 5.0]), model["x"].virgin_memory_V
         >>> model["x"].history_changes_m(u, memory, 1000.0).shape[0]
@@ -395,7 +398,7 @@ class AxisModel:
         stop = remembered(scaled)
         drive_V = driven_V[:stop]
         base_m = self.static_m(drive_V, memory_V, rate_Hz)
-        tried = histories(float(scaled[0]))
+        tried = histories(float(scaled[0]))[:count]
         changes_m = np.zeros((len(driven_V), len(tried)))
         for number, history in enumerate(tried):
             begun_V = self.memory_after(shape.turns_V(history))

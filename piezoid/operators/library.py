@@ -64,7 +64,7 @@ def address(array: Array | None) -> ctypes.c_void_p | None:
         return None
     if array.dtype != np.float64 or not array.flags.forc:
         raise TypeError(f"a kernel needs contiguous float64, not {array.dtype}")
-    place = _POINTER(array.ctypes.data)
+    place = _POINTER(array.__array_interface__["data"][0])
     place.array = array  # type: ignore[attr-defined]
     return place
 

@@ -12,7 +12,7 @@ The drive is scaled to -1 .. 1. All states are rate independent, and all start f
 """
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -44,9 +44,10 @@ BOUC_WEN = np.array(
 POLYNOMIAL = 5  # degree of the Legendre polynomials of the drive
 CYCLES = (0.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0)  # in front of every history
 PATH_STEP = 0.02  # of a history: friction states of products need no finer one
-CHUNK = 4096  # samples whose states are held at once
+CHUNK = 2048  # samples whose states are held at once: they fit into the cache
 States = tuple[Array, Array, Array]
 """Plays, friction states and Bouc-Wen states, (samples, states) each."""
+_End = tuple[float, Array, Array, Array]  # drive and states at its last sample
 
 
 @cache
@@ -75,31 +76,49 @@ class HysteresisStates:
 
     def __init__(self, history: Sequence[float]) -> None:
         """Follow full cycles, then the turning points of ``history``."""
-        self._drive = 0.0
-        self._plays = np.zeros(len(WIDTHS))
-        self._friction = np.zeros(len(REACH) * len(FRICTION_POWERS))
-        self._bouc_wen = np.zeros(len(BOUC_WEN))
-        segments = [
-            np.linspace(a, b, max(2, int(abs(b - a) / PATH_STEP) + 1))[1:]
-            for a, b in pairwise(np.array([*CYCLES, *history]))
-        ]
-        self.follow(np.concatenate(segments))
+        self._end = _after(tuple(history))
 
     def follow(self, drive: Array) -> States:
         """Return plays, friction states and Bouc-Wen states at the samples, (samples, states)."""
-        plays, self._plays = play_columns(drive, WIDTHS, self._plays)
-        path = np.concatenate([[self._drive], drive])
-        reach = np.tile(REACH, len(FRICTION_POWERS))
-        power = np.repeat(FRICTION_POWERS, len(REACH))
-        friction = friction_states(path, reach, self._friction, power=power)[1:]
-        bouc_wen = np.empty((len(drive), len(BOUC_WEN)), order="F")
-        for i, (limit, exponent, unloading) in enumerate(BOUC_WEN):
-            loaded = limit**-exponent
-            beta, gamma = 0.5 * loaded * (1.0 + unloading), 0.5 * loaded * (1.0 - unloading)
-            start = float(self._bouc_wen[i])
-            bouc_wen[:, i] = bouc_wen_states(path, beta, gamma, exponent, start)[1:]
-        self._drive, self._friction, self._bouc_wen = drive[-1], friction[-1], bouc_wen[-1]
-        return plays, friction, bouc_wen
+        states = _along(drive, self._end)
+        self._end = _end(drive, states)
+        return states
+
+
+@lru_cache(maxsize=256)
+def _after(history: tuple[float, ...]) -> _End:
+    """Return drive and states after full cycles and the turning points of a history."""
+    segments = [
+        np.linspace(a, b, max(2, int(abs(b - a) / PATH_STEP) + 1))[1:]
+        for a, b in pairwise(np.array([*CYCLES, *history]))
+    ]
+    drive = np.concatenate(segments)
+    friction = np.zeros(len(REACH) * len(FRICTION_POWERS))
+    start = (0.0, np.zeros(len(WIDTHS)), friction, np.zeros(len(BOUC_WEN)))
+    return _end(drive, _along(drive, start))
+
+
+def _end(drive: Array, states: States) -> _End:
+    plays, friction, bouc_wen = states
+    return float(drive[-1]), plays[-1].copy(), friction[-1].copy(), bouc_wen[-1].copy()
+
+
+def _along(drive: Array, start: _End) -> States:
+    """Return the states along a drive that starts from where another one ended."""
+    before, plays, friction, bouc_wen = start
+    path = np.concatenate([[before], drive])
+    reach = np.tile(REACH, len(FRICTION_POWERS))
+    power = np.repeat(FRICTION_POWERS, len(REACH))
+    columns = np.empty((len(drive), len(BOUC_WEN)), order="F")
+    for i, (limit, exponent, unloading) in enumerate(BOUC_WEN):
+        loaded = limit**-exponent
+        beta, gamma = 0.5 * loaded * (1.0 + unloading), 0.5 * loaded * (1.0 - unloading)
+        columns[:, i] = bouc_wen_states(path, beta, gamma, exponent, float(bouc_wen[i]))[1:]
+    return (
+        play_columns(drive, WIDTHS, plays)[0],
+        friction_states(path, reach, friction, power=power)[1:],
+        columns,
+    )
 
 
 def cells(position: Array) -> Array:
@@ -107,28 +126,57 @@ def cells(position: Array) -> Array:
     return np.asarray(np.clip(position[:, None], EDGES[:-1], EDGES[1:]) - EDGES[:-1])
 
 
-def smooth_columns(drive: Array, states: States) -> dict[str, Array]:
-    """Return the columns of all families but the Preisach density, {family: (rows, columns)}."""
+def _smooth_terms(drive: Array, states: States) -> dict[str, list[tuple[int, Array]]]:
+    """Return the families but the density as products u^n b: n and b, (rows, columns), of each."""
     plays, friction, bouc_wen = states
-    v = drive[:, None]
-    lag = plays[:, LAGGING] - v
-    wide = plays[:, PAIRED] - v
+    lag, wide = ((plays.T[columns] - drive).T for columns in (LAGGING, PAIRED))
     first, second = np.tril_indices(wide.shape[1], -1)
     dahl, few = friction[:, : len(REACH)], bouc_wen[:, ::3]
-    families: dict[str, Array] = {
-        "polynomial": np.asarray(legvander(drive, POLYNOMIAL)[:, 1:], dtype=np.float64),
-        "plays times drive": np.hstack([lag * v, lag * v**2]),
-        "powers of plays": np.hstack([lag**2, lag**2 * v, lag**3]),
-        "products of plays": wide[:, first] * wide[:, second],
+    polynomial = np.asarray(legvander(drive, POLYNOMIAL)[:, 1:], dtype=np.float64)
+    families: dict[str, list[tuple[int, Array]]] = {
+        "polynomial": [(0, polynomial)],
+        "plays times drive": [(1, lag), (2, lag)],
+        "powers of plays": [(0, lag**2), (1, lag**2), (0, lag**2 * lag)],
+        "products of plays": [(0, (wide.T[first] * wide.T[second]).T)],
     }
     for power, block in zip(FRICTION_POWERS, np.split(friction, 3, axis=1), strict=True):
-        families[f"friction {power:g}"] = block
-    families["products of friction"] = np.hstack(
-        [dahl * v, dahl * v**2, dahl**2, dahl**2 * v, dahl**3]
-    )
-    families["Bouc-Wen"] = bouc_wen
-    families["products of Bouc-Wen"] = np.hstack([few * v, few**2, few**3])
+        families[f"friction {power:g}"] = [(0, block)]
+    families["products of friction"] = [
+        (1, dahl),
+        (2, dahl),
+        (0, dahl**2),
+        (1, dahl**2),
+        (0, dahl**2 * dahl),
+    ]
+    families["Bouc-Wen"] = [(0, bouc_wen)]
+    families["products of Bouc-Wen"] = [(1, few), (0, few**2), (0, few**2 * few)]
     return families
+
+
+def smooth_columns(drive: Array, states: States) -> dict[str, Array]:
+    """Return the columns of all families but the Preisach density, {family: (rows, columns)}."""
+    powers = [np.ones((len(drive), 1)), drive[:, None], drive[:, None] ** 2]
+    return {
+        name: np.hstack([powers[n] * block for n, block in terms])
+        for name, terms in _smooth_terms(drive, states).items()
+    }
+
+
+def smooth_response(drive: Array, states: States, coefficient: Array) -> Array:
+    """Return the sum of all columns of ``smooth_columns`` times their coefficients, (rows,).
+
+    >>> drive = np.array([0.0, 0.5])
+    >>> states = HysteresisStates((-0.5, 0.0)).follow(drive)
+    >>> smooth_response(drive, states, np.eye(smooth_count())[0]).tolist()
+    [0.0, 0.5]
+    """
+    total, first = np.zeros(len(drive)), 0
+    for terms in _smooth_terms(drive, states).values():
+        for n, block in terms:
+            last = first + block.shape[1]
+            total += drive**n * (block @ coefficient[first:last])
+            first = last
+    return total
 
 
 def class_columns(drive: Array, states: States) -> dict[str, Array]:

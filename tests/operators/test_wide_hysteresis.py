@@ -10,6 +10,7 @@ from piezoid.operators.wide_hysteresis import (
     class_columns,
     coefficients,
     smooth_columns,
+    smooth_response,
 )
 
 DRIVE = np.sin(np.linspace(0.0, 20.0, 400)) * np.linspace(1.0, 0.2, 400)
@@ -43,3 +44,10 @@ def test_coefficients_of_all_columns_become_a_density_and_the_others() -> None:
     cells = cells - np.clip(DRIVE[:, None, None], EDGES[:-1], EDGES[1:])
     made = np.einsum("kwc,wc->k", cells, density) + rest
     assert made == pytest.approx(columns @ weights, rel=1e-9, abs=1e-9)
+
+
+def test_the_response_is_the_sum_of_the_columns() -> None:
+    states = HysteresisStates((-1.0, 0.5)).follow(DRIVE)
+    columns = np.hstack(list(smooth_columns(DRIVE, states).values()))
+    weights = np.random.default_rng(1).standard_normal(columns.shape[1])
+    assert smooth_response(DRIVE, states, weights) == pytest.approx(columns @ weights, abs=1e-12)
