@@ -1,4 +1,4 @@
-"""The whole way of one stage, its axes side by side, with the page that shows it."""
+"""Calibrate one stage, its axes in parallel processes, and write its report."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from piezoid.calibration.calibrate import Calibration
 
-Told = Callable[[str], None]
+Progress = Callable[[str], None]
 
 
 def calibrate(
-    files: Sequence[Path], lab: Path | None, told: Told, processes: int = 1
+    files: Sequence[Path], lab: Path | None, progress: Progress, processes: int = 1
 ) -> "Calibration":
     """Fit, diagnose, design, export, verify and report one stage.
 
@@ -20,7 +20,7 @@ def calibrate(
     Raises what reading and fitting raise; a stage for which no controller can be designed is a
     calibration without one.
     """
-    told("reading recordings")
+    progress("reading recordings")
     from piezoid.calibration.stage_jobs import estimated_cost, jobs_of, preload, run_job
     from piezoid_cli.workers import map_jobs, worker_pool
 
@@ -30,12 +30,12 @@ def calibrate(
         from piezoid.records.lab import read_lab
 
         declared = None if lab is None else read_lab(lab)
-        held = collect(files, declared)
-        blank, ways = jobs_of(held, declared, processes, told)
-        found = map_jobs(run_job, ways, told, pool=pool, cost=estimated_cost)
+        collection = collect(files, declared)
+        empty_stage, jobs = jobs_of(collection, declared, processes, progress)
+        results = map_jobs(run_job, jobs, progress, pool=pool, cost=estimated_cost)
     from piezoid.calibration.calibrate import finished, stage_of
     from piezoid_reports.render import with_report
 
-    done = finished(stage_of(blank, found), declared, told, processes)
-    told("writing the report")
-    return with_report(done, held, declared)
+    calibration = finished(stage_of(empty_stage, results), declared, progress, processes)
+    progress("writing the report")
+    return with_report(calibration, collection, declared)

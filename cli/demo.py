@@ -5,19 +5,13 @@ from typing import Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, Json, Quiet
+from piezoid_cli.terminal import Force, Json, Processes, Quiet
 
 
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("piezoid-demo"),
     force: Force = False,
-    processes: Annotated[
-        int | None,
-        typer.Option(
-            help="Number of worker processes; default: one per core.",
-            min=1,
-        ),
-    ] = None,
+    processes: Processes = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -36,13 +30,4 @@ def demo(
 
     # As a shell lists them: recordings over time first, whose order the results follow.
     files = sorted(stage_files(), key=lambda path: (path.suffix, path.name))
-    fit(
-        files,
-        out,
-        lab=LAB,
-        force=force,
-        stream=False,
-        processes=processes,
-        quiet=quiet,
-        json=json,
-    )
+    fit(files, out, lab=LAB, force=force, processes=processes, quiet=quiet, json=json)

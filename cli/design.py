@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from piezoid_cli.statements import show_statements
-from piezoid_cli.terminal import Force, Quiet, StageLab, hand_over, say, table
+from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, hand_over, say, table
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -26,9 +26,7 @@ def design(
     lab: StageLab = None,
     force: Force = False,
     quiet: Quiet = False,
-    json: Annotated[
-        bool, typer.Option("--json", help="For scripts: print design.json itself.")
-    ] = False,
+    json: JsonFile = False,
 ) -> None:
     """Design the controllers of a stage: write design.json and design.html beside model.json.
 
@@ -43,49 +41,45 @@ def design(
 
     piezoid design stage42/ --json | jq .axes[].loops[].bandwidth_Hz
     """
-    from json import loads
-
     from rich.console import Console
 
     from piezoid.design.design_stage import SpecificationText, design_stage
     from piezoid.design.design_statements import design_statements
     from piezoid.output_folder import add_to_folder, check_folder
-    from piezoid.sealed_files import read_model
     from piezoid.statement import Level
     from piezoid_cli.export import show_unshipped
     from piezoid_cli.progress import shown
-    from piezoid_cli.stage_files import content_of, lab_of, text_of
+    from piezoid_cli.stage_files import StageFolder, text_of
     from piezoid_reports.render import render_design
 
-    content = content_of(stage / "model.json")
-    model = read_model(content, str(stage / "model.json"))
+    folder = StageFolder(stage, lab)
+    model = folder.model
     asked = None if spec is None else SpecificationText(text=text_of(spec), source=spec.name)
     check_folder(stage, force=force, names=("design.json", "design.html"))
-    with shown(quiet=quiet or json) as told:
-        found = design_stage(
+    with shown(quiet=quiet or json) as progress:
+        result = design_stage(
             model,
-            model_digest=loads(content)["digest"],
+            model_digest=folder.model_digest,
             sampling_rate_Hz=rate,
-            lab=lab_of(stage, lab),
+            lab=folder.lab,
             asked=asked,
-            progress=told,
+            progress=progress,
         )
-    page = render_design(model, found)
-    written = found.to_json()
-    pages = {"design.json": written, "design.html": page.encode()}
-    add_to_folder(stage, pages, force=force)
+    content = result.to_json()
+    page = render_design(model, result).encode()
+    add_to_folder(stage, {"design.json": content, "design.html": page}, force=force)
     if json:
-        hand_over(written)
+        hand_over(content)
     elif not quiet:
-        Console().print(_table(found, model))
-        show_statements(design_statements(found, model), Level.WARNING)
-        show_unshipped(found.refused)
+        Console().print(_table(result, model))
+        show_statements(design_statements(result, model), Level.WARNING)
+        show_unshipped(result.refused)
         say(f"design: {stage / 'design.json'}, {stage / 'design.html'}")
-    if found.refused:
+    if result.refused:
         raise typer.Exit(1)
 
 
-def _table(found: "Design", model: "ActuatorModel") -> "Table":
+def _table(design: "Design", model: "ActuatorModel") -> "Table":
     from piezoid.design.design_statements import useful_bound_m
     from piezoid.formatting import with_unit
 
@@ -95,19 +89,13 @@ def _table(found: "Design", model: "ActuatorModel") -> "Table":
         bound_m = useful_bound_m(certificate, model.axes[axis])
         return "no useful bound" if bound_m is None else with_unit(bound_m, "m")
 
-    rows = [
-        (
-            axis.axis,
-            loop.method,
-            with_unit(loop.bandwidth_Hz, "Hz"),
-            f"{loop.worst_modulus_margin:.3f}",
-            "any"
-            if loop.worst_delay_margin_s is None
-            else with_unit(loop.worst_delay_margin_s, "s"),
-            bound(axis.axis, loop.certificate),
-        )
-        for axis in found.axes
-        for loop in axis.loops
-    ]
+    rows = []
+    for axis in design.axes:
+        for loop in axis.loops:
+            delay_s, margin = loop.worst_delay_margin_s, f"{loop.worst_modulus_margin:.3f}"
+            delay = "any" if delay_s is None else with_unit(delay_s, "s")
+            bandwidth = with_unit(loop.bandwidth_Hz, "Hz")
+            limit = bound(axis.axis, loop.certificate)
+            rows.append((axis.axis, loop.method, bandwidth, margin, delay, limit))
     headings = ("axis", "method", "bandwidth", "modulus margin", "delay margin", "bound")
     return table("controllers, worst member of each plant family", headings, rows)

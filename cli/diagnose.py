@@ -1,6 +1,6 @@
 """`piezoid diagnose`: recordings in, what the simulation gets wrong and why out."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,21 +8,23 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from piezoid_cli.statements import show_statements
-from piezoid_cli.terminal import Force, Quiet, hand_over, plain, say, table
+from piezoid_cli.terminal import (
+    Force,
+    JsonFile,
+    Quiet,
+    RecordingLab,
+    hand_over,
+    plain,
+    say,
+    table,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from rich.table import Table
 
-    from piezoid.diagnosis.compare import ModelComparison
     from piezoid.diagnosis.diagnosis import Diagnosis
     from piezoid.identification.actuator_model import ActuatorModel
-    from piezoid.identification.model import AxisModel
     from piezoid.records.recording import Recording
-
-    _Model = tuple[ActuatorModel, str]  # and the digest of its file
-    from piezoid.records.lab import Lab
 
 
 def diagnose(
@@ -31,13 +33,11 @@ def diagnose(
         typer.Argument(help="Recordings of one stage, in order; an older model.json in front."),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the results.")],
-    lab: Annotated[Path | None, typer.Option(help="lab.toml: rig, columns and units.")] = None,
+    lab: RecordingLab = None,
     axis: Annotated[str | None, typer.Option(help="Which axis; default: the first.")] = None,
     force: Force = False,
     quiet: Quiet = False,
-    json: Annotated[
-        bool, typer.Option("--json", help="For scripts: print diagnosis.json itself.")
-    ] = False,
+    json: JsonFile = False,
 ) -> None:
     """Find the effects that hysteresis alone does not explain: write diagnosis.json and .html.
 
@@ -59,96 +59,94 @@ def diagnose(
     written = ("diagnosis.json", "diagnosis.html")
     read = [*files, *([] if lab is None else [lab])]
     check_folder(out, force=force, new=True, names=written, inputs=read)
-    with shown(quiet=quiet or json) as told:
-        told("reading recordings")
-        from piezoid.diagnosis.diagnose import diagnose as find
+    with shown(quiet=quiet or json) as progress:
+        progress("reading recordings")
+        from piezoid.diagnosis.compare import compare
+        from piezoid.diagnosis.diagnose import diagnose as find_effects
         from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
+        from piezoid.identification.actuator_model import ActuatorModel
         from piezoid.identification.coupled.from_recordings import as_single_axes
+        from piezoid.identification.fit import moving
         from piezoid.raw_counts import errors_in_counts, in_counts, texts_in_counts
         from piezoid.records.checks import refuse_unusable
         from piezoid.records.collection import collect
         from piezoid.records.lab import read_lab
         from piezoid.records.recording import counted_in
+        from piezoid_reports.render import render_diagnosis
 
         declared = None if lab is None else read_lab(lab)
-        model, rest = _model_in_front(files)
-        coupled = None if model is None else model[0].coupled
-        recordings = collect(rest, declared).recordings
-        recordings = as_single_axes(recordings, declared, coupled, progress=told)
+        earlier, digest, recording_files = _model_in_front(files)
+        recordings = as_single_axes(
+            collect(recording_files, declared).recordings,
+            declared,
+            None if earlier is None else earlier.coupled,
+            progress=progress,
+        )
         refuse_unusable(recordings)
+        earlier_axes = {} if earlier is None else earlier.axes
+        axis = axis or next(iter(earlier_axes), None)
+        earlier_axis = earlier_axes.get(axis or "")
         with errors_in_counts(counted_in(recordings)):
-            diagnosis = find(
+            diagnosis = find_effects(
                 recordings,
-                axis=axis or _first(model),
+                axis=axis,
                 lab=declared,
-                model=None if model is None else _known(model, axis),
-                progress=told,
+                # Its initial states belong to the recordings of then.
+                model=None if earlier_axis is None else replace(earlier_axis, starts=()),
+                progress=progress,
                 threads=usable_cores(),
             )
-            comparison = (
-                None if model is None else _compared(model, recordings, diagnosis.axis, told)
-            )
+            comparison = None
+            if earlier is not None:
+                used = moving(recordings, diagnosis.axis)
+                known = earlier[diagnosis.axis]
+                comparison = compare(known, used, digest=digest, progress=progress)
         diagnosis = texts_in_counts(diagnosis)
         since = None if comparison is None else comparison.to_json()
         content = write_diagnosis(diagnosis, since=since)
-        page = diagnosis_page(diagnosis, recordings, declared, content, comparison)
+        model = ActuatorModel(
+            stage=("" if declared is None else declared.name) or recordings[0].name,
+            axes={} if diagnosis.model is None else {diagnosis.axis: diagnosis.model},
+            sources={recording.name: recording.digest for recording in recordings},
+            lab=None if declared is None else declared.digest or None,
+        )
+        page = render_diagnosis(
+            model, recordings, diagnosis, comparison=comparison, written=content
+        )
         pages = {"diagnosis.json": content, "diagnosis.html": page.encode()}
         write_folder(out, pages, force=force)
     if json:
         hand_over(content)
     elif not quiet:
         _show(diagnosis, out)
-        _tell_unused(recordings, diagnosis.axis)
+        _show_unused(recordings, diagnosis.axis)
         if comparison is not None:
             say(in_counts(comparison.statement.text, comparison.counted))
 
 
-def _model_in_front(files: list[Path]) -> "tuple[_Model | None, list[Path]]":
-    """Return the model named before the recordings, if there is one, and the recordings."""
-    from json import loads
-
+def _model_in_front(files: list[Path]) -> "tuple[ActuatorModel | None, str, list[Path]]":
+    """Return the model named before the recordings with its digest, and the recordings."""
     from piezoid.sealed_files import read_model
-    from piezoid_cli.stage_files import content_of
+    from piezoid_cli.stage_files import content_of, digest_in
 
     if files[0].suffix.lower() != ".json":
-        return None, files
+        return None, "", files
     if len(files) == 1:
         raise typer.BadParameter(f"{files[0]} is a model; name recordings behind it")
     content = content_of(files[0])
-    return (read_model(content, str(files[0])), str(loads(content)["digest"])), files[1:]
+    return read_model(content, str(files[0])), digest_in(content), files[1:]
 
 
-def _first(model: "_Model | None") -> str | None:
-    return None if model is None else next(iter(model[0].axes), None)
-
-
-def _known(model: "_Model", axis: str | None) -> "AxisModel | None":
-    """Return an axis of the earlier model, without the memory of the recordings of then."""
-
-    known = model[0].axes.get(axis or _first(model) or "")
-    return None if known is None else replace(known, starts=())
-
-
-def _compared(
-    model: "_Model", recordings: "Sequence[Recording]", axis: str, told: "Callable[[str], None]"
-) -> "ModelComparison":
-    from piezoid.diagnosis.compare import compare
-    from piezoid.identification.fit import moving
-
-    known, digest = model
-    return compare(known[axis], moving(recordings, axis), digest=digest, progress=told)
-
-
-def _tell_unused(recordings: "Sequence[Recording]", axis: str) -> None:
+def _show_unused(recordings: "Sequence[Recording]", axis: str) -> None:
     """Print which recordings do not contribute to the diagnosis of an axis."""
     from piezoid.identification.fit import moving, recorded_of
     from piezoid.records.checks.feedback import is_held_throughout
 
     used = {recording.name for recording in moving(recordings, axis)}
-    held = [r.name for r in recorded_of(recordings, axis) if is_held_throughout(r, axis)]
-    unused = [r.name for r in recordings if r.name not in (*used, *held)]
-    if held and not set(held) & used:
-        say(f"{', '.join(held)}: recorded in closed loop; only creep was tested")
+    servo = [r.name for r in recorded_of(recordings, axis) if is_held_throughout(r, axis)]
+    unused = [r.name for r in recordings if r.name not in (*used, *servo)]
+    if servo and not set(servo) & used:
+        say(f"{', '.join(servo)}: recorded in closed loop; only creep was tested")
     if unused:
         say(
             f"not used: {', '.join(unused)} (axis {axis} does not move or was not recorded; see "
@@ -156,7 +154,8 @@ def _tell_unused(recordings: "Sequence[Recording]", axis: str) -> None:
         )
 
 
-def _show(found: "Diagnosis", out: Path) -> None:
+def _show(diagnosis: "Diagnosis", out: Path) -> None:
+    """Print the effects, the errors with and without them, and what needs action."""
     from rich.console import Console
 
     from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
@@ -164,25 +163,24 @@ def _show(found: "Diagnosis", out: Path) -> None:
     from piezoid.raw_counts import in_counts, record_in_counts
     from piezoid.statement import Level
 
-    console = Console()
-    if found.findings:
-        console.print(_table(found))
-    before, after = with_unit(found.baseline.rms_m, "m"), with_unit(found.final.rms_m, "m")
-    noise = with_unit(found.noise_floor_rms_m, "m")
+    console, counted = Console(), diagnosis.counted
+    if diagnosis.findings:
+        console.print(_table(diagnosis))
+    before, after = (with_unit(e.rms_m, "m") for e in (diagnosis.baseline, diagnosis.final))
     line = (
-        f"axis {found.axis}: held-out error {before} without the findings, {after} with "
-        f"them; sensor noise {noise}"
+        f"axis {diagnosis.axis}: held-out error {before} without the findings, {after} with "
+        f"them; sensor noise {with_unit(diagnosis.noise_floor_rms_m, 'm')}"
     )
-    console.print(plain(in_counts(line, found.counted)))
-    facts = diagnosis_statements(found)
-    least = Level.ACTION if found.findings else Level.NOTE
-    if any(fact.quantity == "no_effect_tested" for fact in facts):
-        least = min(least, Level.WARNING)
-    show_statements(record_in_counts(facts, found.counted), least)
+    console.print(plain(in_counts(line, counted)))
+    statements = diagnosis_statements(diagnosis)
+    minimum = Level.ACTION if diagnosis.findings else Level.NOTE
+    if any(statement.quantity == "no_effect_tested" for statement in statements):
+        minimum = min(minimum, Level.WARNING)
+    show_statements(record_in_counts(statements, counted), minimum)
     console.print(plain(f"details: {out / 'diagnosis.html'}"))
 
 
-def _table(found: "Diagnosis") -> "Table":
+def _table(diagnosis: "Diagnosis") -> "Table":
     from piezoid.diagnosis.diagnosis_statements import largest_first
     from piezoid.formatting import significant
 
@@ -194,33 +192,8 @@ def _table(found: "Diagnosis") -> "Table":
             " .. ".join(significant(end) for end in finding.size.ci95),
             ", ".join(finding.not_separable_from),
         )
-        for finding in largest_first(found)
+        for finding in largest_first(diagnosis)
     ]
     headings = ("effect", "gain", "size", "95 %", "not separable from")
-    return table(f"axis {found.axis}: {len(found.findings)} effects found", headings, rows, left=5)
-
-
-def diagnosis_page(
-    found: "Diagnosis",
-    recordings: "Sequence[Recording]",
-    lab: "Lab | None",
-    written: bytes,
-    comparison: "ModelComparison | None" = None,
-) -> str:
-    """Return the page of one diagnosis.
-
-    recordings  that were diagnosed
-    lab         what the laboratory declares
-    written     diagnosis.json, for the chain of digests
-    comparison  of the earlier model that was named before the recordings
-    """
-    from piezoid.identification.actuator_model import ActuatorModel
-    from piezoid_reports.render import render_diagnosis
-
-    model = ActuatorModel(
-        stage=(lab.name if lab is not None else "") or recordings[0].name,
-        axes={} if found.model is None else {found.axis: found.model},
-        sources={recording.name: recording.digest for recording in recordings},
-        lab=None if lab is None else lab.digest or None,
-    )
-    return render_diagnosis(model, recordings, found, comparison=comparison, written=written)
+    title = f"axis {diagnosis.axis}: {len(diagnosis.findings)} effects found"
+    return table(title, headings, rows, left=5)

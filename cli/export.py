@@ -1,6 +1,6 @@
 """`piezoid export`: from a design to parameters and C source for firmware."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,12 +9,10 @@ import typer
 from piezoid_cli.terminal import Force, Json, Quiet, StageLab, hand_over_record, plain, say
 
 if TYPE_CHECKING:
-    from piezoid.design.design import Design
     from piezoid.export.parameter_file import ParameterFile
-    from piezoid.identification.actuator_model import ActuatorModel
-    from piezoid.records.lab import Lab
     from piezoid.targets.controller_hardware import ControllerHardware
-    from piezoid.targets.targets import TargetFiles
+    from piezoid.targets.target_inputs import TargetInputs
+    from piezoid_cli.stage_files import StageFolder
 
 
 def export(
@@ -50,96 +48,81 @@ def export(
 
     piezoid export stage42/ --json | jq .methods
     """
-    from json import loads
-
     from piezoid.calibration.controllers import REFUSED, failed_files, failed_of, shipped
-    from piezoid.design.design import design_from_json
     from piezoid.export.bundle import bundle
     from piezoid.export.parameter_file import to_json
     from piezoid.output_folder import add_to_folder, check_folder
-    from piezoid.sealed_files import read_model
     from piezoid.targets.controller_hardware import ControllerHardware, read_hardware
-    from piezoid.targets.targets import FOLDERS, check_targets
+    from piezoid.targets.targets import FOLDERS, check_targets, target_files
     from piezoid_cli.progress import shown
-    from piezoid_cli.stage_files import content_of, lab_of, same_model
+    from piezoid_cli.stage_files import StageFolder, content_of, digest_in
     from piezoid_cli.workers import usable_cores
 
     targets = check_targets(target or ())
     hardware = ControllerHardware() if box is None else read_hardware(box)
-    content = content_of(stage / "design.json")
-    design = design_from_json(content, str(stage / "design.json"))
-    model_content = content_of(stage / "model.json")
-    model = read_model(model_content, str(stage / "model.json"))
-    same_model(model_content, design.model_digest, "design.json", "piezoid design")
-    digest = loads(content)["digest"]
-    declared = lab_of(stage, lab)
+    folder = StageFolder(stage, lab)
+    design, model = folder.design, folder.model
     check_folder(stage, force=force, names=("params.json", "verification.json"))
-    with shown(quiet=quiet or json) as told:
-        found = shipped(
+    with shown(quiet=quiet or json) as progress:
+        release = shipped(
             model,
             design,
-            design_digest=digest,
-            lab=declared,
-            told=told,
+            design_digest=digest_in(content_of(stage / "design.json")),
+            lab=folder.lab,
+            told=progress,
             threads=usable_cores(),
         )
-    contents = failed_files(failed_of(found))
-    file = found.parameters
-    beside = None
+    contents = failed_files(failed_of(release))
+    file, notes = release.parameters, tuple[str, ...]()
     if file is not None:
-        beside = _target_files(file, model, design, declared, hardware, targets)
+        beside = target_files(_target_inputs(file, folder, hardware), targets)
+        notes = beside.notes
         contents |= beside.files
         contents |= {f"bundle/{name}": text for name, text in bundle(file).files.items()}
         contents["params.json"] = to_json(file)
-    contents["verification.json"] = found.verification.to_json()
+    contents["verification.json"] = release.verification.to_json()
     add_to_folder(stage, contents, gone=("params.json", *FOLDERS, REFUSED), force=force)
-    unshipped = found.reasons if file is None else file.unshipped
+    axes, unshipped = ((), release.reasons) if file is None else (file.axes, file.unshipped)
     if json:
         hand_over_record(
             "exported",
-            methods={axis.axis: axis.method for axis in (() if file is None else file.axes)},
+            methods={axis.axis: axis.method for axis in axes},
             unshipped=dict(unshipped),
             files=sorted(contents),
-            notes=[] if beside is None else list(beside.notes),
+            notes=list(notes),
         )
     elif not quiet:
-        for axis in () if file is None else file.axes:
-            others = f", to compare {', '.join(axis.methods[1:])}" if axis.alternatives else ""
-            say(f"axis {axis.axis}: {axis.method}{others}")
+        for axis in axes:
+            alternatives = f", to compare {', '.join(axis.methods[1:])}" * bool(axis.alternatives)
+            say(f"axis {axis.axis}: {axis.method}{alternatives}")
         show_unshipped(unshipped)
         if file is not None:
             folders = dict.fromkeys(("bundle", *targets))
             say(f"exported: {', '.join(str(stage / name) for name in ('params.json', *folders))}")
         elif targets:
             say("no target is written: each is made of a controller that ships, and none does")
-        for note in () if beside is None else beside.notes:
+        for note in notes:
             say(note)
     if unshipped:
         raise typer.Exit(1)
 
 
-def _target_files(
-    file: "ParameterFile",
-    model: "ActuatorModel",
-    design: "Design",
-    lab: "Lab | None",
-    hardware: "ControllerHardware",
-    targets: Sequence[str],
-) -> "TargetFiles":
-    """Return the files of the targets, made for the plants that verification ran."""
+def _target_inputs(
+    file: "ParameterFile", folder: "StageFolder", hardware: "ControllerHardware"
+) -> "TargetInputs":
+    """Return what targets are made of, with the plants that verification runs."""
     from piezoid.records.lab import Lab
     from piezoid.targets.target_inputs import TargetInputs
-    from piezoid.targets.targets import target_files
     from piezoid.verification.verify_stage import stage_plants
 
-    declared = lab or Lab()
+    declared, model = folder.lab or Lab(), folder.model
     plants, drawn = stage_plants(file, model, declared)
-    inputs = TargetInputs(
+    return TargetInputs(
         file=file,
         plants=plants,
         drawn={plant.axis: others for plant, others in zip(plants, drawn, strict=True)},
         models={axis.axis: model[axis.axis] for axis in file.axes if axis.method != "rst"},
-        designs={one.axis: one for one in design.axes},
+        designs={axis.axis: axis for axis in folder.design.axes},
         converter_V=declared.acquisition.input_range_V,
         amplifier_V_per_V={
             axis.axis: gain
@@ -148,7 +131,6 @@ def _target_files(
         },
         hardware=hardware,
     )
-    return target_files(inputs, targets)
 
 
 def show_unshipped(reasons: Mapping[str, str]) -> None:

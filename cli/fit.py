@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from piezoid_cli.statements import show_statements
-from piezoid_cli.terminal import Force, Json, Quiet, hand_over, plain, say, table
+from piezoid_cli.terminal import (
+    Force,
+    Json,
+    Processes,
+    Quiet,
+    RecordingLab,
+    hand_over_record,
+    plain,
+    say,
+    table,
+)
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -31,7 +41,7 @@ UNDIAGNOSED = (
 def fit(
     files: Annotated[list[Path], typer.Argument(help="Recordings of one stage, any number.")],
     out: Annotated[Path, typer.Option(help="Folder for the results.")],
-    lab: Annotated[Path | None, typer.Option(help="lab.toml: rig, columns and units.")] = None,
+    lab: RecordingLab = None,
     force: Force = False,
     stream: Annotated[
         bool,
@@ -40,13 +50,7 @@ def fit(
             help="For files larger than memory: read in chunks and thinned, without diagnosis.",
         ),
     ] = False,
-    processes: Annotated[
-        int | None,
-        typer.Option(
-            help="Number of worker processes; default: one per core.",
-            min=1,
-        ),
-    ] = None,
+    processes: Processes = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -77,36 +81,31 @@ def fit(
 
     check_folder(out, force=force, new=True, names=WRITTEN, inputs=files)
     count = processes or usable_cores()
-    with shown(quiet=quiet or json) as told:
-        if stream:
-            found = calibrate_streamed(files, lab, told, count)
-        else:
-            found = calibrate(files, lab, told, count)
-        write_folder(out, found.files, force=force)
+    with shown(quiet=quiet or json) as progress:
+        run = calibrate_streamed if stream else calibrate
+        calibration = run(files, lab, progress, count)
+        write_folder(out, calibration.files, force=force)
     if json:
-        from json import dumps
-
-        hand_over(dumps(summary_of(found), indent=1, allow_nan=False))
+        hand_over_record("summary", **summary_of(calibration))
     elif not quiet:
-        show(found)
-        names = dict.fromkeys(name.partition("/")[0] for name in found.files)
-        others = ", ".join(name for name in names if name != "report.html")
+        show(calibration)
+        names = dict.fromkeys(name.partition("/")[0] for name in calibration.files)
         say(f"report: {out / 'report.html'}")
-        say(f"also in {out}: {others}")
-    if not found.passed:
+        say(f"also in {out}: {', '.join(name for name in names if name != 'report.html')}")
+    if not calibration.passed:
         raise typer.Exit(1)
 
 
-def summary_of(found: "Calibration") -> dict[str, Any]:
+def summary_of(calibration: "Calibration") -> dict[str, Any]:
     """Return what a script wants to know of a stage."""
-    causes = [] if found.diagnosis is None else found.diagnosis.findings
-    named = {one.axis: list(one.names) for one in found.diagnoses}
-    made = found.controllers
-    verdicts = () if made.verification is None else made.verification.verdicts
+    model, controllers = calibration.model, calibration.controllers
+    diagnosis, verification = calibration.diagnosis, controllers.verification
+    causes = {diagnosis.axis: list(diagnosis.names) for diagnosis in calibration.diagnoses}
+    verdicts = () if verification is None else verification.verdicts
+    coupled = model.coupled
     return {
-        "schema": "piezoid.summary/1",
-        "stage": found.model.stage,
-        "passed": found.passed,
+        "stage": model.stage,
+        "passed": calibration.passed,
         "axes": {
             name: {
                 "applies": axis.verdict.applies,
@@ -117,65 +116,70 @@ def summary_of(found: "Calibration") -> dict[str, Any]:
                 "limits": [limit.reason for limit in axis.quality.limits],
                 "noise_rms_m": axis.quality.noise_rms_m,
                 "error_bound_m": axis.certificate.bound_m,
-                "causes": named.get(name),
+                "causes": causes.get(name),
             }
-            for name, axis in found.model.axes.items()
+            for name, axis in model.axes.items()
         },
         "coupled": None
-        if found.model.coupled is None
+        if coupled is None
         else {
-            "axes": list(found.model.coupled.outputs),
-            "levels_V": found.model.coupled.levels_V.tolist(),
-            "error_rms_m": found.model.coupled.error_rms_m.tolist(),
-            "moved_rms_m": found.model.coupled.moved_rms_m.tolist(),
+            "axes": list(coupled.outputs),
+            "levels_V": coupled.levels_V.tolist(),
+            "error_rms_m": coupled.error_rms_m.tolist(),
+            "moved_rms_m": coupled.moved_rms_m.tolist(),
         },
-        "diagnosed_axis": None if found.diagnosis is None else found.diagnosis.axis,
-        "causes": [finding.effect for finding in causes],
-        "remarks": list(found.model.remarks),
-        "undiagnosed": list(found.undiagnosed),
-        "undesigned": made.reason,
-        "unshipped": dict(made.unshipped),
+        "diagnosed_axis": None if diagnosis is None else diagnosis.axis,
+        "causes": [] if diagnosis is None else [f.effect for f in diagnosis.findings],
+        "remarks": list(model.remarks),
+        "undiagnosed": list(calibration.undiagnosed),
+        "undesigned": controllers.reason,
+        "unshipped": dict(controllers.unshipped),
         "verdicts_passed": sum(verdict.passed for verdict in verdicts),
         "verdicts": len(verdicts),
-        "files": sorted(found.files),
+        "files": sorted(calibration.files),
     }
 
 
-def show(found: "Calibration") -> None:
+def show(calibration: "Calibration") -> None:
     """Print a table of axes, their error budgets, the tip, and what needs action."""
     from rich.console import Console
 
     from piezoid.calibration.stage_statements import stage_statements
 
-    console, made = Console(), found.controllers
-    console.print(_table(found))
-    for line in (*_budgets(found), *_tip(found.model.tunnelling), *_coupled(found.model.coupled)):
+    console, model, controllers = Console(), calibration.model, calibration.controllers
+    console.print(_table(calibration))
+    lines = (*_budgets(calibration), *_tip(model.tunnelling), *_coupled(model.coupled))
+    for line in lines:
         console.print(plain(line))
-    if made.verification is not None:
-        verdicts = made.verification.verdicts
-        passed = sum(verdict.passed for verdict in verdicts)
-        style = "" if made.verification.passed else "bold red"
-        console.print(plain(f"verification: {passed} of {len(verdicts)} verdicts passed", style))
+    verification = controllers.verification
+    if verification is not None:
+        passed = sum(verdict.passed for verdict in verification.verdicts)
+        line = f"verification: {passed} of {len(verification.verdicts)} verdicts passed"
+        console.print(plain(line, "" if verification.passed else "bold red"))
     statements = stage_statements(
-        found.model,
-        diagnoses=found.diagnoses,
-        undiagnosed=found.undiagnosed,
-        design=made.design,
-        undesigned=made.reason,
-        unshipped=made.unshipped,
-        verification=made.verification,
+        model,
+        diagnoses=calibration.diagnoses,
+        undiagnosed=calibration.undiagnosed,
+        design=controllers.design,
+        undesigned=controllers.reason,
+        unshipped=controllers.unshipped,
+        verification=verification,
     )
     show_statements(statements)
 
 
-def _table(found: "Calibration") -> "Table":
+def _table(calibration: "Calibration") -> "Table":
     """Return a row for each axis: error, noise, their ratio, loop and verdict."""
-    model, made = found.model, found.controllers
-    loops = {} if made.design is None else {a.axis: a.recommended for a in made.design.axes}
+    model, design = calibration.model, calibration.controllers.design
+    loops = {} if design is None else {axis.axis: axis.recommended for axis in design.axes}
     names = list(dict.fromkeys([*model.axes, *loops]))
     headings = ("axis", "error", "noise", "closure", "bandwidth", "guaranteed", "verdict")
     rows = [
-        (name, *_fit_cells(model.axes.get(name)), *_loop_cells(found, name, loops.get(name)))
+        (
+            name,
+            *_fit_cells(model.axes.get(name)),
+            *_loop_cells(calibration, name, loops.get(name)),
+        )
         for name in names
     ]
     return table(f"stage {model.stage}", headings, rows)
@@ -200,7 +204,7 @@ def _fit_cells(axis: "AxisModel | None") -> tuple[str, str, str]:
 
 
 def _loop_cells(
-    found: "Calibration", name: str, loop: "LoopDesign | None"
+    calibration: "Calibration", name: str, loop: "LoopDesign | None"
 ) -> tuple[str, str, str]:
     """Return bandwidth, guaranteed error and verdict."""
     from piezoid.design.design_statements import useful_bound_m
@@ -208,7 +212,7 @@ def _loop_cells(
     from piezoid.identification.fit_statements import grade_of
     from piezoid.raw_counts import in_counts
 
-    axis, ships = found.model.axes.get(name), name in found.controllers.shipped
+    axis, ships = calibration.model.axes.get(name), name in calibration.controllers.shipped
     grade = "" if axis is None else f"{grade_of(axis).value}; "
     if loop is None:
         return "", "", f"{grade}no controller"
@@ -223,20 +227,21 @@ def _loop_cells(
     )
 
 
-def _budgets(found: "Calibration") -> list[str]:
+def _budgets(calibration: "Calibration") -> list[str]:
     """Return the error budget of each diagnosed axis as a line."""
     from piezoid.formatting import with_unit
     from piezoid.raw_counts import in_counts
     from piezoid_reports.sections.error_budget import label_of, visible_parts
 
     lines = []
-    for one in found.diagnoses:
+    for diagnosis in calibration.diagnoses:
         terms = ", ".join(
             f"{label_of(part)} {with_unit(part.rms_m, 'm')}{'*' if part.is_explained else ''}"
-            for part in visible_parts(one)
+            for part in visible_parts(diagnosis)
         )
-        total = with_unit(one.baseline.rms_m, "m")
-        lines.append(in_counts(f"error budget {one.axis}: {total} = {terms}", one.counted))
+        total = with_unit(diagnosis.baseline.rms_m, "m")
+        line = f"error budget {diagnosis.axis}: {total} = {terms}"
+        lines.append(in_counts(line, diagnosis.counted))
     if any("*" in line for line in lines):
         lines.append("(rms, squares add up; * removed by the model)")
     return lines
@@ -267,7 +272,7 @@ def _coupled(coupled: "CoupledStage | None") -> list[str]:
 
 
 def calibrate_streamed(
-    files: Sequence[Path], lab: Path | None, told: "Told", processes: int = 1
+    files: Sequence[Path], lab: Path | None, progress: "Told", processes: int = 1
 ) -> "Calibration":
     """Fit recordings that are read in chunks, design, export, verify and report one stage.
 
@@ -278,22 +283,17 @@ def calibrate_streamed(
     from dataclasses import replace
 
     from piezoid.calibration.calibrate import FittedStage, finished
-    from piezoid.identification.fit import fit as fit_stage
-    from piezoid.raw_counts import errors_in_counts, texts_in_counts
     from piezoid.records.chunked_reader import read_thinned
     from piezoid.records.lab import read_lab
-    from piezoid.records.recording import counted_in
+    from piezoid.verbs import fit as fit_stage
     from piezoid_reports.render import with_report
 
     declared = None if lab is None else read_lab(lab)
-    recordings = read_thinned(files, declared, progress=told)
-    with errors_in_counts(counted_in(recordings)):
-        model = fit_stage(recordings, lab=declared, progress=told)
+    recordings = read_thinned(files, declared, progress=progress)
+    model = fit_stage(recordings, lab=declared, progress=progress)
     notes = dict.fromkeys(f"{r.name}: {s.text}" for r in recordings for s in r.statements)
-    axes = {name: texts_in_counts(axis) for name, axis in model.axes.items()}
-    model = replace(model, axes=axes, remarks=(*notes, *model.remarks))
-    done = finished(
-        FittedStage(model=model, undiagnosed=(UNDIAGNOSED,)), declared, told, processes
-    )
-    told("writing the report")
-    return with_report(done, None, declared)
+    model = replace(model, remarks=(*notes, *model.remarks))
+    fitted = FittedStage(model=model, undiagnosed=(UNDIAGNOSED,))
+    calibration = finished(fitted, declared, progress, processes)
+    progress("writing the report")
+    return with_report(calibration, None, declared)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from piezoid_cli.progress import shown
-from piezoid_cli.terminal import Json, Quiet, hand_over, plain, say
+from piezoid_cli.terminal import Json, Quiet, RecordingLab, hand_over_record, plain, say
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -31,7 +31,7 @@ _LONGEST = 600  # a damaged file's heading fills a hundred screens
 
 def inspect(
     files: Annotated[list[Path], typer.Argument(help="Recordings in any format piezoid reads.")],
-    lab: Annotated[Path | None, typer.Option(help="lab.toml: rig, columns and units.")] = None,
+    lab: RecordingLab = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -56,37 +56,34 @@ def inspect(
         report(f"reading {names}")
         inspections = inspect_files(files, None if lab is None else read_lab(lab))
     if json:
-        hand_over(_json(inspections))
+        hand_over_record("inspection", files=[_record(inspection) for inspection in inspections])
     elif quiet:
-        for one in inspections:
-            if one.refusal:
-                say(f"no recording: {one.refusal}", err=True)
+        for inspection in inspections:
+            if inspection.refusal:
+                say(f"no recording: {inspection.refusal}", err=True)
     else:
         show(inspections)
     if any(inspection.refusal for inspection in inspections):
         raise typer.Exit(3)
 
 
-def _json(inspections: "tuple[Inspection, ...]") -> str:
-    import dataclasses
-    from json import dumps
+def _record(inspection: "Inspection") -> dict[str, object]:
+    """Return an inspection for scripts, its statements under ``problems``."""
+    from dataclasses import asdict
 
-    content = []
-    for inspection in inspections:
-        record = dataclasses.asdict(inspection)
-        del record["statements"]
-        record["problems"] = [
-            {
-                "kind": s.quantity,
-                "place": _place(s),
-                "text": s.text,
-                "value": s.value,
-                "unit": s.unit,
-            }
-            for s in inspection.statements
-        ]
-        content.append(record)
-    return dumps({"schema": "piezoid.inspection/1", "files": content}, indent=1, allow_nan=False)
+    record = asdict(inspection)
+    del record["statements"]
+    record["problems"] = [
+        {
+            "kind": statement.quantity,
+            "place": _place(statement),
+            "text": statement.text,
+            "value": statement.value,
+            "unit": statement.unit,
+        }
+        for statement in inspection.statements
+    ]
+    return record
 
 
 def _place(statement: "Statement") -> str:
@@ -95,39 +92,26 @@ def _place(statement: "Statement") -> str:
 
 
 def show(inspections: "tuple[Inspection, ...]") -> None:
-    """Print what was understood of every file."""
+    """Print what was understood of every file, all as text: names in files are not markup."""
     from rich.console import Console
 
     console = Console(soft_wrap=False)
     for inspection in inspections:
-        for part in _parts(inspection, console.width):
-            console.print(part)
+        about = f": {inspection.format}, {inspection.rows} rows" if inspection.format else ""
+        console.print(plain(f"{inspection.name}{about}", style="bold"))
+        if inspection.columns:
+            console.print(_table(inspection.columns, console.width))
+        if inspection.axis is not None:
+            console.print(plain(_clock_line(inspection)))
+        if inspection.response is not None:
+            for line in response_lines(inspection):
+                console.print(plain(line))
+        for statement in inspection.statements:
+            place, text = _cut(_place(statement)), _cut(statement.text)
+            console.print(plain(f"  {statement.quantity} ({place}): {text}", "yellow"))
+        if inspection.refusal is not None:
+            console.print(plain(f"  no recording: {inspection.refusal}", style="red"))
         console.print()
-
-
-def _parts(inspection: "Inspection", width: int) -> "list[RenderableType]":
-    """Return what is shown of one file; all of it as text, since names in files are not markup."""
-
-    parts: list[RenderableType] = [plain(_headline(inspection), style="bold")]
-    if inspection.columns:
-        parts.append(_table(inspection.columns, width))
-    if inspection.axis is not None:
-        parts.append(plain(_clock_line(inspection)))
-    if inspection.response is not None:
-        parts += [plain(line) for line in response_lines(inspection)]
-    parts += [
-        plain(f"  {s.quantity} ({_cut(_place(s))}): {_cut(s.text)}", "yellow")
-        for s in inspection.statements
-    ]
-    if inspection.refusal is not None:
-        parts.append(plain(f"  no recording: {inspection.refusal}", style="red"))
-    return parts
-
-
-def _headline(inspection: "Inspection") -> str:
-    if inspection.format is None:
-        return inspection.name
-    return f"{inspection.name}: {inspection.format}, {inspection.rows} rows"
 
 
 def _clock_line(inspection: "Inspection") -> str:

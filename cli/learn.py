@@ -5,11 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, Quiet, StageLab, hand_over, say
+from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, hand_over, say
 
 if TYPE_CHECKING:
-    from piezoid.export.parameter_file import ParameterFile
-    from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.learning.learn import Learned
 
 
@@ -35,9 +33,7 @@ def learn(
     lab: StageLab = None,
     force: Force = False,
     quiet: Quiet = False,
-    json: Annotated[
-        bool, typer.Option("--json", help="For scripts: print learning.json itself.")
-    ] = False,
+    json: JsonFile = False,
 ) -> None:
     """Learn the feedforward of a periodic motion: write learning.json and the table to play.
 
@@ -54,89 +50,82 @@ def learn(
     """
     from piezoid.output_folder import check_folder, write_folder
     from piezoid_cli.progress import shown
-    from piezoid_cli.stage_files import content_of, lab_of, same_model
+    from piezoid_cli.stage_files import StageFolder, content_of
 
     if (period is None) != (table is None):
         raise typer.BadParameter("--period and --table belong together: neither, or both")
     if not gain > 0.0:
         raise typer.BadParameter(f"--gain {gain:g}: a gain above 0 learns")
-    given = (reference, period, table, lab, stage / "model.json")
-    read = [place for place in given if place is not None]
-    check_folder(out, force=force, new=True, inputs=read)
-    with shown(quiet=quiet or json) as told:
-        told("reading the stage")
+    inputs = [path for path in (reference, period, table, lab, stage / "model.json") if path]
+    check_folder(out, force=force, new=True, inputs=inputs)
+    with shown(quiet=quiet or json) as progress:
+        progress("reading the stage")
         from piezoid.design.design_stage import controller_rate_Hz
-        from piezoid.export.parameter_file import from_json
         from piezoid.learning.files import learned_files, read_reference
         from piezoid.learning.learn import learned_from_json
         from piezoid.records.collection import collect
         from piezoid.records.lab import Lab
-        from piezoid.sealed_files import read_model
         from piezoid.verbs import learn as learn_table
 
-        declared = lab_of(stage, lab)
-        content = content_of(stage / "model.json")
-        model = read_model(content, str(stage / "model.json"))
-        file = None
-        if not open_loop:
-            file = from_json(content_of(stage / "params.json"), str(stage / "params.json"))
-            same_model(content, file.sources.get("model", ""), "params.json", "piezoid export")
-        named = _axis(model, file, axis)
-        rate_Hz = (
-            controller_rate_Hz(model, None)
-            if file is None
-            else float(file.axis(named).values["sampling_rate_Hz"])
-        )
-        wanted_m = read_reference(reference, rate_Hz)
+        folder = StageFolder(stage, lab)
+        declared, model = folder.lab, folder.model
+        controller = None if open_loop else folder.parameters
+        if controller is None:
+            selected = _select_axis(list(model.axes), axis)
+            rate_Hz = controller_rate_Hz(model, None)
+        else:
+            selected = _select_axis([parameters.axis for parameters in controller.axes], axis)
+            rate_Hz = float(controller.axis(selected).values["sampling_rate_Hz"])
+        reference_m = read_reference(reference, rate_Hz)
         before = None if table is None else learned_from_json(content_of(table), str(table))
-        held = () if period is None else collect([period], declared).recordings
-        told("learning the table")
-        found = learn_table(
+        recordings = () if period is None else collect([period], declared).recordings
+        progress("learning the table")
+        learned = learn_table(
             model,
-            wanted_m,
-            controller=file,
-            axis=named,
+            reference_m,
+            controller=controller,
+            axis=selected,
             lab=declared,
             before=before,
-            period=held[0] if held else None,
+            period=recordings[0] if recordings else None,
             sampling_rate_Hz=rate_Hz,
             gain=gain,
         )
         converter = (declared or Lab()).acquisition
-        files = learned_files(found, converter.input_range_V, converter.dac_bits)
+        files = learned_files(learned, converter.input_range_V, converter.dac_bits)
         write_folder(out, files, force=force)
     if json:
-        hand_over(found.to_json())
+        hand_over(learned.to_json())
     elif not quiet:
-        for line in _lines(found, out):
+        for line in _lines(learned, out):
             say(line)
 
 
-def _axis(model: "ActuatorModel", file: "ParameterFile | None", asked: str | None) -> str:
-    """Return the axis that is meant; refuse where that is not one of several."""
-    there = list(model.axes) if file is None else [axis.axis for axis in file.axes]
-    if asked is None and len(there) == 1:
-        return there[0]
-    if asked not in there:
+def _select_axis(axes: list[str], requested: str | None) -> str:
+    """Return the requested axis, or the only one there is."""
+    if requested is None and len(axes) == 1:
+        return axes[0]
+    if requested not in axes:
         raise typer.BadParameter(
-            f"--axis {asked}: there are {', '.join(there)}"
-            if asked
-            else f"there are {', '.join(there)}: choose one with --axis"
+            f"--axis {requested}: there are {', '.join(axes)}"
+            if requested
+            else f"there are {', '.join(axes)}: choose one with --axis"
         )
-    return asked
+    return requested
 
 
-def _lines(found: "Learned", out: Path) -> list[str]:
+def _lines(learned: "Learned", out: Path) -> list[str]:
     from piezoid.formatting import with_unit
 
     lines = [
-        f"axis {found.axis}, {with_unit(found.frequency_Hz, 'Hz')}: a period leaves at most "
-        f"{found.contraction:.2g} of the error, on plant '{found.worst_plant}'; harmonics up to "
-        f"{with_unit(found.learns_to_Hz, 'Hz')} are learnt",
-        f"the first table leaves {with_unit(found.model_error_m, 'm')} rms on the identified "
+        f"axis {learned.axis}, {with_unit(learned.frequency_Hz, 'Hz')}: a period leaves at most "
+        f"{learned.contraction:.2g} of the error, on plant '{learned.worst_plant}'; harmonics up "
+        f"to {with_unit(learned.learns_to_Hz, 'Hz')} are learnt",
+        f"the first table leaves {with_unit(learned.model_error_m, 'm')} rms on the identified "
         "plant",
     ]
-    if found.errors_m and found.noise_m is not None:
-        errors = ", ".join(with_unit(error_m, "m") for error_m in found.errors_m)
-        lines.append(f"recorded periods missed by {errors}; noise {with_unit(found.noise_m, 'm')}")
-    return [*lines, f"table: {out / found.axis}.csv"]
+    if learned.errors_m and learned.noise_m is not None:
+        errors = ", ".join(with_unit(error_m, "m") for error_m in learned.errors_m)
+        noise = with_unit(learned.noise_m, "m")
+        lines.append(f"recorded periods missed by {errors}; noise {noise}")
+    return [*lines, f"table: {out / learned.axis}.csv"]

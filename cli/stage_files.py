@@ -1,6 +1,7 @@
-"""The files of one stage belong together; where they do not, somebody has to be told."""
+"""The sealed files of one stage: read, and refused where they do not belong together."""
 
 from collections.abc import Mapping
+from functools import cached_property
 from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,7 +10,9 @@ from piezoid.errors import LabFileError, ParameterFileError
 from piezoid.output_folder import is_as_written
 
 if TYPE_CHECKING:
+    from piezoid.design.design import Design
     from piezoid.export.parameter_file import ParameterFile
+    from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.records.lab import Lab
 
 LAB = "lab.toml"
@@ -20,141 +23,179 @@ WRITTEN_BY = {
     "params.json": "piezoid export {}",
     "verification.json": "piezoid verify {}",
 }
-_MOST_bytes = 1 << 27  # a hundred times what a stage of many recordings takes
+_MAX_bytes = 1 << 27  # a hundred times what a stage of many recordings takes
 
 
-def content_of(place: Path) -> bytes:
-    """Return what a file of ours holds; ``OSError`` for a pipe or a device, which never ends."""
+class StageFolder:
+    """The sealed files of a stage, each read when it is first asked for."""
+
+    def __init__(self, folder: Path, lab: Path | None = None) -> None:
+        """Name a folder and, unless it is the one in the folder, its lab.toml."""
+        self.folder, self._lab = folder, lab
+
+    @cached_property
+    def lab(self) -> "Lab | None":
+        """What the laboratory declares, or None without a lab.toml."""
+        from piezoid.records.lab import read_lab
+
+        path = self.folder / LAB if self._lab is None else self._lab
+        return read_lab(path) if self._lab is not None or path.exists() else None
+
+    @cached_property
+    def model_json(self) -> bytes:
+        """Content of model.json."""
+        return content_of(self.folder / "model.json")
+
+    @cached_property
+    def model(self) -> "ActuatorModel":
+        """The fitted stage."""
+        from piezoid.sealed_files import read_model
+
+        return read_model(self.model_json, str(self.folder / "model.json"))
+
+    @property
+    def model_digest(self) -> str:
+        """Digest of model.json."""
+        return digest_in(self.model_json)
+
+    @cached_property
+    def design(self) -> "Design":
+        """The controllers; ``ParameterFileError`` if they were made from another model."""
+        from piezoid.design.design import design_from_json
+
+        path = self.folder / "design.json"
+        design = design_from_json(content_of(path), str(path))
+        self._check_model(design.model_digest, "design.json", "piezoid design")
+        return design
+
+    @cached_property
+    def parameters(self) -> "ParameterFile":
+        """What ships; ``ParameterFileError`` if it was made from another model."""
+        from piezoid.export.parameter_file import from_json
+
+        path = self.folder / "params.json"
+        parameters = from_json(content_of(path), str(path))
+        self._check_model(parameters.sources.get("model", ""), "params.json", "piezoid export")
+        return parameters
+
+    def _check_model(self, digest: str, name: str, verb: str) -> None:
+        """Refuse a file that was made from another model.json; ``verb`` writes it again."""
+        if digest != self.model_digest:
+            raise ParameterFileError(
+                f"{name} was made from the model {digest[:19]}..., model.json is "
+                f"{self.model_digest[:19]}...",
+                needed="files of one and the same model",
+                remedy=f"Run `{verb}` again, then everything that follows it.",
+            )
+
+
+def content_of(path: Path) -> bytes:
+    """Return the content of a sealed file; ``OSError`` for a pipe or a device."""
     from piezoid.records.readers.source import regular_size
 
     try:
-        size = regular_size(place)
+        size = regular_size(path)
     except (FileNotFoundError, NotADirectoryError) as error:
-        raise _missing(place) from error
-    if size > _MOST_bytes:
+        raise _missing(path) from error
+    if size > _MAX_bytes:
         raise ParameterFileError(
-            f"{place} has {size} bytes",
-            needed=f"at most {_MOST_bytes}: it is none that piezoid wrote",
+            f"{path} has {size} bytes",
+            needed=f"at most {_MAX_bytes}: it is none that piezoid wrote",
             remedy="Take the original, or write it again from the recordings.",
         )
-    with place.open("rb") as stream:
+    with path.open("rb") as stream:
         return stream.read(size)
 
 
-def _missing(place: Path) -> ParameterFileError:
-    """Say which is not there, the folder or the file in it, and which verb would write it."""
-    folder = place.parent
-    if place.name not in WRITTEN_BY:
+def digest_in(content: bytes) -> str:
+    """Return the digest that a sealed file carries."""
+    return str(loads(content).get("digest"))
+
+
+def _missing(path: Path) -> ParameterFileError:
+    """Return the error about a missing folder or file, with the verb that writes it."""
+    folder = path.parent
+    if path.name not in WRITTEN_BY:
         return ParameterFileError(
-            f"there is no file {place}",
+            f"there is no file {path}",
             needed="a file that can be read",
             remedy="Check its name.",
         )
     if not folder.is_dir():
-        what = "is a file" if folder.exists() else "is not there"
         return ParameterFileError(
-            f"{folder} {what}",
+            f"{folder} {'is a file' if folder.exists() else 'is not there'}",
             needed="the folder of a stage, as `piezoid fit` writes it",
             remedy="Check its name, or make it: piezoid fit RECORDINGS --out FOLDER",
         )
     return ParameterFileError(
-        f"{folder} holds no {place.name}",
+        f"{folder} holds no {path.name}",
         needed="the folder of a stage that has come so far",
-        remedy=f"Run `{WRITTEN_BY[place.name].format(folder)}` first.",
+        remedy=f"Run `{WRITTEN_BY[path.name].format(folder)}` first.",
     )
-
-
-def same_model(model_content: bytes, digest: str, place: str, verb: str) -> None:
-    """Refuse a file that was made from another model.json than the one beside it.
-
-    digest  of the model, as ``place`` says
-    verb    that writes ``place`` anew
-    """
-    found = str(loads(model_content).get("digest"))
-    if found != digest:
-        raise ParameterFileError(
-            f"{place} was made from the model {digest[:19]}..., model.json is {found[:19]}...",
-            needed="files of one and the same model",
-            remedy=f"Run `{verb}` again, then everything that follows it.",
-        )
 
 
 def changed_in_bundle(stage: Path, file: "ParameterFile") -> tuple[str, ...]:
     """Return the files of bundle/ that are missing or not those of params.json."""
     from piezoid.export.bundle import bundle
 
-    made = bundle(file).files
-    places = {name: stage / "bundle" / name for name in made}
     return tuple(
         name
-        for name, place in places.items()
-        if not place.is_file() or content_of(place) != made[name]
+        for name, content in bundle(file).files.items()
+        if not (path := stage / "bundle" / name).is_file() or content_of(path) != content
     )
 
 
-def out_of_date(stage: Path, contents: Mapping[str, bytes], lab: "Lab | None") -> dict[str, str]:
+def out_of_date(stage: StageFolder, contents: Mapping[str, bytes]) -> dict[str, str]:
     """Return the sealed files that were made from others than those beside them, and why.
 
     contents  of the sealed files of a stage, by name
-    lab       that holds for the stage now; None where there is none to compare with
     """
     from piezoid.export.parameter_file import from_json
 
-    stale: dict[str, str] = {}
-    digests = {name: str(loads(content).get("digest")) for name, content in contents.items()}
-    if "diagnosis.json" in contents and not is_as_written(stage / "diagnosis.json"):
+    folder, stale = stage.folder, {}
+    digests = {name: digest_in(content) for name, content in contents.items()}
+    if "diagnosis.json" in contents and not is_as_written(folder / "diagnosis.json"):
         stale["diagnosis.json"] = (
-            f"not the one of this fit; run piezoid fit RECORDINGS --out {stage}"
+            f"not the one of this fit; run piezoid fit RECORDINGS --out {folder}"
         )
     if "params.json" in contents:
-        file = from_json(contents["params.json"], str(stage / "params.json"))
-        made_from = (("model.json", "model"), ("design.json", "design"))
-        others = [
+        file = from_json(contents["params.json"], str(folder / "params.json"))
+        other_sources = [
             name
-            for name, key in made_from
+            for name, key in (("model.json", "model"), ("design.json", "design"))
             if name in digests and digests[name] != file.sources.get(key)
         ]
-        if others:
-            stale["params.json"] = f"exported from another {others[0]}; run piezoid export {stage}"
-        elif changed := changed_in_bundle(stage, file):
-            stale["verification.json"] = (
-                f"bundle/{changed[0]} is missing or changed; run piezoid export {stage}"
+        if other_sources:
+            stale["params.json"] = (
+                f"exported from another {other_sources[0]}; run piezoid export {folder}"
             )
-    if "design.json" in contents and lab is not None:
-        rig = str(loads(contents["design.json"]).get("rig_digest"))
-        if rig not in ("", lab.rig_digest):
+        elif changed := changed_in_bundle(folder, file):
             stale["verification.json"] = (
-                f"the rig in {lab.place} was changed; run piezoid design {stage}, then "
-                f"piezoid export {stage}"
+                f"bundle/{changed[0]} is missing or changed; run piezoid export {folder}"
+            )
+    if "design.json" in contents and stage.lab is not None:
+        rig = str(loads(contents["design.json"]).get("rig_digest"))
+        if rig not in ("", stage.lab.rig_digest):
+            stale["verification.json"] = (
+                f"the rig in {stage.lab.place} was changed; run piezoid design {folder}, then "
+                f"piezoid export {folder}"
             )
     if "verification.json" in contents:
-        run = str(loads(contents["verification.json"]).get("parameters_digest"))
-        shipped = digests.get("params.json", _digest_of_refused(stage))
-        if "params.json" in stale or run != shipped:
-            stale["verification.json"] = f"of another params.json; run piezoid export {stage}"
-    return {name: why for name, why in stale.items() if name in contents}
+        refused = folder / "refused" / "params.json"
+        refused_digest = digest_in(content_of(refused)) if refused.is_file() else ""
+        verified = str(loads(contents["verification.json"]).get("parameters_digest"))
+        if "params.json" in stale or verified != digests.get("params.json", refused_digest):
+            stale["verification.json"] = f"of another params.json; run piezoid export {folder}"
+    return {name: reason for name, reason in stale.items() if name in contents}
 
 
-def _digest_of_refused(stage: Path) -> str:
-    place = stage / "refused" / "params.json"
-    return str(loads(content_of(place)).get("digest")) if place.is_file() else ""
-
-
-def text_of(place: Path) -> str:
+def text_of(path: Path) -> str:
     """Read a text file that somebody wrote by hand."""
     try:
-        return content_of(place).decode("utf-8-sig")
+        return content_of(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise LabFileError(
-            f"{place}: {error}",
+            f"{path}: {error}",
             needed="text in UTF-8",
             remedy="Save it again as plain text in UTF-8.",
         ) from error
-
-
-def lab_of(stage: Path, given: Path | None) -> "Lab | None":
-    """Read what the laboratory declares: the file that is named, or else the one of the stage."""
-    from piezoid.records.lab import read_lab
-
-    place = stage / LAB if given is None else given
-    return read_lab(place) if given is not None or place.exists() else None

@@ -28,7 +28,16 @@ Force = Annotated[
     typer.Option("--force", help="Replace files that piezoid wrote there, edited ones as well."),
 ]
 StageLab = Annotated[Path | None, typer.Option(help="lab.toml; by default the one in the folder.")]
+RecordingLab = Annotated[
+    Path | None, typer.Option("--lab", help="lab.toml: rig, columns and units.")
+]
+Processes = Annotated[
+    int | None, typer.Option(help="Number of worker processes; default: one per core.", min=1)
+]
 Json = Annotated[bool, typer.Option("--json", help="For scripts: one JSON text.")]
+JsonFile = Annotated[
+    bool, typer.Option("--json", help="For scripts: print the written JSON file itself.")
+]
 
 
 class StandardStream(io.RawIOBase):
@@ -132,14 +141,10 @@ def hand_over(content: str | bytes) -> None:
 
 
 def hand_over_record(schema: str, **entries: object) -> None:
-    """Print what a verb did as JSON, under a schema as files of ours have one.
-
-    schema  its name, such as ``exported``
-    """
+    """Print the result of a verb as JSON, under a schema such as ``exported``."""
     from json import dumps
 
-    content = {"schema": f"piezoid.{schema}/1", **entries}
-    hand_over(dumps(content, indent=1, allow_nan=False))
+    hand_over(dumps({"schema": f"piezoid.{schema}/1", **entries}, indent=1, allow_nan=False))
 
 
 def doing() -> "TextColumn":

@@ -1,6 +1,5 @@
 """`piezoid verify`: runs what ships against the identified stage, and says whether it may ship."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,18 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from piezoid_cli.statements import MAX_SHOWN
-from piezoid_cli.terminal import Force, Quiet, StageLab, hand_over, plain, say, table
+from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, hand_over, plain, say, table
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from piezoid.design.design import Design
     from piezoid.export.parameter_file import ParameterFile
-    from piezoid.numerics.executor import Executor
-    from piezoid.verification.criteria import Verdict
-    from piezoid.verification.limit_proof import LimitProof
     from piezoid.verification.rebuild import Proof
     from piezoid.verification.verification import ErrorBound, Verification
+    from piezoid_cli.stage_files import StageFolder
 
 CORE_Hz = 168e6  # a usual Cortex-M4F, to compare instructions with
 
@@ -48,9 +45,7 @@ def verify(
     seed: Annotated[int, typer.Option(help="Random seed.", min=0)] = 0,
     force: Force = False,
     quiet: Quiet = False,
-    json: Annotated[
-        bool, typer.Option("--json", help="For scripts: print verification.json itself.")
-    ] = False,
+    json: JsonFile = False,
 ) -> None:
     """Run the compiled controller of params.json against the stage; write verification.json.
 
@@ -68,160 +63,133 @@ def verify(
     """
     if target not in ("", "cortex-m4"):
         raise typer.BadParameter(f"--target {target!r} is not known; cortex-m4 is")
-    from piezoid.errors import ParameterFileError
-    from piezoid.export.parameter_file import from_json
     from piezoid.numerics.executor import Executor
     from piezoid.output_folder import add_to_folder, check_folder
-    from piezoid.sealed_files import read_model
-    from piezoid.verification.criteria import limits_from_toml
+    from piezoid.verification.criteria import Verdict, limits_from_toml
+    from piezoid.verification.limit_proof import prove as prove_limits
+    from piezoid.verification.rebuild import emulate
+    from piezoid.verification.rebuild import rebuild as build_on_host
     from piezoid.verification.verify_stage import verify_stage
     from piezoid_cli.progress import shown
-    from piezoid_cli.stage_files import changed_in_bundle, content_of, lab_of, same_model, text_of
+    from piezoid_cli.stage_files import StageFolder, changed_in_bundle, text_of
     from piezoid_cli.workers import usable_cores
 
-    file = from_json(content_of(stage / "params.json"), str(stage / "params.json"))
-    content = content_of(stage / "model.json")
-    model = read_model(content, str(stage / "model.json"))
-    same_model(content, file.sources.get("model", ""), "params.json", "piezoid export")
-    design = _design(stage, file) if bounds or (stage / "design.json").exists() else None
-    declared = lab_of(stage, lab)
-    if design is not None and declared is not None and design.rig_digest != declared.rig_digest:
-        raise ParameterFileError(
-            f"{declared.place} declares another rig than the design was made for",
-            needed="the converters, amplifiers and set point of the design",
-            remedy=f"Run `piezoid design {stage}`, then `piezoid export {stage}`.",
-        )
-    chosen = None if limits is None else limits_from_toml(text_of(limits), limits.name)
+    folder = StageFolder(stage, lab)
+    file, model = folder.parameters, folder.model
+    design = _design(folder) if bounds or (stage / "design.json").exists() else None
+    applied_limits = None if limits is None else limits_from_toml(text_of(limits), limits.name)
     check_folder(stage, force=force, names=("verification.json",))
-    with shown(quiet=quiet or json) as told:
-        told("compiling and comparing" if rebuild or target else "running the controller")
-        held = _held(stage / "bundle")
-        proofs = _proofs(file, held, is_host=rebuild, is_target=target != "")
-        proved = (
-            _proved(file, held, Executor(progress=told, threads=usable_cores())) if prove else ()
-        )
-        told("running the compiled controller against the stage")
-        found = verify_stage(
+    threads = usable_cores()
+    with shown(quiet=quiet or json) as progress:
+        progress("compiling and comparing" if rebuild or target else "running the controller")
+        paths = [path for path in sorted((stage / "bundle").glob("*")) if path.is_file()]
+        bundle = {path.name: path.read_bytes() for path in paths}
+        proofs = build_on_host(file, bundle) if rebuild else ()
+        proofs = (*proofs, emulate(file, bundle)) if target else proofs
+        if prove:
+            progress("proving that no input exceeds a limit, about a minute per axis")
+        executor = Executor(progress=progress, threads=threads)
+        limit_proofs = prove_limits(file, bundle, executor=executor) if prove else ()
+        progress("running the compiled controller against the stage")
+        verification = verify_stage(
             file,
             model,
-            lab=declared,
-            limits=chosen,
+            lab=folder.lab,
+            limits=applied_limits,
             proofs=proofs,
-            limit_proofs=proved,
+            limit_proofs=limit_proofs,
             seed=seed,
-            threads=usable_cores(),
+            threads=threads,
             design=design if bounds else None,
             bounds=bounds,
         )
         if changed := changed_in_bundle(stage, file):
-            found = replace(found, verdicts=(*found.verdicts, _changed(changed)))
-        written = found.to_json()
-        add_to_folder(stage, {"verification.json": written}, force=force)
+            verdict = Verdict(
+                name="files of bundle/ that are missing or not those of params.json",
+                scenario=", ".join(changed),
+                value=float(len(changed)),
+                limit=0.0,
+                unit="1",
+            )
+            verification = replace(verification, verdicts=(*verification.verdicts, verdict))
+        content = verification.to_json()
+        add_to_folder(stage, {"verification.json": content}, force=force)
     if json:
-        hand_over(written)
+        hand_over(content)
     elif not quiet:
-        show(found, file)
+        show(verification, file)
         say(f"verification: {stage / 'verification.json'}")
-    if not found.passed:
+    if not verification.passed:
         raise typer.Exit(1)
 
 
-def _changed(names: Sequence[str]) -> "Verdict":
-    """Return the verdict on a bundle that is not what was run."""
-    from piezoid.verification.criteria import Verdict
-
-    return Verdict(
-        name="files of bundle/ that are missing or not those of params.json",
-        scenario=", ".join(names),
-        value=float(len(names)),
-        limit=0.0,
-        unit="1",
-    )
-
-
-def _design(stage: Path, file: "ParameterFile") -> "Design":
-    """Return the design that the parameters were exported from, or refuse another one."""
-    from json import loads
-
+def _design(folder: "StageFolder") -> "Design":
+    """Return the design that the parameters were exported from, for the present rig, or refuse."""
     from piezoid.design.design import design_from_json
     from piezoid.errors import ParameterFileError
-    from piezoid_cli.stage_files import content_of
+    from piezoid_cli.stage_files import content_of, digest_in
 
-    place = stage / "design.json"
-    content = content_of(place)
-    design = design_from_json(content, str(place))
-    if str(loads(content)["digest"]) != file.sources.get("design"):
+    path, lab = folder.folder / "design.json", folder.lab
+    content = content_of(path)
+    design = design_from_json(content, str(path))
+    if digest_in(content) != folder.parameters.sources.get("design"):
         raise ParameterFileError(
-            f"{place} is not the design that params.json was exported from",
+            f"{path} is not the design that params.json was exported from",
             needed="files of one and the same design",
             remedy="Run `piezoid export` again, then verify.",
+        )
+    if lab is not None and design.rig_digest != lab.rig_digest:
+        stage = folder.folder
+        raise ParameterFileError(
+            f"{lab.place} declares another rig than the design was made for",
+            needed="the converters, amplifiers and set point of the design",
+            remedy=f"Run `piezoid design {stage}`, then `piezoid export {stage}`.",
         )
     return design
 
 
-def _held(folder: Path) -> dict[str, bytes]:
-    return {p.name: p.read_bytes() for p in sorted(folder.glob("*")) if p.is_file()}
-
-
-def _proofs(
-    file: "ParameterFile", held: Mapping[str, bytes], *, is_host: bool, is_target: bool
-) -> "tuple[Proof, ...]":
-    from piezoid.verification.rebuild import emulate, rebuild
-
-    host = rebuild(file, held) if is_host else ()
-    return (*host, *((emulate(file, held),) if is_target else ()))
-
-
-def _proved(
-    file: "ParameterFile", held: Mapping[str, bytes], executor: "Executor"
-) -> "tuple[LimitProof, ...]":
-    from piezoid.verification.limit_proof import prove
-
-    executor.report("proving that no input exceeds a limit, about a minute per axis")
-    return prove(file, held, executor=executor)
-
-
-def show(found: "Verification", file: "ParameterFile") -> None:
+def show(verification: "Verification", file: "ParameterFile") -> None:
     """Print the comparison, the proofs, and the verdicts that failed."""
     from rich.console import Console
 
     from piezoid.verification.criteria import describe_failure
 
     console = Console()
-    if found.comparison:
-        console.print(_comparison(found))
-    for row in found.bounds:
+    if verification.comparison:
+        console.print(_comparison(verification))
+    for row in verification.bounds:
         console.print(plain(_bound_line(row)))
-    for proof in found.proofs:
+    for proof in verification.proofs:
         console.print(plain(_proof_line(proof, file), style="" if proof.passed else "bold red"))
-    for claimed in found.limit_proofs:
-        console.print(plain(_claim_line(claimed), style="" if claimed.passed else "bold red"))
-    failed = [verdict for verdict in found.verdicts if not verdict.passed]
+    for claim in verification.limit_proofs:
+        line = f"axis {claim.axis}, {claim.precision}: {claim.verdict}"
+        if claim.is_proved:
+            line += f" by {claim.tool} in {claim.seconds} s: for every input, for ever, "
+            line += "; ".join(claim.claims)
+        style = "" if claim.passed else "bold red"
+        console.print(plain("\n  ".join((line, *claim.alarms)), style=style))
+    failed = [verdict for verdict in verification.verdicts if not verdict.passed]
     for verdict in failed[:MAX_SHOWN]:
         console.print(plain(f"failed: {describe_failure(verdict)}", style="bold red"))
     if len(failed) > MAX_SHOWN:
         console.print(plain(f"{len(failed) - MAX_SHOWN} more failed: see verification.json"))
-    n_passed = len(found.verdicts) - len(failed)
-    console.print(plain(f"{n_passed} of {len(found.verdicts)} verdicts passed"))
+    n_all = len(verification.verdicts)
+    console.print(plain(f"{n_all - len(failed)} of {n_all} verdicts passed"))
 
 
-def _comparison(found: "Verification") -> "Table":
+def _comparison(verification: "Verification") -> "Table":
     """Return the rms error of each method, spirals of one rate in a column."""
     from piezoid.formatting import with_unit
 
-    rates_Hz = sorted({row.frequency_Hz for row in found.comparison})
-    errors_m = {(row.method, row.frequency_Hz): row.rms_m for row in found.comparison}
+    rows_of = verification.comparison
+    rates_Hz = sorted({row.frequency_Hz for row in rows_of})
+    errors = {(row.method, row.frequency_Hz): with_unit(row.rms_m, "m") for row in rows_of}
     rows = [
-        (
-            method,
-            *(
-                with_unit(errors_m[method, rate_Hz], "m") if (method, rate_Hz) in errors_m else ""
-                for rate_Hz in rates_Hz
-            ),
-        )
-        for method in dict.fromkeys(row.method for row in found.comparison)
+        (method, *(errors.get((method, rate_Hz), "") for rate_Hz in rates_Hz))
+        for method in dict.fromkeys(row.method for row in rows_of)
     ]
-    title = f"spirals of radius {with_unit(found.radius_m, 'm')}: rms error by frequency"
+    radius = with_unit(verification.radius_m, "m")
+    title = f"spirals of radius {radius}: rms error by frequency"
     return table(title, ("method", *(with_unit(rate, "Hz") for rate in rates_Hz)), rows, left=1)
 
 
@@ -236,14 +204,6 @@ def _bound_line(row: "ErrorBound") -> str:
         f"{with_unit(row.probable_m, 'm')} with {100.0 * row.probability:g} % probability, worst "
         f"found {with_unit(row.worst_found_m, 'm')}, simulated {with_unit(row.simulated_m, 'm')}"
     )
-
-
-def _claim_line(claimed: "LimitProof") -> str:
-    line = f"axis {claimed.axis}, {claimed.precision}: {claimed.verdict}"
-    if claimed.is_proved:
-        line += f" by {claimed.tool} in {claimed.seconds} s: for every input, for ever, "
-        line += "; ".join(claimed.claims)
-    return "\n  ".join((line, *claimed.alarms))
 
 
 def _proof_line(proof: "Proof", file: "ParameterFile") -> str:
