@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from piezoid.design.feedforward import ReferencePath
 from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.plant import Fraction
-from piezoid.design.sensitivity import Margins, closed_loop_polynomial, margins, sensitivities
+from piezoid.design.sensitivity import closed_loop_polynomial, margins, sensitivities
 from piezoid.errors import UnstableLoopError
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
@@ -162,7 +162,15 @@ def certify(
     grid = grid_Hz(rate_Hz, lowest_Hz=1e-2, count=4000)
     peak = max(float(np.abs(sensitivities(m, R, S, grid).Syb).max()) for m in members)
     for member in members:
-        _refuse_unstable(margins(member, R, S))
+        reached = margins(member, R, S)
+        if not reached.is_stable:
+            raise UnstableLoopError(
+                f"the loop of the member '{reached.label}' has a pole of magnitude "
+                f"{reached.spectral_radius:.6g}",
+                needed="every member stable: an unstable loop has no bounded error",
+                remedy="Lower the bandwidth, or describe the family more narrowly.",
+                member=reached.label,
+            )
     filtered = product(T, path.filter)
     speeds = tuple(
         _speed_bound(m, R, S, filtered, path.preview_samples, bounds, operation) for m in members
@@ -292,17 +300,6 @@ def _disturbed_m(
         else:
             total_m += peak_gain(followed, P) * error_m
     return total_m
-
-
-def _refuse_unstable(reached: Margins) -> None:
-    if not reached.is_stable:
-        raise UnstableLoopError(
-            f"the loop of the member '{reached.label}' has a pole of magnitude "
-            f"{reached.spectral_radius:.6g}",
-            needed="every member stable: an unstable loop has no bounded error",
-            remedy="Lower the bandwidth, or describe the family more narrowly.",
-            member=reached.label,
-        )
 
 
 def _conditions(count: int, operation: Operation, bounds: HysteresisBounds) -> tuple[str, ...]:

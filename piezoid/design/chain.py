@@ -56,12 +56,17 @@ def plant_from_chain(chain: Chain) -> Plant:
     A first-order section whose sampled pole exp(-2 pi f / fs) is below the precision of float64
     (f > 5.7 fs) is instantaneous at this rate and leaves no state.
     """
-    A, B, C = _continuous(chain)
-    system = sample(A, B, C, 1.0 / chain.sampling_rate_Hz, chain.delay_s)
+    rate_Hz = chain.sampling_rate_Hz
+    slow = [section for section in chain.sections if not _is_instantaneous(section, rate_Hz)]
+    if not slow:
+        raise ValueError(f"{chain.label}: no section is slow enough to have a state")
+    A, B, outputs = cascade(slow)
+    C = np.eye(len(A))[outputs[-1]]
+    system = sample(A, chain.gain * B, C, 1.0 / rate_Hz, chain.delay_s)
     numerator, denominator = fraction(system)
     return Plant(
         label=chain.label,
-        sampling_rate_Hz=chain.sampling_rate_Hz,
+        sampling_rate_Hz=rate_Hz,
         output_unit=chain.output_unit,
         state_matrix=system.A,
         input_taps=system.taps,
@@ -76,29 +81,30 @@ def family_from_chains(nominal: Chain, variations: Sequence[Chain]) -> PlantFami
     return PlantFamily(members=tuple(plant_from_chain(c) for c in (nominal, *variations)))
 
 
-def _continuous(chain: Chain) -> tuple[Array, Array, Array]:
-    """Return the chain in state space: each section drives the next, the gain is at the input."""
-    kept = [s for s in chain.sections if not _is_instantaneous(s, chain.sampling_rate_Hz)]
-    orders = [1 if section.damping is None else 2 for section in kept]
-    size = sum(orders)
-    if size == 0:
-        raise ValueError(f"{chain.label}: no section is slow enough to have a state")
-    A, B, C = np.zeros((size, size)), np.zeros(size), np.zeros(size)
-    first = np.concatenate([[0], np.cumsum(orders)[:-1]]).astype(int)
-    for k, (section, place) in enumerate(zip(kept, first.tolist(), strict=True)):
+def cascade(sections: Sequence[Section]) -> tuple[Array, Array, list[int]]:
+    """Return A and B of sections of unit gain one behind the other, and the output state of each.
+
+    A first-order section is one state; one with damping two, of which the first is its output.
+    """
+    orders = [1 if section.damping is None else 2 for section in sections]
+    A, B = np.zeros((sum(orders), sum(orders))), np.zeros(sum(orders))
+    outputs: list[int] = []
+    index = 0
+    for section, order in zip(sections, orders, strict=True):
         w = 2.0 * np.pi * section.frequency_Hz
-        last = place + orders[k] - 1
+        driven = index + order - 1
         if section.damping is None:
-            A[place, place] = -w
+            A[index, index] = -w
         else:
-            A[place, last] = w
-            A[last, place], A[last, last] = -w, -2.0 * section.damping * w
-        if k == 0:
-            B[last] = w * chain.gain
+            A[index, driven] = w
+            A[driven, index], A[driven, driven] = -w, -2.0 * section.damping * w
+        if outputs:
+            A[driven, outputs[-1]] = w
         else:
-            A[last, first[k - 1]] = w
-    C[first[-1]] = 1.0
-    return A, B, C
+            B[driven] = w
+        outputs.append(index)
+        index += order
+    return A, B, outputs
 
 
 def _is_instantaneous(section: Section, rate_Hz: float) -> bool:

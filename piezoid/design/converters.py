@@ -30,14 +30,16 @@ def converters_of(lab: Lab, axis: str) -> Converters:
 
     The laboratory's ``input_range_V`` is that of both converters.
     """
-    declared = lab.acquisition
-    reach_V = declared.input_range_V
+    declared, amplifier = lab.acquisition, lab.amplifier_of(axis)
+    reach_V, slew_V_per_s = declared.input_range_V, amplifier.slew_V_per_s
+    if slew_V_per_s is not None:  # of the amplifier's output
+        slew_V_per_s = float(slew_V_per_s / abs(gain_of(amplifier)))
     return Converters(
         command_V=command_range_V(lab, axis),
         command_step_V=_step_V(reach_V, declared.dac_bits),
         reading_V=reach_V,
         reading_step_V=_step_V(reach_V, declared.adc_bits),
-        command_slew_V_per_s=_slew_V_per_s(lab, axis),
+        command_slew_V_per_s=slew_V_per_s,
     )
 
 
@@ -45,11 +47,3 @@ def _step_V(reach_V: tuple[float, float] | None, bits: int | None) -> float:
     if reach_V is None or bits is None:
         return 0.0
     return float((reach_V[1] - reach_V[0]) / 2.0**bits)
-
-
-def _slew_V_per_s(lab: Lab, axis: str) -> float | None:
-    """Return the fastest command: the amplifier's own slew rate over its gain."""
-    amplifier = lab.amplifier_of(axis)
-    if amplifier.slew_V_per_s is None:
-        return None
-    return float(amplifier.slew_V_per_s / abs(gain_of(amplifier)))

@@ -149,9 +149,14 @@ def raise_bandwidth(
     mode, certificate = ringing_mode(family.nominal), base.recommended.certificate
     if mode is None or certificate is None or certificate.increment_gain >= _RESERVE:
         return base
-    guarded = replace(
-        default, templates=(*default.templates, _small_gain(family, certificate.increment_gain))
+    level_dB = float(decibel(_RESERVE / certificate.increment_gain))
+    small_gain = Template(
+        name=HYSTERESIS,
+        function="Syb",
+        frequency_Hz=np.array([1.0, 0.5 * family.nominal.sampling_rate_Hz]),
+        upper_dB=np.array([level_dB, level_dB]),
     )
+    guarded = replace(default, templates=(*default.templates, small_gain))
 
     def at_bandwidth(bandwidth_Hz: float) -> Specification:
         return replace(guarded, bandwidth_Hz=bandwidth_Hz, scan_frequency_Hz=bandwidth_Hz / 10.0)
@@ -200,13 +205,3 @@ def _largest_Hz(
         middle = 0.5 * (low + high)
         low, high = (middle, high) if meets(float(np.exp(middle))) else (low, middle)
     return max(rounded_down(float(np.exp(low))), least_Hz)
-
-
-def _small_gain(family: PlantFamily, increment_gain: float) -> Template:
-    level_dB = float(decibel(_RESERVE / increment_gain))
-    return Template(
-        name=HYSTERESIS,
-        function="Syb",
-        frequency_Hz=np.array([1.0, 0.5 * family.nominal.sampling_rate_Hz]),
-        upper_dB=np.array([level_dB, level_dB]),
-    )

@@ -149,7 +149,12 @@ class LoopDesign:
         >>> type(design.axis("x").recommended.to_scipy("closed_loop")).__name__
         'TransferFunctionDiscrete'
         """
-        return to_scipy(self, part)
+        from scipy.signal import TransferFunction
+
+        numerator, denominator = fraction_of(self, part)
+        leading_zeros = int(np.flatnonzero(numerator)[0])  # scipy warns of them
+        interval_s = 1.0 / self.members[0].sampling_rate_Hz
+        return TransferFunction(numerator[leading_zeros:], denominator, dt=interval_s)
 
     def to_control(self, part: str = "controller") -> Any:
         """Return the same part for python-control, ``control.TransferFunction``.
@@ -157,7 +162,8 @@ class LoopDesign:
         >>> design.axis("x").recommended.to_control("sensitivity").isdtime()
         True
         """
-        return to_control(self, part)
+        numerator, denominator = fraction_of(self, part)
+        return control().tf(numerator, denominator, 1.0 / self.members[0].sampling_rate_Hz)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -344,35 +350,14 @@ def fraction_of(loop: LoopDesign, part: str) -> tuple[Array, Array]:
             remedy="Name one of those.",
         )
     P = closed_loop_polynomial(loop.members[0], R, S)
-    return _in_z(
-        *{
-            "controller": (R, S),
-            "prefilter": (T, R),
-            "plant": (B, A),
-            "sensitivity": (product(A, S), P),
-            "closed_loop": (product(T, B), P),
-        }[part]
-    )
-
-
-def to_scipy(loop: LoopDesign, part: str) -> "TransferFunction":
-    """Return a part as ``scipy.signal.TransferFunction``, discrete at the controller's rate."""
-    from scipy.signal import TransferFunction
-
-    numerator, denominator = fraction_of(loop, part)
-    lead = int(np.flatnonzero(numerator)[0])  # scipy warns of leading zeros
-    interval_s = 1.0 / loop.members[0].sampling_rate_Hz
-    return TransferFunction(numerator[lead:], denominator, dt=interval_s)
-
-
-def to_control(loop: LoopDesign, part: str) -> Any:
-    """Return a part as ``control.TransferFunction``."""
-    numerator, denominator = fraction_of(loop, part)
-    return control().tf(numerator, denominator, 1.0 / loop.members[0].sampling_rate_Hz)
-
-
-def _in_z(numerator: Array, denominator: Array) -> tuple[Array, Array]:
-    """Bring coefficients in q^-1 to powers of z: both padded behind to one length."""
+    numerator, denominator = {
+        "controller": (R, S),
+        "prefilter": (T, R),
+        "plant": (B, A),
+        "sensitivity": (product(A, S), P),
+        "closed_loop": (product(T, B), P),
+    }[part]
+    # Coefficients in q^-1 become powers of z where both are as long.
     length = max(len(numerator), len(denominator))
-    padded = [np.pad(p, (0, length - len(p))) for p in (numerator, denominator)]
-    return padded[0], padded[1]
+    numerator, denominator = (np.pad(p, (0, length - len(p))) for p in (numerator, denominator))
+    return numerator, denominator

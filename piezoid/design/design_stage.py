@@ -99,7 +99,13 @@ def design_stage(
     design = design_of(outcomes, model_digest=model_digest, lab=lab, coupled=model.coupled)
     if (lab or Lab()).digest == (model.lab or ""):
         return design
-    return replace(design, remarks=(*design.remarks, _edited(lab)))
+    now = "There is no lab.toml any more" if lab is None else f"{lab.place} is not that of the fit"
+    remark = (
+        f"{now}: converters, limits and guards are what it says now, poles, gains and, without "
+        "--rate, the sampling rate what the fit took from it. Fit again where [amplifier], "
+        "[actuator], [sensor] or sampling_rate_Hz changed."
+    )
+    return replace(design, remarks=(*design.remarks, remark))
 
 
 def design_axes(
@@ -177,15 +183,6 @@ def _unused(lab: Lab, axes: Sequence[str]) -> Iterator[str]:
                 f"axis {axis}: adc_bits of {lab.place} has no effect, because gain_V_per_m of "
                 "[sensor] is not declared: the steps of its readings are not known in metres."
             )
-
-
-def _edited(lab: Lab | None) -> str:
-    now = "There is no lab.toml any more" if lab is None else f"{lab.place} is not that of the fit"
-    return (
-        f"{now}: converters, limits and guards are what it says now, poles, gains and, without "
-        "--rate, the sampling rate what the fit took from it. Fit again where [amplifier], "
-        "[actuator], [sensor] or sampling_rate_Hz changed."
-    )
 
 
 def without_damping(

@@ -124,9 +124,15 @@ def judge(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> Judgement:
     excess_dB = float(decibel((functions / grid.limits[:, None, :]).max()))
     if outside:
         excess_dB = _UNSTABLE_dB * outside + max(excess_dB, 0.0)
-    disturbance = _disturbance_rms(grid, R, S)
-    noise = _noise_rms(grid, functions)
-    limit = grid.specification.noise_limit_rms
+    specification = grid.specification
+    r, s = polynomial_response(R, grid.q_scan), polynomial_response(S, grid.q_scan)
+    rejected = np.abs(grid.A_scan * s / (grid.A_scan * s + grid.B_scan * r))
+    harmonics = rejected * specification.disturbance_rms / _HARMONICS
+    disturbance = np.sqrt((harmonics**2).sum(axis=1))  # of the scan, by member
+    sensor = (functions[2] ** 2 @ grid.weight) * specification.sensor_noise_rms**2
+    converter = (functions[3] ** 2 @ grid.weight) * specification.voltage_step_V**2 / 12.0
+    noise = np.sqrt(sensor + converter)
+    limit = specification.noise_limit_rms
     if limit is not None:
         excess_dB = max(excess_dB, float(decibel(noise.max() / limit)))
     return Judgement(
@@ -183,20 +189,3 @@ def _limits(specification: Specification, f: Array) -> Array:
         row = FUNCTIONS.index(template.function)
         limits[row] = np.minimum(limits[row], level)
     return limits
-
-
-def _disturbance_rms(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> Array:
-    """Return what remains of the scan disturbance, (members,): sum over odd harmonics."""
-    r = polynomial_response(R, grid.q_scan)
-    s = polynomial_response(S, grid.q_scan)
-    rejected = np.abs(grid.A_scan * s / (grid.A_scan * s + grid.B_scan * r))
-    each = rejected * grid.specification.disturbance_rms / _HARMONICS
-    return np.asarray(np.sqrt((each**2).sum(axis=1)))
-
-
-def _noise_rms(grid: FamilyGrid, functions: Array) -> Array:
-    """Return the output's rms due to white sensor noise and converter steps, (members,)."""
-    specification = grid.specification
-    sensor = (functions[2] ** 2 @ grid.weight) * specification.sensor_noise_rms**2
-    converter = (functions[3] ** 2 @ grid.weight) * specification.voltage_step_V**2 / 12.0
-    return np.asarray(np.sqrt(sensor + converter))

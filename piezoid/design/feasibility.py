@@ -87,7 +87,7 @@ def refuse(
     """
     worst = violations[0]
     relaxed = "relax " + " and ".join(
-        f"'{name}' by {_rounded_up(excess_dB):.2f} dB"
+        f"'{name}' by {np.ceil(excess_dB * 100.0) / 100.0:.2f} dB"
         for name, excess_dB in sorted(nearest.relaxation_dB.items(), key=lambda item: -item[1])
     )
     if nearest.bandwidth_Hz is None:
@@ -138,10 +138,6 @@ def rounded_down(value: float) -> float:
     """Return a positive value cut to three digits, so that what is advised is still feasible."""
     unit = 10.0 ** (np.floor(np.log10(value)) - 2)
     return float(np.floor(value / unit + 1e-9) * unit)
-
-
-def _rounded_up(excess_dB: float) -> float:
-    return float(np.ceil(excess_dB * 100.0) / 100.0)
 
 
 def unmet(

@@ -68,8 +68,18 @@ def fit_reference_path(
     rate_Hz = nominal.sampling_rate_Hz
     inside = unit_circle(np.linspace(band_Hz / _GRID, band_Hz, _GRID), rate_Hz)
     outside = unit_circle(np.linspace(band_Hz, 0.5 * rate_Hz, _GRID), rate_Hz)
-    tracked = [_tracking(member, R, S, T, inside) for member in members]
-    late = int(np.ceil(_rest_delay(nominal, R, S, T)))
+    closed = [closed_loop_polynomial(member, R, S) for member in members]
+    tracked = [
+        np.asarray(
+            polynomial_response(T, inside)
+            * polynomial_response(member.B_position, inside)
+            / polynomial_response(P, inside)
+        )
+        for member, P in zip(members, closed, strict=True)
+    ]
+    low_Hz = 1e-4 * rate_Hz
+    h = response(product(T, nominal.B_position), closed[0], [low_Hz], rate_Hz)[0]
+    late = int(np.ceil(-np.angle(h) / (2.0 * np.pi * low_Hz) * rate_Hz))  # at rest, in samples
     fits = [
         (_fit(tracked[0], inside, outside, preview, taps), preview)
         for preview in range(max(late, 0) + _PREVIEW_SLACK)
@@ -106,23 +116,6 @@ def filter_sections(coefficients: Array) -> Array:
     for row, factor in zip(sections, factors, strict=True):
         row[: len(factor)] = factor / factor.sum()
     return sections
-
-
-def _tracking(member: Fraction, R: ArrayLike, S: ArrayLike, T: ArrayLike, q: Response) -> Response:
-    closed = closed_loop_polynomial(member, R, S)
-    return np.asarray(
-        polynomial_response(T, q)
-        * polynomial_response(member.B_position, q)
-        / polynomial_response(closed, q)
-    )
-
-
-def _rest_delay(member: Fraction, R: ArrayLike, S: ArrayLike, T: ArrayLike) -> float:
-    """Return the phase delay at rest of T B / P to the position, in samples."""
-    low_Hz = 1e-4 * member.sampling_rate_Hz
-    closed = closed_loop_polynomial(member, R, S)
-    h = response(product(T, member.B_position), closed, [low_Hz], member.sampling_rate_Hz)[0]
-    return float(-np.angle(h) / (2.0 * np.pi * low_Hz) * member.sampling_rate_Hz)
 
 
 def _fit(h: Response, inside: Response, outside: Response, preview: int, taps: int) -> Array:

@@ -116,9 +116,11 @@ def _farthest_from_line_m(model: ModifiedPrandtlIshlinskii, gain: float, reach_V
     middle, bend = _mid_slope(model.dead_zones), _mid_slope(model.envelope)
     scaled = PrandtlIshlinskii(threshold=model.plays.threshold, weight=middle * model.plays.weight)
     line = PrandtlIshlinskii(threshold=np.zeros(1), weight=np.array([gain / bend]))
-    static = static_difference(model.dead_zones, middle, output_reach_m(model, reach_V))
+    reach = envelope_reach_V(model, reach_V)
+    output_m = float(np.abs(model.plays.loading_curve(np.array([reach]))[0]))  # its largest
+    static = static_difference(model.dead_zones, middle, output_m)
     bent = gain / bend * static_difference(model.envelope, bend, reach_V)
-    plays = worst_case(scaled, line, envelope_reach_V(model, reach_V)).bound
+    plays = worst_case(scaled, line, reach).bound
     return plays + bent + static
 
 

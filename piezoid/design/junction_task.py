@@ -265,7 +265,8 @@ def design_vertical(
     Better means: meets the specification, then rejects more over the whole family. Raises
     ``TemplateError`` where neither meets it.
     """
-    stopped, convex = _both(family, specification, taps)
+    stopped = shape(family, specification)
+    convex = optimise(family, specification, stopped.controller, taps=taps)
     candidates = _candidates(family, specification, stopped, convex)
     feasible = [candidate for candidate in candidates if candidate.is_feasible]
     if not feasible:
@@ -285,7 +286,7 @@ def design_vertical(
         margins=reached_margins(members, R, S),
         rejections=rejections(members, R, S, (*REPORTED_Hz, specification.bandwidth_Hz)),
         certificate=None,
-        candidates=_with_choice(candidates, chosen),
+        candidates=tuple(replace(c, is_chosen=c is chosen) for c in candidates),
         members=members,
     )
     return AxisDesign(
@@ -296,49 +297,35 @@ def design_vertical(
     )
 
 
-def _both(
-    family: PlantFamily, specification: Specification, taps: int
-) -> tuple[ShapedController, ConvexController]:
-    stopped = shape(family, specification)
-    return stopped, optimise(family, specification, stopped.controller, taps=taps)
-
-
 def _candidates(
     family: PlantFamily,
     specification: Specification,
     stopped: ShapedController,
     convex: ConvexController,
 ) -> tuple[Candidate, ...]:
-    chosen = {
-        "band-stop": {
-            "dominant_Hz": stopped.dominant.frequency_Hz,
-            "dominant_damping": float(stopped.dominant.damping or 0.0),
-            "auxiliary_root": stopped.auxiliary_root,
-            **{f"stop_{k}_Hz": stop.frequency_Hz for k, stop in enumerate(stopped.band_stops)},
-        },
-        "convex": {"taps": float(convex.taps), "iterations": float(convex.iterations)},
+    stopped_parameters = {
+        "dominant_Hz": stopped.dominant.frequency_Hz,
+        "dominant_damping": float(stopped.dominant.damping or 0.0),
+        "auxiliary_root": stopped.auxiliary_root,
+        **{f"stop_{k}_Hz": stop.frequency_Hz for k, stop in enumerate(stopped.band_stops)},
     }
-    ways = (
-        ("band-stop", stopped.controller, stopped.rejection),
-        ("convex", convex.controller, convex.rejection),
-    )
+    convex_parameters = {"taps": float(convex.taps), "iterations": float(convex.iterations)}
     return tuple(
         Candidate(
             name=name,
             is_chosen=False,
-            is_feasible=not unmet(family.members, c.R, c.S, specification),
-            figure=figure,
+            is_feasible=not unmet(family.members, rst.R, rst.S, specification),
+            figure=rejection,
             figure_name=_FIGURE,
-            parameters=chosen[name],
-            R=c.R,
-            S=c.S,
+            parameters=parameters,
+            R=rst.R,
+            S=rst.S,
         )
-        for name, c, figure in ways
+        for name, rst, rejection, parameters in (
+            ("band-stop", stopped.controller, stopped.rejection, stopped_parameters),
+            ("convex", convex.controller, convex.rejection, convex_parameters),
+        )
     )
-
-
-def _with_choice(found: tuple[Candidate, ...], chosen: Candidate) -> tuple[Candidate, ...]:
-    return tuple(replace(candidate, is_chosen=candidate is chosen) for candidate in found)
 
 
 def _refuse(

@@ -199,7 +199,7 @@ def plant_family(axis: AxisModel, rate_Hz: float) -> PlantFamily:
     """
     nominal = loop_model(axis, rate_Hz)
     _refuse_without_poles(axis, nominal, rate_Hz)
-    gain = _middle_gain(axis)
+    gain = axis.polarity * 0.5 * sum(axis.operator.slope_sector_m_per_V)
     low, high = _gain_interval(axis, nominal)
     members = [_plant("nominal", nominal, gain * nominal.gain, rate_Hz)]
     for label, slower, sharper, n_gains in _corners(axis):
@@ -261,11 +261,6 @@ def _refuse_without_poles(axis: AxisModel, loop: LoopModel, rate_Hz: float) -> N
             remedy="Declare bandwidth_Hz of [amplifier] and [sensor] in lab.toml, or add a "
             "recording that excites the dynamics, and fit again.",
         )
-
-
-def _middle_gain(axis: AxisModel) -> float:
-    lowest, greatest = axis.operator.slope_sector_m_per_V
-    return axis.polarity * 0.5 * (lowest + greatest)
 
 
 def _gain_interval(axis: AxisModel, loop: LoopModel) -> tuple[float, float]:

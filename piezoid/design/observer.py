@@ -84,9 +84,10 @@ def placement_form(A: Array, B: Array) -> PlacementForm:
     """
     # Powers of two that make rows and columns alike: states in m and in V differ by 1e6.
     balanced, (basis, _) = matrix_balance(A, permute=False, separate=True)
-    reflect, size = _reflector(np.asarray(B, dtype=np.float64) / basis)
+    input_column = (np.asarray(B, dtype=np.float64) / basis)[:, None]
+    reflect, upper = np.linalg.qr(input_column, mode="complete")  # first column along the input
     form, Q = hessenberg(reflect.T @ balanced @ reflect, calc_q=True)
-    links = np.concatenate([[size], np.diag(form, -1)])
+    links = np.concatenate([[float(upper[0, 0])], np.diag(form, -1)])
     if not np.abs(links).min() > _UNREACHABLE * max(1.0, float(np.abs(links).max())):
         raise DesignError(
             f"a part of the state cannot be moved: link {int(np.abs(links).argmin())} of the "
@@ -95,12 +96,6 @@ def placement_form(A: Array, B: Array) -> PlacementForm:
             remedy="Reduce the model's order; two poles or a pole and a zero nearly coincide.",
         )
     return PlacementForm(form=form, links=links, Q=Q, reflect=reflect, basis=basis)
-
-
-def _reflector(B: Array) -> tuple[Array, float]:
-    """Return an orthogonal matrix whose first column is along B, and the length of B along it."""
-    Q, upper = np.linalg.qr(B[:, None], mode="complete")
-    return Q, float(upper[0, 0])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -131,25 +131,19 @@ def shape(
     grid = family_grid(family, specification)
     best = _best_placement(family.nominal, grid, ())
     for _ in range(most_band_stops):
-        better = _with_one_more(family.nominal, grid, best)
+        where = worst_place(grid, best.controller.R, best.controller.S)
+        depth = float(np.clip(10.0 ** (-max(where.excess_dB, 3.0) / 20.0), _DEEPEST, 0.7))
+        stop = BandStop(
+            part="R" if where.function == "Sup" else "S",
+            frequency_Hz=where.frequency_Hz,
+            numerator_damping=depth * _DENOMINATOR_DAMPING,
+            denominator_damping=_DENOMINATOR_DAMPING,
+        )
+        better = _best_placement(family.nominal, grid, (*best.band_stops, stop))
         if not _is_worth_its_order(better, best):
             break
         best = better
     return best
-
-
-def _with_one_more(plant: Plant, grid: FamilyGrid, best: ShapedController) -> ShapedController:
-    """Return the best placement with a band-stop where the present one is worst."""
-    where = worst_place(grid, best.controller.R, best.controller.S)
-    part = "R" if where.function == "Sup" else "S"
-    depth = float(np.clip(10.0 ** (-max(where.excess_dB, 3.0) / 20.0), _DEEPEST, 0.7))
-    stop = BandStop(
-        part=part,
-        frequency_Hz=where.frequency_Hz,
-        numerator_damping=depth * _DENOMINATOR_DAMPING,
-        denominator_damping=_DENOMINATOR_DAMPING,
-    )
-    return _best_placement(plant, grid, (*best.band_stops, stop))
 
 
 def _is_worth_its_order(extended: ShapedController, best: ShapedController) -> bool:

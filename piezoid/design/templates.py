@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piezoid.design.plant import Fraction
-from piezoid.design.sensitivity import Sensitivities, margins, sensitivities
+from piezoid.design.sensitivity import margins, sensitivities
 from piezoid.numerics.arrays import Array, freeze, same_length, strictly_increasing
 from piezoid.numerics.frequency import decibel, grid_Hz
 
@@ -131,7 +131,8 @@ def _template_violation(
     frequency_Hz = frequency_Hz[np.isfinite(template.limit_dB(frequency_Hz))]
     if not frequency_Hz.size:
         return []
-    level_dB = decibel(_function(sensitivities(plant, R, S, frequency_Hz), template.function))
+    functions = sensitivities(plant, R, S, frequency_Hz)
+    level_dB = decibel(np.abs(getattr(functions, template.function)))
     limit_dB = template.limit_dB(frequency_Hz)
     worst = int(np.argmax(level_dB - limit_dB))
     return [
@@ -167,7 +168,3 @@ def _margin_violations(
         )
         for name, value, limit, place_Hz, unit in checks
     ]
-
-
-def _function(functions: Sensitivities, name: str) -> Array:
-    return np.asarray(np.abs(getattr(functions, name)))

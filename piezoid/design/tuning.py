@@ -1,12 +1,11 @@
 """The automatic choice of an observer's poles or noise variances over a plant family."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from piezoid.design.chain import Section
-from piezoid.design.family_grid import FamilyGrid, Judgement, family_grid, judge
+from piezoid.design.family_grid import Judgement, family_grid, judge
 from piezoid.design.observer import (
     DisturbanceModel,
     DisturbanceObserver,
@@ -29,7 +28,6 @@ from piezoid.design.specification import Specification, slowest_Hz
 from piezoid.errors import DesignError
 from piezoid.numerics.arrays import Array, freeze
 
-Build = Callable[[Array], DisturbanceObserver]
 METHODS = ("placed", "kalman")
 DAMPED = "damped by state feedback"  # tried where the slowest mode rings, and the others miss
 _HOPELESS = (1e3, 1e3)
@@ -178,8 +176,16 @@ def tune_observer(
         chosen = dict(zip(names, np.exp(logarithms).tolist(), strict=True))
         return _observer(frame, specification, chosen, method)
 
+    def cost(logarithms: Array) -> tuple[float, float]:
+        try:
+            R, S = feedback_polynomials(build(logarithms))
+        except DesignError:
+            return _HOPELESS
+        judgement = judge(grid, R, S)
+        return float(np.log(max(judgement.predicted_error, 1e-300))), judgement.excess_dB
+
     result = search(
-        lambda x: _cost(grid, build, x),
+        cost,
         np.log([choice.lowest for choice in choices]),
         np.log([choice.highest for choice in choices]),
         [np.log(start) for start in zip(*(c.starts for c in choices), strict=True)],
@@ -194,16 +200,6 @@ def tune_observer(
         judgement=judge(grid, R, S),
         evaluations=result.evaluations,
     )
-
-
-def _cost(grid: FamilyGrid, build: Build, parameters: Array) -> tuple[float, float]:
-    """Return the logarithm of the predicted error, and the excess; a failed build is hopeless."""
-    try:
-        R, S = feedback_polynomials(build(parameters))
-    except DesignError:
-        return _HOPELESS
-    judgement = judge(grid, R, S)
-    return float(np.log(max(judgement.predicted_error, 1e-300))), judgement.excess_dB
 
 
 def _placed_choices(plant: Plant) -> tuple[Choice, ...]:

@@ -1,13 +1,12 @@
 """An AxisPlant as the loop in C takes it: sampled exactly, settled at its rest."""
 
 import ctypes
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import expm
 
-from piezoid.design.chain import Section
+from piezoid.design.chain import Section, cascade
 from piezoid.errors import ParameterFileError
 from piezoid.identification.loop_model import rest_gain
 from piezoid.identification.model import Discrepancy
@@ -170,32 +169,6 @@ def _map(zones: DeadZones, arrays: ArrayOwner) -> Map:
         slope=arrays.address(slope),
         zero=zones.zero,
     )
-
-
-def cascade(sections: Sequence[Section]) -> tuple[Array, Array, list[int]]:
-    """Return A and B of sections of unit gain one behind the other, and the output state of each.
-
-    A first-order section is one state; one with damping two, of which the first is its output.
-    """
-    orders = [1 if section.damping is None else 2 for section in sections]
-    A, B = np.zeros((sum(orders), sum(orders))), np.zeros(sum(orders))
-    outputs: list[int] = []
-    index = 0
-    for section, order in zip(sections, orders, strict=True):
-        w = 2.0 * np.pi * section.frequency_Hz
-        driven = index + order - 1
-        if section.damping is None:
-            A[index, index] = -w
-        else:
-            A[index, driven] = w
-            A[driven, index], A[driven, driven] = -w, -2.0 * section.damping * w
-        if outputs:
-            A[driven, outputs[-1]] = w
-        else:
-            B[driven] = w
-        outputs.append(index)
-        index += order
-    return A, B, outputs
 
 
 def _before(plant: AxisPlant, rate_Hz: float, gain: float, arrays: ArrayOwner) -> _Block:

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from piezoid.design.chain import Chain, plant_from_chain
+from piezoid.design.chain import Chain, cascade, plant_from_chain
 from piezoid.errors import ParameterFileError
 from piezoid.operators.linear import ContinuousSystem
 from piezoid.runtime.controller import Controller, Status
 from piezoid.verification.closed_loop import run_axis
-from piezoid.verification.loop_plant import cascade, rest_position
+from piezoid.verification.loop_plant import rest_position
 from piezoid.verification.plant import AxisPlant, CustomResponse, Hysteresis
 from tests.verification.rig import (
     AMPLIFIER,
