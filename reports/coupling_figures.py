@@ -3,7 +3,7 @@
 import numpy as np
 
 from piezoid.identification.coupled.coupled_stage import CoupledStage
-from piezoid_reports.chart import Axis, Canvas, Layer, axis_over
+from piezoid_reports.chart import Canvas, Layer, axis_over
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Figure, Heading, Part, Prose, Table
 from piezoid_reports.quantities import MINUS, number, percent, significant
@@ -34,7 +34,10 @@ def coupling_parts(page: Page, coupled: CoupledStage) -> list[Part]:
 def _picture(coupled: CoupledStage) -> Figure:
     """Return the matrix as squares whose area is an entry's size [Hinton diagram]."""
     gain = coupled.coupling_m_per_V
-    x, y = _cells("drive", gain.shape[1]), _cells("displacement", gain.shape[0])
+    x, y = (
+        axis_over(label, [np.array([0.5, count + 0.5])], "")
+        for label, count in (("drive", gain.shape[1]), ("displacement", gain.shape[0]))
+    )
     canvas = Canvas(x=x, y=y)
     squares = {"model": "", "before": ""}
     for i, k in np.ndindex(*gain.shape):
@@ -59,10 +62,6 @@ def _picture(coupled: CoupledStage) -> Figure:
         canvas=canvas,
         layers=layers,
     )
-
-
-def _cells(label: str, count: int) -> Axis:
-    return axis_over(label, [np.array([0.5, count + 0.5])], "")
 
 
 def _matrix(coupled: CoupledStage) -> Table:

@@ -99,11 +99,6 @@ def _turned(found: Sequence[EffectSimulation]) -> tuple[EffectSimulation, ...]:
     return tuple(replace(one, injected_m=way * one.injected_m) for one in found)
 
 
-def _rows(trace: Trace) -> NDArray[np.int_]:
-    there = np.flatnonzero(np.isfinite(trace.modelled_m))
-    return np.asarray(there[rows_of(len(there), ROWS)])
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fitted:
     """What the tangents explain of one recording.
@@ -124,15 +119,16 @@ def _linearised(
     axis: AxisModel, traces: Sequence[Trace], missing: Sequence[Finding], stroke_m: float
 ) -> list[Fitted]:
     """Fit the tangents of all effects the model does not carry to what it leaves."""
-    rows = [_rows(trace) for trace in traces]
-    left_m = [trace.residual_m[here] for trace, here in zip(traces, rows, strict=True)]
-    found = [(f, suspect_of(f, stroke_m)) for f in missing]
-    pairs = [(f, suspect) for f, suspect in found if suspect is not None]
+    used = [np.flatnonzero(np.isfinite(trace.modelled_m)) for trace in traces]
+    rows = [np.asarray(samples[rows_of(len(samples), ROWS)]) for samples in used]
+    residuals_m = [trace.residual_m[k] for trace, k in zip(traces, rows, strict=True)]
+    suspects = [(f, suspect_of(f, stroke_m)) for f in missing]
+    pairs = [(f, suspect) for f, suspect in suspects if suspect is not None]
     if not pairs:
-        return [Fitted(rows=here, after_m=m) for here, m in zip(rows, left_m, strict=True)]
+        return [Fitted(rows=k, after_m=m) for k, m in zip(rows, residuals_m, strict=True)]
     drives = [
-        replace(driven_recording(axis, trace.recording), rows=here)
-        for trace, here in zip(traces, rows, strict=True)
+        replace(driven_recording(axis, trace.recording), rows=k)
+        for trace, k in zip(traces, rows, strict=True)
     ]
     null = basis_of(null_columns(drives, lag=not any(one.tangent.lags for _, one in pairs)))
     scales = [scale_of(one, drives) for _, one in pairs]
@@ -140,12 +136,15 @@ def _linearised(
         block_of(one.tangent, scale, drives) for (_, one), scale in zip(pairs, scales, strict=True)
     ]
     free = [block - null @ (null.T @ block) for block in blocks]
-    left = np.concatenate(left_m)
-    left = left - null @ (null.T @ left)
-    shares = _shares(free, left)
+    residual_m = np.concatenate(residuals_m)
+    residual_m = residual_m - null @ (null.T @ residual_m)
+    columns = np.hstack(free)
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-30)
+    strength = np.linalg.lstsq(columns / size, residual_m, rcond=1e-9)[0] / size
+    shares = np.split(strength, np.cumsum([block.shape[1] for block in free])[:-1])
     totals = [block @ share for block, share in zip(free, shares, strict=True)]
-    cuts = np.cumsum([len(here) for here in rows])[:-1]
-    after = np.split(left - np.sum(totals, axis=0), cuts)
+    cuts = np.cumsum([len(k) for k in rows])[:-1]
+    after = np.split(residual_m - np.sum(totals, axis=0), cuts)
     split = [np.split(total, cuts) for total in totals]
     return [
         Fitted(
@@ -159,13 +158,6 @@ def _linearised(
         )
         for k, drive in enumerate(drives)
     ]
-
-
-def _shares(blocks: Sequence[Array], left: Array) -> list[Array]:
-    columns = np.hstack(blocks)
-    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-30)
-    strength = np.linalg.lstsq(columns / size, left, rcond=1e-9)[0] / size
-    return np.split(strength, np.cumsum([block.shape[1] for block in blocks])[:-1])
 
 
 def _whole(drive: Driven, tangent: Tangent, scale: float, share: Array, k: int) -> Array:

@@ -35,7 +35,10 @@ def figure_of(finding: Finding, pictures: tuple[EffectSimulation, ...]) -> Figur
         return None
     if where.kind == "spectrum":
         clearest = _clearest(pictures)
-        return _spectrum(finding, where, clearest) if _shows(clearest) else None
+        before, after = rms(clearest.before_m), rms(clearest.after_m)
+        # A resonance may lie where the fit leaves samples out.
+        is_shown = abs(before - after) > SHOWS * before
+        return _spectrum(finding, where, clearest) if is_shown else None
     if where.kind == "time":
         return _over_time(finding, where, _clearest(pictures))
     drawn = _in_classes(finding, where, pictures)
@@ -47,12 +50,6 @@ def _clearest(pictures: tuple[EffectSimulation, ...]) -> EffectSimulation:
     return max(pictures, key=lambda one: rms(one.before_m) - rms(one.after_m))
 
 
-def _shows(one: EffectSimulation) -> bool:
-    """Return whether the curves differ; a resonance may lie where the fit leaves samples out."""
-    before, after = rms(one.before_m), rms(one.after_m)
-    return abs(before - after) > SHOWS * before
-
-
 def _over_time(finding: Finding, where: Appearance, one: EffectSimulation) -> Figure:
     place, sign = (values[one.rows] for values in where.along(one.trace.recording))
     x = _axis(where, place)
@@ -60,7 +57,10 @@ def _over_time(finding: Finding, where: Appearance, one: EffectSimulation) -> Fi
     y = axis_over("residual", curves, "m", even=True)
     canvas = Canvas(x=x, y=y, height=HEIGHT)
     before, after, injected = curves
-    slow = _running(injected)
+    # A running mean: a slow curve is seen through the noise.
+    width = max(len(injected) // 150, 1)
+    padded = np.pad(injected, (width // 2, width - 1 - width // 2), mode="edge")
+    slow = np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
     return _titled(
         finding,
         where,
@@ -78,13 +78,6 @@ def _over_time(finding: Finding, where: Appearance, one: EffectSimulation) -> Fi
 def _axis(where: Appearance, place: Array) -> Axis:
     over = decades_over if where.decades else axis_over
     return over(where.label, [place], where.unit)
-
-
-def _running(values: Array) -> Array:
-    """Return a running mean, so that a slow curve is seen through the noise."""
-    width = max(len(values) // 150, 1)
-    padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
-    return np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
 
 
 def _in_classes(

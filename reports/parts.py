@@ -2,7 +2,7 @@
 
 import itertools
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -255,6 +255,11 @@ class Section:
         )
 
 
+def with_rows(*tables: Table) -> list[Part]:
+    """Return the tables that have rows."""
+    return [table for table in tables if table.rows]
+
+
 def folded(summary: str, parts: Sequence[Part]) -> list[Part]:
     """Return parts in one fold, or nothing if there are none."""
     return [Fold(summary=summary, parts=tuple(parts))] if parts else []
@@ -263,12 +268,3 @@ def folded(summary: str, parts: Sequence[Part]) -> list[Part]:
 def count_of(number: int, noun: str) -> str:
     """Return a number with its noun: ``1 figure``, ``3 figures``."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
-def figures_in(parts: Sequence[Part]) -> Iterator[Figure]:
-    """Yield every figure, those in folds as well."""
-    for part in parts:
-        if isinstance(part, Figure):
-            yield part
-        elif isinstance(part, Fold):
-            yield from figures_in(part.parts)

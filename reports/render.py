@@ -3,14 +3,13 @@
 import base64
 import hashlib
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files as files_of
 from types import MappingProxyType
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
 from piezoid.calibration.calibrate import Calibration
 from piezoid.calibration.stage_statements import stage_statements
@@ -31,7 +30,7 @@ from piezoid.records.table import RawTable
 from piezoid.statement import select
 from piezoid.verification.verification import Verification
 from piezoid_reports.page import Page
-from piezoid_reports.parts import Figure, Section
+from piezoid_reports.parts import Section
 from piezoid_reports.plain_text import printable
 from piezoid_reports.sections import OF_DESIGN, OF_DIAGNOSIS, SECTIONS, Render
 from piezoid_reports.traces import all_traces
@@ -45,8 +44,6 @@ UNDRAWN = (
     "This page was drawn without the recordings.",
     "Name the files of the fit to have loops and residuals drawn.",
 )
-
-ALONE = "nav, header, h2, .skip, .screen, .zoom, .flicker, footer { display: none }"
 
 
 def render(
@@ -85,7 +82,8 @@ def render(
         model=model,
         recordings=recordings,
         traces=all_traces(model, recordings),
-        model_digest=_sealed(files) or _digest(model),
+        # What the folder's file carries, whatever version wrote it.
+        model_digest=_digest(files.get("model.json") or write_model(model)),
         sweeps=tuple(sweeps),
         responses=tuple(responses),
         design=design,
@@ -118,7 +116,7 @@ def render_design(model: ActuatorModel, design: Design) -> str:
         model=model,
         recordings=(),
         traces={},
-        model_digest=_digest(model),
+        model_digest=_digest(write_model(model)),
         design=design,
         statements=select(design_statements(design, model)),
         has_summary=False,
@@ -157,20 +155,16 @@ def render_diagnosis(
     return _written(page, OF_DIAGNOSIS)
 
 
-def _sealed(files: Mapping[str, bytes]) -> str:
-    """Return the digest that the folder's model.json carries, whatever version wrote it."""
-    held = files.get("model.json")
-    return "" if held is None else str(json.loads(held)["digest"])
-
-
-def _digest(model: ActuatorModel) -> str:
-    digest: str = json.loads(write_model(model))["digest"]
-    return digest
+def _digest(content: bytes) -> str:
+    """Return the digest that a sealed file carries."""
+    return str(json.loads(content)["digest"])
 
 
 def _written(page: Page, chapters: Sequence[Render]) -> str:
+    alarm = None if page.recordings or not page.model.axes else UNDRAWN
+    alarm = alarm if page.model.applies else ALARM
     sections = _sections(page, chapters)
-    return html(_title(page.model), sections, alarm=_alarm(page), counted=page.counted)
+    return html(_title(page.model), sections, alarm=alarm, counted=page.counted)
 
 
 def _title(model: ActuatorModel) -> str:
@@ -180,12 +174,6 @@ def _title(model: ActuatorModel) -> str:
 
 def _sections(page: Page, chapters: Sequence[Render]) -> list[Section]:
     return [section for make in chapters if (section := make(page)) is not None]
-
-
-def _alarm(page: Page) -> tuple[str, str] | None:
-    if not page.model.applies:
-        return ALARM
-    return UNDRAWN if page.model.axes and not page.recordings else None
 
 
 def html(
@@ -217,21 +205,6 @@ def html(
     )
 
 
-def figure_html(figures: Sequence[Figure]) -> str:
-    """Return figures alone, with the page's own look; without its script every curve is shown.
-
-    They stand in a frame of their own, so that neither style disturbs the other.
-    """
-    section = Section(anchor="figures", title="", lead="", parts=tuple(figures))
-    page = html("", [section])
-    # The frame runs no script; the policy would refuse the one rule that is added.
-    page = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page)
-    page = page.replace("</style>", f"{ALONE}</style>")
-    height = sum(figure.canvas.height + 190 for figure in figures) + 60
-    style = f"width:100%;height:{height}px;border:0"
-    return f'<iframe sandbox style="{style}" srcdoc="{escape(page)}"></iframe>'
-
-
 def policy_for(style: str, script: str) -> str:
     """Return a policy that runs our two texts and nothing else, and never asks a network."""
     return (
@@ -249,39 +222,41 @@ def _text(name: str) -> str:
 
 
 def _environment(counted: Sequence[str]) -> Environment:
-    def shown(value: object) -> object:
-        plain = isinstance(value, str) and not hasattr(value, "__html__")
-        return printable(in_counts(str(value), counted) if plain else value)
+    def escaped(value: object) -> object:
+        is_text = isinstance(value, str) and not hasattr(value, "__html__")
+        return printable(in_counts(str(value), counted) if is_text else value)
 
-    found = Environment(
+    return Environment(
         loader=FunctionLoader(_text),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        finalize=shown,
+        finalize=escaped,
     )
-    return found
 
 
-def with_report(found: Calibration, held: Collection | None, lab: Lab | None) -> Calibration:
+def with_report(
+    calibration: Calibration, collection: Collection | None, lab: Lab | None
+) -> Calibration:
     """Return a calibration with report.html behind its files.
 
-    held  the recordings, for the report's pictures; None where they are larger than memory
+    collection  recordings, for the figures of the report; None if they are larger than memory
     """
-    made = found.controllers
+    controllers = calibration.controllers
+    recorded = collection or Collection(recordings=(), sweeps=(), responses=())
     page = render(
-        found.model,
-        () if held is None else held.recordings,
-        () if held is None else held.sweeps,
-        made.design,
-        made.reason,
-        responses=() if held is None else held.responses,
-        diagnoses=found.diagnoses,
-        undiagnosed=found.undiagnosed,
-        verification=made.verification,
-        unshipped=made.unshipped,
-        files=found.files,
+        calibration.model,
+        recorded.recordings,
+        recorded.sweeps,
+        controllers.design,
+        controllers.reason,
+        responses=recorded.responses,
+        diagnoses=calibration.diagnoses,
+        undiagnosed=calibration.undiagnosed,
+        verification=controllers.verification,
+        unshipped=controllers.unshipped,
+        files=calibration.files,
         lab=lab,
     )
-    return replace(found, files={**found.files, "report.html": page.encode()})
+    return replace(calibration, files={**calibration.files, "report.html": page.encode()})

@@ -147,7 +147,7 @@ def distortion_parts(page: Page, axis: AxisModel) -> list[Part]:
 
 
 def _figure(axis: AxisModel, found: DistortionFound) -> Figure:
-    lines = found.lines
+    lines, is_even = found.lines, found.lines.is_even
     decades, silent = np.log10(lines.driven_Hz), np.log10(lines.frequency_Hz)
     floor_m = FLOOR * float(lines.noise_level_m()[0])
     driven_dB, silent_dB, noise_dB = (
@@ -165,8 +165,8 @@ def _figure(axis: AxisModel, found: DistortionFound) -> Figure:
         layers=(
             canvas.line("model", "driven lines", decades, driven_dB),
             canvas.line("zero", "noise", silent, _running(noise_dB)),
-            canvas.dots("dots", "even lines, silent", *_of(lines.is_even, silent, silent_dB)),
-            canvas.dots("odd", "odd lines, silent", *_of(~lines.is_even, silent, silent_dB)),
+            canvas.dots("dots", "even lines, silent", silent[is_even], silent_dB[is_even]),
+            canvas.dots("odd", "odd lines, silent", silent[~is_even], silent_dB[~is_even]),
         ),
     )
 
@@ -191,10 +191,6 @@ def _level(found: DistortionFound, driven_m: float, *, even: bool) -> str:
         most_m = float(np.hypot(level_m, limit_m))
         return f"{name} below {number(most_m, 'm')}, covered by noise"
     return f"{name} {number(level_m, 'm')}, {percent(level_m / driven_m)} of that"
-
-
-def _of(kept: NDArray[np.bool_], across: Array, up: Array) -> tuple[Array, Array]:
-    return across[kept], up[kept]
 
 
 def _running(level_dB: Array, width: int = 9) -> Array:

@@ -126,7 +126,7 @@ def motions(found: Verification) -> tuple[Figure, ...]:
 def _error(motion: Motion, found: Verification) -> Figure:
     wanted_m = np.array(motion.reference_m)
     starts = np.arange(0, len(wanted_m), TOGETHER, dtype=np.intp)
-    time_s = _time_s(motion)[starts]
+    time_s = np.linspace(0.0, motion.duration_s, len(wanted_m), endpoint=False)[starts]
     errors = [
         (role, name, rms_from(starts, moved_m - wanted_m))
         for role, name, moved_m in _runs(motion, found)
@@ -149,10 +149,6 @@ def _error(motion: Motion, found: Verification) -> Figure:
             for (role, name, _), log in zip(errors, logs, strict=True)
         ),
     )
-
-
-def _time_s(motion: Motion) -> Array:
-    return np.linspace(0.0, motion.duration_s, len(motion.reference_m), endpoint=False)
 
 
 def _runs(motion: Motion, found: Verification) -> list[tuple[str, str, Array]]:

@@ -1,6 +1,5 @@
 """The closed tunnelling loop: plant, barrier, spectra, and the noise that limits it."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,12 +7,12 @@ import numpy as np
 from piezoid.identification.tunnelling.joint_barrier import JointBarrier
 from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig, is_loop, read_loop
 from piezoid.identification.tunnelling.loop_model import LoopPlant, LoopSummary
-from piezoid.identification.tunnelling.loop_noise import MainsLine, gap_motion, power_density
+from piezoid.identification.tunnelling.loop_noise import gap_motion, power_density
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, decades_over
 from piezoid_reports.page import Page
-from piezoid_reports.parts import Figure, Heading, Part, Prose, Table
+from piezoid_reports.parts import Figure, Heading, Part, Prose, Table, with_rows
 from piezoid_reports.quantities import number, percent, significant, with_interval
 
 SOURCES = {
@@ -34,9 +33,15 @@ def loop_parts(page: Page, junction: TunnellingModel, loop: LoopPlant) -> list[P
     """Return plant, barrier and spectra of the closed loop."""
     parts: list[Part] = [Heading(text="Closed loop"), Prose(text=loop_sentence(loop))]
     if junction.joint is not None and junction.gap_law is not None:
-        parts.append(_joint(junction.joint))
-    parts += [_plant(loop), *([_records(loop)] if loop.records else [])]
-    return [*parts, *_sources(loop), *_figures(page, loop)]
+        joint = junction.joint
+        parts.append(Prose(text=joint_sentence(joint), tone="good" if joint.agree else "bad"))
+    return [
+        *parts,
+        _plant(loop),
+        *with_rows(_records(loop)),
+        *_sources(loop),
+        *_figures(page, loop),
+    ]
 
 
 def loop_sentence(loop: LoopPlant) -> str:
@@ -56,10 +61,6 @@ def joint_sentence(joint: JointBarrier) -> str:
         return f"Sweeps and loop agree: weighted barrier {common}."
     low, high = (significant(end, 4) for end in joint.barrier_interval_eV)
     return f"Sweeps and loop disagree: the barrier lies between {low} and {high} eV."
-
-
-def _joint(joint: JointBarrier) -> Prose:
-    return Prose(text=joint_sentence(joint), tone="good" if joint.agree else "bad")
 
 
 def _plant(loop: LoopPlant) -> Table:
@@ -100,7 +101,8 @@ def _records(loop: LoopPlant) -> Table:
             (
                 record.recording,
                 with_interval(record.barrier_eV, record.barrier_interval_eV, "eV"),
-                f"{significant(_naive_barrier_eV(record), 3)} eV",
+                # the barrier goes with the square of the gain
+                f"{significant(record.barrier_eV * (record.naive_gain / record.gain) ** 2, 3)} eV",
                 percent(record.dither_share),
                 "" if record.unrest is None else f"{number(record.unrest.gap_rms_m, 'm')} rms",
                 _drift(record),
@@ -108,11 +110,6 @@ def _records(loop: LoopPlant) -> Table:
             for record in loop.records
         ),
     )
-
-
-def _naive_barrier_eV(record: LoopSummary) -> float:
-    """The barrier goes with the square of the gain."""
-    return record.barrier_eV * (record.naive_gain / record.gain) ** 2
 
 
 def _drift(record: LoopSummary) -> str:
@@ -141,13 +138,6 @@ def _sources(loop: LoopPlant) -> tuple[Part, ...]:
     )
 
 
-def _mains(lines: Sequence[MainsLine]) -> str:
-    found = [
-        f"{number(line.frequency_Hz, 'Hz')}: {number(line.amplitude_m, 'm')}" for line in lines
-    ]
-    return ", ".join(found) or "none"
-
-
 def _figures(page: Page, loop: LoopPlant) -> list[Part]:
     """Return the spectra of the first recording at hand."""
     if loop.rig is None:
@@ -168,6 +158,10 @@ def _spectra(loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRe
     y = decades_over("density", [level for *_, level in curves], "pm/√Hz")
     canvas = Canvas(x=x, y=y)
     mains = () if summary.unrest is None else summary.unrest.mains
+    caption = "The record is too short for drift and mains lines."
+    if summary.unrest is not None:
+        lines = [f"{number(m.frequency_Hz, 'Hz')}: {number(m.amplitude_m, 'm')}" for m in mains]
+        caption = f"Mains lines found: {', '.join(lines) or 'none'}."
     ends = np.array([y.low, y.high])
     layers: list[Layer] = [
         canvas.line(
@@ -181,7 +175,7 @@ def _spectra(loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRe
     layers += [canvas.line(role, name, f, level, points=900) for role, name, f, level in curves]
     return Figure(
         title=f"Spectra in the closed loop: {summary.recording}",
-        caption=_caption(summary),
+        caption=caption,
         guide=GUIDE_SPECTRA,
         canvas=canvas,
         layers=tuple(layers),
@@ -209,9 +203,3 @@ def _curves(
         pm = 0.5 * np.log10(np.maximum(density[1:], LEAST_m2_per_Hz)) + 12.0
         curves.append((role, name, np.log10(f_Hz[1:]), np.asarray(pm)))
     return curves
-
-
-def _caption(summary: LoopSummary) -> str:
-    if summary.unrest is None:
-        return "The record is too short for drift and mains lines."
-    return f"Mains lines found: {_mains(summary.unrest.mains)}."

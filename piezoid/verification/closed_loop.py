@@ -122,19 +122,28 @@ def run_axis(
 
     Raises ``ParameterFileError`` where plant and parameters are of another sampling rate.
     """
-    _same_rate(plant, parameters)
+    asked_Hz = float(parameters.values["sampling_rate_Hz"])
+    if asked_Hz != plant.sampling_rate_Hz:
+        raise ParameterFileError(
+            f"axis {plant.axis}: parameters for {asked_Hz:g} Hz, a plant sampled at "
+            f"{plant.sampling_rate_Hz:g} Hz",
+            needed="one sampling rate",
+            remedy="Make the plant for the rate of the parameter file.",
+        )
     samples = len(reference)
     arrays = ArrayOwner()
     initial = initial_plant(plant, arrays, 0.0 if disturbance is None else float(disturbance[0]))
     preview = int(parameters.values["preview_samples"])
     ahead = np.minimum(np.arange(samples) + preview, samples - 1)
     controller = Controller(parameters.values, precision=precision)
-    controller.start(plant.rest_voltage_V, _reading(plant, rest_position(plant, initial)))
+    reading = float(np.clip(rest_position(plant, initial), *plant.reading_range))
+    step = plant.reading_step
+    controller.start(plant.rest_voltage_V, step * round(reading / step) if step > 0 else reading)
     added = np.zeros(samples) if added_m is None else added_m
-    step, state, values = controller.addresses
+    function, state, values = controller.addresses
     run = LoopRun(state=state, parameters=values, samples=samples)
     run.reset, run.reset_at = controller.reset_address, samples if reset_at is None else reset_at
-    setattr(run, f"step_{precision}", step)
+    setattr(run, f"step_{precision}", function)
     inputs = {
         "reference": np.ascontiguousarray(reference[ahead]),
         "disturbance": _disturbance(plant, disturbance, samples),
@@ -199,23 +208,6 @@ def _run(
         unit="A" if isinstance(plant.response, Junction) else "m",
         **outputs,
     )
-
-
-def _same_rate(plant: AxisPlant, parameters: AxisParameters) -> None:
-    asked_Hz = float(parameters.values["sampling_rate_Hz"])
-    if asked_Hz != plant.sampling_rate_Hz:
-        raise ParameterFileError(
-            f"axis {plant.axis}: parameters for {asked_Hz:g} Hz, a plant sampled at "
-            f"{plant.sampling_rate_Hz:g} Hz",
-            needed="one sampling rate",
-            remedy="Make the plant for the rate of the parameter file.",
-        )
-
-
-def _reading(plant: AxisPlant, sensed: float) -> float:
-    limited = float(np.clip(sensed, *plant.reading_range))
-    step = plant.reading_step
-    return step * round(limited / step) if step > 0 else limited
 
 
 def _disturbance(plant: AxisPlant, disturbance: Array | None, samples: int) -> Array:

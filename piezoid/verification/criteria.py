@@ -106,24 +106,14 @@ def shape_verdict(
     scenario: str, tracking: Tracking, radius_m: float, limit_percent: float
 ) -> Verdict:
     """Judge the error that remains after the best common delay."""
-    return Verdict(
-        name=SHAPE_ERROR,
-        scenario=scenario,
-        value=100.0 * tracking.aligned_rms_m / (2.0 * radius_m),
-        limit=limit_percent,
-        unit="% of the diameter",
-    )
+    error_percent = 100.0 * tracking.aligned_rms_m / (2.0 * radius_m)
+    return _verdict(SHAPE_ERROR, scenario, error_percent, limit_percent, "% of the diameter")
 
 
 def improvement_verdict(scenario: str, shipped: Tracking, none: Tracking) -> Verdict:
     """Judge what ships against a static gain without feedback."""
-    return Verdict(
-        name="shape error, against no compensation",
-        scenario=scenario,
-        value=shipped.aligned_rms_m / none.aligned_rms_m,
-        limit=1.0,
-        unit="1",
-    )
+    ratio = shipped.aligned_rms_m / none.aligned_rms_m
+    return _verdict("shape error, against no compensation", scenario, ratio, 1.0, "1")
 
 
 def voltage_range_verdict(
@@ -144,7 +134,8 @@ def voltage_range_verdict(
 
 def saturation_verdict(scenario: str, records: Sequence[LoopRecord]) -> Verdict:
     """Judge that the drive never met its limits."""
-    return _samples_with(scenario, records, Status.VOLTAGE_LIMITED, "samples at a voltage limit")
+    limited = sum(int(np.sum((r.status & Status.VOLTAGE_LIMITED) != 0)) for r in records)
+    return _count("samples at a voltage limit", scenario, limited)
 
 
 def step_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Verdict, Verdict]:
@@ -161,21 +152,11 @@ def step_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Ve
     progress = 1.0 + (record.position[at:end] - record.reference[at:end]) / size
     outside = np.flatnonzero(np.abs(progress - 1.0) > _SETTLED)
     settled_s = (int(outside[-1]) + 1 if len(outside) else 0) / record.sampling_rate_Hz
+    overshoot = max(100.0 * (float(progress.max()) - 1.0), 0.0)
+    axis, allowed = record.axis, limits.overshoot_percent
     return (
-        Verdict(
-            name=f"overshoot of axis {record.axis}",
-            scenario=scenario,
-            value=max(100.0 * (float(progress.max()) - 1.0), 0.0),
-            limit=limits.overshoot_percent,
-            unit="% of the step",
-        ),
-        Verdict(
-            name=f"settling of axis {record.axis} to 2 %",
-            scenario=scenario,
-            value=settled_s,
-            limit=limits.settling_s,
-            unit="s",
-        ),
+        _verdict(f"overshoot of axis {axis}", scenario, overshoot, allowed, "% of the step"),
+        _verdict(f"settling of axis {axis} to 2 %", scenario, settled_s, limits.settling_s, "s"),
     )
 
 
@@ -188,42 +169,28 @@ def fault_verdicts(
     healthy  the same path with a sound sensor; what may ship with one is not asked to be less
     """
     usual_m = max(healthy.max_m, limits.aligned_percent / 100.0 * 2.0 * radius_m)
-    afterwards_m = error_m[-int(_AFTERWARDS * len(error_m)) :]
+    largest_percent = 100.0 * float(error_m.max()) / (2.0 * radius_m)
+    ratio = float(error_m[-int(_AFTERWARDS * len(error_m)) :].max()) / usual_m
+    name, allowed = "furthest from the path", limits.fault_percent
     return (
-        Verdict(
-            name="furthest from the path",
-            scenario=scenario,
-            value=100.0 * float(error_m.max()) / (2.0 * radius_m),
-            limit=limits.fault_percent,
-            unit="% of the diameter",
-        ),
-        Verdict(
-            name="largest error after the fault, against none",
-            scenario=scenario,
-            value=float(afterwards_m.max()) / usual_m,
-            limit=1.5,
-            unit="1",
-        ),
+        _verdict(name, scenario, largest_percent, allowed, "% of the diameter"),
+        _verdict("largest error after the fault, against none", scenario, ratio, 1.5, "1"),
     )
 
 
 def fault_reported_verdict(scenario: str, records: Sequence[LoopRecord], flag: Status) -> Verdict:
-    """Judge that every axis said in its status what happened to its sensor."""
+    """Judge that every axis reported in its status what happened to its sensor."""
     silent = [r for r in records if not bool(np.any(r.status & np.uint32(flag)))]
     return _count("axes whose status did not say so", scenario, len(silent))
 
 
 def current_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Verdict, Verdict]:
-    """Judge the current of a tunnelling axis: how steady, and that the tip never had to flee."""
+    """Judge the current of a tunnelling axis: how steady, and that the tip never retracted."""
+    deviation = float(np.std(np.log(record.position)))
+    retracted = int(np.sum((record.status & Status.RETRACTED) != 0))
     return (
-        Verdict(
-            name="standard deviation of ln i",
-            scenario=scenario,
-            value=float(np.std(np.log(record.position))),
-            limit=limits.ln_current,
-            unit="1",
-        ),
-        _samples_with(scenario, [record], Status.RETRACTED, "samples with the tip retracted"),
+        _verdict("standard deviation of ln i", scenario, deviation, limits.ln_current, "1"),
+        _count("samples with the tip retracted", scenario, retracted),
     )
 
 
@@ -236,27 +203,17 @@ def hold_verdicts(
     changes = int(
         np.count_nonzero(np.diff(record.voltage_V[at:])) + np.count_nonzero(~reports_blind[at:])
     )
+    blind_s = (at - lost_at) / record.sampling_rate_Hz
     return (
-        Verdict(
-            name="without a sensor until held",
-            scenario=scenario,
-            value=(at - lost_at) / record.sampling_rate_Hz,
-            limit=limits.blind_s,
-            unit="s",
-        ),
+        _verdict("without a sensor until held", scenario, blind_s, limits.blind_s, "s"),
         _count("samples that moved while held", scenario, changes),
     )
 
 
 def tip_distance_verdict(scenario: str, beyond_m: float, limits: Limits) -> Verdict:
     """Judge how close a tip came to the surface."""
-    return Verdict(
-        name="closer to the surface than the set point",
-        scenario=scenario,
-        value=max(beyond_m, 0.0),
-        limit=limits.closest_m,
-        unit="m",
-    )
+    name = "closer to the surface than the set point"
+    return _verdict(name, scenario, max(beyond_m, 0.0), limits.closest_m, "m")
 
 
 def recovery_verdict(
@@ -267,30 +224,24 @@ def recovery_verdict(
     nepers  (samples,)  ln(i / i_set) since the fault ended, longer than allowed
     """
     off = np.flatnonzero(np.abs(nepers) > _BACK)
-    return Verdict(
-        name="until the current is back" + (" from far away" if far else ""),
-        scenario=scenario,
-        value=(int(off[-1]) + 1 if len(off) else 0) / rate_Hz,
-        limit=allowed_s,
-        unit="s",
-    )
+    recovery_s = (int(off[-1]) + 1 if len(off) else 0) / rate_Hz
+    name = "until the current is back" + (" from far away" if far else "")
+    return _verdict(name, scenario, recovery_s, allowed_s, "s")
 
 
 def latch_verdict(scenario: str, status: NDArray[np.uint32], cause: Status) -> Verdict:
-    """Judge that a tip waits for an operator and says why, (samples,) of its status."""
+    """Judge that a tip waits for an operator and states why, (samples,) of its status."""
     expected = np.uint32(Status.LATCHED | Status.RETRACTED | cause)
     silent = int(np.sum((status & expected) != expected))
     return _count("samples not latched with their cause", scenario, silent)
 
 
-def _samples_with(
-    scenario: str, records: Sequence[LoopRecord], flag: Status, name: str
-) -> Verdict:
-    return _count(name, scenario, sum(int(np.sum((r.status & flag) != 0)) for r in records))
-
-
 def _count(name: str, scenario: str, count: int) -> Verdict:
-    return Verdict(name=name, scenario=scenario, value=float(count), limit=0.0, unit="1")
+    return _verdict(name, scenario, float(count), 0.0, "1")
+
+
+def _verdict(name: str, scenario: str, value: float, limit: float, unit: str) -> Verdict:
+    return Verdict(name=name, scenario=scenario, value=value, limit=limit, unit=unit)
 
 
 def limits_from_toml(text: str, source: str = "limits.toml") -> Limits:

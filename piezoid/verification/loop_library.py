@@ -12,79 +12,55 @@ MAX_STATES = 64
 RESPOND = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)
 
 
+def _fields(kind: Any, names: str) -> tuple[tuple[str, Any], ...]:
+    """Return members of one type, their names separated by spaces."""
+    return tuple((name, kind) for name in names.split())
+
+
+_SIZE, _POINTER, _REAL = ctypes.c_size_t, ctypes.c_void_p, ctypes.c_double
+
+
 class Linear(ctypes.Structure):
     """``pl_linear``."""
 
     _fields_ = (
-        ("states", ctypes.c_size_t),
-        *((name, ctypes.c_void_p) for name in ("A", "B_old", "B_new", "C")),
-        ("D", ctypes.c_double * 2),
-        ("x", ctypes.c_void_p),
+        *_fields(_SIZE, "states"),
+        *_fields(_POINTER, "A B_old B_new C"),
+        ("D", _REAL * 2),
+        *_fields(_POINTER, "x"),
     )
 
 
 class Map(ctypes.Structure):
     """``pl_map``."""
 
-    _fields_ = (
-        ("knots", ctypes.c_size_t),
-        ("knot", ctypes.c_void_p),
-        ("slope", ctypes.c_void_p),
-        ("zero", ctypes.c_size_t),
-    )
+    _fields_ = (*_fields(_SIZE, "knots"), *_fields(_POINTER, "knot slope"), ("zero", _SIZE))
 
 
 class LoopPlant(ctypes.Structure):
     """``pl_plant``."""
 
     _fields_ = (
-        *((name, ctypes.c_size_t) for name in ("substeps", "late", "waited")),
-        ("late_V", ctypes.c_void_p),
-        ("before", Linear),
-        ("after", Linear),
-        ("kind", ctypes.c_int64),
-        ("plays", ctypes.c_size_t),
-        *((name, ctypes.c_void_p) for name in ("threshold_V", "weight", "play_V")),
-        ("edges", ctypes.c_size_t),
-        *((name, ctypes.c_void_p) for name in ("edge_V", "value_m")),
-        ("envelope", Map),
-        ("zones", Map),
-        *(
-            (name, ctypes.c_double)
-            for name in ("low_V", "high_V", "activation_step", "activation_m", "irreversible_m")
-        ),
-        *((name, ctypes.c_size_t) for name in ("second_plays", "second_powers")),
-        *(
-            (name, ctypes.c_void_p)
-            for name in ("second_threshold_V", "second_weight_m", "second_play_V")
-        ),
-        *((name, ctypes.c_double) for name in ("second_centre_V", "second_reach_V")),
-        ("cyclic_orders", ctypes.c_size_t),
-        *((name, ctypes.c_void_p) for name in ("cyclic_cosine_m", "cyclic_sine_m")),
-        ("cyclic_per_m", ctypes.c_double),
-        *(
-            (name, ctypes.c_double)
-            for name in (
-                "polarity",
-                "voltage_offset_V",
-                "displacement_offset_m",
-                "current_A",
-                "current_most",
-            )
-        ),
+        *_fields(_SIZE, "substeps late waited"),
+        *_fields(_POINTER, "late_V"),
+        *_fields(Linear, "before after"),
+        *_fields(ctypes.c_int64, "kind"),
+        *_fields(_SIZE, "plays"),
+        *_fields(_POINTER, "threshold_V weight play_V"),
+        *_fields(_SIZE, "edges"),
+        *_fields(_POINTER, "edge_V value_m"),
+        *_fields(Map, "envelope zones"),
+        *_fields(_REAL, "low_V high_V activation_step activation_m irreversible_m"),
+        *_fields(_SIZE, "second_plays second_powers"),
+        *_fields(_POINTER, "second_threshold_V second_weight_m second_play_V"),
+        *_fields(_REAL, "second_centre_V second_reach_V"),
+        *_fields(_SIZE, "cyclic_orders"),
+        *_fields(_POINTER, "cyclic_cosine_m cyclic_sine_m"),
+        *_fields(_REAL, "cyclic_per_m"),
+        *_fields(_REAL, "polarity voltage_offset_V displacement_offset_m current_A current_most"),
         ("respond", RESPOND),
-        *(
-            (name, ctypes.c_double)
-            for name in (
-                "slew_step",
-                "driven",
-                "w",
-                "reading_zero",
-                "reading_lsb",
-                "reading_least",
-                "reading_most",
-            )
-        ),
+        *_fields(_REAL, "slew_step driven w"),
+        *_fields(_REAL, "reading_zero reading_lsb reading_least reading_most"),
     )
 
 
@@ -92,30 +68,22 @@ class LoopRun(ctypes.Structure):
     """``pl_run``."""
 
     _fields_ = (
-        *((name, ctypes.c_void_p) for name in ("step_double", "step_float")),
-        *((name, ctypes.c_void_p) for name in ("state", "parameters")),
-        ("samples", ctypes.c_size_t),
-        *((name, ctypes.c_void_p) for name in ("reference", "disturbance", "noise", "fault")),
-        ("reset", ctypes.c_void_p),
-        ("reset_at", ctypes.c_size_t),
-        *(
-            (name, ctypes.c_void_p)
-            for name in ("driven", "position", "measured", "voltage_V", "status")
-        ),
+        *_fields(_POINTER, "step_double step_float state parameters"),
+        *_fields(_SIZE, "samples"),
+        *_fields(_POINTER, "reference disturbance noise fault reset"),
+        *_fields(_SIZE, "reset_at"),
+        *_fields(_POINTER, "driven position measured voltage_V status"),
     )
 
 
 @cache
 def loop_library() -> ctypes.CDLL:
     """Open the compiled plant loop."""
-    pointer, number = ctypes.c_void_p, ctypes.c_double
-    return opened(
-        "piezoid.verification._plant_loop",
-        {
-            "pl_response": (number, (pointer, number, number)),
-            "pl_loop": (None, (pointer, pointer)),
-        },
-    )
+    functions = {
+        "pl_response": (_REAL, (_POINTER, _REAL, _REAL)),
+        "pl_loop": (None, (_POINTER, _POINTER)),
+    }
+    return opened("piezoid.verification._plant_loop", functions)
 
 
 class ArrayOwner:

@@ -69,25 +69,6 @@ class Proof:
         return not self.is_built or (self.samples > 0 and self.differing == 0)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Answers:
-    """What a build answered.
-
-    differing     samples with another bit in voltage or status than the packaged library
-    samples       compared
-    instructions  per ordinary sample, by axis; none where the build cannot count
-    most          of any sample, hostile ones included, likewise
-    stack_bytes, state_bytes   as it reported
-    """
-
-    differing: int
-    samples: int
-    instructions: dict[str, float]
-    most: dict[str, int]
-    stack_bytes: int
-    state_bytes: int
-
-
 def target_source(name: str) -> bytes:
     """Return a file of the folder ``cortex_m4``, byte for byte."""
     return files("piezoid.verification").joinpath("cortex_m4", name).read_bytes()
@@ -150,9 +131,18 @@ def expected_answers(file: ParameterFile, real: str) -> bytes:
 
 
 def compare(
-    folder: Path, command: Sequence[str], file: ParameterFile, real: str, ordinary: int
-) -> Answers:
+    folder: Path,
+    command: Sequence[str],
+    file: ParameterFile,
+    real: str,
+    ordinary: int,
+    *,
+    build: str,
+) -> Proof:
     """Run a build in its folder and compare every sample.
+
+    ordinary  samples of each axis over which instructions are averaged
+    build     compiler, flags and precision, for the record
 
     Raises ``RuntimeLibraryError`` where it fails or answers another number of samples.
     """
@@ -171,12 +161,15 @@ def compare(
         np.frombuffer(content, dtype=np.uint8).reshape(shape) for content in (answers, expected)
     ]
     numbers = [[int(word) for word in line.split()] for line in printed.splitlines()]
-    return Answers(
-        differing=int(np.any(rows[0] != rows[1], axis=1).sum()),
+    counted = [(file.axes[axis].axis, total, most) for axis, total, most, *_ in numbers if total]
+    return Proof(
+        build=build,
+        is_built=True,
         samples=samples,
-        instructions={file.axes[axis].axis: n / ordinary for axis, n, *_ in numbers if n},
-        most={file.axes[axis].axis: largest for axis, n, largest, *_ in numbers if n},
-        stack_bytes=max(stack for *_, stack, _ in numbers),
+        differing=int(np.any(rows[0] != rows[1], axis=1).sum()),
+        instructions_per_sample={axis: total / ordinary for axis, total, _ in counted} or None,
+        most_instructions={axis: most for axis, _, most in counted} or None,
+        stack_bytes=max(stack for *_, stack, _ in numbers) if counted else None,
         state_bytes=numbers[0][4],
     )
 
@@ -221,24 +214,19 @@ def emulate(file: ParameterFile, contents: Mapping[str, bytes] | None = None) ->
     Raises as ``rebuild`` does.
     """
     bundle_files = check_bundle(file, contents)
-    missing = _missing_for_target()
+    missing = [name for name in (_TARGET, _EMULATOR) if which(name) is None]
+    if not missing:
+        library_path = run_program((_TARGET, f"-print-file-name={_LIBRARY}"), Path.cwd()).strip()
+        missing += [_LIBRARY] if library_path == _LIBRARY else []  # a path where there is one
     if missing:
         reason = f"Cortex-M4F: no {' and no '.join(missing)} on this machine"
         return Proof(build=reason, is_built=False)
     with TemporaryDirectory(prefix="piezoid-") as name:
         folder = Path(name)
         ordinary = build_for_cortex_m4(folder, bundle_files, file)
-        answers = compare(folder, (_EMULATOR, *_EMULATED), file, "float", ordinary)
-    return Proof(
-        build=f"{_TARGET} {' '.join(_FLAGS)}, Cortex-M4F emulated (mps2-an386), float",
-        is_built=True,
-        samples=answers.samples,
-        differing=answers.differing,
-        instructions_per_sample=answers.instructions,
-        most_instructions=answers.most,
-        stack_bytes=answers.stack_bytes,
-        state_bytes=answers.state_bytes,
-    )
+        build = f"{_TARGET} {' '.join(_FLAGS)}, Cortex-M4F emulated (mps2-an386), float"
+        command = (_EMULATOR, *_EMULATED)
+        return compare(folder, command, file, "float", ordinary, build=build)
 
 
 def build_for_cortex_m4(folder: Path, contents: Mapping[str, bytes], file: ParameterFile) -> int:
@@ -252,15 +240,6 @@ def build_for_cortex_m4(folder: Path, contents: Mapping[str, bytes], file: Param
     return ordinary
 
 
-def _missing_for_target() -> list[str]:
-    """Return what of compiler, its C library and emulator is not here."""
-    missing = [name for name in (_TARGET, _EMULATOR) if which(name) is None]
-    if not missing:
-        library_path = run_program((_TARGET, f"-print-file-name={_LIBRARY}"), Path.cwd()).strip()
-        missing += [_LIBRARY] if library_path == _LIBRARY else []  # a path where there is one
-    return missing
-
-
 def _on_host(
     file: ParameterFile, bundle_files: Mapping[str, bytes], compiler: str, real: str
 ) -> Proof:
@@ -272,14 +251,9 @@ def _on_host(
             (compiler, *_FLAGS, *precision_flags, "replay.c", "piezoid_runtime.c", "-o", "replay"),
             folder,
         )
-        answers = compare(folder, (str(folder / "replay"),), file, real, ordinary)
-    return Proof(
-        build=f"{Path(compiler).name} {' '.join(_FLAGS)}, this machine, {real}",
-        is_built=True,
-        samples=answers.samples,
-        differing=answers.differing,
-        state_bytes=answers.state_bytes,
-    )
+        build = f"{Path(compiler).name} {' '.join(_FLAGS)}, this machine, {real}"
+        command = (str(folder / "replay"),)
+        return compare(folder, command, file, real, ordinary, build=build)
 
 
 def check_bundle(file: ParameterFile, contents: Mapping[str, bytes] | None) -> Mapping[str, bytes]:

@@ -161,10 +161,8 @@ class Verification(Summarised):
 
         What a machine without compiler, emulator or analyser cannot tell is no failure.
         """
-        builds, proofs = (
-            all(p.passed for p in results) for results in (self.proofs, self.limit_proofs)
-        )
-        return all(v.passed for v in self.verdicts) and builds and proofs
+        proofs = (*(p.passed for p in self.proofs), *(p.passed for p in self.limit_proofs))
+        return all(v.passed for v in self.verdicts) and all(proofs)
 
     def summary(self) -> Summary:
         """Return a table of the rms tracking error per method and frequency, and failed verdicts.
@@ -228,22 +226,16 @@ def verification_from_json(content: bytes, source: str = "verification.json") ->
     )
     with refusing(SCHEMA, source, remedy=remedy):
         methods = [row.method for row in verification.comparison]
-        methods += [row.method for row in verification.spirals] + [
-            row.method for row in verification.traces
-        ]
+        methods += [row.method for row in verification.spirals]
+        methods += [row.method for row in verification.traces]
         for method in (*verification.methods.values(), *methods):
             METHODS.index(method)  # the report has a word for each of these and no other
-        _check_spirals(verification)
+        spirals = {(row.method, row.frequency_Hz) for row in verification.spirals}
+        for row in verification.comparison:
+            if (row.method, row.frequency_Hz) not in spirals:
+                raise ValueError(f"no spiral of {row.method} at {row.frequency_Hz} Hz")
         _check_pictures(verification)
     return verification
-
-
-def _check_spirals(verification: Verification) -> None:
-    """Raise ``ValueError`` unless every row that is compared has what only its spiral has."""
-    spirals = {(row.method, row.frequency_Hz) for row in verification.spirals}
-    for row in verification.comparison:
-        if (row.method, row.frequency_Hz) not in spirals:
-            raise ValueError(f"no spiral of {row.method} at {row.frequency_Hz} Hz")
 
 
 def _check_pictures(verification: Verification) -> None:
@@ -260,7 +252,7 @@ def _check_pictures(verification: Verification) -> None:
     for motion in verification.motions:
         if motion.axis not in verification.methods:
             raise ValueError(f"axis {motion.axis} moved and does not ship")
-        sizes_m += map(abs, _checked(motion))
+        sizes_m += map(abs, _positions_m(motion))
     if verification.traces and not verification.radius_m >= _SMALLEST_m:
         raise ValueError(f"radius_m is {verification.radius_m}")
     if max([verification.radius_m, *sizes_m]) > _LARGEST_m:
@@ -269,8 +261,8 @@ def _check_pictures(verification: Verification) -> None:
         raise ValueError("a limit is larger than anything that is judged")
 
 
-def _checked(motion: Motion) -> tuple[float, ...]:
-    """Return all places of a motion, or raise ``ValueError`` where they are not of one run."""
+def _positions_m(motion: Motion) -> tuple[float, ...]:
+    """Return all positions of a motion; ``ValueError`` if they are not of one run."""
     count, n_uncompensated = len(motion.reference_m), len(motion.uncompensated_m)
     if not 1.0 / _FASTEST_Hz <= motion.duration_s <= 1.0 / _SLOWEST_Hz:
         raise ValueError(f"duration_s is {motion.duration_s}")

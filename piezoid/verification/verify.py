@@ -76,10 +76,10 @@ def verify(
         path = scenario.path(runner.rate_Hz)
         if scenario.is_varied:
             _run_variations(runner, scenario, path, variations)
-        elif scenario.fault is None:
-            _run_scenario(runner, scenario, path)
-        elif runner.lateral:
+        elif scenario.fault is not None:
             _run_fault(runner, scenario, path)
+        else:
+            _run_scenario(runner, scenario, path)
     judge_trials(runner, trials)
     coupling = coupling_rows(runner, coupled)
     if coupling:
@@ -219,6 +219,8 @@ def _run_variations(
 
 def _run_fault(runner: ScenarioRunner, scenario: Scenario, path: Path) -> None:
     """Judge the axes while their sensors fail, for a time or for good."""
+    if not runner.lateral:
+        return
     name, fault = scenario.name, scenario.fault_of(len(path.x), runner.rate_Hz)
     if np.isinf(scenario.fault_s):
         records = runner.run_path(path, fault=fault)

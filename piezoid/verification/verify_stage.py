@@ -67,7 +67,15 @@ def verify_stage(
     declared = lab or Lab()
     plants, drawn = stage_plants(file, model, declared, draws=draws, seed=seed)
     variations = list(zip(*drawn, strict=False))  # as many sets as the axis with the fewest
-    _same_control(file, declared)
+    exported = file.sources.get("control")
+    if exported is not None and exported != declared.control_digest:
+        raise ParameterFileError(
+            f"{declared.place} declares another rig or other guards than params.json was exported "
+            "with",
+            needed="what ships and what is verified declared by the same numbers; only "
+            "[verification] and [uncertainty] may differ",
+            remedy="Run `piezoid export` again, then verify.",
+        )
     applied_limits = limits or limits_from(
         declared.verification, f"[verification] of {declared.place}"
     )
@@ -113,18 +121,6 @@ def stage_plants(
     return plants, drawn
 
 
-def _same_control(file: ParameterFile, lab: Lab) -> None:
-    """Refuse a lab.toml whose rig or guards are not those that ship."""
-    exported = file.sources.get("control")
-    if exported is not None and exported != lab.control_digest:
-        raise ParameterFileError(
-            f"{lab.place} declares another rig or other guards than params.json was exported with",
-            needed="what ships and what is verified declared by the same numbers; only "
-            "[verification] and [uncertainty] may differ",
-            remedy="Run `piezoid export` again, then verify.",
-        )
-
-
 def plant_of(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:
     """Return the identified plant of one axis between the converters that lab.toml declares.
 
@@ -132,14 +128,8 @@ def plant_of(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:
     """
     if axis.method == "rst":
         return _tip(axis, _loop_of(axis, model.tunnelling), lab)
-    return _lateral(axis, model, lab)
-
-
-def _lateral(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:
-    """Return the plant of a lateral axis; its readings come in steps of the declared converter."""
     rate_Hz = float(axis.values["sampling_rate_Hz"])
-    axis_model = model[axis.axis]
-    plant = lateral_plant(axis_model, sampling_rate_Hz=rate_Hz)
+    plant = lateral_plant(model[axis.axis], sampling_rate_Hz=rate_Hz)
     gain_V_per_m = lab.sensor_of(axis.axis).gain_V_per_m
     if gain_V_per_m is None:
         return plant

@@ -96,21 +96,20 @@ def _drifting(found: tuple[Distribution, ...]) -> str:
 
 def failures(fleet: Fleet) -> Section:
     """Return every stage that did not pass, with the reason as it was given."""
-    rows = list(islice((s for s in fleet.stages if s.state != PASSED), WORST))
-    parts: tuple[Part, ...] = (Prose(text="Every stage passed.", tone="good"),)
-    if rows:
-        parts = (
-            Table(
-                caption="Stages that did not pass."
-                + _beyond(len(fleet.stages) - fleet.counts.get(PASSED, 0)),
-                columns=("stage", "what happened", "reason"),
-                rows=tuple((s.name, s.state, s.reason) for s in rows),
-                links=tuple(_link(s) for s in rows),
-            ),
-        )
+    failed = list(islice((s for s in fleet.stages if s.state != PASSED), WORST))
+    table = Table(
+        caption="Stages that did not pass."
+        + _beyond(len(fleet.stages) - fleet.counts.get(PASSED, 0)),
+        columns=("stage", "what happened", "reason"),
+        rows=tuple((s.name, s.state, s.reason) for s in failed),
+        links=tuple(_link(s) for s in failed),
+    )
     lead = "; ".join(f"{state}: {meaning}" for state, meaning in STATES.items())
     return Section(
-        anchor="failures", title="Failures and their reasons", lead=f"{lead}.", parts=parts
+        anchor="failures",
+        title="Failures and their reasons",
+        lead=f"{lead}.",
+        parts=(table if failed else Prose(text="Every stage passed.", tone="good"),),
     )
 
 
@@ -126,38 +125,29 @@ def outliers(found: tuple[Distribution, ...]) -> Section:
         "quantities with a long tail), beyond the interval of the value. In a batch without "
         f"faults chance names {FALSE_ALARMS:g} stages at most."
     )
-    if not rows:
-        return Section(
-            anchor="outliers",
-            title="Stages that stand out",
-            lead=lead if found else "",
-            parts=(Prose(text="None.", tone="good"),),
-        )
+    table = Table(
+        caption="Measured against the middle of all stages, or against the drift."
+        + _beyond(len(rows)),
+        columns=("stage", "axis", "quantity", "value", "middle", "away", "may be"),
+        rows=tuple(
+            (
+                one.stages[k],
+                one.axis,
+                one.quantity.label,
+                _value(one, k),
+                number(one.spread.median, one.quantity.unit),
+                f"{significant(float(one.away[k]), 2)} sigma",
+                one.quantity.means,
+            )
+            for one, k in rows[:WORST]
+        ),
+        links=tuple(_place(one.stages[k]) for one, k in rows[:WORST]),
+    )
     return Section(
         anchor="outliers",
         title="Stages that stand out",
-        lead=lead,
-        parts=(
-            Table(
-                caption="Measured against the middle of all stages, or against the drift."
-                + _beyond(len(rows)),
-                columns=("stage", "axis", "quantity", "value", "middle", "away", "may be"),
-                rows=tuple(_odd_row(one, k) for one, k in rows[:WORST]),
-                links=tuple(_place(one.stages[k]) for one, k in rows[:WORST]),
-            ),
-        ),
-    )
-
-
-def _odd_row(one: Distribution, k: int) -> tuple[str, ...]:
-    return (
-        one.stages[k],
-        one.axis,
-        one.quantity.label,
-        _value(one, k),
-        number(one.spread.median, one.quantity.unit),
-        f"{significant(float(one.away[k]), 2)} sigma",
-        one.quantity.means,
+        lead=lead if found else "",
+        parts=(table if rows else Prose(text="None.", tone="good"),),
     )
 
 
@@ -183,7 +173,19 @@ def stages(fleet: Fleet) -> Section:
                 caption="Digests of the model and of the parameter file of every stage."
                 + _beyond(len(fleet.stages)),
                 columns=("stage", "state", "held-out error", "model.json", "params.json"),
-                rows=tuple(_row(stage) for stage in shown),
+                rows=tuple(
+                    (
+                        stage.name,
+                        stage.state,
+                        ", ".join(
+                            number(axis.values["held_out_rms_percent"], "%")
+                            for axis in stage.axes
+                            if "held_out_rms_percent" in axis.values
+                        ),
+                        *(stage.outputs.get(n, "") for n in ("model.json", "params.json")),
+                    )
+                    for stage in shown
+                ),
                 digests=(3, 4),
                 links=tuple(_link(stage) for stage in shown),
             ),
@@ -202,13 +204,6 @@ def _badness(stage: FleetStage) -> tuple[bool, float, str]:
     """Order stages: those that did not pass, then by the largest error on rows left out."""
     errors = [axis.values.get("held_out_rms_percent", 0.0) for axis in stage.axes]
     return stage.state == PASSED, -max(errors, default=0.0), stage.name
-
-
-def _row(stage: FleetStage) -> tuple[str, ...]:
-    shares = [axis.values.get("held_out_rms_percent") for axis in stage.axes]
-    errors = ", ".join(number(share, "%") for share in shares if share is not None)
-    made = [stage.outputs.get(name, "") for name in ("model.json", "params.json")]
-    return stage.name, stage.state, errors, *made
 
 
 def _link(stage: FleetStage) -> str:

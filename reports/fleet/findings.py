@@ -20,6 +20,7 @@ from piezoid.numerics.robust import (
     spread_of,
     trend_of,
 )
+from piezoid.record_json import fields_of
 from piezoid_reports.fleet.quantities import QUANTITIES, Quantity
 from piezoid_reports.fleet.records import Fleet
 
@@ -32,13 +33,27 @@ TREND_P = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Distribution:
+class QuantityValues:
     """One quantity of one axis over all stages that have it.
 
     stages   (count,)  names
     serials  (count,)  NaN where a name holds no number
     values   (count,)  SI
     errors   (count,)  their standard errors; 0 where none is known
+    """
+
+    axis: str
+    quantity: Quantity
+    stages: tuple[str, ...]
+    serials: Array
+    values: Array
+    errors: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Distribution(QuantityValues):
+    """The spread of a quantity, the stages that stand out, and its trend.
+
     spread   of the values, as they are
     away     (count,)  in robust standard deviations of the stages and of the value itself, which
              may hardly be known; from the trend, where there is one; of the logarithm where
@@ -48,12 +63,6 @@ class Distribution:
     trend    over serial numbers, its p-value corrected for all that were looked at
     """
 
-    axis: str
-    quantity: Quantity
-    stages: tuple[str, ...]
-    serials: Array
-    values: Array
-    errors: Array
     spread: Spread
     away: Array
     limit: float
@@ -75,93 +84,71 @@ class Distribution:
 
 def distributions(fleet: Fleet) -> tuple[Distribution, ...]:
     """Return every quantity that at least ``FEWEST`` stages have, axis by axis."""
-    held = _held(fleet)
-    looks = sum(len(one.values) for one in held)
+    quantities = _quantities(fleet)
+    looks = sum(len(q.values) for q in quantities)
     limit = float(-normal_quantile(FALSE_ALARMS / max(looks, 1) / 2))
-    trends = [trend_of(one.serials, one.values) for one in held]
+    trends = [trend_of(q.serials, q.values) for q in quantities]
     p_values = holm(np.array([1.0 if trend is None else trend.p_value for trend in trends]))
     return tuple(
-        _distribution(one, limit, trend, float(p))
-        for one, trend, p in zip(held, trends, p_values, strict=True)
+        _distribution(q, limit, trend, float(p))
+        for q, trend, p in zip(quantities, trends, p_values, strict=True)
     )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Held:
-    axis: str
-    quantity: Quantity
-    stages: tuple[str, ...]
-    values: Array
-    errors: Array
-    serials: Array
-
-
-class _Column:
-    """One quantity of one axis, while the stages pass: 20 bytes a stage."""
-
-    def __init__(self) -> None:
-        self.place, self.value, self.error = array("l"), array("d"), array("d")
-
-    def add(self, place: int, value: float, error: float) -> None:
-        self.place.append(place)
-        self.value.append(value)
-        self.error.append(error)
-
-
-def _held(fleet: Fleet) -> list[_Held]:
+def _quantities(fleet: Fleet) -> list[QuantityValues]:
     """Return names, values, errors and serials of all that is compared, in one pass."""
     names: list[str] = []
     numbers = array("d")
-    columns: defaultdict[tuple[str, str], _Column] = defaultdict(_Column)
-    for place, stage in enumerate(fleet.stages):
-        serial = stage.serial
+    # Of each quantity of an axis: stage, value and error, 20 bytes a stage.
+    columns: defaultdict[tuple[str, str], tuple[array[int], array[float], array[float]]]
+    columns = defaultdict(lambda: (array("l"), array("d"), array("d")))
+    for index, stage in enumerate(fleet.stages):
         names.append(stage.name)
-        numbers.append(np.nan if serial is None else float(serial))
+        numbers.append(np.nan if stage.serial is None else float(stage.serial))
         for axis in stage.axes:
-            if axis.applies:
-                for name, value in axis.values.items():
-                    columns[axis.axis, name].add(place, value, axis.errors.get(name, 0.0))
-    every, serials = tuple(names), np.array(numbers)
-    found = []
+            for name, value in axis.values.items() if axis.applies else ():
+                indices, values, errors = columns[axis.axis, name]
+                indices.append(index)
+                values.append(value)
+                errors.append(axis.errors.get(name, 0.0))
+    all_names, serials = tuple(names), np.array(numbers)
+    quantities = []
     for axis_name in sorted({axis for axis, _ in columns}):
         for quantity in QUANTITIES:
-            column = columns.pop((axis_name, quantity.name), None)
-            if column is None or len(column.place) < FEWEST:
+            indices, values, errors = columns[axis_name, quantity.name]
+            if len(indices) < FEWEST:
                 continue
-            whole = column.place == array("l", range(len(every)))
-            found.append(
-                _Held(
+            is_complete = len(indices) == len(all_names)
+            quantities.append(
+                QuantityValues(
                     axis=axis_name,
                     quantity=quantity,
-                    stages=every if whole else tuple(every[k] for k in column.place),
-                    values=np.array(column.value),
-                    errors=np.array(column.error),
-                    serials=serials if whole else serials[np.array(column.place)],
+                    stages=all_names if is_complete else tuple(all_names[k] for k in indices),
+                    values=np.array(values),
+                    errors=np.array(errors),
+                    serials=serials if is_complete else serials[np.array(indices)],
                 )
             )
-    return found
+    return quantities
 
 
-def _distribution(held: _Held, limit: float, trend: Trend | None, p_value: float) -> Distribution:
-    values, errors = held.values, held.errors
+def _distribution(
+    measured: QuantityValues, limit: float, trend: Trend | None, p_value: float
+) -> Distribution:
+    values, errors = measured.values, measured.errors
     drifts = trend is not None and p_value < TREND_P
-    level = values - trend.slope * (held.serials - trend.about) if trend and drifts else values
-    ratio = held.quantity.ratio and level.min() > 0.0
-    scaled, own = (np.log(level), errors / level) if ratio else (level, errors)
-    compared = spread_beyond(scaled, own)
+    level = values - trend.slope * (measured.serials - trend.about) if trend and drifts else values
+    ratio = measured.quantity.ratio and level.min() > 0.0
+    scaled, errors = (np.log(level), errors / level) if ratio else (level, errors)
+    compared = spread_beyond(scaled, errors)
     reach = limit * (1.0 + WIDENED / len(values))
-    usual = float(np.hypot(compared.sigma, np.median(own)))
+    usual = float(np.hypot(compared.sigma, np.median(errors)))
     ends = compared.median + reach * usual * np.array([-1.0, 1.0])
     low, high = np.exp(ends) if ratio else ends
     return Distribution(
-        axis=held.axis,
-        quantity=held.quantity,
-        stages=held.stages,
-        serials=held.serials,
-        values=values,
-        errors=errors,
+        **fields_of(measured),
         spread=spread_of(values),
-        away=deviations(scaled, compared, own),
+        away=deviations(scaled, compared, errors),
         limit=reach,
         normal=(float(low), float(high)),
         trend=trend,

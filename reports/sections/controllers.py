@@ -53,7 +53,12 @@ def render(page: Page) -> Section | None:
         return None
     parts: list[Part] = [_loops(page)]
     for axis in page.axis_designs:
-        parts += [*_axis(axis), *_proven(page, axis)]
+        loop = axis.recommended
+        parts += [Heading(text=f"Axis {axis.axis}"), _figure(axis, loop, "Syp")]
+        parts += folded("Noise sensitivity: 1 figure", [_figure(axis, loop, "Syb")])
+        mode = describe_mode(loop)
+        parts += [Prose(text=mode)] if mode else []
+        parts += _proven(page, axis)
     conditions = tuple(dict.fromkeys(_conditions(page)))
     parts += folded("Conditions", [Listing(items=conditions)] if conditions else [])
     return Section(
@@ -95,7 +100,9 @@ def _loops(page: Page) -> Table:
                 METHODS[loop.method],
                 number(loop.bandwidth_Hz, "Hz"),
                 significant(loop.worst_modulus_margin),
-                _delay(loop.worst_delay_margin_s),
+                "any"
+                if loop.worst_delay_margin_s is None
+                else number(loop.worst_delay_margin_s, "s"),
                 _bound(page, axis, loop),
             )
             for axis in page.axis_designs
@@ -103,10 +110,6 @@ def _loops(page: Page) -> Table:
         ),
         is_open=True,
     )
-
-
-def _delay(margin_s: float | None) -> str:
-    return "any" if margin_s is None else number(margin_s, "s")
 
 
 def _bound(page: Page, axis: AxisDesign, loop: LoopDesign) -> str:
@@ -117,16 +120,6 @@ def _bound(page: Page, axis: AxisDesign, loop: LoopDesign) -> str:
         return "not verified"
     bound_m = useful_bound_m(loop.certificate, model)
     return "no useful bound" if bound_m is None else number(bound_m, "m")
-
-
-def _axis(axis: AxisDesign) -> list[Part]:
-    loop = axis.recommended
-    return [
-        Heading(text=f"Axis {axis.axis}"),
-        _figure(axis, loop, "Syp"),
-        *folded("Noise sensitivity: 1 figure", (_figure(axis, loop, "Syb"),)),
-        *((Prose(text=mode),) if (mode := describe_mode(loop)) else ()),
-    ]
 
 
 def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
@@ -154,19 +147,15 @@ def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
     layers += [canvas.line("limit", name, decades, limit) for name, limit in limits]
     what, guide = FUNCTIONS[function]
     worst_dB = level_dB.max(axis=0)
+    largest_dB = f"{round(float(worst_dB.max()), 2) + 0.0:.2f} dB".replace("-", MINUS)
     return Figure(
         title=f"Axis {axis.axis}: {what} |{function}|",
-        caption=f"Largest {_decibels(float(worst_dB.max()))} at "
+        caption=f"Largest {largest_dB} at "
         f"{number(float(frequency_Hz[worst_dB.argmax()]), 'Hz')}, of {len(loop.members)} members.",
         guide=guide,
         canvas=canvas,
         layers=tuple(layers),
     )
-
-
-def _decibels(level: float) -> str:
-    """Return a level to a hundredth of a decibel: below, a curve is flat."""
-    return f"{round(level, 2) + 0.0:.2f} dB".replace("-", MINUS)
 
 
 def _limits(axis: AxisDesign, function: str, frequency_Hz: Array) -> list[tuple[str, Array]]:

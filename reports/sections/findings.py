@@ -23,11 +23,10 @@ def render(page: Page) -> Section | None:
     if not page.diagnoses:
         return None
     parts: list[Part] = [_table(page.diagnoses)]
-    parts += [
-        part
-        for k, diagnosis in enumerate(page.diagnoses)
-        for part in _axis_parts(diagnosis, page, described=_described(page.diagnoses[:k]))
-    ]
+    described: dict[str, str] = {}  # by effect, the first axis that has it
+    for diagnosis in page.diagnoses:
+        parts += _axis_parts(diagnosis, page, described=described)
+        described = {**{f.effect: diagnosis.axis for f in diagnosis.findings}, **described}
     parts.append(Heading(text="Not detected"))
     return Section(
         anchor="findings",
@@ -36,12 +35,6 @@ def render(page: Page) -> Section | None:
         "size found, put into a simulated healthy stage.",
         parts=(*parts, *not_detected_tables(page.diagnoses)),
     )
-
-
-def _described(diagnoses: Sequence[Diagnosis]) -> dict[str, str]:
-    """Return the axis under which each effect is described, the first that has it."""
-    pairs = [(f.effect, one.axis) for one in diagnoses for f in one.findings]
-    return dict(reversed(pairs))
 
 
 def _axis_parts(
@@ -119,7 +112,10 @@ def _meaning(finding: Finding, described: str, *, is_proposed: bool) -> list[Par
 def not_detected_tables(diagnoses: Sequence[Diagnosis]) -> list[Part]:
     """Return the effects and the data faults that were not detected, least known first."""
     absent = [(one, diagnosis.axis) for diagnosis in diagnoses for one in diagnosis.not_detected]
-    absent.sort(key=lambda pair: -_hidden_m(pair[0]))
+    # Below the larger of bound and limit nothing is known of an effect.
+    absent.sort(
+        key=lambda pair: -max(pair[0].detection_limit_m or 0.0, pair[0].upper_bound_m or 0.0)
+    )
     names = dict.fromkeys(one.effect for one, _ in absent)
     effects = [name for name in names if effect_named(name).fault is None]
     faults = [name for name in names if effect_named(name).fault is not None]
@@ -158,8 +154,3 @@ def _known(one: NotDetected | None) -> str:
     if is_fault or one.upper_bound_m is None:
         return limit
     return f"{number(one.upper_bound_m, 'm')}, {limit}"
-
-
-def _hidden_m(one: NotDetected) -> float:
-    """Return the larger of bound and limit: below it nothing is known of an effect."""
-    return max(one.detection_limit_m or 0.0, one.upper_bound_m or 0.0)

@@ -1,7 +1,8 @@
 """The loops, with the model over the measurement."""
 
+import numpy as np
+
 from piezoid.identification.model import AxisModel
-from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, axis_over
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Figure, Part, Section, Table, axis_heading, count_of, folded
@@ -40,48 +41,26 @@ def without_line(
     page: Page, axis: AxisModel, trace: Trace, *, size: tuple[int, int] | None = None
 ) -> Figure:
     """Draw a loop without its straight line, which magnifies it; small for the first screen."""
-    return _figure(
-        page,
-        trace,
-        "displacement minus straight line",
-        (trace.line_residual_m, trace.modelled_m - trace.line_m),
-        f"{trace.recording.name}, axis {axis.axis}: loop without straight line",
-        f"Residual {number(rms(trace.line_residual_m), 'm')} rms with a straight line, "
-        f"{number(rms(trace.residual_m), 'm')} with the model.",
-        size=size,
-    )
-
-
-def _figure(
-    page: Page,
-    trace: Trace,
-    label: str,
-    curves: tuple[Array, Array],
-    title: str,
-    caption: str,
-    *,
-    size: tuple[int, int] | None = None,
-) -> Figure:
+    curves = {
+        "measured": trace.line_residual_m,
+        "model": np.asarray(trace.modelled_m - trace.line_m),
+    }
     width, height = size or (Canvas.width, Canvas.height)
-    canvas = Canvas(
-        x=axis_over("drive", [trace.voltage_V], "V"),
-        y=axis_over(label, curves, "m"),
-        width=width,
-        height=height,
-    )
-    is_small = size is not None
+    x = axis_over("drive", [trace.voltage_V], "V")
+    y = axis_over("displacement minus straight line", list(curves.values()), "m")
+    canvas, is_small = Canvas(x=x, y=y, width=width, height=height), size is not None
     points = min(page.points, SMALL_POINTS) if is_small else page.points
-    layers = tuple(
-        canvas.line_within(name, name, trace.voltage_V, values, points=points, timed=is_small)[0]
-        for name, values in zip(("measured", "model"), curves, strict=True)
-    )
     return Figure(
-        title=title,
-        caption=caption,
+        title=f"{trace.recording.name}, axis {axis.axis}: loop without straight line",
+        caption=f"Residual {number(rms(trace.line_residual_m), 'm')} rms with a straight line, "
+        f"{number(rms(trace.residual_m), 'm')} with the model.",
         guide=GUIDE,
         canvas=canvas,
-        layers=layers,
-        flicker=() if is_small else ("measured", "model"),
+        layers=tuple(
+            canvas.line_within(n, n, trace.voltage_V, m, points=points, timed=is_small)[0]
+            for n, m in curves.items()
+        ),
+        flicker=() if is_small else tuple(curves),
         is_small=is_small,
     )
 

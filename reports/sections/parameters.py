@@ -221,7 +221,7 @@ def _quantities(page: Page) -> Table:
         low_V, high_V = axis.voltage_V
         values = {
             "width of the full loop": with_half_width(*axis.uncertainty.loop_width_m, "m"),
-            "lag": _lag(axis, known_of(axis.uncertainty)),
+            "lag": _lag(axis),
             "voltage offset": number(axis.hysteresis.voltage_offset_V, "V", 4),
             "displacement offset": number(axis.hysteresis.displacement_offset_m, "m", 4),
             "valid drive": f"{number(low_V, 'V')} to {number(high_V, 'V')}",
@@ -242,8 +242,8 @@ def _declared(bandwidth_Hz: float | None) -> str:
     return "" if bandwidth_Hz is None else number(bandwidth_Hz, "Hz")
 
 
-def _lag(axis: AxisModel, known: Known) -> str:
+def _lag(axis: AxisModel) -> str:
     if axis.quality.lag_is_open and axis.lag.kind != "none":
         return "not identified: the rate was never varied"
-    value_s, half_s = known.get("lag_s", (axis.lag.time_s, math.nan))
+    value_s, half_s = known_of(axis.uncertainty).get("lag_s", (axis.lag.time_s, math.nan))
     return with_half_width(value_s, half_s, "s")

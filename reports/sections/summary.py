@@ -13,6 +13,7 @@ from piezoid_reports.page import Page
 from piezoid_reports.parts import Card, Cards, Figure, Said, Section, worst_tone
 from piezoid_reports.quantities import number, percent, significant, with_interval
 from piezoid_reports.sections import loops, residuals, tunnelling
+from piezoid_reports.spirals import METHODS
 
 LOOP_SIZE, RESIDUAL_SIZE = (300, 122), (440, 122)  # pixels, beside each other
 TRACKED_Hz = 10.0  # of the spirals that the verification compares
@@ -21,13 +22,6 @@ TONES = {
     Grade.LIMITED: "middling",
     Grade.POOR: "bad",
     Grade.REJECTED: "bad",
-}
-METHODS = {
-    "mpi_dob": "observer on the inverse",
-    "dob": "plain observer",
-    "mpi": "inverse, no feedback",
-    "none": "static gain",
-    "rst": "R, S, T on ln i",
 }
 
 
@@ -44,18 +38,15 @@ def render(page: Page) -> Section:
 def sentences(page: Page) -> tuple[tuple[str, str], ...]:
     """Return the sentences on top, each with the word in front of it."""
     labels = {Level.ACTION: "Next", Level.WARNING: "Limits"}
+    word = "Tip"
+    if page.axes:
+        worst = max((grade_of(axis) for axis in page.axes), key=list(Grade).index)
+        word = {Grade.REJECTED: "Bad", Grade.LIMITED: "Care"}.get(worst, words(worst).capitalize())
     return (
-        (_word(page), f"{_verdict(page)}{_verified(page)}."),
+        (word, f"{_verdict(page)}{_verified(page)}."),
         *_accuracy(page),
         *((labels[fact.level], page.text_of(fact)) for fact in reversed(page.headline)),
     )
-
-
-def _word(page: Page) -> str:
-    if not page.axes:
-        return "Tip"
-    worst = max((grade_of(axis) for axis in page.axes), key=list(Grade).index)
-    return {Grade.REJECTED: "Bad", Grade.LIMITED: "Care"}.get(worst, words(worst).capitalize())
 
 
 def _verdict(page: Page) -> str:
@@ -83,10 +74,10 @@ def _verified(page: Page) -> str:
     return f"; the controllers passed all {n_all} verdicts{missing}"
 
 
-def _names(names: list[str]) -> str:
-    if len(names) == 1:
-        return f"axis {names[0]}"
-    return f"axes {', '.join(names[:-1])} and {names[-1]}"
+def _names(axes: list[str]) -> str:
+    if len(axes) == 1:
+        return f"axis {axes[0]}"
+    return f"axes {', '.join(axes[:-1])} and {axes[-1]}"
 
 
 def _accuracy(page: Page) -> tuple[tuple[str, str], ...]:
@@ -97,10 +88,8 @@ def _accuracy(page: Page) -> tuple[tuple[str, str], ...]:
     quality = worst.quality
     kind = "Held-out error" if quality.is_tested else "Error on the data of the fit"
     where = f" on axis {worst.axis} (the worst axis)" if len(page.axes) > 1 else ""
-    error, share = (
-        number(quality.held_out_rms_m, "m"),
-        number(quality.held_out_rms_percent, "%"),
-    )
+    error = number(quality.held_out_rms_m, "m")
+    share = number(quality.held_out_rms_percent, "%")
     text = f"{kind}: {error} rms{where}, {share} of the {number(quality.range_m, 'm')} range."
     return (("Error", text),)
 

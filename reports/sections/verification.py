@@ -1,15 +1,17 @@
 """The compiled controller run against the stage: methods by frequency, paths, verdicts."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.rebuild import Proof
 from piezoid.verification.scenarios import spiral_speed_m_per_s
-from piezoid.verification.verification import ComparisonRow, ErrorBound, Verification
+from piezoid.verification.verification import ComparisonRow, Verification
 from piezoid_reports.chart import Canvas, decades_over
 from piezoid_reports.page import Page
-from piezoid_reports.parts import Figure, Part, Section, Table, count_of, folded
+from piezoid_reports.parts import Figure, Part, Section, Table, count_of, folded, with_rows
 from piezoid_reports.quantities import number, significant
 from piezoid_reports.spirals import METHODS, errors_in_time, motions, spiral
 
@@ -29,10 +31,13 @@ def render(page: Page) -> Section | None:
         "converters, noise, and other stages that the recordings allow.",
         parts=(
             *_figures(page, found),
-            *_currents(found),
-            *_verdicts(found),
-            *_proofs(found.proofs),
-            *_limit_proofs(found.limit_proofs),
+            *with_rows(
+                _bounds(found),
+                _currents(found),
+                _verdicts(found.verdicts),
+                _proofs(found.proofs),
+                _limit_proofs(found.limit_proofs),
+            ),
         ),
     )
 
@@ -49,8 +54,7 @@ def _figures(page: Page, found: Verification) -> list[Part]:
     parts: list[Part] = [_shape_figure(found)] if found.comparison else []
     parts += errors_in_time(found)[-1:]
     parts += folded(f"Steps and spiral: {count_of(len(details), 'figure')}", details)
-    parts += [_table(page, found)] if found.comparison else []
-    return [*parts, *_bounds(found)]
+    return parts + ([_table(page, found)] if found.comparison else [])
 
 
 def _shape_figure(found: Verification) -> Figure:
@@ -103,36 +107,29 @@ def _table(page: Page, found: Verification) -> Table:
     )
 
 
-def _bounds(found: Verification) -> list[Part]:
+def _bounds(verification: Verification) -> Table:
     """Return how large errors may be beside how large they are, where that was asked."""
-    if not found.bounds:
-        return []
-    rows = tuple(
-        (
-            row.axis,
-            number(row.slew_m_per_s, "m/s"),
-            _bounded(row),
-            number(row.probable_m, "m") if np.isfinite(row.probable_m) else "too few runs",
-            number(row.worst_found_m, "m"),
-            number(row.simulated_m, "m"),
+    rows = []
+    for row in verification.bounds:
+        bound = "none" if row.bound_m is None else number(row.bound_m, "m")
+        rows.append(
+            (
+                row.axis,
+                number(row.slew_m_per_s, "m/s"),
+                bound + (", not on all stages drawn" if row.is_exceeded else ""),
+                number(row.probable_m, "m") if np.isfinite(row.probable_m) else "too few runs",
+                number(row.worst_found_m, "m"),
+                number(row.simulated_m, "m"),
+            )
         )
-        for row in found.bounds
-    )
-    probability = f"{100.0 * (1.0 - found.bounds[0].probability):.2g} %"
-    table = Table(
+    share = max((1.0 - row.probability for row in verification.bounds), default=0.0)
+    return Table(
         caption="Largest error within half a second. Bounded: proven on the conditions of the "
-        f"certificate. Probable: exceeded with a probability below {probability} on stages that "
-        "the recordings allow. Worst found: by search. Simulated: median.",
+        f"certificate. Probable: exceeded with a probability below {100.0 * share:.2g} % on "
+        "stages that the recordings allow. Worst found: by search. Simulated: median.",
         columns=("axis", "at most", "bounded", "probable", "worst found", "simulated"),
-        rows=rows,
+        rows=tuple(rows),
     )
-    return [table]
-
-
-def _bounded(row: ErrorBound) -> str:
-    if row.bound_m is None:
-        return "none"
-    return number(row.bound_m, "m") + (", not on all stages drawn" if row.is_exceeded else "")
 
 
 def _guaranteed(page: Page, found: Verification, row: ComparisonRow) -> str:
@@ -152,56 +149,47 @@ def _guaranteed(page: Page, found: Verification, row: ComparisonRow) -> str:
     return number(bound_m, "m") if bound_m < 2.0 * found.radius_m else ""
 
 
-def _currents(found: Verification) -> list[Part]:
-    if not found.currents:
-        return []
-    rows = tuple(
-        (
-            row.scenario,
-            significant(row.ln_current_std),
-            number(row.height_rms_m, "m"),
-            significant(row.largest_ratio),
-            str(row.retracted_samples),
-        )
-        for row in found.currents
-    )
-    return [
-        Table(
-            caption="The tip over a surface of 0.1 nm rms. Largest current: over its set point.",
-            columns=("path", "std of ln i", "height rms", "largest current", "samples retracted"),
-            rows=rows,
+def _currents(verification: Verification) -> Table:
+    return Table(
+        caption="The tip over a surface of 0.1 nm rms. Largest current: over its set point.",
+        columns=("path", "std of ln i", "height rms", "largest current", "samples retracted"),
+        rows=tuple(
+            (
+                row.scenario,
+                significant(row.ln_current_std),
+                number(row.height_rms_m, "m"),
+                significant(row.largest_ratio),
+                str(row.retracted_samples),
+            )
+            for row in verification.currents
         ),
-    ]
+    )
 
 
-def _verdicts(found: Verification) -> list[Part]:
+def _verdicts(verdicts: Sequence[Verdict]) -> Table:
     """Return the verdicts by name, each with the scenario that comes closest to its limit."""
-    if not found.verdicts:
-        return []
     by_name: dict[str, list[Verdict]] = {}
-    for verdict in found.verdicts:
+    for verdict in verdicts:
         by_name.setdefault(verdict.name, []).append(verdict)
     worst = [max(same, key=_closeness) for same in by_name.values()]
     worst.sort(key=_closeness, reverse=True)
-    n_passed = sum(verdict.passed for verdict in found.verdicts)
-    return [
-        Table(
-            caption=f"Verdicts: {n_passed} of {len(found.verdicts)} passed. The closest to their "
-            "limits, each in its worst scenario; verification.json has all.",
-            columns=("what", "worst in", "found", "limit", ""),
-            rows=tuple(
-                (
-                    f"{verdict.name} ({len(by_name[verdict.name])})",
-                    verdict.scenario,
-                    _measured(verdict, verdict.value),
-                    _measured(verdict, verdict.limit),
-                    "passed" if verdict.passed else "failed",
-                )
-                for verdict in worst[: max(MAX_VERDICTS, sum(not one.passed for one in worst))]
-            ),
-            is_open=n_passed < len(found.verdicts),
-        )
-    ]
+    n_passed = sum(verdict.passed for verdict in verdicts)
+    return Table(
+        caption=f"Verdicts: {n_passed} of {len(verdicts)} passed. The closest to their limits, "
+        "each in its worst scenario; verification.json has all.",
+        columns=("what", "worst in", "found", "limit", ""),
+        rows=tuple(
+            (
+                f"{verdict.name} ({len(by_name[verdict.name])})",
+                verdict.scenario,
+                _measured(verdict, verdict.value),
+                _measured(verdict, verdict.limit),
+                "passed" if verdict.passed else "failed",
+            )
+            for verdict in worst[: max(MAX_VERDICTS, sum(not v.passed for v in worst))]
+        ),
+        is_open=n_passed < len(verdicts),
+    )
 
 
 def _closeness(verdict: Verdict) -> float:
@@ -218,47 +206,37 @@ def _measured(verdict: Verdict, value: float) -> str:
     return f"{significant(value)} {'' if verdict.unit == '1' else verdict.unit}".strip()
 
 
-def _proofs(proofs: tuple[Proof, ...]) -> list[Part]:
-    if not proofs:
-        return []
-    rows = tuple(
-        (
-            proof.build,
-            str(proof.samples) if proof.is_built else "not built here",
-            str(proof.differing) if proof.is_built else "",
-            ", ".join(
-                f"{axis}: {count:.0f}"
-                for axis, count in (proof.instructions_per_sample or {}).items()
-            ),
-        )
-        for proof in proofs
-    )
-    return [
-        Table(
-            caption="The bundle, compiled again and compared bit for bit.",
-            columns=("build", "samples", "differing", "instructions a sample"),
-            rows=rows,
+def _proofs(proofs: Sequence[Proof]) -> Table:
+    return Table(
+        caption="The bundle, compiled again and compared bit for bit.",
+        columns=("build", "samples", "differing", "instructions a sample"),
+        rows=tuple(
+            (
+                proof.build,
+                str(proof.samples) if proof.is_built else "not built here",
+                str(proof.differing) if proof.is_built else "",
+                ", ".join(
+                    f"{axis}: {count:.0f}"
+                    for axis, count in (proof.instructions_per_sample or {}).items()
+                ),
+            )
+            for proof in proofs
         ),
-    ]
+    )
 
 
-def _limit_proofs(proofs: tuple[LimitProof, ...]) -> list[Part]:
-    if not proofs:
-        return []
-    rows = tuple(
-        (
-            f"{proof.axis}, {proof.precision}",
-            proof.verdict,
-            "; ".join(proof.alarms or proof.claims),
-            proof.tool,
-            f"{proof.seconds} s" if proof.tool else "",
-        )
-        for proof in proofs
-    )
-    return [
-        Table(
-            caption="Proofs for every input, NaN and infinities included.",
-            columns=("axis", "verdict", "what holds, or where it was not shown", "by", "took"),
-            rows=rows,
+def _limit_proofs(proofs: Sequence[LimitProof]) -> Table:
+    return Table(
+        caption="Proofs for every input, NaN and infinities included.",
+        columns=("axis", "verdict", "what holds, or where it was not shown", "by", "took"),
+        rows=tuple(
+            (
+                f"{proof.axis}, {proof.precision}",
+                proof.verdict,
+                "; ".join(proof.alarms or proof.claims),
+                proof.tool,
+                f"{proof.seconds} s" if proof.tool else "",
+            )
+            for proof in proofs
         ),
-    ]
+    )

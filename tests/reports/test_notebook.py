@@ -1,13 +1,9 @@
-"""Notebooks: records show themselves, and a figure of the report stands alone."""
+"""Notebooks: records show themselves."""
 
 from dataclasses import replace
-from html import unescape
-
-import pytest
 
 from piezoid.digests import digest_of_bytes
 from piezoid.summary import Summary
-from piezoid_reports.plot import plot
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, recording, stage_model
 
@@ -37,20 +33,3 @@ def test_no_name_in_a_shown_record_is_markup() -> None:
     assert "<script" not in held._repr_html_()
     table = Summary(title="<b>", headings=("<b>",), rows=[("<b>",)], notes=("<b>",))
     assert "<b>" not in table._repr_html_()
-
-
-@pytest.mark.parametrize(("kind", "figures"), [("loops", 1), ("residual", 2)])
-def test_a_plot_holds_the_figures_and_runs_nothing(kind: str, figures: int) -> None:
-    drawn = plot(stage_model(axis_model()), recording(), kind=kind)._repr_html_()
-    (frame,) = Anatomy(drawn).all("iframe")
-    assert frame.attributes["sandbox"] == ""
-    inside = Anatomy(frame.attributes["srcdoc"])
-    assert len(inside.all("figure")) == figures
-    assert "Content-Security-Policy" not in unescape(drawn)
-
-
-def test_a_plot_of_nothing_is_refused() -> None:
-    with pytest.raises(ValueError, match="kind is 'bode'"):
-        plot(stage_model(axis_model()), recording(), kind="bode")
-    with pytest.raises(ValueError, match="none of these"):
-        plot(stage_model(axis_model()), recording("another.csv"))
