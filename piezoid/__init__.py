@@ -64,92 +64,53 @@ _PUBLIC = {
     "to_frame": "piezoid.records.frames",
 }
 
-if TYPE_CHECKING:
-    from piezoid.calibration.calibrate import Calibration
-    from piezoid.design.design import AxisDesign, Design, LoopDesign
-    from piezoid.diagnosis.diagnosis import Diagnosis, Finding
-    from piezoid.diagnosis.experiment import Plan
-    from piezoid.errors import PiezoidError
-    from piezoid.export.parameter_file import ParameterFile
-    from piezoid.figures import plot
-    from piezoid.identification.actuator_model import ActuatorModel
-    from piezoid.identification.coupled.coupled_stage import CoupledStage
-    from piezoid.identification.coupled.fit_coupled import fit_coupled
-    from piezoid.identification.dynamics.periodic_estimate import PeriodicData
-    from piezoid.identification.model import AxisModel
-    from piezoid.identification.prediction import Comparison
-    from piezoid.learning.learn import Learned
-    from piezoid.records.collection import Collection
-    from piezoid.records.frames import from_arrays, from_frame, to_frame
-    from piezoid.records.lab import Lab
-    from piezoid.records.recording import Channel, Quantity, Recording
-    from piezoid.sealed_files import load, save
-    from piezoid.verbs import (
-        calibrate,
-        design,
-        diagnose,
-        export,
-        fit,
-        learn,
-        plan,
-        read,
-        read_lab,
-        report,
-        simulate_loop,
-        verify,
-    )
-    from piezoid.verification.closed_loop import LoopRecord
-    from piezoid.verification.release import Shipping
-    from piezoid.verification.verification import Verification
-    from piezoid.virtual_stage import VirtualStage, simulate
+if TYPE_CHECKING:  # what is imported when it is first used
+    from piezoid.calibration.calibrate import Calibration as Calibration
+    from piezoid.design.design import AxisDesign as AxisDesign
+    from piezoid.design.design import Design as Design
+    from piezoid.design.design import LoopDesign as LoopDesign
+    from piezoid.diagnosis.diagnosis import Diagnosis as Diagnosis
+    from piezoid.diagnosis.diagnosis import Finding as Finding
+    from piezoid.diagnosis.experiment import Plan as Plan
+    from piezoid.errors import PiezoidError as PiezoidError
+    from piezoid.export.parameter_file import ParameterFile as ParameterFile
+    from piezoid.figures import plot as plot
+    from piezoid.identification.actuator_model import ActuatorModel as ActuatorModel
+    from piezoid.identification.coupled.coupled_stage import CoupledStage as CoupledStage
+    from piezoid.identification.coupled.fit_coupled import fit_coupled as fit_coupled
+    from piezoid.identification.dynamics.periodic_estimate import PeriodicData as PeriodicData
+    from piezoid.identification.model import AxisModel as AxisModel
+    from piezoid.identification.prediction import Comparison as Comparison
+    from piezoid.learning.learn import Learned as Learned
+    from piezoid.records.collection import Collection as Collection
+    from piezoid.records.frames import from_arrays as from_arrays
+    from piezoid.records.frames import from_frame as from_frame
+    from piezoid.records.frames import to_frame as to_frame
+    from piezoid.records.lab import Lab as Lab
+    from piezoid.records.recording import Channel as Channel
+    from piezoid.records.recording import Quantity as Quantity
+    from piezoid.records.recording import Recording as Recording
+    from piezoid.sealed_files import load as load
+    from piezoid.sealed_files import save as save
+    from piezoid.verbs import calibrate as calibrate
+    from piezoid.verbs import design as design
+    from piezoid.verbs import diagnose as diagnose
+    from piezoid.verbs import export as export
+    from piezoid.verbs import fit as fit
+    from piezoid.verbs import learn as learn
+    from piezoid.verbs import plan as plan
+    from piezoid.verbs import read as read
+    from piezoid.verbs import read_lab as read_lab
+    from piezoid.verbs import report as report
+    from piezoid.verbs import simulate_loop as simulate_loop
+    from piezoid.verbs import verify as verify
+    from piezoid.verification.closed_loop import LoopRecord as LoopRecord
+    from piezoid.verification.release import Shipping as Shipping
+    from piezoid.verification.verification import Verification as Verification
+    from piezoid.virtual_stage import VirtualStage as VirtualStage
+    from piezoid.virtual_stage import simulate as simulate
 
-__all__ = (
-    "ActuatorModel",
-    "AxisDesign",
-    "AxisModel",
-    "Calibration",
-    "Channel",
-    "Collection",
-    "Comparison",
-    "CoupledStage",
-    "Design",
-    "Diagnosis",
-    "Finding",
-    "Lab",
-    "Learned",
-    "LoopDesign",
-    "LoopRecord",
-    "ParameterFile",
-    "PeriodicData",
-    "PiezoidError",
-    "Plan",
-    "Quantity",
-    "Recording",
-    "Shipping",
-    "Verification",
-    "VirtualStage",
-    "__version__",
-    "calibrate",
-    "design",
-    "diagnose",
-    "export",
-    "fit",
-    "fit_coupled",
-    "from_arrays",
-    "from_frame",
-    "learn",
-    "load",
-    "plan",
-    "plot",
-    "read",
-    "read_lab",
-    "report",
-    "save",
-    "simulate",
-    "simulate_loop",
-    "to_frame",
-    "verify",
-)
+__all__ = ("__version__", *_PUBLIC)
 
 
 def __getattr__(name: str) -> Any:

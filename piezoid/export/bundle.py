@@ -4,7 +4,7 @@
 must reproduce them before it drives a stage.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from textwrap import fill
@@ -122,7 +122,10 @@ def bundle(file: ParameterFile) -> Bundle:
             samples=SAMPLES,
             which_voltage=fill(DRIVE_VOLTAGE_NOTE, 98),
             axes="\n".join(_row(place, axis) for place, axis in enumerate(file.axes)),
-            unshipped=_unshipped(file),
+            unshipped="".join(
+                f"\nAxis {plain_ascii(axis)} is not included: {plain_ascii(reason, length=600)}\n"
+                for axis, reason in file.unshipped.items()
+            ),
             decoupled=_decoupled(file),
             digest=digest,
             source=source_digest(),
@@ -131,14 +134,6 @@ def bundle(file: ParameterFile) -> Bundle:
     content = {name: runtime_source(name) for name in SHIPPED}
     content.update({name: text.encode() for name, text in texts.items()})
     return Bundle(files=MappingProxyType(content), source_digest=source_digest())
-
-
-def _unshipped(file: ParameterFile) -> str:
-    """Return a paragraph for each axis without a controller."""
-    return "".join(
-        f"\nAxis {plain_ascii(axis)} is not included: {plain_ascii(reason, length=600)}\n"
-        for axis, reason in file.unshipped.items()
-    )
 
 
 _DECOUPLED = """
@@ -191,9 +186,13 @@ def golden_csv(file: ParameterFile) -> str:
     lines = [",".join(COLUMNS)]
     for index, axis in enumerate(file.axes):
         reference, measured = golden_inputs(axis, np.random.default_rng(index))
-        answers = [_answers(axis, precision, reference, measured) for precision in PRECISIONS]
-        rows = zip(reference, measured, *answers, strict=True)
-        lines.extend(f"{index},{_golden_row(row)}" for row in rows)
+        columns = [map(repr, reference.tolist()), map(repr, measured.tolist())]
+        for precision in PRECISIONS:
+            controller = Controller(axis.values, precision=precision)
+            controller.start(0.0, float(measured[0]))
+            run = controller.run(reference, measured)
+            columns += [map(repr, run.voltage_V.tolist()), map(str, run.status.tolist())]
+        lines += [",".join((str(index), *row)) for row in zip(*columns, strict=True)]
     return "\n".join(lines) + "\n"
 
 
@@ -215,18 +214,3 @@ def golden_inputs(axis: AxisParameters, rng: np.random.Generator) -> tuple[Array
     reference[_LOST_REFERENCE] = np.nan
     measured[_LOST_MEASUREMENT] = np.nan
     return reference, measured
-
-
-def _answers(
-    axis: AxisParameters, precision: str, reference: Array, measured: Array
-) -> Sequence[tuple[float, int]]:
-    controller = Controller(axis.values, precision=precision)
-    controller.start(0.0, float(measured[0]))
-    run = controller.run(reference, measured)
-    return [(float(u), int(s)) for u, s in zip(run.voltage_V, run.status, strict=True)]
-
-
-def _golden_row(row: tuple[float, float, tuple[float, int], tuple[float, int]]) -> str:
-    reference, measured, *answers = row
-    answered = ",".join(f"{voltage!r},{status}" for voltage, status in answers)
-    return f"{float(reference)!r},{float(measured)!r},{answered}"

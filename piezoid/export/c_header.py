@@ -105,13 +105,8 @@ def _sealed(file: ParameterFile, precision: str) -> str:
 
 def _axis(axis: AxisParameters) -> str:
     name = axis.axis.upper()
-    sealed = dict(
-        zip(
-            SEALED,
-            ("PZ_SCHEMA_VERSION", "PIEZO_PARAMS_SIZE", f"PIEZO_CHECKSUM_{name}"),
-            strict=True,
-        )
-    )
+    constants = ("PZ_SCHEMA_VERSION", "PIEZO_PARAMS_SIZE", f"PIEZO_CHECKSUM_{name}")
+    sealed = dict(zip(SEALED, constants, strict=True))
     lines = [
         _member(p, sealed[p.name] if p.name in sealed else _value(p, axis)) for p in PARAMETERS
     ]
@@ -133,9 +128,7 @@ def _member(parameter: Parameter, value: str) -> str:
 
 def _value(parameter: Parameter, axis: AxisParameters) -> str:
     value = used_values(parameter, axis.values[parameter.name])
-    if parameter.kind == "integer":
-        return str(int(value))
-    return _literal(value)
+    return str(int(value)) if parameter.kind == "integer" else _literal(value)
 
 
 def _literal(value: Any) -> str:

@@ -89,6 +89,9 @@ def export_stage(
     if not shipped:
         raise next(iter(refused.values()))
     unshipped = {name: str(refusal) for name, refusal in refused.items()}
+    decoupling, decoupled = design.decoupling, None
+    if decoupling is not None and {axis.axis for axis in shipped} & set(decoupling.axes):
+        decoupled = Decoupled(axes=decoupling.axes, matrix=decoupling.matrix)
     return ParameterFile(
         name=model.stage,
         axes=tuple(shipped),
@@ -99,16 +102,8 @@ def export_stage(
             "control": declared.control_digest,
         },
         unshipped={**design.refused, **unshipped},
-        decoupled=_decoupled(design, shipped),
+        decoupled=decoupled,
     )
-
-
-def _decoupled(design: Design, shipped: list[AxisParameters]) -> Decoupled | None:
-    """Return the matrix in front of the controllers, where one of its axes ships."""
-    decoupling = design.decoupling
-    if decoupling is None or not {axis.axis for axis in shipped} & set(decoupling.axes):
-        return None
-    return Decoupled(axes=decoupling.axes, matrix=decoupling.matrix)
 
 
 def _axis(model: ActuatorModel, design: AxisDesign, lab: Lab) -> AxisParameters:

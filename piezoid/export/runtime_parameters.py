@@ -109,7 +109,15 @@ def lateral_axis(
         **creep_values(model, design.recommended.members[0].sampling_rate_Hz),
         **(further or {}),
     }
-    _same_direction(model, design)
+    plant = design.recommended.members[0]
+    gain_m_per_V = float(plant.B.sum() / plant.A.sum())
+    if gain_m_per_V * model.polarity <= 0:
+        raise ParameterFileError(
+            f"axis {design.axis}: the design's plant moves {gain_m_per_V:.3g} m/V, the model's "
+            f"polarity is {model.polarity}",
+            needed="a design for the direction in which the stage moves",
+            remedy="Design again from this model.",
+        )
     loops = {loop.method: complete({**common, **_loop_values(loop)}) for loop in design.loops}
     gain = {"gain_m_per_V": loops[design.recommended.method]["gain_m_per_V"]}
     for method in ("mpi", "none"):
@@ -152,32 +160,16 @@ def _loop_values(loop: LoopDesign) -> Given:
             needed="a disturbance observer for X and Y",
             remedy="Use tunnelling_axis for a controller given as R, S and T.",
         )
+    # The fastest change of the reference in a sample for which the error is bounded.
+    certificate, step_m = loop.certificate, 0.0
+    if certificate is not None and certificate.is_guaranteed:
+        step_m = certificate.reference_slew_m_per_s / loop.members[0].sampling_rate_Hz
     return {
         "method": loop.method,
-        "certified_step_m": _certified_step_m(loop),
+        "certified_step_m": step_m,
         **observer_values(loop.observer),
         **reference_values(loop.reference),
     }
-
-
-def _certified_step_m(loop: LoopDesign) -> float:
-    """Return the reference's fastest change in a sample for which the error is bounded, or 0."""
-    certificate = loop.certificate
-    if certificate is None or not certificate.is_guaranteed:
-        return 0.0
-    return certificate.reference_slew_m_per_s / loop.members[0].sampling_rate_Hz
-
-
-def _same_direction(model: AxisModel, design: AxisDesign) -> None:
-    plant = design.recommended.members[0]
-    gain = float(plant.B.sum() / plant.A.sum())
-    if gain * model.polarity <= 0:
-        raise ParameterFileError(
-            f"axis {design.axis}: the design's plant moves {gain:.3g} m/V, the model's polarity "
-            f"is {model.polarity}",
-            needed="a design for the direction in which the stage moves",
-            remedy="Design again from this model.",
-        )
 
 
 def _limits(design: AxisDesign) -> Given:

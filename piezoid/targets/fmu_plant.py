@@ -80,8 +80,12 @@ def plant_header(plant: AxisPlant) -> str:
     initial = initial_plant(plant, arrays_of_plant, 0.0)
     lines = ["/* The identified plant of an axis at rest, written by piezoid. SI units. */"]
     lines += _macros(plant, initial)
-    arrays = dict(_arrays(initial)) | dict(_hums(plant))
-    lines += [_array(name, values) for name, values in arrays.items()]
+    arrays = dict(_arrays(initial))
+    arrays["hum_Hz"] = np.array([frequency_Hz for frequency_Hz, _ in plant.hums])
+    arrays["hum"] = np.array([amplitude for _, amplitude in plant.hums])
+    for name, values in arrays.items():
+        inside = ", ".join(map(_number, values.tolist())) or "0.0"
+        lines.append(f"static const double plant_{name}[] = {{{inside}}};")
     members = [f".{name} = {_number(getattr(initial, name))}" for name in _SCALARS]
     members += [
         f".before = {_linear('before', initial.before)}",
@@ -157,11 +161,6 @@ def _arrays(initial: LoopPlant) -> Iterator[tuple[str, Array]]:
     yield "late_V", _at(initial.late_V, initial.late)
 
 
-def _hums(plant: AxisPlant) -> Iterator[tuple[str, Array]]:
-    yield "hum_Hz", np.array([frequency_Hz for frequency_Hz, _ in plant.hums])
-    yield "hum", np.array([amplitude for _, amplitude in plant.hums])
-
-
 def _at(address: int | None, count: int) -> Array:
     """Return a copy of so many doubles, none where there is no address."""
     if not address or not count:
@@ -173,11 +172,6 @@ def _number(value: float) -> str:
     if isinstance(value, float) and np.isinf(value):
         return "HUGE_VAL" if value > 0 else "-HUGE_VAL"
     return repr(int(value)) if isinstance(value, int) else repr(float(value))
-
-
-def _array(name: str, values: Array) -> str:
-    inside = ", ".join(_number(float(value)) for value in values) or "0.0"
-    return f"static const double plant_{name}[] = {{{inside}}};"
 
 
 def _linear(name: str, block: Linear) -> str:

@@ -6,6 +6,7 @@ from itertools import product
 
 import numpy as np
 
+from piezoid.design.family_grid import mode_lines_Hz
 from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.rst import LIGHT
 from piezoid.design.sensitivity import Margins, closed_loop_polynomial, margins
@@ -111,9 +112,7 @@ def _grid(family: PlantFamily, efforts: Sequence[Template]) -> _Grid:
     rate_Hz = family.nominal.sampling_rate_Hz
     lines = [grid_Hz(rate_Hz, lowest_Hz=0.1, count=_LINES)]
     lines += [template.frequency_Hz for template in efforts]
-    for member in family.members:  # denser where a mode is narrow
-        for f, damping in _modes(member):
-            lines.append(f * (1.0 + damping * np.linspace(-4.0, 4.0, 13)))
+    lines += [mode_lines_Hz(member) for member in family.members]
     frequency_Hz = np.unique(np.concatenate(lines))
     frequency_Hz = frequency_Hz[frequency_Hz < 0.5 * rate_Hz]
     q = unit_circle(frequency_Hz, rate_Hz)
