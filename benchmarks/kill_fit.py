@@ -28,7 +28,8 @@ import numpy as np
 
 from piezoid.digests import unseal
 from piezoid.errors import PiezoidError
-from piezoid.output_folder import MANIFEST, write_folder
+from piezoid.manifest import MANIFEST
+from piezoid.output_folder import write_folder
 
 KEPT = Path(__file__).parents[1] / "build" / "kill_fit"
 OLD = {"model.json": b"old", "bundle/a.h": b"old"}

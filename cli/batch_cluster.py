@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, TypeVar
 import typer
 
 from piezoid.errors import RecordingError
-from piezoid.output_folder import lists_results
+from piezoid.manifest import lists_results
 from piezoid_cli.results_place import results_place
 from piezoid_cli.stage_task import LAB, Known, StageTask
-from piezoid_cli.workers import interrupts_blocked
+from piezoid_cli.workers import unreachable_by_interrupts
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -52,7 +52,7 @@ def workers(scheduler: str, processes: int | None) -> "Iterator[Client]":
             with _client(scheduler) as client:
                 yield client
             return
-        with interrupts_blocked():  # workers are begun by its thread
+        with unreachable_by_interrupts():  # workers are begun by its thread
             cluster = LocalCluster(
                 n_workers=0,
                 threads_per_worker=1,

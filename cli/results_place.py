@@ -16,13 +16,10 @@ from typing import Any, BinaryIO, Protocol
 import typer
 
 from piezoid.digests import digest_of_bytes
+from piezoid.manifest import MANIFEST, manifest_of, missing_files, read_manifest
 from piezoid.output_folder import (
-    MANIFEST,
     add_to_folder,
     check_folder,
-    manifest_of,
-    missing_files,
-    read_manifest,
     refusal,
     remove_unfinished,
     write_folder,

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from piezoid.errors import LabFileError, ParameterFileError
-from piezoid.output_folder import is_as_written
+from piezoid.manifest import is_as_written
 
 if TYPE_CHECKING:
     from piezoid.design.design import Design

@@ -20,6 +20,7 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 from piezoid.errors import PiezoidError
+from piezoid.output_folder import interrupts_blocked
 from piezoid_cli.interrupt import postponed
 
 Progress = Callable[[str], None]
@@ -46,20 +47,11 @@ def usable_cores() -> int:
 
 
 @contextmanager
-def interrupts_blocked() -> Iterator[None]:
-    """Begin threads and processes that Ctrl-C does not reach: it is for this process alone.
-
-    They inherit that the signal is blocked. Here it arrives at the end of the block.
-    """
+def unreachable_by_interrupts() -> Iterator[None]:
+    """Begin threads and processes that Ctrl-C does not reach: it is for this process alone."""
     ensure_running()  # beginning its process unblocks the signal
-    if not hasattr(signal, "pthread_sigmask"):
+    with interrupts_blocked():
         yield
-        return
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 class WorkerPool:
@@ -76,7 +68,7 @@ class WorkerPool:
 
     def submit(self, work: Work[Job, Result], job: Job, index: int) -> "Future[bytes]":
         """Give a job to a worker; ``loads`` of what comes back is the result."""
-        with postponed(), interrupts_blocked():
+        with postponed(), unreachable_by_interrupts():
             return self._executor.submit(_work, dumps((work, job), protocol=5), index)
 
     def report_to(self, report: Progress) -> None:

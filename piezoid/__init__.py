@@ -110,7 +110,7 @@ if TYPE_CHECKING:  # what is imported when it is first used
     from piezoid.virtual_stage import VirtualStage as VirtualStage
     from piezoid.virtual_stage import simulate as simulate
 
-__all__ = ("__version__", *_PUBLIC)
+__all__ = tuple(sorted(("__version__", *_PUBLIC)))
 
 
 def __getattr__(name: str) -> Any:

@@ -5,7 +5,7 @@ made, as wide as a column of a journal; the caller's style sheet holds for every
 """
 
 from collections.abc import Collection
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -90,13 +90,15 @@ def plot(
     >>> piezoid.plot(shipping.verification, "verdicts").get_xlabel()
     'value / limit (1)'
     """
+    if isinstance(record, ActuatorModel):
+        record = record.one(axis or (recording.axis if recording is not None else None))
     match record:
         case Recording():
             return _recording(record, kind or "loop", axis=axis, ax=ax)
-        case ActuatorModel() | AxisModel():
-            return _model(record, kind or "loop", axis=axis, recording=recording, ax=ax)
-        case Comparison():
-            return _comparison(record, kind or "loop", ax=ax)
+        case AxisModel() if recording is None:
+            return _axis_model(record, kind or "loop", ax=ax)
+        case AxisModel() | Comparison():
+            return _comparison(record, kind or "loop", recording=recording, ax=ax)
         case Diagnosis():
             return _diagnosis(record, ax=ax)
         case Design():
@@ -116,106 +118,76 @@ def plot(
             )
 
 
-def _model(
-    model: ActuatorModel | AxisModel,
-    kind: str,
-    *,
-    axis: str | None,
-    recording: Recording | None,
-    ax: "Axes | None",
-) -> "Axes":
-    """Draw one axis of a model, beside a recording if there is one."""
-    if isinstance(model, ActuatorModel):
-        model = model.one(axis or (recording.axis if recording is not None else None))
-    if recording is not None:
-        return _comparison(compare(model, recording), kind, ax=ax)
-    return _axis_model(model, kind, ax=ax)
-
-
 def in_units_of(axes: "Axes", counted: Collection[str]) -> "Axes":
     """Return axes with counts in their labels, where metres or volts were recorded in counts."""
-    for one in axes.figure.axes if counted else ():
-        one.set(
-            **{
-                name: in_counts(getattr(one, f"get_{name}")(), counted)
-                for name in ("title", "xlabel", "ylabel")
-            }
-        )
+    for panel in axes.figure.axes if counted else ():
+        for name in ("title", "xlabel", "ylabel"):
+            panel.set(**{name: in_counts(getattr(panel, f"get_{name}")(), counted)})
     return axes
 
 
 def _recording(
-    held: Recording, kind: str, *, axis: str | None, ax: "Axes | None" = None
+    recording: Recording, kind: str, *, axis: str | None, ax: "Axes | None" = None
 ) -> "Axes":
     """Draw a recording: displacement over drive, or both over time on two scales."""
     _check("recording", kind, ("loop", "time"))
-    own = axis or held.axis
-    voltage_V = held.voltage_V(own)
-    channel = held.find(Quantity.DISPLACEMENT, own)
+    axis = axis or recording.axis
+    voltage_V, time_s = recording.voltage_V(axis), recording.time_s
+    channel = recording.find(Quantity.DISPLACEMENT, axis)
     if kind == "loop":
-        response = held.displacement_m(own)
-        axes = _axes(ax)
-        scale, unit = _scaled(response, "m")
-        for part in held.pieces:
-            x, y = _thinned(voltage_V[part], scale * response[part])
-            axes.plot(x, y, color=MEASURED, linewidth=0.9)
-        axes.set(xlabel=f"drive of {own} (V)", ylabel=f"displacement of {own} ({unit})")
-        return in_units_of(axes, held.counted)
+        recording.displacement_m(axis)  # raises where there is none
     axes = _axes(ax)
-    time_s = held.time_s
     if channel is not None:
         scale, unit = _scaled(channel.values, "m")
-        for part in held.pieces:
-            axes.plot(
-                *_thinned(time_s[part], scale * channel.values[part]),
-                color=MEASURED,
-                linewidth=0.9,
-            )
-        axes.set(xlabel="time (s)", ylabel=f"displacement of {own} ({unit})")
+        across = voltage_V if kind == "loop" else time_s
+        for piece in recording.pieces:
+            displacement = scale * channel.values[piece]
+            _line(axes, across[piece], displacement, color=MEASURED, linewidth=0.9)
+        axes.set(ylabel=f"displacement of {axis} ({unit})")
+    if kind == "loop":
+        axes.set(xlabel=f"drive of {axis} (V)")
+        return in_units_of(axes, recording.counted)
+    axes.set(xlabel="time (s)")
     drive = axes.twinx() if channel is not None else axes
-    drive.plot(*_thinned(time_s, voltage_V), color=THIRD, linewidth=2.2, alpha=0.45)
-    drive.set_ylabel(f"drive of {own} (V)", color=THIRD)
+    _line(drive, time_s, voltage_V, color=THIRD, linewidth=2.2, alpha=0.45)
+    drive.set_ylabel(f"drive of {axis} (V)", color=THIRD)
     drive.set_xlabel("time (s)")
     drive.tick_params(axis="y", colors=THIRD)
     drive.spines["top"].set_visible(False)
     axes.set_zorder(drive.get_zorder() + 1)  # what was measured in front
     axes.patch.set_visible(False)
-    return in_units_of(axes, held.counted)
+    return in_units_of(axes, recording.counted)
 
 
-def _comparison(held: Comparison, kind: str, *, ax: "Axes | None" = None) -> "Axes":
-    """Draw a recording and what a model says of it over the drive, or the error over time."""
+def _comparison(
+    comparison: Comparison | AxisModel,
+    kind: str,
+    *,
+    recording: Recording | None,
+    ax: "Axes | None" = None,
+) -> "Axes":
+    """Draw measured and predicted displacement over the drive, or the error over time."""
+    if isinstance(comparison, AxisModel):
+        assert recording is not None
+        comparison = compare(comparison, recording)
     _check("comparison", kind, ("loop", "error"))
-    axes = _axes(ax)
+    axes, axis, drive_V = _axes(ax), comparison.axis, comparison.voltage_V
     if kind == "error":
-        scale, unit = _scaled(held.error_m, "m")
-        axes.plot(*_thinned(held.time_s, scale * held.error_m), color=MODEL, linewidth=0.8)
-        axes.axhline(0.0, color=FAINT, linewidth=0.6)
-        axes.set(xlabel="time (s)", ylabel=f"measured less predicted, {held.axis} ({unit})")
+        _error_line(axes, comparison.time_s, comparison.error_m, "m")
+        _, unit = _scaled(comparison.error_m, "m")
+        axes.set(ylabel=f"measured less predicted, {axis} ({unit})")
     else:
-        scale, unit = _scaled(held.measured_m, "m")
-        axes.plot(
-            *_thinned(held.voltage_V, scale * held.measured_m),
-            color=FAINT,
-            linewidth=2.4,
-            label="measured",
-        )
-        axes.plot(
-            *_thinned(held.voltage_V, scale * held.predicted_m),
-            color=MODEL,
-            linewidth=0.8,
-            label="predicted",
-        )
-        axes.set(
-            xlabel=f"drive of {held.axis} (V)", ylabel=f"displacement of {held.axis} ({unit})"
-        )
+        scale, unit = _scaled(comparison.measured_m, "m")
+        measured, predicted = scale * comparison.measured_m, scale * comparison.predicted_m
+        _line(axes, drive_V, measured, color=FAINT, linewidth=2.4, label="measured")
+        _line(axes, drive_V, predicted, color=MODEL, linewidth=0.8, label="predicted")
+        axes.set(xlabel=f"drive of {axis} (V)", ylabel=f"displacement of {axis} ({unit})")
         axes.legend(frameon=False)
-    rms, rms_unit = _scaled(np.array([held.rms_m]), "m")
-    axes.set_title(
-        f"error {rms * held.rms_m:.3g} {rms_unit} rms, {held.rms_percent:.2f} % of the range",
-        fontsize="medium",
-    )
-    return in_units_of(axes, held.counted)
+    rms, rms_unit = _scaled(np.array([comparison.rms_m]), "m")
+    share = f"{comparison.rms_percent:.2f} % of the range"
+    title = f"error {rms * comparison.rms_m:.3g} {rms_unit} rms, {share}"
+    axes.set_title(title, fontsize="medium")
+    return in_units_of(axes, comparison.counted)
 
 
 def _axis_model(model: AxisModel, kind: str, *, ax: "Axes | None" = None) -> "Axes":
@@ -225,91 +197,71 @@ def _axis_model(model: AxisModel, kind: str, *, ax: "Axes | None" = None) -> "Ax
     the 95 % interval of the loading curve, about the largest of them.
     """
     _check("model", kind, ("loop", "response"))
-    if kind == "response":
-        return in_units_of(_response(model, _axes(ax)), model.counted)
     axes = _axes(ax)
+    if kind == "response":
+        return in_units_of(_response(model, axes), model.counted)
     loops = [_loop(model, share) for share in _LOOPS]
     scale, unit = _scaled(loops[0][1], "m")
-    low_V, high_V = model.voltage_V
-    found = model.uncertainty
-    voltage_V, moved_m = loops[0]
-    half_m = np.interp(
-        np.abs(voltage_V - 0.5 * (low_V + high_V)), found.reach_V, found.loading_half_m
-    )
-    rises = slice(len(voltage_V) // 2, None)
-    for branch, label in ((slice(None, rises.start), "95 %"), (rises, None)):
-        axes.fill_between(
-            voltage_V[branch],
-            scale * (moved_m - half_m)[branch],
-            scale * (moved_m + half_m)[branch],
-            color=MODEL,
-            alpha=0.2,
-            linewidth=0.0,
-            label=label,
-        )
-    for share, (drive_V, displacement_m), shade in zip(
-        _LOOPS, loops, (MODEL, THIRD, MEASURED), strict=True
-    ):
-        axes.plot(
-            drive_V,
-            scale * displacement_m,
-            color=shade,
-            linewidth=1.0,
-            label=f"{100 * share:.0f} % of the range",
-        )
+    uncertainty, (voltage_V, moved_m) = model.uncertainty, loops[0]
+    from_middle_V = np.abs(voltage_V - 0.5 * sum(model.voltage_V))
+    half_m = np.interp(from_middle_V, uncertainty.reach_V, uncertainty.loading_half_m)
+    low, high, half = scale * (moved_m - half_m), scale * (moved_m + half_m), len(voltage_V) // 2
+    band: dict[str, Any] = {"color": MODEL, "alpha": 0.2, "linewidth": 0.0}
+    axes.fill_between(voltage_V[:half], low[:half], high[:half], label="95 %", **band)
+    axes.fill_between(voltage_V[half:], low[half:], high[half:], **band)
+    for share, loop, color in zip(_LOOPS, loops, (MODEL, THIRD, MEASURED), strict=True):
+        drive_V, displacement_m = loop
+        label = f"{100 * share:.0f} % of the range"
+        axes.plot(drive_V, scale * displacement_m, color=color, linewidth=1.0, label=label)
     axes.set(xlabel=f"drive of {model.axis} (V)", ylabel=f"displacement of {model.axis} ({unit})")
     axes.legend(frameon=False)
     return in_units_of(axes, model.counted)
 
 
-def _diagnosis(held: Diagnosis, *, ax: "Axes | None" = None) -> "Axes":
+def _diagnosis(diagnosis: Diagnosis, *, ax: "Axes | None" = None) -> "Axes":
     """Draw what every effect contributes, rms: found as bars, not found as what it is at most."""
-    found = [(f.effect, f.share * held.stroke_m) for f in held.findings]
-    absent = [(n.effect, n.upper_bound_m) for n in held.not_detected if n.upper_bound_m]
-    rows = [*found, *sorted(absent, key=lambda row: -row[1])]
+    effects = [(f.effect, f.share * diagnosis.stroke_m) for f in diagnosis.findings]
+    absent = [(n.effect, n.upper_bound_m) for n in diagnosis.not_detected if n.upper_bound_m]
+    n_found, rows = len(effects), [*effects, *sorted(absent, key=lambda row: -row[1])]
     axes = _axes(ax, height_inch=1.6 + 0.24 * max(len(rows), 3))
-    marks_m = [held.noise_floor_rms_m, held.baseline.rms_m, held.final.rms_m]
+    errors = diagnosis.baseline.rms_m, diagnosis.final.rms_m
+    marks_m = [diagnosis.noise_floor_rms_m, *errors]
     scale, unit = _scaled(np.array([max(marks_m)]), "m")
     least_m = 0.5 * min(size for size in [*marks_m, *(s for _, s in rows)] if size > 0.0)
-    for place, (_, size_m) in enumerate(rows):
-        if place < len(found):
-            axes.barh(
-                place,
-                scale * (size_m - least_m),
-                left=scale * least_m,
-                height=0.6,
-                color=MODEL,
-                label="found" if place == 0 else None,
-            )
+    bar: dict[str, Any] = {"left": scale * least_m, "height": 0.6, "color": MODEL}
+    mark: dict[str, Any] = {"marker": "<", "color": MEASURED, "markerfacecolor": "white"}
+    for index, (_, size_m) in enumerate(rows):
+        if index < n_found:
+            label = "found" if index == 0 else None
+            axes.barh(index, scale * (size_m - least_m), label=label, **bar)
         else:
-            axes.plot(
-                scale * size_m,
-                place,
-                marker="<",
-                color=MEASURED,
-                markerfacecolor="white",
-                linestyle="none",
-                label="not found, at most" if place == len(found) else None,
-            )
+            label = "not found, at most" if index == n_found else None
+            axes.plot(scale * size_m, index, label=label, linestyle="none", **mark)
     lines = (("sensor's noise", ":", FAINT), ("error before", "-", FAINT), ("after", "--", THIRD))
     for value_m, (label, style, shade) in zip(marks_m, lines, strict=True):
         axes.axvline(scale * value_m, linestyle=style, color=shade, linewidth=1.0, label=label)
     axes.set_xscale("log")
     axes.set_yticks(range(len(rows)), [words(effect) for effect, _ in rows])
     axes.invert_yaxis()
-    axes.set(xlabel=f"contribution to the displacement of {held.axis}, rms ({unit})")
+    axes.set(xlabel=f"contribution to the displacement of {diagnosis.axis}, rms ({unit})")
     axes.legend(
         frameon=False, fontsize="small", loc="lower center", bbox_to_anchor=(0.4, 1.0), ncols=3
     )
-    return in_units_of(axes, held.counted)
+    return in_units_of(axes, diagnosis.counted)
 
 
-def _design(held: Design, *, axis: str | None, ax: "Axes | None" = None) -> "Axes":
+def _design(design: Design, *, axis: str | None, ax: "Axes | None" = None) -> "Axes":
     """Draw |S_yp|, what a loop leaves of a disturbance: nominal, and the worst of its family."""
-    chosen = held.axes if axis is None else (_axis_of(held, axis),)
+    names = [axis_design.axis for axis_design in design.axes]
+    if axis is not None and axis not in names:
+        raise PictureError(
+            f"no axis {axis!r} in this design",
+            needed=f"one of {', '.join(names)}",
+            remedy="Name one of those.",
+        )
     axes = _axes(ax)
-    for place, one in enumerate(chosen):
-        _sensitivity(one, one.recommended, f"C{place}", axes)
+    for index, axis_design in enumerate(design.axes if axis is None else (design.axis(axis),)):
+        _sensitivity(axis_design, axis_design.recommended, f"C{index}", axes)
     axes.axhline(0.0, color=FAINT, linewidth=0.6)
     axes.set(
         xscale="log",
@@ -321,75 +273,59 @@ def _design(held: Design, *, axis: str | None, ax: "Axes | None" = None) -> "Axe
     return axes
 
 
-def _verification(held: Verification, kind: str, *, ax: "Axes | None" = None) -> "Axes":
+def _verification(verification: Verification, kind: str, *, ax: "Axes | None" = None) -> "Axes":
     """Draw the error of each method over frequency, or every verdict against its limit."""
     _check("verification", kind, ("comparison", "verdicts"))
-    if kind == "verdicts" or not held.comparison:
-        return _verdicts(held, ax)
+    if kind == "verdicts" or not verification.comparison:
+        return _verdicts(verification, ax)
     axes = _axes(ax)
-    scale, unit = _scaled(np.array([row.rms_m for row in held.comparison]), "m")
-    methods = list(dict.fromkeys(row.method for row in held.comparison))
-    for place, method in enumerate(methods):
-        rows = sorted(
-            (row for row in held.comparison if row.method == method), key=lambda r: r.frequency_Hz
-        )
-        ships = method in held.methods.values()
+    scale, unit = _scaled(np.array([row.rms_m for row in verification.comparison]), "m")
+    for index, method in enumerate(dict.fromkeys(row.method for row in verification.comparison)):
+        rows = [row for row in verification.comparison if row.method == method]
+        rows.sort(key=lambda row: row.frequency_Hz)
+        ships = method in verification.methods.values()
         axes.plot(
             [row.frequency_Hz for row in rows],
             [scale * row.rms_m for row in rows],
             marker="o",
             markersize=4.0 if ships else 3.0,
             linewidth=1.8 if ships else 0.9,
-            color=MODEL if ships else (MEASURED, THIRD, FAINT)[place % 3],
+            color=MODEL if ships else (MEASURED, THIRD, FAINT)[index % 3],
             label=_METHODS.get(method, method) + (", ships" if ships else ""),
         )
-    axes.set(
-        xscale="log",
-        yscale="log",
-        xlabel="turns of the spiral a second (Hz)",
-        ylabel=f"position error, rms ({unit})",
-    )
+    axes.set(xscale="log", yscale="log", xlabel="turns of the spiral a second (Hz)")
+    axes.set(ylabel=f"position error, rms ({unit})")
     axes.legend(frameon=False, fontsize="small")
     return axes
 
 
-def _closed_loop(held: LoopRecord, kind: str, *, ax: "Axes | None" = None) -> "Axes":
+def _closed_loop(loop: LoopRecord, kind: str, *, ax: "Axes | None" = None) -> "Axes":
     """Draw reference and position of a closed loop over time, or the error."""
     _check("closed loop", kind, ("path", "error"))
-    axes = _axes(ax)
-    base, what = held.unit, "current" if held.unit == "A" else "position"
+    axes, quantity = _axes(ax), "current" if loop.unit == "A" else "position"
     if kind == "error":
-        scale, unit = _scaled(held.error, base)
-        axes.plot(*_thinned(held.time_s, scale * held.error), color=MODEL, linewidth=0.8)
-        axes.axhline(0.0, color=FAINT, linewidth=0.6)
-        axes.set(xlabel="time (s)", ylabel=f"reference less {what}, {held.axis} ({unit})")
+        _error_line(axes, loop.time_s, loop.error, loop.unit)
+        _, unit = _scaled(loop.error, loop.unit)
+        axes.set(ylabel=f"reference less {quantity}, {loop.axis} ({unit})")
         return axes
-    scale, unit = _scaled(held.reference, base)
-    for values, label, shade, width in (
-        (held.reference, "reference", FAINT, 2.4),
-        (held.position, what, MODEL, 0.8),
-    ):
-        axes.plot(
-            *_thinned(held.time_s, scale * values), color=shade, linewidth=width, label=label
-        )
-    axes.set(xlabel="time (s)", ylabel=f"{what} of {held.axis} ({unit})")
+    scale, unit = _scaled(loop.reference, loop.unit)
+    reference, position = scale * loop.reference, scale * loop.position
+    _line(axes, loop.time_s, reference, color=FAINT, linewidth=2.4, label="reference")
+    _line(axes, loop.time_s, position, color=MODEL, linewidth=0.8, label=quantity)
+    axes.set(xlabel="time (s)", ylabel=f"{quantity} of {loop.axis} ({unit})")
     axes.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return axes
 
 
-def _plan(held: Plan, *, ax: "Axes | None" = None) -> "Axes":
+def _plan(plan: Plan, *, ax: "Axes | None" = None) -> "Axes":
     """Draw the planned drive over time, with the limits it keeps."""
-    axes = _axes(ax)
-    drive_V = held.drive.voltage_V
-    time_s = np.arange(len(drive_V)) / held.drive.sampling_rate_Hz
-    axes.plot(*_thinned(time_s, drive_V), color=MEASURED, linewidth=0.9)
-    for end_V in (held.limits.voltage_min_V, held.limits.voltage_max_V):
+    axes, drive = _axes(ax), plan.drive
+    time_s = np.arange(len(drive.voltage_V)) / drive.sampling_rate_Hz
+    _line(axes, time_s, drive.voltage_V, color=MEASURED, linewidth=0.9)
+    for end_V in (plan.limits.voltage_min_V, plan.limits.voltage_max_V):
         axes.axhline(end_V, color=FAINT, linewidth=0.8, linestyle=":")
-    axes.set(
-        xlabel="time (s)",
-        ylabel=f"drive of {held.axis} (V)",
-        title=f"{held.drive.name}: {' against '.join(held.question.effects)}",
-    )
+    title = f"{drive.name}: {' against '.join(plan.question.effects)}"
+    axes.set(xlabel="time (s)", ylabel=f"drive of {plan.axis} (V)", title=title)
     return axes
 
 
@@ -431,17 +367,26 @@ def _scaled(values: Array, base: str) -> tuple[float, str]:
     return fitting[-1] if fitting else (1.0, base)
 
 
-def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
+def _line(axes: "Axes", x: Array, y: Array, **style: Any) -> None:
+    """Draw a curve with no more points than a page resolves."""
     step = max(1, len(x) // _POINTS)
-    return x[::step], y[::step]
+    axes.plot(x[::step], y[::step], **style)
+
+
+def _error_line(axes: "Axes", time_s: Array, error: Array, base: str) -> None:
+    """Draw an error over time about a line at zero."""
+    scale, _ = _scaled(error, base)
+    _line(axes, time_s, scale * error, color=MODEL, linewidth=0.8)
+    axes.axhline(0.0, color=FAINT, linewidth=0.6)
+    axes.set(xlabel="time (s)")
 
 
 def _loop(model: AxisModel, share: float) -> tuple[Array, Array]:
     """Return a closed loop over a share of the range, about its middle, falling first."""
     low_V, high_V = model.voltage_V
     middle_V, half_V = 0.5 * (low_V + high_V), 0.5 * share * (high_V - low_V)
-    way = np.concatenate([np.linspace(1.0, -1.0, _SAMPLES), np.linspace(-1.0, 1.0, _SAMPLES)])
-    drive_V = middle_V + half_V * way
+    share_of = np.concatenate([np.linspace(1.0, -1.0, _SAMPLES), np.linspace(-1.0, 1.0, _SAMPLES)])
+    drive_V = middle_V + half_V * share_of
     operator = model.operator
     _, memory_V = operator.run(drive_V, operator.virgin_memory())
     output_m, _ = operator.run(drive_V, memory_V)
@@ -463,46 +408,34 @@ def _response(model: AxisModel, axes: "Axes") -> "Axes":
     return axes
 
 
-def _axis_of(held: Design, axis: str) -> AxisDesign:
-    names = [one.axis for one in held.axes]
-    if axis not in names:
-        raise PictureError(
-            f"no axis {axis!r} in this design",
-            needed=f"one of {', '.join(names)}",
-            remedy="Name one of those.",
-        )
-    return held.axis(axis)
-
-
-def _sensitivity(axis: AxisDesign, found: LoopDesign, color: str, axes: "Axes") -> None:
-    rate_Hz = found.members[0].sampling_rate_Hz
-    frequency_Hz = np.logspace(np.log10(0.5 * rate_Hz) - _DECADES, np.log10(0.5 * rate_Hz), 600)
-    left = np.stack(
-        [np.abs(sensitivities(m, found.R, found.S, frequency_Hz).Syp) for m in found.members]
+def _sensitivity(axis: AxisDesign, loop: LoopDesign, color: str, axes: "Axes") -> None:
+    nyquist = np.log10(0.5 * loop.members[0].sampling_rate_Hz)
+    frequency_Hz = np.logspace(nyquist - _DECADES, nyquist, 600)
+    remaining = np.stack(
+        [np.abs(sensitivities(m, loop.R, loop.S, frequency_Hz).Syp) for m in loop.members]
     )
-    left_dB = 20.0 * np.log10(np.maximum(left, 1e-6))
-    name = (
-        f"axis {axis.axis}, {_METHODS.get(found.method, found.method)}, "
-        f"bandwidth {with_unit(found.bandwidth_Hz, 'Hz')}"
+    level_dB = 20.0 * np.log10(np.maximum(remaining, 1e-6))
+    label = (
+        f"axis {axis.axis}, {_METHODS.get(loop.method, loop.method)}, "
+        f"bandwidth {with_unit(loop.bandwidth_Hz, 'Hz')}"
     )
-    axes.fill_between(
-        frequency_Hz, left_dB.min(axis=0), left_dB.max(axis=0), color=color, alpha=0.2, linewidth=0
-    )
-    axes.plot(frequency_Hz, left_dB[0], color=color, linewidth=1.2, label=name)
-    axes.axvline(found.bandwidth_Hz, color=color, linewidth=0.8, linestyle=":")
+    low_dB, high_dB = level_dB.min(axis=0), level_dB.max(axis=0)
+    axes.fill_between(frequency_Hz, low_dB, high_dB, color=color, alpha=0.2, linewidth=0)
+    axes.plot(frequency_Hz, level_dB[0], color=color, linewidth=1.2, label=label)
+    axes.axvline(loop.bandwidth_Hz, color=color, linewidth=0.8, linestyle=":")
 
 
-def _verdicts(held: Verification, ax: "Axes | None") -> "Axes":
+def _verdicts(verification: Verification, ax: "Axes | None") -> "Axes":
     """Draw value over limit of every verdict that has a limit above 0."""
-    judged = [v for v in held.verdicts if v.limit > 0.0]
-    axes = _axes(ax, width_inch=1.6 * WIDTH_inch, height_inch=0.9 + 0.2 * max(len(judged), 4))
-    shares = [max(v.value / v.limit, 1e-3) for v in judged]
-    colors = [THIRD if v.passed else MODEL for v in judged]
-    axes.barh(range(len(judged)), shares, height=0.6, color=colors)
+    verdicts = [v for v in verification.verdicts if v.limit > 0.0]
+    height_inch = 0.9 + 0.2 * max(len(verdicts), 4)
+    axes = _axes(ax, width_inch=1.6 * WIDTH_inch, height_inch=height_inch)
+    shares = [max(v.value / v.limit, 1e-3) for v in verdicts]
+    colors = [THIRD if v.passed else MODEL for v in verdicts]
+    axes.barh(range(len(verdicts)), shares, height=0.6, color=colors)
     axes.axvline(1.0, color=MEASURED, linewidth=1.0)
-    axes.set_yticks(
-        range(len(judged)), [f"{v.name} ({v.scenario})" for v in judged], fontsize="x-small"
-    )
+    labels = [f"{v.name} ({v.scenario})" for v in verdicts]
+    axes.set_yticks(range(len(verdicts)), labels, fontsize="x-small")
     axes.invert_yaxis()
     axes.set(xscale="log", xlabel="value / limit (1)")
     return axes

@@ -19,31 +19,27 @@ import signal
 import stat
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
-from json import loads
 from pathlib import Path, PurePosixPath
 from secrets import token_hex
 from typing import BinaryIO
 
-from piezoid.digests import digest_of_bytes, digest_of_file, seal, unseal
-from piezoid.errors import OutputFolderError, PiezoidError
-
-MANIFEST = "manifest.json"
-SCHEMA = "piezoid.manifest/1"
-# What versions without a manifest wrote beside sealed files; replaced with ``force`` only.
-UNSEALED = (
-    *("report.html", "diagnosis.html", "design.html", "summary.html", "parameters.parquet"),
-    *("drive.csv", "bundle/piezo_params.h", "bundle/piezoid_runtime.h"),
-    *("bundle/piezoid_runtime.c", "bundle/example_main.c", "bundle/golden.csv"),
-    "bundle/README.md",
+from piezoid.digests import digest_of_bytes, digest_of_file
+from piezoid.errors import OutputFolderError
+from piezoid.manifest import (
+    MANIFEST,
+    Listed,
+    files_without_manifest,
+    is_regular,
+    manifest_in,
+    manifest_of,
 )
-_MAX_SEALED_bytes = 1 << 27
+
 _REPOSITORIES = (".git", ".hg", ".svn")
 _UNFINISHED = ".unfinished"
 _UNION = f"union{_UNFINISHED}"  # the manifest during an exchange file by file
 _AT_FDCWD, _NOREPLACE, _EXCHANGE = -100, 1, 2  # of renameat2
 
 Content = bytes | Callable[[BinaryIO], object]
-Listed = Mapping[str, Collection[str]]  # file names and the digests that each may have
 
 
 def check_folder(
@@ -132,7 +128,7 @@ def remove_unfinished(folder: Path, name: str = "") -> None:
         written, _, _ = entry.removesuffix(_UNFINISHED).rpartition(".")
         is_unfinished = entry.endswith(_UNFINISHED) and written.startswith(".")
         if is_unfinished and name in ("", written[1:]) and _is_folder(folder / entry):
-            _remove_listed(folder / entry, _read_manifest(folder / entry) or ())
+            _remove_listed(folder / entry, manifest_in(folder / entry) or ())
 
 
 def write_file(
@@ -162,23 +158,6 @@ def write_file(
             _move(fresh, place, is_ours=mode is not None)
         finally:
             fresh.unlink(missing_ok=True)
-
-
-def is_as_written(place: Path) -> bool:
-    """Return whether a file is the one that piezoid wrote, unless no manifest beside it says."""
-    listed = _read_manifest(place.parent)
-    return listed is None or digest_of_file(place) in listed.get(place.name, ())
-
-
-def missing_files(folder: Path) -> list[str]:
-    """Return the files that the manifest of a folder lists and that are not there."""
-    return [n for n in _read_manifest(folder) or () if not _is_regular(folder / n)]
-
-
-def lists_results(folder: str | Path) -> bool:
-    """Return whether a folder bears a manifest of a calibrated stage or of a batch."""
-    listed = _read_manifest(Path(folder)) or ()
-    return "model.json" in listed or "batch.json" in listed
 
 
 def _target_of(folder: str | Path) -> Path:
@@ -229,66 +208,17 @@ def _listed_in(target: Path) -> Listed:
     """Return the files of ours in a folder; refuse a folder of other people."""
     if not target.is_dir():
         return {}
-    listed = _read_manifest(target)
+    listed = manifest_in(target)
     if listed is None:
-        listed = _unlisted_in(target)
+        listed = files_without_manifest(target)
         if not listed and os.listdir(target):
             raise refusal(f"{target} is not empty and bears no manifest of piezoid")
     return listed
 
 
-def _read_manifest(folder: Path) -> dict[str, set[str]] | None:
-    return read_manifest(_read_small(folder / MANIFEST))
-
-
-def read_manifest(content: bytes) -> dict[str, set[str]] | None:
-    """Return the listed names with their digests; None where this is no manifest."""
-    try:
-        record = unseal(content, SCHEMA, MANIFEST)
-        listed = {name: set(known) for name, known in record.get("previous", {}).items()}
-        for name, digest in record["files"].items():
-            listed.setdefault(name, set()).add(digest)
-    except (PiezoidError, KeyError, AttributeError, TypeError):
-        return None
-    parts = [PurePosixPath(name).parts for name in listed]
-    return listed if all(p and p[0] != "/" and ".." not in p for p in parts) else None
-
-
-def _unlisted_in(target: Path) -> dict[str, set[str]]:
-    """Return what is ours in a folder without a manifest: sealed files and their companions."""
-    names = [n for n in os.listdir(target) if n.endswith(".json") and n != MANIFEST]
-    sealed = {n: _read_small(target / n) for n in names}
-    listed = {n: {digest_of_bytes(c)} for n, c in sealed.items() if _is_sealed(c)}
-    unknown: dict[str, set[str]] = {n: set() for n in UNSEALED if _is_regular(target / n)}
-    return listed | unknown if listed else {}
-
-
-def _is_sealed(content: bytes) -> bool:
-    try:
-        schema = str(loads(content)["schema"])
-        unseal(content, schema, "")
-    except (PiezoidError, ValueError, KeyError, TypeError, RecursionError):
-        return False
-    return schema.startswith("piezoid.")
-
-
-def _read_small(place: Path) -> bytes:
-    """Return what a regular file holds; nothing of a link, a pipe or a file of many megabytes."""
-    try:
-        if _is_regular(place) and place.lstat().st_size <= _MAX_SEALED_bytes:
-            return place.read_bytes()
-    except OSError:
-        pass
-    return b""
-
-
 def _begins_with(place: Path, opening: bytes) -> bool:
     with place.open("rb") as stream:
         return stream.read(len(opening)) == opening
-
-
-def _is_regular(place: Path) -> bool:
-    return os.path.lexists(place) and stat.S_ISREG(place.lstat().st_mode)
 
 
 def _check_names(target: Path, listed: Listed, names: Iterable[str], *, force: bool) -> None:
@@ -298,9 +228,9 @@ def _check_names(target: Path, listed: Listed, names: Iterable[str], *, force: b
         for above in _folders_of([name]):
             if os.path.lexists(target / above) and not _is_folder(target / above):
                 raise refusal(f"{target / above} is no folder of piezoid")
-        if not os.path.lexists(place) or (name == MANIFEST and _read_manifest(target) is not None):
+        if not os.path.lexists(place) or (name == MANIFEST and manifest_in(target) is not None):
             continue
-        if name not in listed or not _is_regular(place):
+        if name not in listed or not is_regular(place):
             raise refusal(f"{place} was not written by piezoid")
         if not force and digest_of_file(place) not in listed[name]:
             found = "was edited since piezoid wrote it" if listed[name] else "is in no manifest"
@@ -328,7 +258,7 @@ def _write(
     target = _target_of(folder)
     listed = _listed_in(target)
     gone = [name for name in gone if name not in contents]
-    kept = [n for n in listed if n not in {*contents, *gone} and _is_regular(target / n)]
+    kept = [n for n in listed if n not in {*contents, *gone} and is_regular(target / n)]
     fresh = _beside(target)
     with _named(folder):
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -339,7 +269,7 @@ def _write(
             digests |= {name: _digest_of(target / name, listed[name]) for name in kept}
             _fill(fresh / _UNION, manifest_of(digests))
             (fresh / _UNION).replace(fresh / MANIFEST)  # killed here, the files are listed
-            with _undisturbed():
+            with interrupts_blocked():  # until every file is in its place
                 _check_names(target, listed, (*contents, *gone), force=force)
                 _put(fresh, target, digests, listed, gone)
         finally:
@@ -359,7 +289,7 @@ def _put(
     if not os.path.lexists(target):
         fresh.rename(target)
         return
-    new = [name for name in digests if _is_regular(fresh / name)]
+    new = [name for name in digests if is_regular(fresh / name)]
     kept = [name for name in digests if name not in new]
     is_ready = _holds_only(target, listed) and _take_over(target, fresh, kept)
     if is_ready and _rename(fresh, target, _EXCHANGE):
@@ -383,7 +313,7 @@ def _holds_only(target: Path, listed: Listed) -> bool:
         name = place.relative_to(target).as_posix()
         if _is_folder(place):
             return name in folders and all(map(is_ours, place.iterdir()))
-        return name in names and _is_regular(place)
+        return name in names and is_regular(place)
 
     return all(map(is_ours, target.iterdir()))
 
@@ -395,7 +325,7 @@ def _take_over(target: Path, fresh: Path, kept: Iterable[str]) -> bool:
         return False
     try:
         for name in kept:
-            if _is_regular(target / name):
+            if is_regular(target / name):
                 (fresh / name).parent.mkdir(parents=True, exist_ok=True)
                 os.link(target / name, fresh / name)
     except OSError:
@@ -453,7 +383,7 @@ def _remove_listed(folder: Path, names: Iterable[str]) -> None:
 
 def _remove(folder: Path, names: Collection[str]) -> None:
     for name in names:
-        if all(_is_folder(folder / above) for above in _folders_of([name])) and _is_regular(
+        if all(_is_folder(folder / above) for above in _folders_of([name])) and is_regular(
             folder / name
         ):
             (folder / name).unlink()
@@ -461,14 +391,6 @@ def _remove(folder: Path, names: Collection[str]) -> None:
         with suppress(OSError):
             if _is_folder(folder / above):
                 (folder / above).rmdir()
-
-
-def manifest_of(files: Mapping[str, str], *, previous: Listed | None = None) -> bytes:
-    """Return the manifest of files with their digests, and with those that are replaced."""
-    record: dict[str, object] = {"files": dict(sorted(files.items()))}
-    if previous is not None:
-        record["previous"] = {name: sorted(known) for name, known in sorted(previous.items())}
-    return seal(SCHEMA, record)
 
 
 def _fill(place: Path, content: Content) -> str:
@@ -520,13 +442,13 @@ def _alone_beside(folder: str | Path) -> Iterator[None]:
 
 
 @contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Let Ctrl-C wait until every file is in its place."""
+def interrupts_blocked() -> Iterator[None]:
+    """Let Ctrl-C arrive at the end of the block; what is begun in it does not hear it at all."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)

@@ -16,14 +16,8 @@ import pytest
 
 from piezoid.digests import seal
 from piezoid.errors import OutputFolderError
-from piezoid.output_folder import (
-    MANIFEST,
-    add_to_folder,
-    check_folder,
-    lists_results,
-    write_file,
-    write_folder,
-)
+from piezoid.manifest import MANIFEST, lists_results
+from piezoid.output_folder import add_to_folder, check_folder, write_file, write_folder
 from tests.foreign_objects import KINDS, look, plant
 
 NEW = {"model.json": b"new", "bundle/a.h": b"header"}

@@ -9,7 +9,8 @@ from typer.testing import CliRunner
 
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.errors import PiezoidError
-from piezoid.output_folder import MANIFEST, add_to_folder, write_folder
+from piezoid.manifest import MANIFEST
+from piezoid.output_folder import add_to_folder, write_folder
 from piezoid.sealed_files import write_model
 from piezoid_cli.main import app
 from tests.foreign_objects import KINDS, look, plant

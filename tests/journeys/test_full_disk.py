@@ -12,7 +12,8 @@ import pytest
 
 import piezoid_cli
 from piezoid.identification.store import write_model
-from piezoid.output_folder import MANIFEST, write_folder
+from piezoid.manifest import MANIFEST
+from piezoid.output_folder import write_folder
 from piezoid_cli.results_place import results_place
 from tests.reports.known_stage import axis_model, stage_model
 

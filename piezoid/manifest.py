@@ -1,0 +1,103 @@
+"""Manifests: which files of a folder piezoid wrote, each with its digest.
+
+A manifest is sealed JSON. While files are exchanged one by one it lists, beside the new digest of
+a file, those that the file may have had before.
+"""
+
+import os
+import stat
+from collections.abc import Collection, Mapping
+from json import loads
+from pathlib import Path, PurePosixPath
+
+from piezoid.digests import digest_of_bytes, digest_of_file, seal, unseal
+from piezoid.errors import PiezoidError
+
+MANIFEST = "manifest.json"
+SCHEMA = "piezoid.manifest/1"
+# What versions without a manifest wrote beside sealed files; replaced with ``force`` only.
+UNSEALED = (
+    *("report.html", "diagnosis.html", "design.html", "summary.html", "parameters.parquet"),
+    *("drive.csv", "bundle/piezo_params.h", "bundle/piezoid_runtime.h"),
+    *("bundle/piezoid_runtime.c", "bundle/example_main.c", "bundle/golden.csv"),
+    "bundle/README.md",
+)
+_MAX_SEALED_bytes = 1 << 27
+
+Listed = Mapping[str, Collection[str]]  # file names and the digests that each may have
+
+
+def is_as_written(path: Path) -> bool:
+    """Return whether a file is the one that piezoid wrote, as far as a manifest is beside it."""
+    listed = manifest_in(path.parent)
+    return listed is None or digest_of_file(path) in listed.get(path.name, ())
+
+
+def missing_files(folder: Path) -> list[str]:
+    """Return the files that the manifest of a folder lists and that are not there."""
+    return [n for n in manifest_in(folder) or () if not is_regular(folder / n)]
+
+
+def lists_results(folder: str | Path) -> bool:
+    """Return whether a folder bears a manifest of a calibrated stage or of a batch."""
+    listed = manifest_in(Path(folder)) or ()
+    return "model.json" in listed or "batch.json" in listed
+
+
+def manifest_in(folder: Path) -> dict[str, set[str]] | None:
+    """Return the files that the manifest of a folder lists; None without one."""
+    return read_manifest(_read_small(folder / MANIFEST))
+
+
+def read_manifest(content: bytes) -> dict[str, set[str]] | None:
+    """Return the listed names with their digests; None where this is no manifest."""
+    try:
+        record = unseal(content, SCHEMA, MANIFEST)
+        listed = {name: set(known) for name, known in record.get("previous", {}).items()}
+        for name, digest in record["files"].items():
+            listed.setdefault(name, set()).add(digest)
+    except (PiezoidError, KeyError, AttributeError, TypeError):
+        return None
+    parts = [PurePosixPath(name).parts for name in listed]
+    return listed if all(p and p[0] != "/" and ".." not in p for p in parts) else None
+
+
+def files_without_manifest(target: Path) -> dict[str, set[str]]:
+    """Return what is ours in a folder without a manifest: sealed files and their companions."""
+    names = [n for n in os.listdir(target) if n.endswith(".json") and n != MANIFEST]
+    sealed = {n: _read_small(target / n) for n in names}
+    listed = {n: {digest_of_bytes(c)} for n, c in sealed.items() if _is_sealed(c)}
+    unknown: dict[str, set[str]] = {n: set() for n in UNSEALED if is_regular(target / n)}
+    return listed | unknown if listed else {}
+
+
+def _is_sealed(content: bytes) -> bool:
+    try:
+        schema = str(loads(content)["schema"])
+        unseal(content, schema, "")
+    except (PiezoidError, ValueError, KeyError, TypeError, RecursionError):
+        return False
+    return schema.startswith("piezoid.")
+
+
+def _read_small(path: Path) -> bytes:
+    """Return what a regular file holds; nothing of a link, a pipe or a file of many megabytes."""
+    try:
+        if is_regular(path) and path.lstat().st_size <= _MAX_SEALED_bytes:
+            return path.read_bytes()
+    except OSError:
+        pass
+    return b""
+
+
+def is_regular(path: Path) -> bool:
+    """Return whether a path is a regular file, and no link to one."""
+    return os.path.lexists(path) and stat.S_ISREG(path.lstat().st_mode)
+
+
+def manifest_of(files: Mapping[str, str], *, previous: Listed | None = None) -> bytes:
+    """Return the manifest of files with their digests, and with those that are replaced."""
+    record: dict[str, object] = {"files": dict(sorted(files.items()))}
+    if previous is not None:
+        record["previous"] = {name: sorted(known) for name, known in sorted(previous.items())}
+    return seal(SCHEMA, record)
