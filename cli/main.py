@@ -144,7 +144,7 @@ def main() -> None:
     except Exception as error:
         if "--debug" in sys.argv[1:]:
             raise
-        sys.exit(_told(error))
+        sys.exit(_report(error))
 
 
 _OUT_OF_MEMORY = (
@@ -154,38 +154,33 @@ _OUT_OF_MEMORY = (
 )
 
 
-def _told(error: Exception) -> int:
+def _report(error: Exception) -> int:
+    """Print an error as one message and return its exit status."""
     from rich.console import Console
     from rich.text import Text
 
     from piezoid.errors import PiezoidError
 
     if isinstance(error, PiezoidError):
-        status, said = error.exit_status, str(error)
+        status, message = error.exit_status, str(error)
     elif isinstance(error, OSError):
-        status, said = 3, _about_disk(error)
+        status = 3
+        message = (
+            f"{error.filename or 'a file'}: {error.strerror or error}. Needed: a place where this "
+            "command may read and write. Check the name, the permissions and the space that is "
+            "left."
+        )
     elif isinstance(error, MemoryError):
-        status, said = 3, _OUT_OF_MEMORY
+        status, message = 3, _OUT_OF_MEMORY
     else:
-        status, said = 70, _internal(error)
+        status = 70
+        message = (
+            f"internal error ({type(error).__name__}: {error}). Please report it with the output "
+            "of the same command with --debug."
+        )
     console = Console(stderr=True)
-    console.print(Text.assemble(("error: ", "bold red"), plain(said)))
+    console.print(Text.assemble(("error: ", "bold red"), plain(message)))
     return status
-
-
-def _internal(error: Exception) -> str:
-    return (
-        f"internal error ({type(error).__name__}: {error}). Please report it with the output of "
-        "the same command with --debug."
-    )
-
-
-def _about_disk(error: OSError) -> str:
-    place = error.filename or "a file"
-    return (
-        f"{place}: {error.strerror or error}. Needed: a place where this command may read and "
-        "write. Check the name, the permissions and the space that is left."
-    )
 
 
 if __name__ == "__main__":

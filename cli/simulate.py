@@ -61,53 +61,35 @@ def simulate(
     from piezoid.output_folder import check_folder, write_folder
     from piezoid_cli.progress import shown
     from piezoid_datasets.virtual_lab.campaign import draw_campaign
+    from piezoid_datasets.virtual_lab.junction_campaign import (
+        draw_junction_campaign,
+        junction_files,
+    )
     from piezoid_datasets.virtual_lab.write import campaign_files
 
     check_folder(out, force=force, new=True)
-    if junction is not None:
-        if effect or truth or recording or careless:
-            raise typer.BadParameter("--junction records a tip: nothing is hidden in a stage then")
-        files = _write_junction(seed, junction, out, force=force, quiet=quiet or json)
-        lines = [str(out / name) for name in files]
-    else:
-        sizes = dict(_sized(text) for text in effect or ())
-        with shown(quiet=quiet or json) as told:
-            told("simulating the virtual stage")
-            try:
+    if junction is not None and (effect or truth or recording or careless):
+        raise typer.BadParameter("--junction records a tip: nothing is hidden in a stage then")
+    sizes = dict(_sized(text) for text in effect or ())
+    with shown(quiet=quiet or json) as progress:
+        progress(f"simulating the virtual {'stage' if junction is None else 'tip'}")
+        try:
+            if junction is None:
                 campaign = draw_campaign(
                     seed, effects=sizes, truth=truth, plans=recording, careless=careless
                 )
-            except ValueError as error:
-                raise typer.BadParameter(str(error)) from error
-            files = campaign_files(campaign)
-            write_folder(out, files, force=force)
-        lines = _lines(campaign, out)
+                files, lines = campaign_files(campaign), _lines(campaign, out)
+            else:
+                files = junction_files(draw_junction_campaign(seed, seconds=junction))
+                lines = [str(out / name) for name in files]
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from error
+        write_folder(out, files, force=force)
     if json:
         hand_over_record("simulated", seed=seed, files=list(files))
     elif not quiet:
         for line in lines:
             say(line)
-
-
-def _write_junction(
-    seed: int, seconds: float, out: Path, *, force: bool, quiet: bool
-) -> dict[str, bytes]:
-    from piezoid.output_folder import write_folder
-    from piezoid_cli.progress import shown
-    from piezoid_datasets.virtual_lab.junction_campaign import (
-        draw_junction_campaign,
-        junction_files,
-    )
-
-    with shown(quiet=quiet) as told:
-        told("simulating the virtual tip")
-        try:
-            campaign = draw_junction_campaign(seed, seconds=seconds)
-        except ValueError as error:
-            raise typer.BadParameter(str(error)) from error
-        files = junction_files(campaign)
-        write_folder(out, files, force=force)
-    return files
 
 
 def _sized(text: str) -> tuple[str, float | None]:
@@ -125,12 +107,10 @@ def _sized(text: str) -> tuple[str, float | None]:
 
 
 def _lines(campaign: "Campaign", out: Path) -> list[str]:
-    lines = []
-    for rows in campaign.recordings:
-        run = rows.run
-        lines.append(
-            f"{out / 'recordings' / run.name}.csv: {len(rows.time_s)} rows at "
-            f"{run.sampling_rate_Hz:g} Hz"
-        )
-    hidden = ", ".join(found.name for found in campaign.answer.effects) or "nothing"
+    lines = [
+        f"{out / 'recordings' / rows.run.name}.csv: {len(rows.time_s)} rows at "
+        f"{rows.run.sampling_rate_Hz:g} Hz"
+        for rows in campaign.recordings
+    ]
+    hidden = ", ".join(effect.name for effect in campaign.answer.effects) or "nothing"
     return [*lines, f"{out / 'truth' / 'truth.json'}: {campaign.answer.truth}, hiding {hidden}"]

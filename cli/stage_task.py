@@ -20,7 +20,6 @@ from piezoid_reports.fleet.records import (
 
 if TYPE_CHECKING:
     from piezoid.calibration.calibrate import Calibration
-    from piezoid.calibration.controllers import Controllers
     from piezoid.identification.model import AxisModel
 
 LAB = "lab.toml"
@@ -69,23 +68,18 @@ class Known(NamedTuple):
 
 def known_of(tasks: Sequence[StageTask]) -> list[Known]:
     """Compare what is kept of stages with the files they would be made from."""
-    found = []
+    results = []
     for task in tasks:
-        kept = _kept(task)
-        same = kept is not None and _is_of(kept, task, inputs_of(task))
-        if kept is not None and same:
-            found.append(Known(task.name, kept.packed(), False))
-        else:
-            found.append(Known(task.name, None, kept is not None, _refusal_of(task)))
-    return found
-
-
-def _refusal_of(task: StageTask) -> OutputFolderError | None:
-    try:
-        results_place(task.results, force=task.force).check_stage(task.name)
-    except OutputFolderError as refusal:
-        return refusal
-    return None
+        record, refusal = _record_of(task), None
+        if record is not None and _is_of(record, task, inputs_of(task)):
+            results.append(Known(task.name, record.packed(), False))
+            continue
+        try:
+            results_place(task.results, force=task.force).check_stage(task.name)
+        except OutputFolderError as error:
+            refusal = error
+        results.append(Known(task.name, None, record is not None, refusal))
+    return results
 
 
 def work_off(
@@ -99,23 +93,18 @@ def work_off(
     Returns the outcomes of the first, and of the second and so on while less than ``spell_s`` have
     passed. Raises what ``run_stage`` raises.
     """
-    begun_s, found = monotonic(), []
+    start_s, outcomes = monotonic(), list[Outcome]()
     for task in tasks:
-        found.append(_worked(task, run or run_stage))
-        if monotonic() - begun_s > spell_s:
+        store, inputs = results_place(task.results, force=task.force), inputs_of(task)
+        store.check_seen()
+        stage = _record_of(task)
+        if stage is None or not _is_of(stage, task, inputs):
+            stage, files = (run or run_stage)(task, inputs)
+            store.write(task.name, {**files, RECORD: stage.to_json()})
+        outcomes.append(Outcome(task.name, stage.packed()))
+        if monotonic() - start_s > spell_s:
             break
-    return found
-
-
-def _worked(task: StageTask, run: "Run") -> Outcome:
-    place, inputs = results_place(task.results, force=task.force), inputs_of(task)
-    place.check_seen()
-    kept = _kept(task)
-    if kept is not None and _is_of(kept, task, inputs):
-        return Outcome(task.name, kept.packed())
-    stage, files = run(task, inputs)
-    place.write(task.name, {**files, RECORD: stage.to_json()})
-    return Outcome(task.name, stage.packed())
+    return outcomes
 
 
 def inputs_of(task: StageTask) -> dict[str, str]:
@@ -143,16 +132,16 @@ def _recordings(folder: Path) -> Sequence[str]:
     )
 
 
-def _kept(task: StageTask) -> FleetStage | None:
-    """Return what is kept of a stage; None where nothing usable is, or its work broke off."""
+def _record_of(task: StageTask) -> FleetStage | None:
+    """Return the record of a stage; None without a usable one, or if its work broke off."""
     from piezoid.errors import PiezoidError
 
     try:
         content = results_place(task.results).record_of(task.name)
-        kept = stage_from_json(content, f"{task.name}/{RECORD}")
+        stage = stage_from_json(content, f"{task.name}/{RECORD}")
     except (OSError, PiezoidError):
         return None
-    return None if kept.state == CRASHED else kept
+    return None if stage.state == CRASHED else stage
 
 
 def _is_of(stage: FleetStage, task: StageTask, inputs: Mapping[str, str]) -> bool:
@@ -173,8 +162,8 @@ def run_stage(
     folder = Path(task.folder)
     files = [folder / name for name in inputs if name != LAB]
     try:
-        found = calibrate(files, folder / LAB, lambda _: None)
-        return _record(task, inputs, found), found.files
+        calibration = calibrate(files, folder / LAB, lambda _: None)
+        return _record(task, inputs, calibration), calibration.files
     except (OSError, MemoryError):
         raise
     except PiezoidError as error:
@@ -196,97 +185,75 @@ def broken(
     )
 
 
-def _record(task: StageTask, inputs: Mapping[str, str], found: "Calibration") -> FleetStage:
+def _record(task: StageTask, inputs: Mapping[str, str], calibration: "Calibration") -> FleetStage:
     from json import loads
 
-    sealed = {name: text for name, text in found.files.items() if name.endswith(".json")}
+    sealed = {name: text for name, text in calibration.files.items() if name.endswith(".json")}
     return FleetStage(
         name=task.name,
-        state=PASSED if found.passed else FAILED,
-        reason=_reason(found),
+        state=PASSED if calibration.passed else FAILED,
+        reason=_reason(calibration),
         version=task.version,
         inputs=inputs,
         outputs={name: loads(text)["digest"] for name, text in sealed.items()},
-        axes=tuple(_axis(axis, found) for axis in found.model.axes.values()),
+        axes=tuple(_axis(axis, calibration) for axis in calibration.model.axes.values()),
     )
 
 
-def _reason(found: "Calibration") -> str:
-    wrong = [
-        f"axis {axis.axis}: {axis.verdict.reason}"
-        for axis in found.model.axes.values()
-        if not axis.verdict.applies
-    ]
-    if found.stumbled:
-        wrong += found.undiagnosed
-    return "; ".join([*wrong, *_wrong_controllers(found.controllers)])
-
-
-def _wrong_controllers(made: "Controllers") -> list[str]:
+def _reason(calibration: "Calibration") -> str:
+    """Return everything that failed; empty if nothing did."""
     from piezoid.verification.criteria import describe_failure
 
-    if made.passed:
-        return []
-    wrong = [made.reason] if made.reason else []
-    wrong += [f"axis {axis} does not ship: {reason}" for axis, reason in made.unshipped.items()]
-    return wrong + [
-        describe_failure(verdict)
-        for verdict in (() if made.verification is None else made.verification.verdicts)
-        if not verdict.passed
+    reasons = [
+        f"axis {axis.axis}: {axis.verdict.reason}"
+        for axis in calibration.model.axes.values()
+        if not axis.verdict.applies
     ]
+    if calibration.stumbled:
+        reasons += calibration.undiagnosed
+    controllers = calibration.controllers
+    if not controllers.passed:
+        unshipped, verification = controllers.unshipped, controllers.verification
+        reasons += [controllers.reason] if controllers.reason else []
+        reasons += [f"axis {axis} does not ship: {text}" for axis, text in unshipped.items()]
+        verdicts = () if verification is None else verification.verdicts
+        reasons += [describe_failure(verdict) for verdict in verdicts if not verdict.passed]
+    return "; ".join(reasons)
 
 
-def _axis(axis: "AxisModel", found: "Calibration") -> FleetAxis:
+def _axis(axis: "AxisModel", calibration: "Calibration") -> FleetAxis:
+    """Return the quantities of an axis in SI units, with the standard errors that are known."""
+    from math import isfinite
+
+    from piezoid.raw_counts import in_counts
     from piezoid_reports.fleet.quantities import QUANTITIES
 
-    design = found.controllers.design
-    designs = {} if design is None else {one.axis: one for one in design.axes}
-    values = {
-        quantity.name: quantity.of(axis, designs.get(axis.axis))
-        for quantity in QUANTITIES
-        if not _is_counted(quantity.unit, axis)
-    }
+    design = calibration.controllers.design
+    designs = {} if design is None else {each.axis: each for each in design.axes}
+    # Stages are compared in units: quantities in counts are left out.
+    compared = [q for q in QUANTITIES if in_counts(q.unit, axis.counted) == q.unit]
+    values = {q.name: q.of(axis, designs.get(axis.axis)) for q in compared}
+    errors = {q.name: q.error(axis) for q in compared}
     return FleetAxis(
         axis=axis.axis,
         applies=axis.verdict.applies,
         values={name: value for name, value in values.items() if value is not None},
         parameters={} if axis.counted else _parameters(axis),
-        errors=_errors(axis),
+        errors={n: error for n, error in errors.items() if error is not None and isfinite(error)},
     )
 
 
-def _is_counted(unit: str, axis: "AxisModel") -> bool:
-    """Tell whether a quantity of this axis is in counts: stages are compared in units."""
-    from piezoid.raw_counts import in_counts
-
-    return in_counts(unit, axis.counted) != unit
-
-
-def _errors(axis: "AxisModel") -> dict[str, float]:
-    """Return the standard errors that the fit knows, by quantity."""
-    from math import isfinite
-
-    from piezoid_reports.fleet.quantities import QUANTITIES
-
-    found = {
-        quantity.name: quantity.error(axis)
-        for quantity in QUANTITIES
-        if not _is_counted(quantity.unit, axis)
-    }
-    return {name: error for name, error in found.items() if error is not None and isfinite(error)}
-
-
 def _parameters(axis: "AxisModel") -> dict[str, float | list[float]]:
-    held = axis.hysteresis
+    hysteresis = axis.hysteresis
     return {
-        "play_threshold_V": held.plays.threshold.tolist(),
-        "play_weight_m_per_V": held.plays.weight.tolist(),
-        "dead_zone_threshold_m": held.dead_zones.threshold.tolist(),
-        "dead_zone_weight": held.dead_zones.weight.tolist(),
-        "envelope_threshold_V": held.envelope.threshold.tolist(),
-        "envelope_weight": held.envelope.weight.tolist(),
-        "voltage_offset_V": held.voltage_offset_V,
-        "displacement_offset_m": held.displacement_offset_m,
+        "play_threshold_V": hysteresis.plays.threshold.tolist(),
+        "play_weight_m_per_V": hysteresis.plays.weight.tolist(),
+        "dead_zone_threshold_m": hysteresis.dead_zones.threshold.tolist(),
+        "dead_zone_weight": hysteresis.dead_zones.weight.tolist(),
+        "envelope_threshold_V": hysteresis.envelope.threshold.tolist(),
+        "envelope_weight": hysteresis.envelope.weight.tolist(),
+        "voltage_offset_V": hysteresis.voltage_offset_V,
+        "displacement_offset_m": hysteresis.displacement_offset_m,
         "voltage_low_V": axis.voltage_V[0],
         "voltage_high_V": axis.voltage_V[1],
         "polarity": float(axis.polarity),
