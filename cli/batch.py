@@ -1,6 +1,6 @@
 """`piezoid batch`: a folder of stages in, every stage's folder and one summary page out."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 import typer
 
 from piezoid_cli.progress import shown
-from piezoid_cli.terminal import Quiet, doing, hand_over, one_line, plain, table
+from piezoid_cli.terminal import JsonFile, Quiet, doing, hand_over, one_line, plain, table
 
 if TYPE_CHECKING:
     from distributed import Client
 
     from piezoid_cli.stage_task import Outcome, StageTask
-    from piezoid_reports.fleet.records import Fleet, FleetAxis, FleetStage, StagesOnDisk
+    from piezoid_reports.fleet.records import Fleet, FleetStage, StagesOnDisk
 
 TOGETHER = 5000  # stages that are rows in memory at one time
 MOST_REASONS = 200  # stages that did not pass and are named in the terminal
@@ -42,9 +42,7 @@ def batch(
         bool, typer.Option("--force", help="Do stages again whose files have changed.")
     ] = False,
     quiet: Quiet = False,
-    json: Annotated[
-        bool, typer.Option("--json", help="For scripts: print batch.json itself.")
-    ] = False,
+    json: JsonFile = False,
 ) -> None:
     """Calibrate many stages: one for each folder with recordings and a lab.toml.
 
@@ -170,20 +168,14 @@ def _bar(
     whole: int, *, quiet: bool
 ) -> Iterator[tuple[Callable[[int], None], Callable[[str], None]]]:
     """Give what is told how many stages are finished already, and what is told of each other."""
+    from rich import progress as bar
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TimeElapsedColumn,
-    )
-    from rich.progress import TimeRemainingColumn as Remaining
 
     console = Console(stderr=True, quiet=quiet)
     columns = (
-        doing(), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-        Remaining(),
-    )  # fmt: skip
+        *(doing(), bar.BarColumn(), bar.MofNCompleteColumn()),
+        *(bar.TimeElapsedColumn(), bar.TimeRemainingColumn()),
+    )
     done = 0
 
     def before(finished: int) -> None:
@@ -197,7 +189,7 @@ def _bar(
         told(f"{done} of {whole} stages done: {name}")
 
     seen = console.is_terminal and not quiet
-    with Progress(*columns, console=console, transient=True, disable=not seen) as progress:
+    with bar.Progress(*columns, console=console, transient=True, disable=not seen) as progress:
         task = progress.add_task("stages", total=whole)
         if seen:
             yield before, lambda name: progress.update(task, advance=1, description=one_line(name))
@@ -258,14 +250,8 @@ def write_table(fleet: "Fleet", stream: BinaryIO) -> None:
     with pq.ParquetWriter(stream, schema, compression="zstd") as table:
         stages = iter(fleet.stages)
         while part := list(islice(stages, TOGETHER)):
-            table.write_table(_columns([row for stage in part for row in _rows(stage)], schema))
-
-
-def _columns(rows: list[dict[str, Any]], schema: Any) -> Any:
-    import pyarrow as pa
-
-    arrays = [pa.array([row.get(one.name) for row in rows], type=one.type) for one in schema]
-    return pa.Table.from_arrays(arrays, schema=schema)
+            rows = [row for stage in part for row in _rows(stage)]
+            table.write_table(pa.Table.from_pylist(rows, schema=schema))
 
 
 def _rows(stage: "FleetStage") -> list[dict[str, Any]]:
@@ -276,11 +262,16 @@ def _rows(stage: "FleetStage") -> list[dict[str, Any]]:
         "serial": stage.serial,
         "model_digest": stage.outputs.get("model.json"),
     }
-    return [{**about, **_row(axis)} for axis in stage.axes] or [about]
-
-
-def _row(axis: "FleetAxis") -> Mapping[str, Any]:
-    return {"axis": axis.axis, "applies": axis.applies, **axis.values, **axis.parameters}
+    return [
+        {
+            **about,
+            "axis": axis.axis,
+            "applies": axis.applies,
+            **axis.values,
+            **axis.parameters,
+        }
+        for axis in stage.axes
+    ] or [about]
 
 
 def _parameter_names(fleet: "Fleet") -> dict[str, type]:
