@@ -211,10 +211,10 @@ def _fields(verification: Verification) -> dict[str, Any]:
 LAYOUTS = (
     RecordLayout(kind=Verification, write=_fields),
     *(
-        RecordLayout(kind=kind, write=lambda one: {**fields_of(one), "passed": one.passed})
+        RecordLayout(kind=kind, write=lambda run: {**fields_of(run), "passed": run.passed})
         for kind in (Verdict, Proof)
     ),
-    RecordLayout(kind=LimitProof, write=lambda one: {**fields_of(one), "verdict": one.verdict}),
+    RecordLayout(kind=LimitProof, write=lambda row: {**fields_of(row), "verdict": row.verdict}),
 )
 
 
