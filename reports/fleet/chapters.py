@@ -13,7 +13,7 @@ from piezoid_reports.fleet.findings import (
     FEWEST,
     TREND_P,
     Distribution,
-    distributions,
+    compare_stages,
 )
 from piezoid_reports.fleet.records import (
     CRASHED,
@@ -45,7 +45,7 @@ HALF_95 = 1.96  # standard errors
 WORST = 200  # rows of a table, so that the page of any batch opens at once
 
 
-def verdict(fleet: Fleet, found: tuple[Distribution, ...]) -> Section:
+def verdict(fleet: Fleet, distributions: tuple[Distribution, ...]) -> Section:
     """Return what must be known if nothing else is read."""
     good, whole = fleet.counts.get(PASSED, 0), len(fleet.stages)
     tone = "good" if fleet.passed else "middling" if good >= 0.9 * whole else "bad"
@@ -53,7 +53,12 @@ def verdict(fleet: Fleet, found: tuple[Distribution, ...]) -> Section:
         anchor="verdict",
         title="Verdict",
         lead="",
-        parts=(Prose(text=" ".join((_counted(fleet), _odd(found), _drifting(found))), tone=tone),),
+        parts=(
+            Prose(
+                text=" ".join((_counted(fleet), _odd(distributions), _drifting(distributions))),
+                tone=tone,
+            ),
+        ),
     )
 
 
@@ -68,11 +73,11 @@ def _counted(fleet: Fleet) -> str:
     return f"{good} of {whole} stages passed; {', '.join(rest)}.{bare_clause}"
 
 
-def _odd(found: tuple[Distribution, ...]) -> str:
-    if not found:
+def _odd(distributions: tuple[Distribution, ...]) -> str:
+    if not distributions:
         return f"Fewer than {FEWEST} stages can be compared, so the spread is not reported."
     far = sorted(
-        ((abs(float(one.away[k])), one.stages[k]) for one in found for k in one.outliers),
+        ((abs(float(row.away[k])), row.stages[k]) for row in distributions for k in row.outliers),
         reverse=True,
     )
     odd = list(dict.fromkeys(name for _, name in far))
@@ -85,11 +90,11 @@ def _odd(found: tuple[Distribution, ...]) -> str:
     )
 
 
-def _drifting(found: tuple[Distribution, ...]) -> str:
-    named = [f"{one.quantity.label} of axis {one.axis}" for one in found if one.drifts]
+def _drifting(distributions: tuple[Distribution, ...]) -> str:
+    named = [f"{row.quantity.label} of axis {row.axis}" for row in distributions if row.drifts]
     if named:
         return f"Over the serial numbers {', '.join(named)} drifts."
-    if any(one.trend is not None for one in found):
+    if any(row.trend is not None for row in distributions):
         return "Nothing drifts over the serial numbers."
     return "Too few stage names contain a serial number to test for drift."
 
@@ -113,13 +118,13 @@ def failures(fleet: Fleet) -> Section:
     )
 
 
-def outliers(found: tuple[Distribution, ...]) -> Section:
+def outliers(distributions: tuple[Distribution, ...]) -> Section:
     """Return the stages that stand out, farthest first."""
     rows = sorted(
-        ((one, k) for one in found for k in one.outliers),
+        ((row, k) for row in distributions for k in row.outliers),
         key=lambda pair: -abs(pair[0].away[pair[1]]),
     )
-    limit = min((one.limit for one in found), default=0.0)
+    limit = min((row.limit for row in distributions), default=0.0)
     lead = (
         f"At least {limit:.1f} robust standard deviations from the others (of the logarithm for "
         "quantities with a long tail), beyond the interval of the value. In a batch without "
@@ -131,31 +136,31 @@ def outliers(found: tuple[Distribution, ...]) -> Section:
         columns=("stage", "axis", "quantity", "value", "middle", "away", "may be"),
         rows=tuple(
             (
-                one.stages[k],
-                one.axis,
-                one.quantity.label,
-                _value(one, k),
-                number(one.spread.median, one.quantity.unit),
-                f"{significant(float(one.away[k]), 2)} sigma",
-                one.quantity.means,
+                row.stages[k],
+                row.axis,
+                row.quantity.label,
+                _value(row, k),
+                number(row.spread.median, row.quantity.unit),
+                f"{significant(float(row.away[k]), 2)} sigma",
+                row.quantity.means,
             )
-            for one, k in rows[:WORST]
+            for row, k in rows[:WORST]
         ),
-        links=tuple(_place(one.stages[k]) for one, k in rows[:WORST]),
+        links=tuple(_place(row.stages[k]) for row, k in rows[:WORST]),
     )
     return Section(
         anchor="outliers",
         title="Stages that stand out",
-        lead=lead if found else "",
+        lead=lead if distributions else "",
         parts=(table if rows else Prose(text="None.", tone="good"),),
     )
 
 
-def _value(one: Distribution, k: int) -> str:
+def _value(row: Distribution, k: int) -> str:
     """Return a value with its own 95 % interval, where it is known."""
-    if not one.errors[k] > 0.0:
-        return number(float(one.values[k]), one.quantity.unit)
-    return with_half_width(float(one.values[k]), HALF_95 * float(one.errors[k]), one.quantity.unit)
+    if not row.errors[k] > 0.0:
+        return number(float(row.values[k]), row.quantity.unit)
+    return with_half_width(float(row.values[k]), HALF_95 * float(row.errors[k]), row.quantity.unit)
 
 
 def stages(fleet: Fleet) -> Section:
@@ -217,24 +222,30 @@ def _place(name: str) -> str:
 
 def render_fleet(fleet: Fleet) -> str:
     """Return summary.html, to lie beside the folder of the stages."""
-    found = distributions(fleet)
-    made = (verdict(fleet, found), failures(fleet), outliers(found), spread(found), stages(fleet))
+    distributions = compare_stages(fleet)
+    made = (
+        verdict(fleet, distributions),
+        failures(fleet),
+        outliers(distributions),
+        spread(distributions),
+        stages(fleet),
+    )
     return html(f"Batch {fleet.name}", [section for section in made if section is not None])
 
 
-def spread(found: tuple[Distribution, ...]) -> Section | None:
+def spread(distributions: tuple[Distribution, ...]) -> Section | None:
     """Return a table and, for each quantity, its histogram and its course over serial numbers."""
-    if not found:
+    if not distributions:
         return None
     parts: list[Part] = []
-    for axis in dict.fromkeys(one.axis for one in found):
-        own = [one for one in found if one.axis == axis]
+    for axis in dict.fromkeys(row.axis for row in distributions):
+        own = [row for row in distributions if row.axis == axis]
         parts += [Heading(text=f"Axis {axis}"), _table(axis, own)]
-        for one in own:
-            if np.ptp(one.values) > 0.0:
-                parts.append(_histogram(one))
-            if one.trend is not None:
-                parts.append(_course(one))
+        for row in own:
+            if np.ptp(row.values) > 0.0:
+                parts.append(_histogram(row))
+            if row.trend is not None:
+                parts.append(_course(row))
     return Section(
         anchor="parameters",
         title="Distribution and drift of the parameters",
@@ -250,96 +261,96 @@ def _table(axis: str, own: list[Distribution]) -> Table:
         columns=("quantity", "stages", "median", "5 % to 95 %", "drift (95 %)", "p"),
         rows=tuple(
             (
-                one.quantity.label,
-                str(one.spread.count),
-                number(one.spread.median, one.quantity.unit),
-                f"{number(one.spread.low, one.quantity.unit)} to "
-                f"{number(one.spread.high, one.quantity.unit)}",
-                _drift(one),
-                "" if one.trend is None else significant(one.trend_p, 2),
+                row.quantity.label,
+                str(row.spread.count),
+                number(row.spread.median, row.quantity.unit),
+                f"{number(row.spread.low, row.quantity.unit)} to "
+                f"{number(row.spread.high, row.quantity.unit)}",
+                _drift(row),
+                "" if row.trend is None else significant(row.trend_p, 2),
             )
-            for one in own
+            for row in own
         ),
     )
 
 
-def _drift(one: Distribution) -> str:
-    if one.trend is None:
+def _drift(row: Distribution) -> str:
+    if row.trend is None:
         return "not known"
-    low, high = (100.0 * end for end in one.trend.ci95)
-    unit, slope = one.quantity.unit, 100.0 * one.trend.slope
+    low, high = (100.0 * end for end in row.trend.ci95)
+    unit, slope = row.quantity.unit, 100.0 * row.trend.slope
     middle = slope if abs(slope) > NEGLIGIBLE * (high - low) else 0.0
     return f"{number(middle, unit)} ({number(low, unit)} to {number(high, unit)})"
 
 
-def _histogram(one: Distribution) -> Figure:
+def _histogram(row: Distribution) -> Figure:
     edges = np.histogram_bin_edges(
-        one.values, bins=int(np.clip(2 * len(one.values) ** 0.5, 8, 40))
+        row.values, bins=int(np.clip(2 * len(row.values) ** 0.5, 8, 40))
     )
-    counts, _ = np.histogram(one.values, edges)
+    counts, _ = np.histogram(row.values, edges)
     across = np.repeat(edges, 2)
     up = np.concatenate([[0.0], np.repeat(counts, 2), [0.0]]).astype(float)
-    limits = np.array(one.normal)
+    limits = np.array(row.normal)
     inside = limits[(limits >= edges[0]) & (limits <= edges[-1])]
     y = Axis(label="stages", scale=Scale(factor=1.0, unit=""), low=0.0, high=1.08 * counts.max())
     canvas = Canvas(
-        x=axis_over(one.quantity.label, [one.values], one.quantity.unit), y=y, height=200
+        x=axis_over(row.quantity.label, [row.values], row.quantity.unit), y=y, height=200
     )
     layers = [canvas.band("count", "stages", across, np.zeros_like(up), up)]
     for level in inside:
         ends = np.array([0.0, y.high])
         layers.append(canvas.line("limit", "limit for most stages", np.full(2, level), ends))
     return Figure(
-        title=f"{one.quantity.label}, axis {one.axis}: distribution",
-        caption=f"{one.spread.count} stages, median "
-        f"{number(one.spread.median, one.quantity.unit)}, "
-        f"robust standard deviation {number(one.spread.sigma, one.quantity.unit)}; "
-        f"{_outside(one)}.",
+        title=f"{row.quantity.label}, axis {row.axis}: distribution",
+        caption=f"{row.spread.count} stages, median "
+        f"{number(row.spread.median, row.quantity.unit)}, "
+        f"robust standard deviation {number(row.spread.sigma, row.quantity.unit)}; "
+        f"{_outside(row)}.",
         guide=LOOK_SPREAD,
         canvas=canvas,
         layers=tuple(layers),
     )
 
 
-def _outside(one: Distribution) -> str:
-    many = f"{len(one.outliers)} beyond {one.limit:.1f} of them"
-    own = ", each value's own interval counted in" if one.errors.any() else ""
-    return f"{many}{', counted in the logarithm' if one.quantity.ratio else ''}{own}"
+def _outside(row: Distribution) -> str:
+    many = f"{len(row.outliers)} beyond {row.limit:.1f} of them"
+    own = ", each value's own interval counted in" if row.errors.any() else ""
+    return f"{many}{', counted in the logarithm' if row.quantity.ratio else ''}{own}"
 
 
-def _course(one: Distribution) -> Figure:
-    assert one.trend is not None
-    ends = np.array([np.nanmin(one.serials), np.nanmax(one.serials)])
-    line = one.trend.middle + one.trend.slope * (ends - one.trend.about)
-    x = axis_over("serial number", [one.serials], "")
+def _course(row: Distribution) -> Figure:
+    assert row.trend is not None
+    ends = np.array([np.nanmin(row.serials), np.nanmax(row.serials)])
+    line = row.trend.middle + row.trend.slope * (ends - row.trend.about)
+    x = axis_over("serial number", [row.serials], "")
     canvas = Canvas(
-        x=x, y=axis_over(one.quantity.label, [one.values], one.quantity.unit), height=200
+        x=x, y=axis_over(row.quantity.label, [row.values], row.quantity.unit), height=200
     )
-    odd = np.zeros(len(one.values), dtype=bool)
-    odd[list(one.outliers[:DOTS])] = True
+    odd = np.zeros(len(row.values), dtype=bool)
+    odd[list(row.outliers[:DOTS])] = True
     layers = [
-        _many(canvas, one)
-        if np.isfinite(one.serials).sum() > DOTS
-        else canvas.dots("dots", "stages", one.serials[~odd], one.values[~odd]),
+        _many(canvas, row)
+        if np.isfinite(row.serials).sum() > DOTS
+        else canvas.dots("dots", "stages", row.serials[~odd], row.values[~odd]),
         canvas.line("trend", "median trend", ends, line),
     ]
-    if (odd & np.isfinite(one.serials)).any():
-        layers.append(canvas.dots("odd", "standing out", one.serials[odd], one.values[odd]))
+    if (odd & np.isfinite(row.serials)).any():
+        layers.append(canvas.dots("odd", "standing out", row.serials[odd], row.values[odd]))
     return Figure(
-        title=f"{one.quantity.label}, axis {one.axis} over the serial numbers",
-        caption=f"Drift for 100 serial numbers {_drift(one)}, p = {significant(one.trend_p, 2)}: "
-        f"{'significant' if one.drifts else 'no drift that can be number from chance'}.",
+        title=f"{row.quantity.label}, axis {row.axis} over the serial numbers",
+        caption=f"Drift for 100 serial numbers {_drift(row)}, p = {significant(row.trend_p, 2)}: "
+        f"{'significant' if row.drifts else 'not distinguishable from chance'}.",
         guide=LOOK_DRIFT,
         canvas=canvas,
         layers=tuple(layers),
     )
 
 
-def _many(canvas: Canvas, one: Distribution) -> Layer:
+def _many(canvas: Canvas, row: Distribution) -> Layer:
     """Draw between what values most stages lie, for each stretch of serial numbers."""
-    numbered = np.flatnonzero(np.isfinite(one.serials))
-    order = numbered[np.argsort(one.serials[numbered], kind="stable")]
+    numbered = np.flatnonzero(np.isfinite(row.serials))
+    order = numbered[np.argsort(row.serials[numbered], kind="stable")]
     parts = np.array_split(order, STRETCHES)
-    middle = np.array([np.median(one.serials[part]) for part in parts])
-    low, high = np.array([np.quantile(one.values[part], (0.05, 0.95)) for part in parts]).T
+    middle = np.array([np.median(row.serials[part]) for part in parts])
+    low, high = np.array([np.quantile(row.values[part], (0.05, 0.95)) for part in parts]).T
     return canvas.band("count", "9 of 10 stages", middle, low, high)

@@ -82,7 +82,7 @@ class Distribution(QuantityValues):
         return tuple(int(k) for k in far[np.argsort(-np.abs(self.away[far]), kind="stable")])
 
 
-def distributions(fleet: Fleet) -> tuple[Distribution, ...]:
+def compare_stages(fleet: Fleet) -> tuple[Distribution, ...]:
     """Return every quantity that at least ``FEWEST`` stages have, axis by axis."""
     quantities = _quantities(fleet)
     looks = sum(len(q.values) for q in quantities)

@@ -32,12 +32,8 @@ class Quantity:
 
 
 def _sensitivity(axis: AxisModel, _: AxisDesign | None) -> float | None:
-    known = axis.uncertainty
-    return float(known.loading_m[-1] / known.reach_V[-1]) if known.reach_V[-1] > 0.0 else None
-
-
-def _loop_width(axis: AxisModel, _: AxisDesign | None) -> float | None:
-    return 100.0 * axis.uncertainty.loop_width_m[0] / axis.quality.range_m
+    loading_m, reach_V = axis.uncertainty.loading_m[-1], axis.uncertainty.reach_V[-1]
+    return float(loading_m / reach_V) if reach_V > 0.0 else None
 
 
 def _quantile(axis: AxisModel) -> float:
@@ -46,9 +42,9 @@ def _quantile(axis: AxisModel) -> float:
 
 
 def _sensitivity_error(axis: AxisModel) -> float | None:
-    known = axis.uncertainty
-    reach_V = float(known.reach_V[-1])
-    return float(known.loading_half_m[-1]) / reach_V / _quantile(axis) if reach_V > 0.0 else None
+    reach_V = float(axis.uncertainty.reach_V[-1])
+    half_m = float(axis.uncertainty.loading_half_m[-1])
+    return half_m / reach_V / _quantile(axis) if reach_V > 0.0 else None
 
 
 def _loop_width_error(axis: AxisModel) -> float | None:
@@ -56,19 +52,11 @@ def _loop_width_error(axis: AxisModel) -> float | None:
 
 
 def _lag_error(axis: AxisModel) -> float | None:
-    known = axis.uncertainty
-    if "lag_s" not in known.names:
+    names, covariance = axis.uncertainty.names, axis.uncertainty.covariance
+    if "lag_s" not in names:
         return None
-    place = known.names.index("lag_s")
-    return float(max(known.covariance[place, place], 0.0) ** 0.5)
-
-
-def _modulus_margin(_: AxisModel, design: AxisDesign | None) -> float | None:
-    return None if design is None else design.recommended.worst_modulus_margin
-
-
-def _bandwidth(_: AxisModel, design: AxisDesign | None) -> float | None:
-    return None if design is None else design.recommended.bandwidth_Hz
+    k = names.index("lag_s")
+    return float(max(covariance[k, k], 0.0) ** 0.5)
 
 
 QUANTITIES = (
@@ -84,7 +72,7 @@ QUANTITIES = (
         name="loop_width_percent",
         label="loop width, of the range",
         unit="%",
-        of=_loop_width,
+        of=lambda axis, _: 100.0 * axis.uncertainty.loop_width_m[0] / axis.quality.range_m,
         error=_loop_width_error,
         means="another ceramic, a depoled stack, friction, or a lag that looks like hysteresis",
     ),
@@ -124,14 +112,14 @@ QUANTITIES = (
         name="bandwidth_Hz",
         label="closed-loop bandwidth",
         unit="Hz",
-        of=_bandwidth,
+        of=lambda _, design: None if design is None else design.recommended.bandwidth_Hz,
         means="a mode or a delay that limits this stage and not the others",
     ),
     Quantity(
         name="modulus_margin",
         label="modulus margin, worst member",
         unit="",
-        of=_modulus_margin,
+        of=lambda _, design: None if design is None else design.recommended.worst_modulus_margin,
         means="a plant family that is wider than those of the others",
     ),
 )

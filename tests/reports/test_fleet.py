@@ -9,7 +9,7 @@ import pytest
 
 from piezoid.errors import ParameterFileError
 from piezoid_reports.fleet.chapters import render_fleet
-from piezoid_reports.fleet.findings import FALSE_ALARMS, distributions
+from piezoid_reports.fleet.findings import FALSE_ALARMS, compare_stages
 from piezoid_reports.fleet.quantities import QUANTITIES
 from piezoid_reports.fleet.records import (
     FAILED,
@@ -51,7 +51,7 @@ def fleet(count: int, seed: int = 1, **changes: float) -> Fleet:
 
 
 def test_the_one_noisy_stage_is_named_with_its_number() -> None:
-    found = distributions(fleet(40, noise_rms_m=4e-8))
+    found = compare_stages(fleet(40, noise_rms_m=4e-8))
     noise = next(one for one in found if one.quantity.name == "noise_rms_m")
     assert [noise.stages[k] for k in noise.outliers] == ["unit 020"]
     rows = Anatomy(render_fleet(fleet(40, noise_rms_m=4e-8))).all("tr")
@@ -63,7 +63,7 @@ def test_the_one_noisy_stage_is_named_with_its_number() -> None:
 @pytest.mark.parametrize("count", [6, 12, 40])
 def test_where_nothing_is_wrong_chance_names_as_few_as_the_page_says(count: int) -> None:
     named = [
-        sum(len(one.outliers) for one in distributions(fleet(count, seed))) for seed in range(60)
+        sum(len(one.outliers) for one in compare_stages(fleet(count, seed))) for seed in range(60)
     ]
     assert np.mean(named) < FALSE_ALARMS * 1.2
 
@@ -76,7 +76,7 @@ def test_a_long_tail_of_errors_names_no_more_stages_than_the_page_says() -> None
             stage(k, rng, error_bound_m=float(2e-6 * np.exp(0.6 * rng.standard_normal())))
             for k in range(40)
         ]
-        found = distributions(Fleet(name="night", stages=tuple(made)))
+        found = compare_stages(Fleet(name="night", stages=tuple(made)))
         named += sum(len(one.outliers) for one in found)
     assert named / 60 < FALSE_ALARMS * 1.2
 
@@ -94,7 +94,7 @@ def lags(seed: int, true_s: Mapping[int, float] | None = None) -> Fleet:
 
 
 def _odd_lags(fleet: Fleet) -> list[str]:
-    (found,) = (one for one in distributions(fleet) if one.quantity.name == "lag_s")
+    (found,) = (one for one in compare_stages(fleet) if one.quantity.name == "lag_s")
     return [found.stages[k] for k in found.outliers]
 
 
@@ -135,7 +135,7 @@ def test_a_drift_over_the_serial_numbers_is_seen_and_the_drifted_are_no_outliers
     )
     (found,) = (
         one
-        for one in distributions(Fleet(name="night", stages=stages))
+        for one in compare_stages(Fleet(name="night", stages=stages))
         if one.quantity.name == "sensitivity_m_per_V"
     )
     assert found.drifts
