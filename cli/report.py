@@ -87,6 +87,7 @@ def _page(folder: "StageFolder", recorded: "Collection", files: Mapping[str, byt
     """Return the page of the sealed files that are up to date."""
     from piezoid.diagnosis.sealed_diagnosis import read_diagnoses
     from piezoid.verification.verification import verification_from_json
+    from piezoid_reports.page import Page
     from piezoid_reports.render import render
 
     def path(name: str) -> str:
@@ -102,16 +103,17 @@ def _page(folder: "StageFolder", recorded: "Collection", files: Mapping[str, byt
     if "verification.json" in files:
         name = "verification.json"
         verification = verification_from_json(files[name], path(name))
-    return render(
-        folder.model,
-        recorded.recordings,
-        recorded.sweeps,
-        design,
-        "" if design else UNDESIGNED,
+    page = Page(
+        model=folder.model,
+        recordings=recorded.recordings,
+        sweeps=recorded.sweeps,
         responses=recorded.responses,
+        design=design,
+        undesigned="" if design else UNDESIGNED,
         diagnoses=diagnoses or (),
         verification=verification,
         unshipped=unshipped,
         files=files,
         lab=folder.lab,
     )
+    return render(page)

@@ -73,10 +73,10 @@ def check_folder(
             remedy="Name another folder, or add --force to replace its results.",
         )
     _check_names(target, listed, listed if names is None else names, force=force)
-    beside = next(above for above in target.parents if above.exists())
-    if not beside.is_dir():
-        raise refusal(f"{beside} is a file")
-    for place in (beside, target) if target.exists() else (beside,):
+    parent = next(above for above in target.parents if above.exists())
+    if not parent.is_dir():
+        raise refusal(f"{parent} is a file")
+    for place in (parent, target) if target.exists() else (parent,):
         if not os.access(place, os.W_OK | os.X_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(place))
 
@@ -163,19 +163,18 @@ def write_file(
 def _target_of(folder: str | Path) -> Path:
     """Return the folder behind a name; refuse what is none or what is never written."""
     path = Path(folder)
-    is_named = path.name not in ("", "..")
-    target = Path(os.path.realpath(path.parent if is_named else path))
-    target = target / path.name if is_named else target
+    parent, name = (path, "") if path.name in ("", "..") else (path.parent, path.name)
+    target = Path(os.path.realpath(parent)) / name
     if os.path.islink(target):
         raise refusal(f"{folder} is a link to {os.readlink(target)}, which is not followed")
     if os.path.lexists(target) and not target.is_dir():
         raise refusal(f"{folder} is a file")
-    if reason := _is_protected(target):
+    if reason := _protection_of(target):
         raise refusal(f"{folder} {reason}")
     return target
 
 
-def _is_protected(target: Path) -> str:
+def _protection_of(target: Path) -> str:
     """Return why a folder is never written, whatever it holds; empty where it may be."""
     if os.path.ismount(target):
         return "is a disk of its own"
@@ -195,10 +194,10 @@ def _is_protected(target: Path) -> str:
     return ""
 
 
-def refusal(found: str) -> OutputFolderError:
-    """Return the error about a folder that may not be written, with what was found there."""
+def refusal(reason: str) -> OutputFolderError:
+    """Return the error about a folder that may not be written."""
     return OutputFolderError(
-        found,
+        reason,
         needed="a folder that is new, empty, or written by piezoid",
         remedy="Name another folder, or one below it; --force replaces only what piezoid wrote.",
     )
@@ -233,9 +232,9 @@ def _check_names(target: Path, listed: Listed, names: Iterable[str], *, force: b
         if name not in listed or not is_regular(place):
             raise refusal(f"{place} was not written by piezoid")
         if not force and digest_of_file(place) not in listed[name]:
-            found = "was edited since piezoid wrote it" if listed[name] else "is in no manifest"
+            reason = "was edited since piezoid wrote it" if listed[name] else "is in no manifest"
             raise OutputFolderError(
-                f"{place} {found}",
+                f"{place} {reason}",
                 needed="the file as it was written",
                 remedy="Move it to keep it, or add --force to replace it.",
             )
@@ -266,7 +265,10 @@ def _write(
             fresh.mkdir()
             _fill(fresh / MANIFEST, manifest_of(dict.fromkeys((*contents, *kept), "")))
             digests = {n: _fill(fresh / n, content) for n, content in contents.items()}
-            digests |= {name: _digest_of(target / name, listed[name]) for name in kept}
+            for name in kept:  # an edited file keeps the digest that piezoid wrote
+                known = listed[name]
+                actual = digest_of_file(target / name) if len(known) > 1 else ""
+                digests[name] = actual if actual in known else min(known, default="")
             _fill(fresh / _UNION, manifest_of(digests))
             (fresh / _UNION).replace(fresh / MANIFEST)  # killed here, the files are listed
             with interrupts_blocked():  # until every file is in its place
@@ -274,12 +276,6 @@ def _write(
                 _put(fresh, target, digests, listed, gone)
         finally:
             _remove_listed(fresh, (*contents, *kept, *listed))
-
-
-def _digest_of(place: Path, known: Collection[str]) -> str:
-    """Return which of the digests a file has; the only one even where the file was edited."""
-    actual = digest_of_file(place) if len(known) > 1 else ""
-    return actual if actual in known else min(known, default="")
 
 
 def _put(
@@ -320,8 +316,8 @@ def _holds_only(target: Path, listed: Listed) -> bool:
 
 def _take_over(target: Path, fresh: Path, kept: Iterable[str]) -> bool:
     """Give the finished folder the files that stay, and all modes; False where it cannot be."""
-    here, there = fresh.stat(), target.stat()
-    if (here.st_uid, here.st_gid) != (there.st_uid, there.st_gid):
+    new, old = fresh.stat(), target.stat()
+    if (new.st_uid, new.st_gid) != (old.st_uid, old.st_gid):
         return False
     try:
         for name in kept:

@@ -426,20 +426,21 @@ def report(
         if shipping.parameters is not None:
             files["params.json"] = parameter_file.to_json(shipping.parameters)
             unshipped = shipping.parameters.unshipped
-    page: str = _reports().render(
-        model,
-        collection.recordings,
-        collection.sweeps,
-        design,
-        "" if design is not None else "no design was passed to the report.",
-        diagnoses=tuple(diagnoses),
+    page = _reports().Page(
+        model=model,
+        recordings=collection.recordings,
+        sweeps=collection.sweeps,
+        responses=collection.responses,
+        design=design,
+        undesigned="" if design is not None else "no design was passed to the report.",
+        diagnoses=diagnoses,
         verification=None if shipping is None else shipping.verification,
         unshipped=unshipped,
         files=files,
         lab=_lab(lab),
-        responses=collection.responses,
     )
-    return page
+    text: str = _reports().render(page)
+    return text
 
 
 @on_one_thread

@@ -1,7 +1,8 @@
 """The records behind a page, and what several sections need of them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from piezoid.design.design import AxisDesign, Design, LoopDesign
 from piezoid.diagnosis.compare import ModelComparison
@@ -14,7 +15,7 @@ from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
 from piezoid.statement import Level, Statement
 from piezoid.verification.verification import Verification
-from piezoid_reports.traces import Trace
+from piezoid_reports.traces import Trace, traces_of
 
 MAX_DRAWN = 2  # recordings of an axis that get figures, those fitted worst; a table has all
 
@@ -26,8 +27,6 @@ class Page:
     Args:
         model: the fitted stage.
         recordings: those at hand, of the fit or not.
-        traces: by axis, measurement beside simulation, largest residual first.
-        model_digest: of model.json; empty if the model is in no file.
         sweeps: Z spectroscopies that the junction was fitted to.
         responses: measured frequency responses.
         design: controllers, if they were designed.
@@ -40,28 +39,33 @@ class Page:
         files: sealed files of the folder by name, for the chain of digests.
         lab: what the laboratory declared.
         comparison: of an earlier model with these recordings, if one was named.
+        model_digest: of model.json; empty if the model is in no file.
         statements: about the stage, the most important first.
         has_summary: whether the page begins with a summary.
     """
 
     model: ActuatorModel
-    recordings: tuple[Recording, ...]
-    traces: Mapping[str, tuple[Trace, ...]]
-    model_digest: str
-    sweeps: tuple[RawTable, ...] = ()
-    responses: tuple[FrequencyResponseRecord, ...] = ()
+    recordings: Sequence[Recording] = ()
+    sweeps: Sequence[RawTable] = ()
+    responses: Sequence[FrequencyResponseRecord] = ()
     design: Design | None = None
     undesigned: str = ""
-    diagnoses: tuple[Diagnosis, ...] = ()
+    diagnoses: Sequence[Diagnosis] = ()
     note: str = ""
-    undiagnosed: tuple[str, ...] = ()
+    undiagnosed: Sequence[str] = ()
     verification: Verification | None = None
     unshipped: Mapping[str, str] = field(default_factory=dict)
     files: Mapping[str, bytes] = field(default_factory=dict)
     lab: Lab | None = None
     comparison: ModelComparison | None = None
+    model_digest: str = ""
     statements: tuple[Statement, ...] = ()
     has_summary: bool = True
+
+    @cached_property
+    def traces(self) -> Mapping[str, tuple[Trace, ...]]:
+        """By axis, measurement beside simulation, largest residual first."""
+        return {n: traces_of(axis, self.recordings) for n, axis in self.model.axes.items()}
 
     @property
     def headline(self) -> tuple[Statement, ...]:

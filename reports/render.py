@@ -3,10 +3,9 @@
 import base64
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib.resources import files as files_of
-from types import MappingProxyType
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
@@ -23,17 +22,13 @@ from piezoid.identification.coupled.from_recordings import as_single_axes
 from piezoid.identification.store import write_model
 from piezoid.raw_counts import in_counts
 from piezoid.records.collection import Collection
-from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
-from piezoid.records.table import RawTable
 from piezoid.statement import select
-from piezoid.verification.verification import Verification
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Section
 from piezoid_reports.plain_text import printable
 from piezoid_reports.sections import OF_DESIGN, OF_DIAGNOSIS, SECTIONS, Render
-from piezoid_reports.traces import all_traces
 
 ALARM = (
     "The model does not apply to every axis.",
@@ -46,76 +41,31 @@ UNDRAWN = (
 )
 
 
-def render(
-    model: ActuatorModel,
-    recordings: Sequence[Recording],
-    sweeps: Sequence[RawTable] = (),
-    design: Design | None = None,
-    undesigned: str = "",
-    *,
-    responses: Sequence[FrequencyResponseRecord] = (),
-    diagnoses: Sequence[Diagnosis] = (),
-    undiagnosed: Sequence[str] = (),
-    verification: Verification | None = None,
-    unshipped: Mapping[str, str] = MappingProxyType({}),
-    files: Mapping[str, bytes] = MappingProxyType({}),
-    lab: Lab | None = None,
-) -> str:
-    """Return report.html.
-
-    Args:
-        model: the fitted stage.
-        recordings: of the fit; others are listed but not drawn.
-        sweeps: Z spectroscopies that the junction was fitted to.
-        design: controllers.
-        undesigned: why there are none.
-        responses: measured frequency responses.
-        diagnoses: of the axes that have one.
-        undiagnosed: why the others have none.
-        verification: of what ships.
-        unshipped: by axis, why its controller does not ship.
-        files: of the folder the page belongs to, for their digests.
-        lab: what the laboratory declared.
-    """
-    recordings = as_single_axes(recordings, None, model.coupled)
-    page = Page(
-        model=model,
-        recordings=recordings,
-        traces=all_traces(model, recordings),
+def render(page: Page) -> str:
+    """Return report.html; recordings that are not of the fit are listed but not drawn."""
+    page = replace(
+        page,
+        recordings=as_single_axes(page.recordings, None, page.model.coupled),
         # What the folder's file carries, whatever version wrote it.
-        model_digest=_digest(files.get("model.json") or write_model(model)),
-        sweeps=tuple(sweeps),
-        responses=tuple(responses),
-        design=design,
-        undesigned=undesigned,
-        diagnoses=tuple(diagnoses),
-        undiagnosed=tuple(undiagnosed),
-        verification=verification,
-        unshipped=unshipped,
-        files=files,
-        lab=lab,
-        statements=select(
-            stage_statements(
-                model,
-                recordings=recordings,
-                diagnoses=diagnoses,
-                undiagnosed=undiagnosed,
-                design=design,
-                undesigned=undesigned,
-                unshipped=unshipped,
-                verification=verification,
-            )
-        ),
+        model_digest=_digest(page.files.get("model.json") or write_model(page.model)),
     )
-    return _written(page, SECTIONS)
+    statements = stage_statements(
+        page.model,
+        recordings=page.recordings,
+        diagnoses=page.diagnoses,
+        undiagnosed=page.undiagnosed,
+        design=page.design,
+        undesigned=page.undesigned,
+        unshipped=page.unshipped,
+        verification=page.verification,
+    )
+    return _written(replace(page, statements=select(statements)), SECTIONS)
 
 
 def render_design(model: ActuatorModel, design: Design) -> str:
     """Return design.html: the controllers alone, designed after the fit."""
     page = Page(
         model=model,
-        recordings=(),
-        traces={},
         model_digest=_digest(write_model(model)),
         design=design,
         statements=select(design_statements(design, model)),
@@ -142,9 +92,7 @@ def render_diagnosis(
     """
     page = Page(
         model=model,
-        recordings=tuple(recordings),
-        traces=all_traces(model, recordings),
-        model_digest="",
+        recordings=recordings,
         diagnoses=(diagnosis,),
         note=note,
         comparison=comparison,
@@ -245,13 +193,13 @@ def with_report(
     """
     controllers = calibration.controllers
     recorded = collection or Collection(recordings=(), sweeps=(), responses=())
-    page = render(
-        calibration.model,
-        recorded.recordings,
-        recorded.sweeps,
-        controllers.design,
-        controllers.reason,
+    page = Page(
+        model=calibration.model,
+        recordings=recorded.recordings,
+        sweeps=recorded.sweeps,
         responses=recorded.responses,
+        design=controllers.design,
+        undesigned=controllers.reason,
         diagnoses=calibration.diagnoses,
         undiagnosed=calibration.undiagnosed,
         verification=controllers.verification,
@@ -259,4 +207,4 @@ def with_report(
         files=calibration.files,
         lab=lab,
     )
-    return replace(calibration, files={**calibration.files, "report.html": page.encode()})
+    return replace(calibration, files={**calibration.files, "report.html": render(page).encode()})

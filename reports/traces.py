@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import simulate_recording, starts_of
 from piezoid.numerics.arrays import Array
@@ -75,13 +74,6 @@ def traces_of(axis_model: AxisModel, recordings: Sequence[Recording]) -> tuple[T
         for recording, model_m in zip(fitted, modelled, strict=True)
     ]
     return tuple(sorted(found, key=lambda trace: -rms(trace.residual_m)))
-
-
-def all_traces(
-    model: ActuatorModel, recordings: Sequence[Recording]
-) -> dict[str, tuple[Trace, ...]]:
-    """Return the traces of every axis by its name."""
-    return {name: traces_of(axis, recordings) for name, axis in model.axes.items()}
 
 
 def _counted(axis_model: AxisModel, recording: Recording) -> Array:

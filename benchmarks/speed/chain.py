@@ -20,6 +20,7 @@ from piezoid.identification.simulation import simulate_recording
 from piezoid.numerics.arrays import Array
 from piezoid.verification.plant import AxisPlant
 from piezoid.verification.verify_stage import plant_of
+from piezoid_reports.page import Page
 from piezoid_reports.render import render
 
 STEPS = ("fit, all of it", "diagnosis", "design", "report")
@@ -55,7 +56,9 @@ def walked(watch: Stopwatch, campaign: Campaign) -> Made:
     times.append(used_s())
     design = design_stage(model, model_digest=DIGEST, lab=lab)
     times.append(used_s())
-    page = render(model, recordings, (), design, diagnoses=(diagnosis,), lab=lab)
+    page = render(
+        Page(model=model, recordings=recordings, design=design, diagnoses=(diagnosis,), lab=lab)
+    )
     times.append(used_s())
     found = dict(zip(STEPS, np.diff(times).tolist(), strict=True))
     found["model forward"] = watch.cpu_s(

@@ -74,7 +74,7 @@ class FittedStage:
 
 
 def calibrate(
-    held: Collection, lab: Lab | None, told: Told = lambda _: None, *, threads: int = 1
+    collection: Collection, lab: Lab | None, told: Told = lambda _: None, *, threads: int = 1
 ) -> Calibration:
     """Fit, diagnose, design, export and verify one stage, one axis after the other.
 
@@ -83,27 +83,27 @@ def calibrate(
     Raises what fitting raises; a stage for which no controller can be designed is a calibration
     without one.
     """
-    blank, jobs = jobs_of(held, lab, threads, told)
+    blank, jobs = jobs_of(collection, lab, threads, told)
     return finished(stage_of(blank, [run_job(job, told) for job in jobs]), lab, told, threads)
 
 
-def stage_of(blank: ActuatorModel, found: Sequence[AxisResult | TipResult]) -> FittedStage:
+def stage_of(blank: ActuatorModel, results: Sequence[AxisResult | TipResult]) -> FittedStage:
     """Put together what came of the jobs of a stage.
 
     blank  the stage before any fit
     """
-    axes = [one for one in found if isinstance(one, AxisResult)]
-    tips = [one for one in found if isinstance(one, TipResult)]
+    axes = [result for result in results if isinstance(result, AxisResult)]
+    tips = [result for result in results if isinstance(result, TipResult)]
     return FittedStage(
         model=replace(
             blank,
-            axes={one.model.axis: one.model for one in axes},
+            axes={result.model.axis: result.model for result in axes},
             tunnelling=tips[0].tunnelling if tips else None,
         ),
-        diagnoses=tuple(one.diagnosis for one in axes if one.diagnosis is not None),
-        undiagnosed=tuple(one.undiagnosed for one in axes if one.undiagnosed),
-        stumbled=any(one.stumbled for one in axes),
-        designed=(*(one.designed for one in axes), *(one.designed for one in tips)),
+        diagnoses=tuple(result.diagnosis for result in axes if result.diagnosis is not None),
+        undiagnosed=tuple(result.undiagnosed for result in axes if result.undiagnosed),
+        stumbled=any(result.stumbled for result in axes),
+        designed=(*(result.designed for result in axes), *(result.designed for result in tips)),
     )
 
 
@@ -112,10 +112,15 @@ def finished(stage: FittedStage, lab: Lab | None, told: Told, threads: int = 1) 
 
     threads  so many verify; the files are the same bytes
     """
-    content = {"model.json": write_model(stage.model), **_told_files(stage.diagnoses, lab)}
-    made = controllers_of(
+    model_file = write_model(stage.model)
+    files = {"model.json": model_file}
+    if stage.diagnoses:
+        files["diagnosis.json"] = write_diagnosis(stage.diagnoses[0], others=stage.diagnoses[1:])
+    if lab is not None and lab.digest:  # later verbs read what the laboratory declared
+        files["lab.toml"] = (lab.folder / lab.place).read_bytes()
+    controllers = controllers_of(
         stage.model,
-        content["model.json"],
+        model_file,
         lab,
         told,
         designed=stage.designed,
@@ -125,17 +130,7 @@ def finished(stage: FittedStage, lab: Lab | None, told: Told, threads: int = 1) 
         model=stage.model,
         diagnoses=stage.diagnoses,
         undiagnosed=stage.undiagnosed,
-        controllers=made,
-        stumbled=stage.stumbled or made.stumbled,
-        files=content | files_of(made),
+        controllers=controllers,
+        stumbled=stage.stumbled or controllers.stumbled,
+        files=files | files_of(controllers),
     )
-
-
-def _told_files(diagnoses: Sequence[Diagnosis], lab: Lab | None) -> dict[str, bytes]:
-    """Return what was diagnosed, and what the laboratory said: later verbs ask for it again."""
-    files = {}
-    if diagnoses:
-        files["diagnosis.json"] = write_diagnosis(diagnoses[0], others=diagnoses[1:])
-    if lab is not None and lab.digest:
-        files["lab.toml"] = (lab.folder / lab.place).read_bytes()
-    return files

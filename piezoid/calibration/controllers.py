@@ -94,15 +94,15 @@ def controllers_of(
         if not outcomes:
             raise nothing_to_design(model)
         design = design_of(outcomes, model_digest=digest, lab=lab, coupled=model.coupled)
-        made, reasons = _verified(model, design, lab, told, threads)
+        controllers, reasons = _verified(model, design, lab, told, threads)
         slower = without_damping(outcomes, reasons)
         if slower == outcomes:
-            return made
+            return controllers
         told("trying again below the mode")
         below = design_of(slower, model_digest=digest, lab=lab, coupled=model.coupled)
         below = replace(below, remarks=(*below.remarks, *_not_damped(design, below, reasons)))
-        again, _ = _verified(model, below, lab, told, threads)
-        return again if len(again.shipped) > len(made.shipped) else made
+        undamped, _ = _verified(model, below, lab, told, threads)
+        return undamped if len(undamped.shipped) > len(controllers.shipped) else controllers
     except PiezoidError as refusal:
         sought = design is not None or isinstance(refusal, TemplateError)
         return Controllers(design=design, reason=str(refusal), refused=sought)
@@ -112,10 +112,10 @@ def controllers_of(
 
 
 def _outcomes(designed: "Sequence[Designed]") -> "tuple[AxisDesignResult, ...]":
-    for one in designed:
-        if one.fault is not None:
-            raise one.fault
-    return tuple(outcome for one in designed for outcome in one.outcomes)
+    for axis in designed:
+        if axis.fault is not None:
+            raise axis.fault
+    return tuple(outcome for axis in designed for outcome in axis.outcomes)
 
 
 def _not_damped(design: "Design", below: "Design", reasons: Mapping[str, str]) -> "Iterator[str]":
@@ -135,17 +135,17 @@ def _verified(
 ) -> tuple[Controllers, Mapping[str, str]]:
     """Return what ships of a design, what its run against the stage showed, why axes failed."""
     digest = loads(design.to_json())["digest"]
-    found = shipped(model, design, design_digest=digest, lab=lab, told=told, threads=threads)
-    reasons = "; ".join(f"axis {axis}: {reason}" for axis, reason in found.reasons.items())
-    made = Controllers(
+    shipping = shipped(model, design, design_digest=digest, lab=lab, told=told, threads=threads)
+    reasons = "; ".join(f"axis {axis}: {reason}" for axis, reason in shipping.reasons.items())
+    controllers = Controllers(
         design=design,
-        parameters=found.parameters,
-        verification=found.verification,
-        failed=failed_of(found),
-        reason="" if found.parameters is not None else reasons,
-        refused=found.parameters is None or bool(found.parameters.unshipped),
+        parameters=shipping.parameters,
+        verification=shipping.verification,
+        failed=failed_of(shipping),
+        reason="" if shipping.parameters is not None else reasons,
+        refused=shipping.parameters is None or bool(shipping.parameters.unshipped),
     )
-    return made, found.reasons
+    return controllers, shipping.reasons
 
 
 def shipped(
@@ -173,28 +173,28 @@ def shipped(
     return release(parameters, model, lab=lab, threads=threads)
 
 
-def failed_of(found: "Shipping") -> "tuple[ParameterFile, Verification] | None":
+def failed_of(shipping: "Shipping") -> "tuple[ParameterFile, Verification] | None":
     """Return what did not pass its own verification, and what that showed."""
-    if found.refused is None or found.refused_verification is None:
+    if shipping.refused is None or shipping.refused_verification is None:
         return None
-    return found.refused, found.refused_verification
+    return shipping.refused, shipping.refused_verification
 
 
-def files_of(made: Controllers) -> dict[str, bytes]:
+def files_of(controllers: Controllers) -> dict[str, bytes]:
     """Return name and bytes of everything that came of it, as far as it came."""
     from piezoid.export.bundle import bundle
     from piezoid.export.parameter_file import to_json
 
     files = {}
-    if made.design is not None:
-        files["design.json"] = made.design.to_json()
-    if made.parameters is not None:
-        files["params.json"] = to_json(made.parameters)
-        held = bundle(made.parameters).files
-        files |= {f"bundle/{name}": text for name, text in held.items()}
-    if made.verification is not None:
-        files["verification.json"] = made.verification.to_json()
-    return files | failed_files(made.failed)
+    if controllers.design is not None:
+        files["design.json"] = controllers.design.to_json()
+    if controllers.parameters is not None:
+        files["params.json"] = to_json(controllers.parameters)
+        contents = bundle(controllers.parameters).files
+        files |= {f"bundle/{name}": text for name, text in contents.items()}
+    if controllers.verification is not None:
+        files["verification.json"] = controllers.verification.to_json()
+    return files | failed_files(controllers.failed)
 
 
 def failed_files(failed: "tuple[ParameterFile, Verification] | None") -> dict[str, bytes]:

@@ -13,6 +13,7 @@ from piezoid.identification.dynamics.bandwidth import unmeasured
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.store import write_model
 from piezoid_cli.design import design
+from piezoid_reports.page import Page
 from piezoid_reports.quantities import significant
 from piezoid_reports.render import render
 from tests.reports.known_stage import axis_model, recording, stage_model
@@ -57,7 +58,11 @@ def test_a_fitted_stage_gets_both_forms_and_keeps_its_other_files(stage: Path) -
     assert f"<td>{significant(loop.worst_modulus_margin)}</td>" in page
     for words in ('id="controllers"', "modulus margin", "the declared poles (4000 Hz, 8500 Hz)"):
         assert words in page
-    undesigned = render(MODEL, [recording()], design=found, undesigned="ceiling_A is missing")
+    undesigned = render(
+        Page(
+            model=MODEL, recordings=[recording()], design=found, undesigned="ceiling_A is missing"
+        )
+    )
     assert undesigned.count("ceiling_A is missing") == 1
 
 
@@ -104,7 +109,9 @@ def test_where_one_of_two_axes_cannot_be_met_the_other_is_written(
     assert "axis y does not ship" in shown
     found = design_from_json((stage / "design.json").read_bytes())
     assert [axis.axis for axis in found.axes] == ["x"]
-    page = render(MODEL, [recording()], design=found, unshipped=found.refused)
+    page = render(
+        Page(model=MODEL, recordings=[recording()], design=found, unshipped=found.refused)
+    )
     assert page.count("axis y, bandwidth 5000 Hz") == 1
     assert "axis y has no controller" in page
 
@@ -134,5 +141,11 @@ def test_a_rate_at_which_no_controller_runs_is_refused(stage: Path, rate: str) -
 
 
 def test_a_report_without_controllers_says_why() -> None:
-    page = render(stage_model(axis_model()), [recording()], undesigned="no pole is declared")
+    page = render(
+        Page(
+            model=stage_model(axis_model()),
+            recordings=[recording()],
+            undesigned="no pole is declared",
+        )
+    )
     assert page.count("no pole is declared") == 1

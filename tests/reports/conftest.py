@@ -2,6 +2,7 @@
 
 import pytest
 
+from piezoid_reports.page import Page
 from piezoid_reports.render import render
 from tests.reports.known_stage import axis_model, recording, stage_model
 
@@ -13,11 +14,18 @@ def page() -> str:
     """A good stage of two axes, the second with two recordings."""
     model = stage_model(axis_model("x"), axis_model("y", ("up.csv", "down.csv")))
     return render(
-        model, [recording(), recording("up.csv", "y"), recording("down.csv", "y", noise_m=2e-8)]
+        Page(
+            model=model,
+            recordings=[
+                recording(),
+                recording("up.csv", "y"),
+                recording("down.csv", "y", noise_m=2e-8),
+            ],
+        )
     )
 
 
 @pytest.fixture(scope="session")
 def page_of_wrong_class() -> str:
     """A stage whose only axis the model class does not fit."""
-    return render(stage_model(axis_model(reason=REASON)), [recording()])
+    return render(Page(model=stage_model(axis_model(reason=REASON)), recordings=[recording()]))

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from piezoid_reports.page import Page
 from piezoid_reports.render import render
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_diagnosis import diagnosed, finding
@@ -35,7 +36,9 @@ pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this mac
 def page() -> str:
     """A stage with a spectrum among its figures, and a long table."""
     found = diagnosed(finding("mains_interference"))
-    return render(stage_model(axis_model()), [recording()], diagnoses=(found,))
+    return render(
+        Page(model=stage_model(axis_model()), recordings=[recording()], diagnoses=(found,))
+    )
 
 
 def _browse(folder: Path, page: str, *arguments: str) -> tuple[str, str]:

@@ -16,9 +16,6 @@ def waterfall(*effects: str) -> Waterfall:
     found = diagnosed(*map(finding, effects))
     page = Page(
         model=stage_model(axis_model()),
-        recordings=(),
-        traces={},
-        model_digest="",
         diagnoses=(found,),
     )
     section = error_budget.render(page)
@@ -44,9 +41,6 @@ def test_a_diagnosis_without_a_budget_has_no_section() -> None:
     old = replace(diagnosed(), budget=())
     page = Page(
         model=stage_model(axis_model()),
-        recordings=(),
-        traces={},
-        model_digest="",
         diagnoses=(old,),
     )
     assert error_budget.render(page) is None

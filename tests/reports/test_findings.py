@@ -13,6 +13,7 @@ from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.model import Lag
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_reports.effect_comparison import compare_effects
+from piezoid_reports.page import Page
 from piezoid_reports.render import render, render_diagnosis
 from piezoid_reports.sections.findings import NO_PICTURE
 from piezoid_reports.traces import rms, traces_of
@@ -103,10 +104,11 @@ def test_every_axis_has_its_part_and_an_effect_is_described_once() -> None:
     found = diagnosed(finding("delay"))
     other = replace(diagnosed(finding("delay"), finding("creep")), axis="y")
     page = render(
-        stage_model(axis_model(), axis_model("y")),
-        [],
-        diagnoses=(found, other),
-        undiagnosed=("axis z is not diagnosed: internal error (ValueError).",),
+        Page(
+            model=stage_model(axis_model(), axis_model("y")),
+            diagnoses=(found, other),
+            undiagnosed=("axis z is not diagnosed: internal error (ValueError).",),
+        )
     )
     headings = [e.text for e in Anatomy(page).all("h3")]
     assert {"Axis x: delay", "Axis y: delay", "Axis y: creep"} <= set(headings)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from piezoid.statement import finding
+from piezoid_reports.page import Page
 from piezoid_reports.plain_text import printable
 from piezoid_reports.render import render
 from tests.reports.anatomy import Anatomy
@@ -36,7 +37,7 @@ def _hostile_page(name: str) -> str:
         recording(name, name, label=name),
         statements=(finding(quantity=name, place=name, text=name),),
     )
-    return render(stage_model(axis, stage=name), [given])
+    return render(Page(model=stage_model(axis, stage=name), recordings=[given]))
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from piezoid.identification.store import read_model, write_model
 from piezoid.verification.verification import verification_from_json
 from piezoid_reports.fleet.chapters import render_fleet
 from piezoid_reports.fleet.records import Fleet, FleetStage, stage_from_json
+from piezoid_reports.page import Page
 from piezoid_reports.render import render, render_design
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, recording, stage_model
@@ -35,7 +36,10 @@ def _fleet(stage: FleetStage) -> str:
 # how each file is read, and what is drawn of it
 PAGES: dict[str, tuple[Callable[[bytes], Any], Callable[[Any], str]]] = {
     # an axis of another name is read, and refused beside this recording
-    "model.json": (lambda content: render(read_model(content), [recording()]), str),
+    "model.json": (
+        lambda content: render(Page(model=read_model(content), recordings=[recording()])),
+        str,
+    ),
     "design.json": (
         design_from_json,
         lambda design: render_design(stage_model(axis_model()), design),
@@ -43,7 +47,11 @@ PAGES: dict[str, tuple[Callable[[bytes], Any], Callable[[Any], str]]] = {
     "verification.json": (
         verification_from_json,
         lambda verification: render(
-            stage_model(axis_model()), [recording()], verification=verification
+            Page(
+                model=stage_model(axis_model()),
+                recordings=[recording()],
+                verification=verification,
+            )
         ),
     ),
     "batch.json": (lambda content: stage_from_json(content, "batch.json"), _fleet),

@@ -10,7 +10,6 @@ from piezoid.statement import select
 from piezoid_reports.page import Page
 from piezoid_reports.render import render
 from piezoid_reports.sections import SECTIONS
-from piezoid_reports.traces import all_traces
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_diagnosis import diagnosed, finding
 from tests.reports.known_stage import axis_model, recording, stage_model
@@ -25,7 +24,7 @@ def test_every_section_of_the_folder_is_in_the_tuple_once() -> None:
 
 
 def test_a_model_without_its_recordings_still_makes_a_page() -> None:
-    page = Anatomy(render(stage_model(axis_model()), []))
+    page = Anatomy(render(Page(model=stage_model(axis_model()))))
     assert [e.attributes["id"] for e in page.all("section")] == [
         "summary",
         "parameters",
@@ -36,7 +35,9 @@ def test_a_model_without_its_recordings_still_makes_a_page() -> None:
 
 def test_a_whole_page_has_its_sections_in_the_order_of_the_tuple() -> None:
     found = diagnosed(finding("creep"))
-    page = Anatomy(render(stage_model(axis_model()), [recording()], diagnoses=(found,)))
+    page = Anatomy(
+        render(Page(model=stage_model(axis_model()), recordings=[recording()], diagnoses=(found,)))
+    )
     assert [e.attributes["id"] for e in page.all("section")] == [
         "summary",
         "error-budget",
@@ -60,15 +61,19 @@ def rows(page: str) -> list[tuple[str, ...]]:
 
 
 def test_quantities_of_the_fit_stand_with_their_intervals() -> None:
-    table = rows(render(stage_model(axis_model()), [recording()]))
+    table = rows(render(Page(model=stage_model(axis_model()), recordings=[recording()])))
     assert ("width of the full loop", "(1.600 ± 0.040) µm") in table
     assert ("valid drive", "0 V to 10.0 V") in table
 
 
 def test_the_bound_of_the_model_states_its_range() -> None:
-    page = render(stage_model(axis_model()), [recording()]).replace("\u202f", " ")
+    page = render(Page(model=stage_model(axis_model()), recordings=[recording()])).replace(
+        "\u202f", " "
+    )
     assert "stays below 140 nm (95 % confidence) for drives between 0 V and 10.0 V" in page
-    wrong = render(stage_model(axis_model(reason="a butterfly")), [recording()])
+    wrong = render(
+        Page(model=stage_model(axis_model(reason="a butterfly")), recordings=[recording()])
+    )
     assert "95 % confidence" not in wrong
 
 
@@ -79,7 +84,7 @@ def test_limits_hold_every_statement_that_the_summary_does_not_show() -> None:
         quality=replace(axis.quality, converged=False),
         uncertainty=replace(axis.uncertainty, blocks=5),
     )
-    page = render(stage_model(weak), [recording()])
+    page = render(Page(model=stage_model(weak), recordings=[recording()]))
     limits = page.partition('id="limits"')[2].partition("</section>")[0]
     facts = select(stage_statements(stage_model(weak), recordings=[recording()]))
     for fact in facts:
@@ -89,6 +94,6 @@ def test_limits_hold_every_statement_that_the_summary_does_not_show() -> None:
 
 def test_sections_without_matter_are_not_on_the_page() -> None:
     model, given = stage_model(axis_model()), (recording(),)
-    page = Page(model=model, recordings=given, traces=all_traces(model, given), model_digest="")
+    page = Page(model=model, recordings=given)
     anchors = [section.anchor for render_it in SECTIONS if (section := render_it(page))]
     assert anchors == ["summary", "loops", "residuals", "parameters", "limits", "provenance"]

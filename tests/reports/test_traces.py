@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezoid_reports.page import Page
 from piezoid_reports.render import render
 from piezoid_reports.traces import rms, traces_of
 from tests.reports.known_stage import NOISE_m, axis_model, recording, stage_model
@@ -33,7 +34,7 @@ def test_line_and_model_are_judged_on_the_same_samples() -> None:
 def test_samples_left_out_cover_no_more_of_the_picture_than_they_are() -> None:
     """One in twenty is a row of ticks, not a bar from end to end."""
     lost = replace(recording(), bridged=tuple(range(0, 3000, 20)))
-    page = render(stage_model(axis_model()), [lost])
+    page = render(Page(model=stage_model(axis_model()), recordings=[lost]))
     drawn = re.search(r'<path class="layer line missing"[^>]* d="([^"]+)"', page)
     ticks = [(int(x), int(w)) for x, w in re.findall(r"M(\d+),\d+l(\d+),0", drawn[1])]
     assert len(ticks) > 140

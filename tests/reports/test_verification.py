@@ -36,8 +36,8 @@ def found() -> Verification:
 
 def chapter(found: Verification) -> tuple[Section, Anatomy]:
     model = stage_model(axis_model())
-    page = render(model, [recording()], verification=found)
-    bare = Page(model=model, recordings=(), traces={}, model_digest="", verification=found)
+    page = render(Page(model=model, recordings=[recording()], verification=found))
+    bare = Page(model=model, verification=found)
     made = verification.render(bare)
     assert made is not None
     assert len(page) < 3_000_000
@@ -49,7 +49,9 @@ def texts(found: Verification) -> list[str]:
 
 
 def test_without_a_verification_there_is_no_chapter() -> None:
-    assert 'id="verification"' not in render(stage_model(axis_model()), [recording()])
+    assert 'id="verification"' not in render(
+        Page(model=stage_model(axis_model()), recordings=[recording()])
+    )
 
 
 def test_every_method_and_verdict_has_its_row_and_every_verdict_its_limit(

@@ -17,6 +17,7 @@ from piezoid.operators.linear import resonance, sample
 from piezoid.records.ingest import ingest_all
 from piezoid.records.lab import read_lab
 from piezoid.records.recording import Channel, Quantity, Recording
+from piezoid_reports.page import Page
 from piezoid_reports.render import render
 from tests.reports.known_stage import HYSTERESIS, axis_model, stage_model
 
@@ -149,7 +150,7 @@ def test_the_model_with_dynamics_comes_back_to_the_last_bit(axis: AxisModel) -> 
 def test_the_report_shows_gain_phase_coherence_and_poles(
     axis: AxisModel, chirped: Recording
 ) -> None:
-    page = render(stage_model(axis), [chirped])
+    page = render(Page(model=stage_model(axis), recordings=[chirped]))
     for words in ('id="dynamics"', "Axis x: phase", "Axis x: coherence", "Axis x: poles"):
         assert words in page
     assert axis.bandwidth is not None
@@ -164,7 +165,7 @@ def test_a_report_without_dynamics_says_that_the_stated_bandwidth_is_open(
     model = with_dynamics(axis_model(), [slow], stated_Hz=630.0)
     assert model.bandwidth is not None
     assert model.bandwidth.kind == "undecided"
-    assert model.bandwidth.text in render(stage_model(model), [slow])
+    assert model.bandwidth.text in render(Page(model=stage_model(model), recordings=[slow]))
 
 
 def test_sines_that_determine_no_mode_are_said_to_determine_none() -> None:

@@ -10,6 +10,7 @@ from piezoid.identification.dynamics.periodic_estimate import PeriodicData
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.repetition import Repetition, find_repetition
 from piezoid.records.recording import Channel, Quantity, Recording
+from piezoid_reports.page import Page
 from piezoid_reports.quantities import NARROW
 from piezoid_reports.render import render
 from tests.identification.dynamics.stage import PERIOD, record
@@ -153,7 +154,7 @@ def test_the_report_shows_driven_and_silent_lines_with_their_levels(
 ) -> None:
     data = record(rng, silent=4, noise_m=1e-9, cubic=0.05)
     held = [recorded(data, f"multisine_{r}.csv", r) for r in range(2)]
-    page = render(stage_model(axis_model()), held)
+    page = render(Page(model=stage_model(axis_model()), recordings=held))
     assert "driven and silent lines of multisine_0.csv, multisine_1.csv" in page
     assert "2 realisations of 3 periods" in page
     assert "even distortion below" in page
