@@ -16,15 +16,15 @@ from piezoid.formatting import Scale
 from piezoid.numerics.arrays import Array
 from piezoid_reports.quantities import MINUS, scale_for
 
-SINGLY = 50_000  # samples that are worth splitting one by one
-Places = NDArray[np.int_]
+MOST_SPLIT = 50_000  # samples that are worth splitting one by one
+Indices = NDArray[np.int_]
 Chord = tuple[int, int]
 """The places of its ends."""
 Worst = tuple[float, int]
 """Minus the largest distance from a chord, and where."""
 
 MAX_INTERVALS = 7  # between labels
-FEWEST = 3  # labels of an axis over decades
+FEWEST_LABELS = 3  # labels of an axis over decades
 MANTISSAS = ((1,), (1, 2, 5), tuple(range(1, 10)))
 
 Ticks = tuple[tuple[float, str], ...]  # place along the axis, label
@@ -34,7 +34,7 @@ FINE = 20
 INVISIBLE = 0.15 * FINE
 TIMES = 10_000  # parts of a recording, in which times of points are written
 BINS = 520
-ROOM = 0.04  # of the range, left free at both ends of an axis
+MARGIN = 0.04  # of the range, left free at both ends of an axis
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,9 +56,9 @@ class Axis:
     @property
     def ticks(self) -> tuple[tuple[float, str], ...]:
         """Round numbers along the axis: place as a share of its length, and label."""
-        found = (decade_ticks if self.decades else even_ticks)(self.low, self.high)
+        numbers = (decade_ticks if self.decades else even_ticks)(self.low, self.high)
         length = self.high - self.low
-        return tuple(((place - self.low) / length, label) for place, label in found)
+        return tuple(((value - self.low) / length, label) for value, label in numbers)
 
     def places(self, values: Array, length: int) -> Array:
         """Return where SI values lie, in fine steps from the low end."""
@@ -95,19 +95,19 @@ def axis_over(label: str, values: Sequence[Array], unit: str, *, even: bool = Fa
         spread = abs(high) or 1.0
         low, high = low - 0.5 * spread, high + 0.5 * spread
     scale = scale_for(max(abs(low), abs(high)), unit)
-    room = ROOM * (high - low)
+    margin = MARGIN * (high - low)
     return Axis(
         label=label,
         scale=scale,
-        low=(low - room) / scale.factor,
-        high=(high + room) / scale.factor,
+        low=(low - margin) / scale.factor,
+        high=(high + margin) / scale.factor,
     )
 
 
 def axis_from_zero(label: str, largest: float, unit: str) -> Axis:
     """Return an axis from zero to a little above a size in SI units."""
     scale = scale_for(largest, unit)
-    high = (1.0 + ROOM) * (largest or 1.0) / scale.factor
+    high = (1.0 + MARGIN) * (largest or 1.0) / scale.factor
     return Axis(label=label, scale=scale, low=0.0, high=high)
 
 
@@ -145,11 +145,11 @@ class Canvas:
         for part in parts:
             share = max(2, int(points * (part.stop - part.start) / total))
             a, b = across[part], up[part]
-            kept, left = thinned(a, b, tolerance=INVISIBLE, points=share)
-            path += self._path(a[kept], b[kept], is_whole=timed)
-            furthest = max(furthest, left)
+            indices, distance = thinned(a, b, tolerance=INVISIBLE, points=share)
+            path += self._path(a[indices], b[indices], is_whole=timed)
+            furthest = max(furthest, distance)
             if timed:
-                times += (TIMES * (kept + part.start) // len(x)).tolist()
+                times += (TIMES * (indices + part.start) // len(x)).tolist()
         per_step = self.y.scale.factor * (self.y.high - self.y.low) / (self.height * FINE)
         sample_times = " ".join(map(str, times))
         return Layer(
@@ -158,9 +158,9 @@ class Canvas:
 
     def dots(self, role: str, name: str, x: Array, y: Array) -> Layer:
         """Draw a dot for every pair of finite values: a stroke of no length with a round end."""
-        there = np.isfinite(x) & np.isfinite(y)
-        across = self.x.places(x[there], self.width)
-        up = self.y.places(y[there], self.height)
+        is_finite = np.isfinite(x) & np.isfinite(y)
+        across = self.x.places(x[is_finite], self.width)
+        up = self.y.places(y[is_finite], self.height)
         ends = (self._path(across[k : k + 1], up[k : k + 1]) for k in range(len(across)))
         return Layer(role=role, name=name, path="".join(ends), kind="line")
 
@@ -211,17 +211,17 @@ def even_ticks(low: float, high: float) -> Ticks:
 def decade_ticks(low: float, high: float) -> Ticks:
     """Return round numbers where the axis runs over powers of ten: ends and places are log10."""
     for mantissas in MANTISSAS:
-        found = [
+        numbers = [
             (k + math.log10(m), m, k)
             for k in range(math.floor(low), math.ceil(high) + 1)
             for m in mantissas
             if low - 1e-9 <= k + math.log10(m) <= high + 1e-9
         ]
-        if len(found) >= FEWEST:
-            apart = math.ceil(len(found) / MAX_INTERVALS) if mantissas == (1,) else 1
-            return tuple((place, _power(m, k)) for place, m, k in found if k % apart == 0)
-    near = [(value, label) for value, label in even_ticks(10.0**low, 10.0**high) if value > 0.0]
-    return tuple((math.log10(value), label) for value, label in near)
+        if len(numbers) >= FEWEST_LABELS:
+            spacing = math.ceil(len(numbers) / MAX_INTERVALS) if mantissas == (1,) else 1
+            return tuple((value, _power(m, k)) for value, m, k in numbers if k % spacing == 0)
+    ticks = even_ticks(10.0**low, 10.0**high)
+    return tuple((math.log10(value), label) for value, label in ticks if value > 0.0)
 
 
 def round_step(size: float) -> float:
@@ -246,7 +246,7 @@ def _power(mantissa: int, power: int) -> str:
     return f"{mantissa}e{power}".replace("-", MINUS)
 
 
-def thinned(x: Array, y: Array, *, tolerance: float, points: int) -> tuple[Places, float]:
+def thinned(x: Array, y: Array, *, tolerance: float, points: int) -> tuple[Indices, float]:
     """Choose the points of a polyline that stays close to a curve.
 
     The chord that is worst is split at its worst point, until none is worse than the tolerance or
@@ -257,30 +257,30 @@ def thinned(x: Array, y: Array, *, tolerance: float, points: int) -> tuple[Place
     points     the most that may be kept
     returned   (kept,) places, and the largest distance of what was left out
     """
-    places, cell = _moving(x, y, 0.5 * tolerance)
-    chords = _chords(x[places], y[places], tolerance)
-    kept, whole = {0, len(places) - 1}, (0, len(places) - 1)
-    waiting = [(*chords[whole], *whole)]
-    while waiting and len(kept) < points and -waiting[0][0] > tolerance:
+    samples, cell = _moving(x, y, 0.5 * tolerance)
+    chords = _chords(x[samples], y[samples], tolerance)
+    chosen_samples, full_chord = {0, len(samples) - 1}, (0, len(samples) - 1)
+    waiting = [(*chords[full_chord], *full_chord)]
+    while waiting and len(chosen_samples) < points and -waiting[0][0] > tolerance:
         _, middle, first, last = heapq.heappop(waiting)
-        kept.add(middle)
+        chosen_samples.add(middle)
         for part in ((first, middle), (middle, last)):
             if part in chords:
                 heapq.heappush(waiting, (*chords[part], *part))
-    left = max(-waiting[0][0], 0.0) if waiting else 0.0
-    return places[sorted(kept)], float(left + math.sqrt(2.0) * cell)
+    distance = max(-waiting[0][0], 0.0) if waiting else 0.0
+    return samples[sorted(chosen_samples)], float(distance + math.sqrt(2.0) * cell)
 
 
-def _moving(x: Array, y: Array, cell: float) -> tuple[Places, float]:
+def _moving(x: Array, y: Array, cell: float) -> tuple[Indices, float]:
     """Return the samples at which the curve enters another cell, and the size of the cells.
 
     Cells grow until few enough samples are left to be split in a moment.
     """
     while True:
         number = np.floor(np.stack([x, y]) / cell)
-        moved = np.any(np.diff(number, axis=1) != 0.0, axis=0)
-        if moved.sum() <= SINGLY:
-            return np.unique(np.concatenate([[0], 1 + np.flatnonzero(moved), [len(x) - 1]])), cell
+        enters = np.any(np.diff(number, axis=1) != 0.0, axis=0)
+        if enters.sum() <= MOST_SPLIT:
+            return np.unique(np.concatenate([[0], 1 + np.flatnonzero(enters), [len(x) - 1]])), cell
         cell *= 2.0
 
 
@@ -291,35 +291,35 @@ def _chords(x: Array, y: Array, tolerance: float) -> dict[Chord, Worst]:
     together, thousands of short ones at once.
     """
     first, last = np.array([0]), np.array([len(x) - 1])
-    found: dict[Chord, Worst] = {(0, len(x) - 1): (0.0, 0)}
+    chords: dict[Chord, Worst] = {(0, len(x) - 1): (0.0, 0)}
     while True:
         inside = last - first > 1
         first, last = first[inside], last[inside]
         if not len(first):
-            return found
-        far, middle = _worst(x, y, first, last)
-        chords = zip(first.tolist(), last.tolist(), strict=True)
-        found |= zip(chords, zip((-far).tolist(), middle.tolist(), strict=True), strict=True)
-        split = far > tolerance
+            return chords
+        distance, middle = _worst(x, y, first, last)
+        pairs = zip(first.tolist(), last.tolist(), strict=True)
+        chords |= zip(pairs, zip((-distance).tolist(), middle.tolist(), strict=True), strict=True)
+        split = distance > tolerance
         edges = np.stack([first[split], middle[split], last[split]], axis=1)
         first, last = edges[:, :2].ravel(), edges[:, 1:].ravel()
 
 
-def _worst(x: Array, y: Array, first: Places, last: Places) -> tuple[Array, Places]:
+def _worst(x: Array, y: Array, first: Indices, last: Indices) -> tuple[Array, Indices]:
     """Return the largest distance from each chord, and where; chords follow one another."""
     counts = last - first - 1
-    begins = np.cumsum(counts) - counts
+    starts = np.cumsum(counts) - counts
     chord = np.repeat(np.arange(len(first)), counts)
-    place = np.arange(len(chord)) + (first + 1 - begins)[chord]
-    a, b = x[place] - x[first][chord], y[place] - y[first][chord]
+    sample = np.arange(len(chord)) + (first + 1 - starts)[chord]
+    a, b = x[sample] - x[first][chord], y[sample] - y[first][chord]
     across, up = (x[last] - x[first])[chord], (y[last] - y[first])[chord]
     length = across * across + up * up
     share = (a * across + b * up) / np.where(length > 0, length, 1.0)
     along = np.minimum(np.maximum(share, 0.0), 1.0)
     distance = np.hypot(a - along * across, b - along * up)
-    far = np.maximum.reduceat(distance, begins)
-    is_far = np.flatnonzero(distance == far[chord])
-    return far, place[is_far[np.searchsorted(is_far, begins)]]
+    largest = np.maximum.reduceat(distance, starts)
+    is_largest = np.flatnonzero(distance == largest[chord])
+    return largest, sample[is_largest[np.searchsorted(is_largest, starts)]]
 
 
 def envelope(x: Array, y: Array, bins: int) -> tuple[Array, Array, Array]:
@@ -337,6 +337,6 @@ def envelope(x: Array, y: Array, bins: int) -> tuple[Array, Array, Array]:
 
 def whole_parts(y: Array) -> list[slice]:
     """Return the stretches of at least two samples without NaN."""
-    good = np.concatenate([[False], np.isfinite(y), [False]])
-    edges = np.flatnonzero(np.diff(good.astype(int)))
+    is_finite = np.concatenate([[False], np.isfinite(y), [False]])
+    edges = np.flatnonzero(np.diff(is_finite.astype(int)))
     return [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 1]

@@ -55,31 +55,37 @@ def compare_effects(
     axis: AxisModel, traces: Sequence[Trace], diagnosis: Diagnosis
 ) -> dict[str, tuple[EffectSimulation, ...]]:
     """Return for every finding the residuals without and with it, worst recordings first."""
-    used = traces[:RECORDINGS]
-    if not used:
+    worst = traces[:RECORDINGS]
+    if not worst:
         return {}
     drawn = [f for f in diagnosis.findings if f.effect != SOMETHING_ELSE]  # has its own picture
-    missing = [f for f in drawn if effect_named(f.effect).without(axis, used[0].recording) is None]
-    fitted = _linearised(axis, used, missing, diagnosis.stroke_m)
+    missing = [
+        f for f in drawn if effect_named(f.effect).without(axis, worst[0].recording) is None
+    ]
+    fitted = _linearised(axis, worst, missing, diagnosis.stroke_m)
     return {
         finding.effect: _turned(
-            [_one(axis, finding, trace, fitted[k]) for k, trace in enumerate(used)]
+            [_simulation(axis, finding, trace, fitted[k]) for k, trace in enumerate(worst)]
         )
         for finding in drawn
     }
 
 
-def _one(axis: AxisModel, finding: Finding, trace: Trace, fitted: "Fitted") -> EffectSimulation:
+def _simulation(
+    axis: AxisModel, finding: Finding, trace: Trace, fitted: "Fitted"
+) -> EffectSimulation:
     if effect_named(finding.effect).shows.kind == "spectrum":
         rows = np.flatnonzero(np.isfinite(trace.modelled_m))
-        whole_m = fitted.whole_m.get(finding.effect)
-        linear_m = np.zeros(len(rows)) if whole_m is None else whole_m[rows]
+        full_m = fitted.whole_m.get(finding.effect)
+        linear_m = np.zeros(len(rows)) if full_m is None else full_m[rows]
         part_m = linear_m + carried_part(axis, finding.effect, trace)[rows]
         after_m = trace.residual_m[rows] - linear_m
     else:
         rows, after_m = fitted.rows, fitted.after_m
-        own_m = fitted.part_m.get(finding.effect)
-        part_m = carried_part(axis, finding.effect, trace)[rows] if own_m is None else own_m
+        separate_m = fitted.part_m.get(finding.effect)
+        part_m = (
+            carried_part(axis, finding.effect, trace)[rows] if separate_m is None else separate_m
+        )
     return EffectSimulation(
         trace=trace,
         rows=rows,
@@ -89,14 +95,14 @@ def _one(axis: AxisModel, finding: Finding, trace: Trace, fitted: "Fitted") -> E
     )
 
 
-def _turned(found: Sequence[EffectSimulation]) -> tuple[EffectSimulation, ...]:
+def _turned(pictures: Sequence[EffectSimulation]) -> tuple[EffectSimulation, ...]:
     """Mirror the look-alikes where that makes them like what was found."""
-    alike = sum(
-        float(np.nansum((one.before_m - one.after_m) * (one.injected_m - one.injected_m.mean())))
-        for one in found
-    )
-    way = -1.0 if alike < 0.0 else 1.0
-    return tuple(replace(one, injected_m=way * one.injected_m) for one in found)
+    likeness = 0.0
+    for picture in pictures:
+        injected_m = picture.injected_m - picture.injected_m.mean()
+        likeness += float(np.nansum((picture.before_m - picture.after_m) * injected_m))
+    sign = -1.0 if likeness < 0.0 else 1.0
+    return tuple(replace(picture, injected_m=sign * picture.injected_m) for picture in pictures)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -119,8 +125,8 @@ def _linearised(
     axis: AxisModel, traces: Sequence[Trace], missing: Sequence[Finding], stroke_m: float
 ) -> list[Fitted]:
     """Fit the tangents of all effects the model does not carry to what it leaves."""
-    used = [np.flatnonzero(np.isfinite(trace.modelled_m)) for trace in traces]
-    rows = [np.asarray(samples[rows_of(len(samples), ROWS)]) for samples in used]
+    finite = [np.flatnonzero(np.isfinite(trace.modelled_m)) for trace in traces]
+    rows = [np.asarray(samples[rows_of(len(samples), ROWS)]) for samples in finite]
     residuals_m = [trace.residual_m[k] for trace, k in zip(traces, rows, strict=True)]
     suspects = [(f, suspect_of(f, stroke_m)) for f in missing]
     pairs = [(f, suspect) for f, suspect in suspects if suspect is not None]
@@ -130,10 +136,13 @@ def _linearised(
         replace(driven_recording(axis, trace.recording), rows=k)
         for trace, k in zip(traces, rows, strict=True)
     ]
-    null = basis_of(null_columns(drives, lag=not any(one.tangent.lags for _, one in pairs)))
-    scales = [scale_of(one, drives) for _, one in pairs]
+    null = basis_of(
+        null_columns(drives, lag=not any(suspect.tangent.lags for _, suspect in pairs))
+    )
+    scales = [scale_of(suspect, drives) for _, suspect in pairs]
     blocks = [
-        block_of(one.tangent, scale, drives) for (_, one), scale in zip(pairs, scales, strict=True)
+        block_of(suspect.tangent, scale, drives)
+        for (_, suspect), scale in zip(pairs, scales, strict=True)
     ]
     free = [block - null @ (null.T @ block) for block in blocks]
     residual_m = np.concatenate(residuals_m)
@@ -152,8 +161,8 @@ def _linearised(
             after_m=after[k],
             part_m={f.effect: split[j][k] for j, (f, _) in enumerate(pairs)},
             whole_m={
-                f.effect: _whole(drive, one.tangent, scales[j], shares[j], k)
-                for j, (f, one) in enumerate(pairs)
+                f.effect: _whole(drive, suspect.tangent, scales[j], shares[j], k)
+                for j, (f, suspect) in enumerate(pairs)
             },
         )
         for k, drive in enumerate(drives)
@@ -163,8 +172,8 @@ def _linearised(
 def _whole(drive: Driven, tangent: Tangent, scale: float, share: Array, k: int) -> Array:
     columns = tangent.columns(drive, scale)
     width = columns.shape[1]
-    own = share[k * width : (k + 1) * width] if tangent.own else share[:width]
-    return np.asarray(columns @ own)
+    coefficients = share[k * width : (k + 1) * width] if tangent.own else share[:width]
+    return np.asarray(columns @ coefficients)
 
 
 def _injected(name: str, axis: AxisModel, trace: Trace, size_m: float) -> Array:

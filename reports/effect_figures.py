@@ -29,31 +29,31 @@ ROLES, NAMES = ("rising", "falling"), ("without it", "with it")
 def figure_of(finding: Finding, pictures: tuple[EffectSimulation, ...]) -> Figure | None:
     """Return the residual without and with an effect; None if no recording shows a difference."""
     effect = effect_named(finding.effect)
-    where, is_fault = effect.shows, effect.fault is not None
-    is_visible = any(not np.array_equal(one.before_m, one.after_m) for one in pictures)
+    appearance, is_fault = effect.shows, effect.fault is not None
+    is_visible = any(not np.array_equal(picture.before_m, picture.after_m) for picture in pictures)
     if not pictures or not (is_visible or is_fault):
         return None
-    if where.kind == "spectrum":
+    if appearance.kind == "spectrum":
         clearest = _clearest(pictures)
         before, after = rms(clearest.before_m), rms(clearest.after_m)
         # A resonance may lie where the fit leaves samples out.
         is_shown = abs(before - after) > SHOWS * before
-        return _spectrum(finding, where, clearest) if is_shown else None
-    if where.kind == "time":
-        return _over_time(finding, where, _clearest(pictures))
-    drawn = _in_classes(finding, where, pictures)
-    return drawn or _over_time(finding, over_time(where), _clearest(pictures))
+        return _spectrum(finding, appearance, clearest) if is_shown else None
+    if appearance.kind == "time":
+        return _over_time(finding, appearance, _clearest(pictures))
+    drawn = _in_classes(finding, appearance, pictures)
+    return drawn or _over_time(finding, over_time(appearance), _clearest(pictures))
 
 
 def _clearest(pictures: tuple[EffectSimulation, ...]) -> EffectSimulation:
     """Return the recording in which the effect is largest."""
-    return max(pictures, key=lambda one: rms(one.before_m) - rms(one.after_m))
+    return max(pictures, key=lambda picture: rms(picture.before_m) - rms(picture.after_m))
 
 
-def _over_time(finding: Finding, where: Appearance, one: EffectSimulation) -> Figure:
-    place, sign = (values[one.rows] for values in where.along(one.trace.recording))
-    x = _axis(where, place)
-    curves = [sign * values for values in (one.before_m, one.after_m, one.injected_m)]
+def _over_time(finding: Finding, appearance: Appearance, picture: EffectSimulation) -> Figure:
+    place, sign = (values[picture.rows] for values in appearance.along(picture.trace.recording))
+    x = _axis(appearance, place)
+    curves = [sign * values for values in (picture.before_m, picture.after_m, picture.injected_m)]
     y = axis_over("residual", curves, "m", even=True)
     canvas = Canvas(x=x, y=y, height=HEIGHT)
     before, after, injected = curves
@@ -63,9 +63,9 @@ def _over_time(finding: Finding, where: Appearance, one: EffectSimulation) -> Fi
     slow = np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
     return _titled(
         finding,
-        where,
+        appearance,
         canvas,
-        one.trace.recording.name,
+        picture.trace.recording.name,
         (
             canvas.range_over_time("before", "without it", place, before),
             canvas.range_over_time("model", "with it", place, after),
@@ -75,51 +75,58 @@ def _over_time(finding: Finding, where: Appearance, one: EffectSimulation) -> Fi
     )
 
 
-def _axis(where: Appearance, place: Array) -> Axis:
-    over = decades_over if where.decades else axis_over
-    return over(where.label, [place], where.unit)
+def _axis(appearance: Appearance, place: Array) -> Axis:
+    make_axis = decades_over if appearance.decades else axis_over
+    return make_axis(appearance.label, [place], appearance.unit)
 
 
 def _in_classes(
-    finding: Finding, where: Appearance, pictures: tuple[EffectSimulation, ...]
+    finding: Finding, appearance: Appearance, pictures: tuple[EffectSimulation, ...]
 ) -> Figure | None:
-    places, signs = zip(*(where.along(one.trace.recording) for one in pictures), strict=True)
-    place = np.concatenate([p[one.rows] for p, one in zip(places, pictures, strict=True)])
-    sign = np.concatenate([s[one.rows] for s, one in zip(signs, pictures, strict=True)])
+    places, signs = zip(
+        *(appearance.along(picture.trace.recording) for picture in pictures), strict=True
+    )
+    place = np.concatenate([p[picture.rows] for p, picture in zip(places, pictures, strict=True)])
+    sign = np.concatenate([s[picture.rows] for s, picture in zip(signs, pictures, strict=True)])
     before, after, injected = (
-        sign * np.concatenate([getattr(one, name) for one in pictures])
+        sign * np.concatenate([getattr(picture, name) for picture in pictures])
         for name in ("before_m", "after_m", "injected_m")
     )
     classes = [_classes(place, values) for values in (before, after, injected)]
-    if any(len(one) < 2 for one in classes):
+    if any(len(rows) < 2 for rows in classes):
         return None
-    x = _axis(where, place)
+    x = _axis(appearance, place)
     y = axis_over(
         "residual", [classes[0][:, 1:], classes[1][:, 1:], classes[2][:, 2]], "m", even=True
     )
     canvas = Canvas(x=x, y=y, height=HEIGHT)
     layers: list[Layer] = []
-    for role, name, one in (
+    for role, name, rows in (
         ("rising", "without it", classes[0]),
         ("falling", "with it", classes[1]),
     ):
-        middle, low, median, high = one.T
+        middle, low, median, high = rows.T
         layers.append(canvas.band(f"{role}-band", f"{name}: middle half", middle, low, high))
         layers.append(canvas.line(role, f"{name}: median", middle, median))
     layers.append(canvas.line("limit", "look-alike: median", classes[2][:, 0], classes[2][:, 2]))
     title = (
         f"{len(pictures)} recordings" if len(pictures) > 1 else pictures[0].trace.recording.name
     )
-    there = np.isfinite(place)
+    is_finite = np.isfinite(place)
     return _titled(
-        finding, where, canvas, title, tuple(layers), (rms(before[there]), rms(after[there]))
+        finding,
+        appearance,
+        canvas,
+        title,
+        tuple(layers),
+        (rms(before[is_finite]), rms(after[is_finite])),
     )
 
 
 def _classes(place: Array, values: Array) -> Array:
     """Return middle and quartiles of classes: some of equal count, some of equal width."""
-    there = np.isfinite(place) & np.isfinite(values)
-    place, values = place[there], values[there]
+    is_finite = np.isfinite(place) & np.isfinite(values)
+    place, values = place[is_finite], values[is_finite]
     if len(place) < 4 * LEAST_ROWS:
         return np.zeros((0, 4))
     share = np.linspace(0.0, 1.0, CLASSES // 2 + 1)
@@ -134,12 +141,17 @@ def _classes(place: Array, values: Array) -> Array:
     return np.array(rows).reshape(-1, 4)
 
 
-def _spectrum(finding: Finding, where: Appearance, one: EffectSimulation) -> Figure | None:
-    rate_Hz = one.trace.recording.sampling_rate_Hz
-    curves = [_density(values, rate_Hz) for values in (one.before_m, one.after_m, one.injected_m)]
+def _spectrum(
+    finding: Finding, appearance: Appearance, picture: EffectSimulation
+) -> Figure | None:
+    rate_Hz = picture.trace.recording.sampling_rate_Hz
+    curves = [
+        _density(values, rate_Hz)
+        for values in (picture.before_m, picture.after_m, picture.injected_m)
+    ]
     if len(curves[0]) < 2:
         return None
-    x = _axis(where, curves[0][:, 0])
+    x = _axis(appearance, curves[0][:, 0])
     y = decades_over("amplitude density", [c[:, 1] for c in curves], "nm/√Hz")
     canvas = Canvas(x=x, y=y, height=HEIGHT)
     drawn = (
@@ -148,8 +160,10 @@ def _spectrum(finding: Finding, where: Appearance, one: EffectSimulation) -> Fig
         ("limit", "look-alike", curves[2]),
     )
     layers = tuple(canvas.line(role, name, c[:, 0], c[:, 1]) for role, name, c in drawn)
-    name = one.trace.recording.name
-    return _titled(finding, where, canvas, name, layers, (rms(one.before_m), rms(one.after_m)))
+    name = picture.trace.recording.name
+    return _titled(
+        finding, appearance, canvas, name, layers, (rms(picture.before_m), rms(picture.after_m))
+    )
 
 
 def _density(values: Array, rate_Hz: float) -> Array:
@@ -170,7 +184,7 @@ def _density(values: Array, rate_Hz: float) -> Array:
 
 def _titled(
     finding: Finding,
-    where: Appearance,
+    appearance: Appearance,
     canvas: Canvas,
     recording: str,
     layers: tuple[Layer, ...],
@@ -178,35 +192,33 @@ def _titled(
 ) -> Figure:
     before_m, after_m = errors_m
     return Figure(
-        title=(
-            f"{words(finding.effect).capitalize()}, {recording}: residual against {where.label}"
-        ),
-        caption=(
-            f"Residual {number(before_m, 'm')} rms without the effect, "
-            f"{number(after_m, 'm')} with it."
-        ),
-        guide=where.reading,
+        title=f"{words(finding.effect).capitalize()}, {recording}: "
+        f"residual against {appearance.label}",
+        caption=f"Residual {number(before_m, 'm')} rms without the effect, "
+        f"{number(after_m, 'm')} with it.",
+        guide=appearance.reading,
         canvas=canvas,
         layers=layers,
-        flicker=(layers[0].role, layers[1].role) if where.kind != "classes" else (),
+        flicker=(layers[0].role, layers[1].role) if appearance.kind != "classes" else (),
     )
 
 
 def unnamed_figure(finding: Finding) -> Figure | None:
     """Return the remainder in classes of its coordinate with the fitted curve, None without it."""
-    seen = finding.seen
-    if seen is None or len(seen.place) < 2:
+    classes = finding.seen
+    if classes is None or len(classes.place) < 2:
         return None
-    label = PHASES if not seen.unit else words(finding.coordinate)
-    place = np.array(seen.place)
+    label = PHASES if not classes.unit else words(finding.coordinate)
+    coordinate = np.array(classes.place)
     low, median, high, fitted = (
-        np.array(one) for one in (seen.low_m, seen.median_m, seen.high_m, seen.fitted_m)
+        np.array(values)
+        for values in (classes.low_m, classes.median_m, classes.high_m, classes.fitted_m)
     )
     if finding.coordinate in DECADES:
-        place = np.log10(np.maximum(place, 1e-9))
-        x = decades_over(label, [place], seen.unit)
+        coordinate = np.log10(np.maximum(coordinate, 1e-9))
+        x = decades_over(label, [coordinate], classes.unit)
     else:
-        x = axis_over(label, [place], seen.unit)
+        x = axis_over(label, [coordinate], classes.unit)
     canvas = Canvas(x=x, y=axis_over("residual", [low, high, fitted], "m"), height=HEIGHT)
     return Figure(
         title=f"{words(finding.effect).capitalize()}: residual against {_against(finding)}",
@@ -216,9 +228,9 @@ def unnamed_figure(finding: Finding) -> Figure | None:
         "the coordinate.",
         canvas=canvas,
         layers=(
-            canvas.band("rising-band", "residual: middle half", place, low, high),
-            canvas.line("rising", "residual: median", place, median),
-            canvas.line("limit", "fitted curve", place, fitted),
+            canvas.band("rising-band", "residual: middle half", coordinate, low, high),
+            canvas.line("rising", "residual: median", coordinate, median),
+            canvas.line("limit", "fitted curve", coordinate, fitted),
         ),
         flicker=(),
     )

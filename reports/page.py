@@ -72,11 +72,11 @@ class Page:
         """The statements that the summary shows: the most important one of each level."""
         if not self.has_summary:
             return ()
-        chosen = (
+        facts = (
             next((fact for fact in self.statements if fact.level is level), None)
             for level in (Level.ACTION, Level.WARNING)
         )
-        return tuple(fact for fact in chosen if fact is not None)
+        return tuple(fact for fact in facts if fact is not None)
 
     def text_of(self, statement: Statement) -> str:
         """Return a statement, on a stage of several axes with its axis in front."""
@@ -101,12 +101,14 @@ class Page:
 
     def loop_of(self, axis: str) -> LoopDesign | None:
         """Return the recommended loop of an axis, if it has one."""
-        return next((one.recommended for one in self.axis_designs if one.axis == axis), None)
+        return next(
+            (design.recommended for design in self.axis_designs if design.axis == axis), None
+        )
 
     def ships(self, axis: str) -> bool:
         """Return whether the controller of an axis passed its verification."""
-        found = self.verification
-        return found is not None and found.passed and axis in found.methods
+        verification = self.verification
+        return verification is not None and verification.passed and axis in verification.methods
 
     def drawn(self, axis: AxisModel) -> tuple[Trace, ...]:
         """Return the recordings of an axis that get figures."""

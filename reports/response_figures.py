@@ -143,11 +143,11 @@ def coherence_figure(
 
 def distortion_parts(page: Page, axis: AxisModel) -> list[Part]:
     """Return a figure for every multisine with detection lines that drives this axis."""
-    return [_figure(axis, found) for found in distortion_of(page.recordings, axis.axis)]
+    return [_figure(axis, distortion) for distortion in distortion_of(page.recordings, axis.axis)]
 
 
-def _figure(axis: AxisModel, found: DistortionFound) -> Figure:
-    lines, is_even = found.lines, found.lines.is_even
+def _figure(axis: AxisModel, distortion: DistortionFound) -> Figure:
+    lines, is_even = distortion.lines, distortion.lines.is_even
     decades, silent = np.log10(lines.driven_Hz), np.log10(lines.frequency_Hz)
     floor_m = FLOOR * float(lines.noise_level_m()[0])
     driven_dB, silent_dB, noise_dB = (
@@ -158,8 +158,8 @@ def _figure(axis: AxisModel, found: DistortionFound) -> Figure:
     y = axis_over("amplitude [dB of 1 m]", [driven_dB, silent_dB, noise_dB], "")
     canvas = Canvas(x=x, y=y)
     return Figure(
-        title=f"Axis {axis.axis}: driven and silent lines of {', '.join(found.recordings)}",
-        caption=_numbers(found),
+        title=f"Axis {axis.axis}: driven and silent lines of {', '.join(distortion.recordings)}",
+        caption=_numbers(distortion),
         guide=GUIDE,
         canvas=canvas,
         layers=(
@@ -171,22 +171,22 @@ def _figure(axis: AxisModel, found: DistortionFound) -> Figure:
     )
 
 
-def _numbers(found: DistortionFound) -> str:
-    lines = found.lines
+def _numbers(distortion: DistortionFound) -> str:
+    lines = distortion.lines
     driven_m = float(lines.driven_level_m()[0])
     return (
         f"At {number(float(lines.drive_rms_V[0]), 'V')} rms, {lines.realisations} realisations of "
         f"{lines.periods} periods; rms amplitude of one line: driven {number(driven_m, 'm')}; "
-        f"{_level(found, driven_m, even=False)}; {_level(found, driven_m, even=True)}; noise "
-        f"{number(float(lines.noise_level_m()[0]), 'm')} after averaging."
+        f"{_level(distortion, driven_m, even=False)}; {_level(distortion, driven_m, even=True)}; "
+        f"noise {number(float(lines.noise_level_m()[0]), 'm')} after averaging."
     )
 
 
-def _level(found: DistortionFound, driven_m: float, *, even: bool) -> str:
+def _level(distortion: DistortionFound, driven_m: float, *, even: bool) -> str:
     """One kind of distortion, or what it stays below where noise covers it."""
     name = "even distortion" if even else "odd distortion"
-    level_m = float(found.lines.level_m(even=even)[0])
-    limit_m = float(found.lines.limit_m(even=even)[0])
+    level_m = float(distortion.lines.level_m(even=even)[0])
+    limit_m = float(distortion.lines.limit_m(even=even)[0])
     if level_m <= limit_m:
         most_m = float(np.hypot(level_m, limit_m))
         return f"{name} below {number(most_m, 'm')}, covered by noise"

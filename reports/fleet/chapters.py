@@ -47,8 +47,8 @@ WORST = 200  # rows of a table, so that the page of any batch opens at once
 
 def verdict(fleet: Fleet, distributions: tuple[Distribution, ...]) -> Section:
     """Return what must be known if nothing else is read."""
-    good, whole = fleet.counts.get(PASSED, 0), len(fleet.stages)
-    tone = "good" if fleet.passed else "middling" if good >= 0.9 * whole else "bad"
+    n_passed, n_stages = fleet.counts.get(PASSED, 0), len(fleet.stages)
+    tone = "good" if fleet.passed else "middling" if n_passed >= 0.9 * n_stages else "bad"
     return Section(
         anchor="verdict",
         title="Verdict",
@@ -63,37 +63,36 @@ def verdict(fleet: Fleet, distributions: tuple[Distribution, ...]) -> Section:
 
 
 def _counted(fleet: Fleet) -> str:
-    good, whole = fleet.counts.get(PASSED, 0), len(fleet.stages)
-    bare = fleet.without_controller
-    bare_clause = f" {bare} of them without a controller." if bare else ""
+    n_passed, n_stages = fleet.counts.get(PASSED, 0), len(fleet.stages)
+    uncontrolled = fleet.without_controller
+    clause = f" {uncontrolled} of them without a controller." if uncontrolled else ""
     if fleet.passed:
-        return f"All {whole} stages passed.{bare_clause}"
+        return f"All {n_stages} stages passed.{clause}"
     kinds = ((FAILED, "failed a verdict"), (REFUSED, "could not be used"), (CRASHED, "broke off"))
-    rest = [f"{n} {word}" for state, word in kinds if (n := fleet.counts.get(state, 0))]
-    return f"{good} of {whole} stages passed; {', '.join(rest)}.{bare_clause}"
+    counts = [f"{n} {word}" for state, word in kinds if (n := fleet.counts.get(state, 0))]
+    return f"{n_passed} of {n_stages} stages passed; {', '.join(counts)}.{clause}"
 
 
 def _odd(distributions: tuple[Distribution, ...]) -> str:
     if not distributions:
         return f"Fewer than {FEWEST} stages can be compared, so the spread is not reported."
-    far = sorted(
+    ranked = sorted(
         ((abs(float(row.away[k])), row.stages[k]) for row in distributions for k in row.outliers),
         reverse=True,
     )
-    odd = list(dict.fromkeys(name for _, name in far))
-    if not odd:
+    names = list(dict.fromkeys(name for _, name in ranked))
+    if not names:
         return "No stage stands out from the others in anything that was compared."
-    shown = ", ".join(odd[:3])
-    more = f" most, and {len(odd) - 3} more" if len(odd) > 3 else ""
-    return (
-        f"{len(odd)} {'stands' if len(odd) == 1 else 'stand'} out from the others: {shown}{more}."
-    )
+    shown = ", ".join(names[:3])
+    omitted = f" most, and {len(names) - 3} more" if len(names) > 3 else ""
+    verb = "stands" if len(names) == 1 else "stand"
+    return f"{len(names)} {verb} out from the others: {shown}{omitted}."
 
 
 def _drifting(distributions: tuple[Distribution, ...]) -> str:
-    named = [f"{row.quantity.label} of axis {row.axis}" for row in distributions if row.drifts]
-    if named:
-        return f"Over the serial numbers {', '.join(named)} drifts."
+    drifting = [f"{row.quantity.label} of axis {row.axis}" for row in distributions if row.drifts]
+    if drifting:
+        return f"Over the serial numbers {', '.join(drifting)} drifts."
     if any(row.trend is not None for row in distributions):
         return "Nothing drifts over the serial numbers."
     return "Too few stage names contain a serial number to test for drift."
@@ -223,14 +222,14 @@ def _place(name: str) -> str:
 def render_fleet(fleet: Fleet) -> str:
     """Return summary.html, to lie beside the folder of the stages."""
     distributions = compare_stages(fleet)
-    made = (
+    sections = (
         verdict(fleet, distributions),
         failures(fleet),
         outliers(distributions),
         spread(distributions),
         stages(fleet),
     )
-    return html(f"Batch {fleet.name}", [section for section in made if section is not None])
+    return html(f"Batch {fleet.name}", [section for section in sections if section is not None])
 
 
 def spread(distributions: tuple[Distribution, ...]) -> Section | None:
@@ -239,9 +238,9 @@ def spread(distributions: tuple[Distribution, ...]) -> Section | None:
         return None
     parts: list[Part] = []
     for axis in dict.fromkeys(row.axis for row in distributions):
-        own = [row for row in distributions if row.axis == axis]
-        parts += [Heading(text=f"Axis {axis}"), _table(axis, own)]
-        for row in own:
+        rows = [row for row in distributions if row.axis == axis]
+        parts += [Heading(text=f"Axis {axis}"), _table(axis, rows)]
+        for row in rows:
             if np.ptp(row.values) > 0.0:
                 parts.append(_histogram(row))
             if row.trend is not None:
@@ -254,7 +253,7 @@ def spread(distributions: tuple[Distribution, ...]) -> Section | None:
     )
 
 
-def _table(axis: str, own: list[Distribution]) -> Table:
+def _table(axis: str, rows: list[Distribution]) -> Table:
     return Table(
         caption=f"Axis {axis}: spread over the stages, and drift over 100 serial numbers. "
         f"Significance level of a drift: {100 * TREND_P:g} % for all quantities together.",
@@ -269,7 +268,7 @@ def _table(axis: str, own: list[Distribution]) -> Table:
                 _drift(row),
                 "" if row.trend is None else significant(row.trend_p, 2),
             )
-            for row in own
+            for row in rows
         ),
     )
 
@@ -326,16 +325,18 @@ def _course(row: Distribution) -> Figure:
     canvas = Canvas(
         x=x, y=axis_over(row.quantity.label, [row.values], row.quantity.unit), height=200
     )
-    odd = np.zeros(len(row.values), dtype=bool)
-    odd[list(row.outliers[:DOTS])] = True
+    is_outlier = np.zeros(len(row.values), dtype=bool)
+    is_outlier[list(row.outliers[:DOTS])] = True
     layers = [
         _many(canvas, row)
         if np.isfinite(row.serials).sum() > DOTS
-        else canvas.dots("dots", "stages", row.serials[~odd], row.values[~odd]),
+        else canvas.dots("dots", "stages", row.serials[~is_outlier], row.values[~is_outlier]),
         canvas.line("trend", "median trend", ends, line),
     ]
-    if (odd & np.isfinite(row.serials)).any():
-        layers.append(canvas.dots("odd", "standing out", row.serials[odd], row.values[odd]))
+    if (is_outlier & np.isfinite(row.serials)).any():
+        layers.append(
+            canvas.dots("odd", "standing out", row.serials[is_outlier], row.values[is_outlier])
+        )
     return Figure(
         title=f"{row.quantity.label}, axis {row.axis} over the serial numbers",
         caption=f"Drift for 100 serial numbers {_drift(row)}, p = {significant(row.trend_p, 2)}: "

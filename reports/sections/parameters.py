@@ -66,15 +66,15 @@ def render(page: Page) -> Section | None:
 
 def _bow(axis: AxisModel) -> Figure:
     """Draw the loading curve without its chord: what the de-poled stage answers to a rise."""
-    found = axis.uncertainty
-    reach_V, half_m = found.reach_V, found.loading_half_m
-    bow_m = found.loading_m - found.loading_m[-1] * reach_V / reach_V[-1]
+    uncertainty = axis.uncertainty
+    reach_V, half_m = uncertainty.reach_V, uncertainty.loading_half_m
+    bow_m = uncertainty.loading_m - uncertainty.loading_m[-1] * reach_V / reach_V[-1]
     x = axis_over("rise of the drive", [reach_V], "V")
     shown = [bow_m - half_m, bow_m + half_m, np.zeros(1)]
     canvas = Canvas(x=x, y=axis_over("loading curve minus chord", shown, "m"), height=260)
     return Figure(
         title=f"Axis {axis.axis}: loading curve without its chord",
-        caption=f"The full loop is {with_half_width(*found.loop_width_m, 'm')} wide.",
+        caption=f"The full loop is {with_half_width(*uncertainty.loop_width_m, 'm')} wide.",
         guide=GUIDE_BOW,
         canvas=canvas,
         layers=(
@@ -86,12 +86,12 @@ def _bow(axis: AxisModel) -> Figure:
 
 
 def _uncertainty(budget: DisplacementBudget) -> Prose:
-    found = budget.budget
-    half = number(found.expanded, "m")
+    uncertainty = budget.budget
+    half = number(uncertainty.expanded, "m")
     return Prose(
         text=f"Axis {budget.axis}: a predicted position is known to ±{half} (95 %, coverage "
-        f"factor {significant(found.coverage_factor)}); the largest error of {found.positions} "
-        f"positions is below {number(found.largest[1], 'm')}.",
+        f"factor {significant(uncertainty.coverage_factor)}); the largest error of "
+        f"{uncertainty.positions} positions is below {number(uncertainty.largest[1], 'm')}.",
     )
 
 
@@ -126,27 +126,27 @@ def _contributions(budgets: Sequence[DisplacementBudget]) -> list[Part]:
 
 def _bound(axis: AxisModel) -> Prose:
     """Return the bound of the model without feedback, if there is one of use."""
-    found, range_m = axis.certificate, axis.quality.range_m
-    if not axis.quality.is_tested or found.bound_m > range_m:
+    certificate, range_m = axis.certificate, axis.quality.range_m
+    if not axis.quality.is_tested or certificate.bound_m > range_m:
         return Prose(text=f"Axis {axis.axis}: no useful bound of the model without feedback.")
     middle_V = axis.hysteresis.voltage_offset_V
     speed = " at the speed of the recordings" if axis.quality.lag_is_open else ""
     return Prose(
         text=f"Axis {axis.axis}: without feedback the model error stays below "
-        f"{number(found.bound_m, 'm')} (95 % confidence) for drives between "
-        f"{number(middle_V - found.reach_V, 'V')} and "
-        f"{number(middle_V + found.reach_V, 'V')}, up to "
-        f"{number(found.slew_V_per_s, 'V/s')}{speed}."
+        f"{number(certificate.bound_m, 'm')} (95 % confidence) for drives between "
+        f"{number(middle_V - certificate.reach_V, 'V')} and "
+        f"{number(middle_V + certificate.reach_V, 'V')}, up to "
+        f"{number(certificate.slew_V_per_s, 'V/s')}{speed}."
     )
 
 
-def known_of(found: Uncertainty) -> Known:
+def known_of(uncertainty: Uncertainty) -> Known:
     """Return value and half interval of every parameter by name."""
-    quantile = float(student_quantile(0.975, max(found.blocks - 1, 1)))
-    half = quantile * np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+    quantile = float(student_quantile(0.975, max(uncertainty.blocks - 1, 1)))
+    half = quantile * np.sqrt(np.maximum(np.diag(uncertainty.covariance), 0.0))
     return {
         name: (float(value), float(spread))
-        for name, value, spread in zip(found.names, found.values, half, strict=True)
+        for name, value, spread in zip(uncertainty.names, uncertainty.values, half, strict=True)
     }
 
 
