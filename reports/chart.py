@@ -62,8 +62,8 @@ class Axis:
 
     def places(self, values: Array, length: int) -> Array:
         """Return where SI values lie, in fine steps from the low end."""
-        shown = np.asarray(values) / self.scale.factor
-        return np.asarray((shown - self.low) / (self.high - self.low) * (length * FINE))
+        scaled = np.asarray(values) / self.scale.factor
+        return np.asarray((scaled - self.low) / (self.high - self.low) * (length * FINE))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,11 +31,11 @@ def with_half_width(value: float, half: float, unit: str) -> str:
     if not (math.isfinite(value) and math.isfinite(half)):
         return number(value, unit)
     scale = scale_for(max(abs(value), half), unit)
-    shown, spread = value / scale.factor, half / scale.factor
+    middle, spread = value / scale.factor, half / scale.factor
     if spread == 0.0:
         return f"{number(value, unit, 4)} (fixed)"
     decimals = min(max(1 - math.floor(math.log10(spread)), 0), 6)
-    pair = f"{shown:.{decimals}f}{NARROW}±{NARROW}{spread:.{decimals}f}".replace("-", MINUS)
+    pair = f"{middle:.{decimals}f}{NARROW}±{NARROW}{spread:.{decimals}f}".replace("-", MINUS)
     return _joined(f"({pair})" if scale.unit else pair, scale.unit)
 
 
@@ -59,8 +59,8 @@ def with_interval(value: float, interval: tuple[float, float], unit: str) -> str
     if low <= 0.0 and not math.isfinite(high):
         return "unknown (the interval is unbounded)"
     if unit in ("", "eV"):
-        ends = [significant(end, 4) if math.isfinite(end) else "any" for end in (low, high)]
-        return f"{_joined(significant(value, 4), unit)} ({ends[0]} to {ends[1]})"
+        limits = [significant(end, 4) if math.isfinite(end) else "any" for end in (low, high)]
+        return f"{_joined(significant(value, 4), unit)} ({limits[0]} to {limits[1]})"
     if not math.isfinite(high):
         return f"{number(value, unit)} ({number(low, unit)} or more)"
     return f"{number(value, unit)} ({number(low, unit)} to {number(high, unit)})"

@@ -69,11 +69,11 @@ def traces_of(axis_model: AxisModel, recordings: Sequence[Recording]) -> tuple[T
     covariance = sum(float(np.sum((u - u.mean()) * (y - y.mean()))) for u, y in compared)
     variance = sum(float(np.sum((u - u.mean()) ** 2)) for u, _ in compared)
     slope = covariance / variance if variance > 0.0 else 0.0
-    found = [
+    traces = [
         _trace(recording, axis, model_m, slope)
         for recording, model_m in zip(fitted, modelled, strict=True)
     ]
-    return tuple(sorted(found, key=lambda trace: -rms(trace.residual_m)))
+    return tuple(sorted(traces, key=lambda trace: -rms(trace.residual_m)))
 
 
 def _counted(axis_model: AxisModel, recording: Recording) -> Array:

@@ -175,8 +175,8 @@ def _turned(angle: Array) -> Array:
     """Return how far each row turns from its first angle to its last, never by more than half a
     turn at once. A search asks this thousands of times; ``np.unwrap`` takes eight times as long.
     """
-    whole = np.round(np.diff(angle) / (2.0 * np.pi)).sum(axis=1)
-    return np.asarray(angle[:, -1] - angle[:, 0] - 2.0 * np.pi * whole)
+    turns = np.round(np.diff(angle) / (2.0 * np.pi)).sum(axis=1)
+    return np.asarray(angle[:, -1] - angle[:, 0] - 2.0 * np.pi * turns)
 
 
 def _limits(specification: Specification, f: Array) -> Array:

@@ -79,19 +79,19 @@ def fit_reference_path(
     ]
     low_Hz = 1e-4 * rate_Hz
     h = response(product(T, nominal.B_position), closed[0], [low_Hz], rate_Hz)[0]
-    late = int(np.ceil(-np.angle(h) / (2.0 * np.pi * low_Hz) * rate_Hz))  # at rest, in samples
+    delay = int(np.ceil(-np.angle(h) / (2.0 * np.pi * low_Hz) * rate_Hz))  # at rest, in samples
     fits = [
         (_fit(tracked[0], inside, outside, preview, taps), preview)
-        for preview in range(max(late, 0) + _PREVIEW_SLACK)
+        for preview in range(max(delay, 0) + _PREVIEW_SLACK)
     ]
     errors = [_error(f, tracked[0], inside, preview) for f, preview in fits]
-    chosen = next(k for k, error in enumerate(errors) if error <= _GOOD_ENOUGH * min(errors))
-    coefficients, preview = fits[chosen]
+    index = next(k for k, error in enumerate(errors) if error <= _GOOD_ENOUGH * min(errors))
+    coefficients, preview = fits[index]
     return ReferencePath(
         filter=coefficients,
         preview_samples=preview,
         band_Hz=band_Hz,
-        error=errors[chosen],
+        error=errors[index],
         worst_error=max(_error(coefficients, h, inside, preview) for h in tracked),
         plain_error=_error(np.ones(1), tracked[0], inside, 0),
     )
@@ -126,9 +126,11 @@ def _fit(h: Response, inside: Response, outside: Response, preview: int, taps: i
     target = np.concatenate([inside**preview, _LEAST_EFFORT * np.ones(len(outside))])
     # f = e_0 + differences: F(1) = 1 stays exact.
     free = rows[:, 1:] - rows[:, :1]
-    rest = target - rows[:, 0]
+    remainder = target - rows[:, 0]
     solution = np.linalg.lstsq(
-        np.vstack([free.real, free.imag]), np.concatenate([rest.real, rest.imag]), rcond=None
+        np.vstack([free.real, free.imag]),
+        np.concatenate([remainder.real, remainder.imag]),
+        rcond=None,
     )[0]
     return np.concatenate([[1.0 - solution.sum()], solution])
 

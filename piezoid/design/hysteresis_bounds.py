@@ -312,28 +312,28 @@ def _operator(axis: AxisModel, parameters: dict[str, float]) -> ModifiedPrandtlI
     """Return the operator of these numbers, or None where thresholds cross."""
     model = axis.hysteresis
     plays, zones, envelope = model.plays, model.dead_zones, model.envelope
-    play_V = _drawn("play_threshold_V", plays.threshold, parameters)
-    zone_m = _drawn("dead_zone_threshold_m", zones.threshold, parameters)
+    play_V = _replicate_of("play_threshold_V", plays.threshold, parameters)
+    zone_m = _replicate_of("dead_zone_threshold_m", zones.threshold, parameters)
     play_V[0], zone_m[zones.zero] = 0.0, 0.0
     if not ((np.diff(play_V) > 0).all() and (np.diff(zone_m) > 0).all()):
         return None
     return ModifiedPrandtlIshlinskii(
         plays=PrandtlIshlinskii(
-            threshold=play_V, weight=_drawn("play_weight_m_per_V", plays.weight, parameters)
+            threshold=play_V, weight=_replicate_of("play_weight_m_per_V", plays.weight, parameters)
         ),
         dead_zones=DeadZones(
-            threshold=zone_m, weight=_drawn("dead_zone_weight", zones.weight, parameters)
+            threshold=zone_m, weight=_replicate_of("dead_zone_weight", zones.weight, parameters)
         ),
         voltage_offset_V=model.voltage_offset_V,
         displacement_offset_m=model.displacement_offset_m,
         envelope=DeadZones(
             threshold=envelope.threshold,
-            weight=_drawn("envelope_weight", envelope.weight, parameters),
+            weight=_replicate_of("envelope_weight", envelope.weight, parameters),
         ),
     )
 
 
-def _drawn(stem: str, fitted: Array, parameters: dict[str, float]) -> Array:
+def _replicate_of(stem: str, fitted: Array, parameters: dict[str, float]) -> Array:
     """Return the drawn numbers of one array; what was not fitted stays as it is."""
     return np.array(
         [parameters.get(f"{stem}[{i}]", value) for i, value in enumerate(fitted.tolist())]

@@ -31,7 +31,7 @@ from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 STEPS = 96  # of the range, an even number
 # relative differences of gauge between h_t and h_m that give the polygon its sides
 _TILT = np.concatenate([-np.geomspace(0.02, 0.5, 5)[::-1], [0.0], np.geomspace(0.02, 0.5, 5)])
-_PLACES = 200  # along h_m, where the polygon is searched
+_POINTS = 200  # along h_m, where the polygon is searched
 _BEYOND = 3.0  # times what the last halving of the grid added
 
 
@@ -149,7 +149,7 @@ def _errors(
     reached: _Reached,
 ) -> Array:
     """Return the largest |Psi_t(h_t) - Psi_m(h_m)| over the polygons, (truths,)."""
-    share = np.linspace(0.0, 1.0, _PLACES)
+    share = np.linspace(0.0, 1.0, _POINTS)
     h_m = np.multiply.outer(reached.least_m, 1.0 - share) + np.multiply.outer(
         reached.most_m, share
     )

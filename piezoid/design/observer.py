@@ -153,11 +153,11 @@ class DisturbanceObserver:
         freeze(self, "A", ndim=2)
         freeze(self, "B", "C", "state_gain", "disturbance_gain", "feedback_gain")
         order, states = len(self.A), len(self.disturbance.output)
-        wanted = dict.fromkeys(("B", "C", "state_gain", "feedback_gain"), order)
-        for name, length in {**wanted, "disturbance_gain": states}.items():
-            found = len(getattr(self, name))
-            if found != length:
-                raise ValueError(f"{name} has {found} values, expected {length}")
+        lengths = dict.fromkeys(("B", "C", "state_gain", "feedback_gain"), order)
+        for name, expected in {**lengths, "disturbance_gain": states}.items():
+            length = len(getattr(self, name))
+            if length != expected:
+                raise ValueError(f"{name} has {length} values, expected {expected}")
 
 
 def disturbance_model(

@@ -125,7 +125,7 @@ def _largest_sensitivity(plant: Fraction, R: ArrayLike, S: ArrayLike) -> tuple[f
     peaks = 1 + np.flatnonzero((inner >= magnitude[:-2]) & (inner >= magnitude[2:]))
     highest = peaks[np.argsort(magnitude[peaks])[::-1][:_REFINED_PEAKS]]
     end = int(np.argmax(magnitude))
-    found = [(float(magnitude[end]), float(frequency_Hz[end]))]
+    candidates = [(float(magnitude[end]), float(frequency_Hz[end]))]
     for k in highest:
         best = minimize_scalar(
             lambda f: -abs(sensitivities(plant, R, S, np.array([f])).Syp[0]),
@@ -133,8 +133,8 @@ def _largest_sensitivity(plant: Fraction, R: ArrayLike, S: ArrayLike) -> tuple[f
             method="bounded",
             options={"xatol": 1e-6 * frequency_Hz[k]},
         )
-        found.append((float(-best.fun), float(best.x)))
-    return max(found)
+        candidates.append((float(-best.fun), float(best.x)))
+    return max(candidates)
 
 
 def _delay_margin(
@@ -153,9 +153,9 @@ def _delay_margin(
     frequency_Hz = _fine_grid_Hz(plant)
     excess = np.abs(loop(frequency_Hz)) - 1.0
     crossings = np.flatnonzero(np.sign(excess[:-1]) != np.sign(excess[1:]))
-    found: list[tuple[float, float]] = []
+    candidates: list[tuple[float, float]] = []
     for k in crossings:
         f = brentq(lambda f: abs(loop(f)[0]) - 1.0, frequency_Hz[k], frequency_Hz[k + 1])
         phase = float(np.angle(-loop(f)[0])) % (2.0 * np.pi)
-        found.append((phase / (2.0 * np.pi * f), float(f)))
-    return min(found) if found else (None, None)
+        candidates.append((phase / (2.0 * np.pi * f), float(f)))
+    return min(candidates) if candidates else (None, None)

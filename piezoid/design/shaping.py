@@ -139,10 +139,10 @@ def shape(
             numerator_damping=depth * _DENOMINATOR_DAMPING,
             denominator_damping=_DENOMINATOR_DAMPING,
         )
-        better = _best_placement(family.nominal, grid, (*best.band_stops, stop))
-        if not _is_worth_its_order(better, best):
+        placement = _best_placement(family.nominal, grid, (*best.band_stops, stop))
+        if not _is_worth_its_order(placement, best):
             break
-        best = better
+        best = placement
     return best
 
 

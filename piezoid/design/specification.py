@@ -175,13 +175,13 @@ def specifications_from_toml(
             names = ", ".join(sorted(defaults))
             raise _unusable(source, f"[{axis}] is not an axis of this model", f"one of {names}")
         try:
-            result[axis] = _asked(defaults[axis], table, f"{source} [{axis}]")
+            result[axis] = _from_table(defaults[axis], table, f"{source} [{axis}]")
         except (TypeError, OverflowError) as fault:
             raise _unusable(source, f"[{axis}]: {fault}", "values of the right kind") from fault
     return result
 
 
-def _asked(default: Specification, table: dict[str, Any], source: str) -> Specification:
+def _from_table(default: Specification, table: dict[str, Any], source: str) -> Specification:
     values = dict(table)
     further = tuple(_template(t, source) for t in values.pop("template", ()))
     known_keys = {f.name for f in fields(Specification)} - {"templates"}
@@ -237,7 +237,7 @@ def _template(table: Any, source: str) -> Template:
     return template
 
 
-def _unusable(source: str, found: str, needed: str) -> LabFileError:
+def _unusable(source: str, fault: str, needed: str) -> LabFileError:
     return LabFileError(
-        f"{source}: {found}", needed=needed, remedy=f"Correct {source} and design again."
+        f"{source}: {fault}", needed=needed, remedy=f"Correct {source} and design again."
     )

@@ -173,8 +173,8 @@ def tune_observer(
     frame = ObserverFrame(plant=plant, disturbance=disturbance, form=form)
 
     def build(logarithms: Array) -> DisturbanceObserver:
-        chosen = dict(zip(names, np.exp(logarithms).tolist(), strict=True))
-        return _observer(frame, specification, chosen, method)
+        values = dict(zip(names, np.exp(logarithms).tolist(), strict=True))
+        return _observer(frame, specification, values, method)
 
     def cost(logarithms: Array) -> tuple[float, float]:
         try:

@@ -121,7 +121,7 @@ def bundle(file: ParameterFile) -> Bundle:
             name=plain_ascii(file.name),
             samples=SAMPLES,
             which_voltage=fill(DRIVE_VOLTAGE_NOTE, 98),
-            axes="\n".join(_row(place, axis) for place, axis in enumerate(file.axes)),
+            axes="\n".join(_row(index, axis) for index, axis in enumerate(file.axes)),
             unshipped="".join(
                 f"\nAxis {plain_ascii(axis)} is not included: {plain_ascii(reason, length=600)}\n"
                 for axis, reason in file.unshipped.items()

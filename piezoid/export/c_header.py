@@ -76,7 +76,7 @@ def c_header(file: ParameterFile, digest: str) -> str:
         digest=digest,
         version=VERSION,
         enumerators=", ".join(
-            f"PIEZO_AXIS_{axis.axis.upper()} = {place}" for place, axis in enumerate(file.axes)
+            f"PIEZO_AXIS_{axis.axis.upper()} = {index}" for index, axis in enumerate(file.axes)
         ),
         **{f"sealed_{precision}": _sealed(file, precision) for precision in PRECISIONS},
     )

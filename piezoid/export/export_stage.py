@@ -278,9 +278,9 @@ def _equal_readings(
     return _MOST_SAMPLES if equal >= 1.0 else math.ceil(math.log(_CHANCE) / math.log(equal))
 
 
-def _useless(lab: Lab, found: str, needed: str) -> LabFileError:
+def _useless(lab: Lab, fault: str, needed: str) -> LabFileError:
     return LabFileError(
-        f"{lab.place}: {found}",
+        f"{lab.place}: {fault}",
         needed=needed,
         remedy=f"Correct [tunnelling] in {lab.place} and export again.",
     )

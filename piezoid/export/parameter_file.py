@@ -281,9 +281,9 @@ def _array(parameter: Parameter, value: Any) -> Array:
     return array.reshape((0,) * len(parameter.shape)) if array.size == 0 else array
 
 
-def _incomplete(source: str, found: str) -> ParameterFileError:
+def _incomplete(source: str, fault: str) -> ParameterFileError:
     return ParameterFileError(
-        f"{source}: {found}",
+        f"{source}: {fault}",
         needed=f"the entries of schema {SCHEMA}, each with its unit",
         remedy="Export the parameters again with this version of piezoid.",
     )

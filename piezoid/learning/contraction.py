@@ -179,9 +179,9 @@ def table_response(member: Plant, values: Values | None, q: Response) -> Respons
     rows[:, n + 1, :n] = command[:, None] * (K @ correct - slow * C)
     rows[:, n + 1, n] = command
     rows[:, n + 1, n + 1] = 1.0 + command * P * (float(K @ L) + slow)
-    one = np.zeros((len(q), n + 2, 1), dtype=complex)
-    one[:, n + 1] = 1.0
-    return np.asarray(position * np.linalg.solve(rows, one)[:, n + 1, 0])
+    impulse = np.zeros((len(q), n + 2, 1), dtype=complex)
+    impulse[:, n + 1] = 1.0
+    return np.asarray(position * np.linalg.solve(rows, impulse)[:, n + 1, 0])
 
 
 def _best_shares(relative: Response, sector: float) -> tuple[Array, Array]:
@@ -197,7 +197,7 @@ def _probes(
     responses: Response,
     relative: Response,
     sector: float,
-    wanted: NDArray[np.bool_],
+    is_wanted: NDArray[np.bool_],
 ) -> Response:
     """Return the largest step that no plant of the family answers with more than ``_PROBED``."""
     remaining = np.stack(
@@ -206,7 +206,7 @@ def _probes(
     share = _STEPS[np.argmin(np.where(remaining <= _PROBED, -_STEPS[:, None], 0.0), axis=0)]
     share = np.where(remaining.min(axis=0) <= _PROBED, share, 0.0)
     probe = np.zeros(responses.shape[1], dtype=complex)
-    probe[wanted] = share[wanted] / responses[0][wanted]
+    probe[is_wanted] = share[is_wanted] / responses[0][is_wanted]
     return probe
 
 
@@ -218,12 +218,12 @@ def _contractions(applied: Response, sector: float) -> Array:
 
 def _widest(applied: Response, sector: float, candidates: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the lowest of the wanted harmonics, as many as contract together."""
-    place = np.flatnonzero(candidates)
-    remaining = np.maximum.accumulate(np.abs(1.0 - applied[:, place]), axis=1)
-    driven = np.maximum.accumulate(np.abs(applied[:, place]), axis=1)
+    indices = np.flatnonzero(candidates)
+    remaining = np.maximum.accumulate(np.abs(1.0 - applied[:, indices]), axis=1)
+    driven = np.maximum.accumulate(np.abs(applied[:, indices]), axis=1)
     together = (remaining + sector * driven).max(axis=0)
     learns = np.zeros_like(candidates)
-    learns[place[together <= _MOST_LEFT]] = True
+    learns[indices[together <= _MOST_LEFT]] = True
     return learns
 
 

@@ -25,7 +25,7 @@ _CLOCK = 1e-3  # by how much two clocks of one rate may differ
 # harmonic met a mode a true one missed by 0.58, and readings of nothing, or in a unit a thousand
 # times too small, miss by 1. What fits twice as well elsewhere is refused from a fifth on: begun a
 # twentieth of its length late, a sine misses by 0.3.
-_MISSED, _ELSEWHERE, _BETTER = 0.9, 0.2, 0.5
+_MOST_MISSED, _ELSEWHERE, _CLEARLY_BETTER = 0.9, 0.2, 0.5
 _CAREFUL = 4.0  # times the noise's power that a harmonic must show
 
 
@@ -164,15 +164,15 @@ def _refuse_another(name: str, measured_m: Array, expected_m: Array) -> None:
     together = np.fft.irfft(np.fft.rfft(moved_m) * np.conj(np.fft.rfft(asked_m)), len(moved_m))
     shift = int(np.argmax(together))
     fits_m = float(np.std(np.roll(measured_m, -shift) - expected_m))
-    elsewhere = missed_m > _ELSEWHERE * size_m and fits_m < _BETTER * missed_m
-    if missed_m <= _MISSED * size_m and not elsewhere:
+    elsewhere = missed_m > _ELSEWHERE * size_m and fits_m < _CLEARLY_BETTER * missed_m
+    if missed_m <= _MOST_MISSED * size_m and not elsewhere:
         return
     raise RecordingError(
         f"{name}: it misses the period by {with_unit(missed_m, 'm')} rms, and the motion itself "
         f"has {with_unit(size_m, 'm')}; begun at its row {shift} it would miss by "
         f"{with_unit(fits_m, 'm')}",
         needed=f"the period of this table, missed by less than "
-        f"{with_unit(_MISSED * size_m, 'm')}, its first row at point 0",
+        f"{with_unit(_MOST_MISSED * size_m, 'm')}, its first row at point 0",
         remedy="Start the recording with point 0, or check reference, unit and axis.",
     )
 

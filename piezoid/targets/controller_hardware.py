@@ -136,7 +136,7 @@ def read_hardware(path: Path) -> ControllerHardware:
     return ControllerHardware(**values)
 
 
-def _wrong(path: Path, found: str, needed: str) -> ParameterFileError:
+def _wrong(path: Path, fault: str, needed: str) -> ParameterFileError:
     return ParameterFileError(
-        f"{path}: {found}", needed=needed, remedy="Correct it, and export again."
+        f"{path}: {fault}", needed=needed, remedy="Correct it, and export again."
     )

@@ -28,8 +28,8 @@ from piezoid.verification.scenarios import raster
 _LINE_Hz = 1.0  # to and fro
 _DENSE = 4096  # points of a branch
 _CREPT_s = (10.0, 100.0)  # after a move: a frame
-_LEFT = 0.1  # of the bend that a table may leave
-_PLACES = ("X", "Y", "Z")
+_REMAINDER = 0.1  # of the bend that a table may leave
+_AXES = ("X", "Y", "Z")
 COLUMNS = ("straight", "table", "exported", "back", "mirrored")
 
 _SEND = '''\
@@ -178,14 +178,16 @@ def hysteresis_table(inputs: TargetInputs, axis: AxisParameters) -> Table:
     y_m = sensitivity * (branch_V - middle_V)
     knot_m, fitted_m, residual_m = _polyline(forward_m, y_m, points)
     bend_m = float(np.std(y_m - forward_m))
-    if residual_m > _LEFT * bend_m:
+    if residual_m > _REMAINDER * bend_m:
         enough = next(
-            n for n in range(points, _DENSE) if _polyline(forward_m, y_m, n)[2] <= _LEFT * bend_m
+            n
+            for n in range(points, _DENSE)
+            if _polyline(forward_m, y_m, n)[2] <= _REMAINDER * bend_m
         )
         raise ParameterFileError(
             f"axis {axis.axis}: {points} points leave {with_unit(residual_m, 'm')} rms of a loop "
             f"that bends by {with_unit(bend_m, 'm')}",
-            needed=f"at most {_LEFT:g} of it",
+            needed=f"at most {_REMAINDER:g} of it",
             remedy=f"What would fit: table_points = {enough} or more, in [nanonis] of box.toml.",
         )
     return Table(
@@ -203,7 +205,7 @@ def hysteresis_table(inputs: TargetInputs, axis: AxisParameters) -> Table:
 def _polyline(place_m: Array, value_m: Array, points: int) -> tuple[Array, Array, float]:
     """Return knots, values of the nearest polyline, and rms of what it leaves, m."""
     knot_m = np.linspace(place_m[0], place_m[-1], points)
-    hats = np.stack([np.interp(place_m, knot_m, one) for one in np.eye(points)], axis=1)
+    hats = np.stack([np.interp(place_m, knot_m, unit) for unit in np.eye(points)], axis=1)
     fitted_m = np.asarray(np.linalg.lstsq(hats, value_m)[0], dtype=np.float64)
     return knot_m, fitted_m, float(np.sqrt(np.mean((hats @ fitted_m - value_m) ** 2)))
 
@@ -251,7 +253,7 @@ def settings_json(inputs: TargetInputs, tables: list[Table]) -> str:
     }
     sensitivities: dict[str, float | None] = {}
     limits: dict[str, float | int | None] = {"Enable_limits": 1}
-    for letter, table in zip(_PLACES, [*by_place, None], strict=True):
+    for letter, table in zip(_AXES, [*by_place, None], strict=True):
         axis = None if table is None else inputs.file.axis(table.axis)
         gain = 1.0 if table is None else amplifier_gains[table.axis]
         sensitivities[f"Calibration_{letter}_mPerV"] = (
@@ -284,7 +286,7 @@ def settings_json(inputs: TargetInputs, tables: list[Table]) -> str:
         "Piezo_HystOnOffSet": {"On_Off": 1},
         "Piezo_DriftCompSet": {
             "Compensation_on_off": 2,
-            **{f"V{letter.lower()}_m_s": v for letter, v in zip(_PLACES, drift, strict=True)},
+            **{f"V{letter.lower()}_m_s": v for letter, v in zip(_AXES, drift, strict=True)},
             "Sat_Lim": inputs.hardware.drift_limit_percent,
         },
     }

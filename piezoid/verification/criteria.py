@@ -20,7 +20,7 @@ from piezoid.verification.tracking import Tracking
 SHAPE_ERROR = "shape error of what ships"
 _SETTLED = 0.02  # of the largest step
 _BEFORE_NEXT_s = 5e-3  # a loop that previews its reference moves before the next step
-_BACK = 0.5  # nepers, within which the current is back at its set point
+_RECOVERED = 0.5  # nepers, within which the current is back at its set point
 _AFTERWARDS = 0.25  # of a record, its end: where a fault must be forgotten
 
 
@@ -223,7 +223,7 @@ def recovery_verdict(
 
     nepers  (samples,)  ln(i / i_set) since the fault ended, longer than allowed
     """
-    off = np.flatnonzero(np.abs(nepers) > _BACK)
+    off = np.flatnonzero(np.abs(nepers) > _RECOVERED)
     recovery_s = (int(off[-1]) + 1 if len(off) else 0) / rate_Hz
     name = "until the current is back" + (" from far away" if far else "")
     return _verdict(name, scenario, recovery_s, allowed_s, "s")
@@ -280,7 +280,7 @@ def limits_from(table: Mapping[str, object], source: str) -> Limits:
     return replace(Limits(), **values)
 
 
-def _unusable(source: str, found: str, needed: str) -> LabFileError:
+def _unusable(source: str, fault: str, needed: str) -> LabFileError:
     return LabFileError(
-        f"{source}: {found}", needed=needed, remedy=f"Correct {source} and verify again."
+        f"{source}: {fault}", needed=needed, remedy=f"Correct {source} and verify again."
     )

@@ -34,10 +34,12 @@ _ANALYSIS = (
     *("-eva-auto-loop-unroll", "100", "-eva-split-return-function", "is_finite:0:1,pz_start:0"),
 )
 _ROUNDED = 1 + 1e-5  # bounds are wider by so much: sums of a few floats are off by 1e-6 of them
-_GOOD = ("Valid", "Considered valid")
+_VALID = ("Valid", "Considered valid")
 # Of these the tool knows what they do; of any other function it must have read the body.
-_KNOWN = frozenset({"memset", "Frama_C_nondet"})
-_SAID = re.compile(r"using specification for function (\w+)|Neither code nor.* function (\w+)")
+_SPECIFIED = frozenset({"memset", "Frama_C_nondet"})
+_UNSPECIFIED = re.compile(
+    r"using specification for function (\w+)|Neither code nor.* function (\w+)"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +128,7 @@ def prove_axis(
         (folder / "harness.c").write_text("\n".join(lines) + "\n", encoding="utf-8")
         flags = f"-DAXIS={index} {PRECISIONS[precision]}".strip()
         alarms, why_not = _analysed(folder, flags, lines, limit_s)
-        seconds = _seconds(folder / "time.txt")
+        seconds = _duration_s(folder / "time.txt")
         version = run(
             (TOOL, "-version"), cwd=folder, capture_output=True, text=True, timeout=60, check=False
         )
@@ -163,8 +165,8 @@ def _analysed(
             line for line in (completed.stdout + completed.stderr).splitlines() if "rror" in line
         ]
         return (), f"{TOOL} ended with {completed.returncode}: {' '.join(errors[:2])[:300]}"
-    functions = {name for pair in _SAID.findall(completed.stdout) for name in pair if name}
-    unread = sorted(functions - _KNOWN)
+    functions = {name for pair in _UNSPECIFIED.findall(completed.stdout) for name in pair if name}
+    unread = sorted(functions - _SPECIFIED)
     if unread:
         return (), f"no body of {', '.join(unread)}"
     if "done for function main" not in completed.stdout:
@@ -180,21 +182,21 @@ def _alarms(table: Path, harness: Sequence[str]) -> tuple[tuple[str, ...], str]:
     states = {row["line"]: row["status"] for row in rows if row["file"] == "harness.c"}
     silent = sorted(stated - set(states), key=int)
     dead = sorted((line for line in stated & set(states) if "ead" in states[line]), key=int)
-    alarms = tuple(_told(row for row in rows if "ead" not in row["status"]))
+    alarms = tuple(_open_alarms(row for row in rows if "ead" not in row["status"]))
     if not alarms and (silent or dead):  # behind an operation that must fail nothing is reached
         places = ", ".join(f"harness.c:{line}" for line in (*silent, *dead))
         return (), f"never reached: {places}"
     return alarms, ""
 
 
-def _told(rows: Iterable[Mapping[str, str]]) -> Iterable[str]:
+def _open_alarms(rows: Iterable[Mapping[str, str]]) -> Iterable[str]:
     for row in rows:
-        if row["status"] not in _GOOD:
+        if row["status"] not in _VALID:
             place = f"{row['file']}:{row['line']} ({row['function']})"
             yield f"{place} {row['property kind']}: {row['property']}"
 
 
-def _seconds(place: Path) -> int:
+def _duration_s(place: Path) -> int:
     """Return what the tool says it took; 0 where it was stopped before it could."""
     words = place.read_text(encoding="utf-8").split() if place.is_file() else []
     return round(float(words[-1])) if words else 0

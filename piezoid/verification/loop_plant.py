@@ -70,7 +70,10 @@ def initial_plant(plant: AxisPlant, arrays: ArrayOwner, disturbance: float) -> L
     initial.reading_least, initial.reading_most = plant.reading_range
     initial.late = int(plant.delay_s * plant.sampling_rate_Hz)
     initial.late_V = arrays.address(np.full(initial.late, rest_V))
-    before, after = _before(plant, rate_Hz, gain, arrays), _after(plant, rate_Hz, arrays)
+    before, after = (
+        _before_hysteresis(plant, rate_Hz, gain, arrays),
+        _after_hysteresis(plant, rate_Hz, arrays),
+    )
     initial.before, initial.after = before.linear, after.linear
     if isinstance(response, Junction):
         initial.kind, initial.current_A = _EXPONENTIAL, response.current_A
@@ -171,7 +174,9 @@ def _map(zones: DeadZones, arrays: ArrayOwner) -> Map:
     )
 
 
-def _before(plant: AxisPlant, rate_Hz: float, gain: float, arrays: ArrayOwner) -> _Block:
+def _before_hysteresis(
+    plant: AxisPlant, rate_Hz: float, gain: float, arrays: ArrayOwner
+) -> _Block:
     """Return amplifier and what the delay has beside whole samples, behind a held command."""
     whole_s = int(plant.delay_s * plant.sampling_rate_Hz) / plant.sampling_rate_Hz
     sections = plant.amplifier or (Section(frequency_Hz=_QUICK * rate_Hz / (2.0 * np.pi)),)
@@ -188,7 +193,7 @@ def _before(plant: AxisPlant, rate_Hz: float, gain: float, arrays: ArrayOwner) -
     return _block(sampled.A, (sampled.B[:, 0], np.zeros(len(sampled.A))), rows, (0.0, 0.0), arrays)
 
 
-def _after(plant: AxisPlant, rate_Hz: float, arrays: ArrayOwner) -> _Block:
+def _after_hysteresis(plant: AxisPlant, rate_Hz: float, arrays: ArrayOwner) -> _Block:
     """Return mechanics and sensor behind a signal that is straight between substeps.
 
     x[k+1] = e^(A h) x[k] + G_1 w[k] + G_2 (w[k+1] - w[k])

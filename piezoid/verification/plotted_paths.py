@@ -103,7 +103,7 @@ def motions_of(
     for axis, record in shipped.items():
         count, centre = len(record.reference), centre_m[axis]
         at = _evenly(count, MOTION_POINTS)
-        other = uncompensated.get(axis)
+        baseline = uncompensated.get(axis)
         motions.append(
             Motion(
                 scenario=scenario,
@@ -111,7 +111,9 @@ def motions_of(
                 duration_s=count / record.sampling_rate_Hz,
                 reference_m=_rounded(record.reference[at] - centre),
                 shipped_m=_rounded(record.position[at] - centre),
-                uncompensated_m=() if other is None else _rounded(other.position[at] - centre),
+                uncompensated_m=()
+                if baseline is None
+                else _rounded(baseline.position[at] - centre),
             )
         )
     return tuple(motions)

@@ -10,7 +10,7 @@ from piezoid.verification.criteria import describe_failure
 from piezoid.verification.verification import Verification
 from piezoid.verification.verify_stage import verify_stage
 
-_TOLD = 3  # failed verdicts of an axis that its reason names
+_MOST_NAMED = 3  # failed verdicts of an axis that its reason names
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +71,8 @@ def release(
 
 def _reason(verification: Verification) -> str:
     failed = [describe_failure(verdict) for verdict in verification.verdicts if not verdict.passed]
-    described = "; ".join(failed[:_TOLD])
-    omitted = f"; and {len(failed) - _TOLD} more" if len(failed) > _TOLD else ""
+    described = "; ".join(failed[:_MOST_NAMED])
+    omitted = f"; and {len(failed) - _MOST_NAMED} more" if len(failed) > _MOST_NAMED else ""
     if not failed:
         return "it passes alone, and not together with the other axes"
     return (

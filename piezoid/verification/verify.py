@@ -86,7 +86,7 @@ def verify(
         runner.verdicts.append(coupling_verdict(coupling, runner.limits.coupling_percent))
     axes = {axis.axis: axis for axis in file.axes}
     voltage_range = criteria.voltage_range_verdict(runner.records, axes)
-    drawn = [plant for plants_of_set in variations for plant in plants_of_set]
+    varied = [plant for plants_of_set in variations for plant in plants_of_set]
     return Verification(
         name=file.name,
         methods={axis.axis: axis.method for axis in file.axes},
@@ -99,7 +99,7 @@ def verify(
         verdicts=(voltage_range, *runner.verdicts),
         proofs=tuple(proofs),
         limit_proofs=tuple(limit_proofs),
-        plants=tuple(f"{plant.label}, axis {plant.axis}" for plant in (*plants, *drawn)),
+        plants=tuple(f"{plant.label}, axis {plant.axis}" for plant in (*plants, *varied)),
         parameters_digest=digest_of(file),
         runtime_digest=source_digest(),
         lab_digest=lab_digest,
@@ -203,8 +203,8 @@ def _run_variations(
 ) -> None:
     """Judge the worst of the plants that the uncertainty allows."""
     verdicts: list[Verdict] = []
-    for drawn in variations:
-        plants = {**runner.plants, **{plant.axis: plant for plant in drawn}}
+    for varied in variations:
+        plants = {**runner.plants, **{plant.axis: plant for plant in varied}}
         records = runner.run_path(path, plants=plants)
         if records:
             tracking = runner.track(scenario, path, records)

@@ -32,7 +32,7 @@ from piezoid.verification.rebuild import Proof
 from piezoid.verification.verification import Verification
 from piezoid.verification.verify import verify
 
-_TRIED = 20  # draws for each plant wanted: those without an inverse are not kept
+_ATTEMPTS = 20  # draws for each plant wanted: those without an inverse are not kept
 
 DRAWS = 6
 
@@ -195,7 +195,7 @@ def varied_plants(
     plant  the identified one
     count  how many at most: fewer where too few draws have an inverse
     """
-    operators = draw_replicates(model, rng, draws=_TRIED * count)[:count]
+    operators = draw_replicates(model, rng, draws=_ATTEMPTS * count)[:count]
     plants = []
     for number, operator in enumerate(operators, start=1):
         slower, sharper = rng.uniform(-1.0, 1.0, 2).tolist()

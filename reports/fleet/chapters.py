@@ -145,7 +145,7 @@ def outliers(distributions: tuple[Distribution, ...]) -> Section:
             )
             for row, k in rows[:WORST]
         ),
-        links=tuple(_place(row.stages[k]) for row, k in rows[:WORST]),
+        links=tuple(_report_link(row.stages[k]) for row, k in rows[:WORST]),
     )
     return Section(
         anchor="outliers",
@@ -164,9 +164,9 @@ def _value(row: Distribution, k: int) -> str:
 
 def stages(fleet: Fleet) -> Section:
     """Return all stages with what they were made from and became, or the worst of very many."""
-    shown, title = fleet.stages, "All stages"
-    if len(shown) > WORST:
-        shown = nsmallest(WORST, shown, key=_badness)
+    rows, title = fleet.stages, "All stages"
+    if len(rows) > WORST:
+        rows = nsmallest(WORST, rows, key=_badness)
         title = f"The worst {WORST} stages"
     return Section(
         anchor="stages",
@@ -188,10 +188,10 @@ def stages(fleet: Fleet) -> Section:
                         ),
                         *(stage.outputs.get(n, "") for n in ("model.json", "params.json")),
                     )
-                    for stage in shown
+                    for stage in rows
                 ),
                 digests=(3, 4),
-                links=tuple(_link(stage) for stage in shown),
+                links=tuple(_link(stage) for stage in rows),
             ),
         ),
     )
@@ -211,10 +211,10 @@ def _badness(stage: FleetStage) -> tuple[bool, float, str]:
 
 
 def _link(stage: FleetStage) -> str:
-    return _place(stage.name) if stage.state in (PASSED, FAILED) else ""
+    return _report_link(stage.name) if stage.state in (PASSED, FAILED) else ""
 
 
-def _place(name: str) -> str:
+def _report_link(name: str) -> str:
     """Return where a stage's report lies; a name can be no scheme and no other place."""
     return f"./{STAGES}/{quote(name)}/report.html"
 
@@ -312,9 +312,9 @@ def _histogram(row: Distribution) -> Figure:
 
 
 def _outside(row: Distribution) -> str:
-    many = f"{len(row.outliers)} beyond {row.limit:.1f} of them"
-    own = ", each value's own interval counted in" if row.errors.any() else ""
-    return f"{many}{', counted in the logarithm' if row.quantity.ratio else ''}{own}"
+    count = f"{len(row.outliers)} beyond {row.limit:.1f} of them"
+    clause = ", each value's own interval counted in" if row.errors.any() else ""
+    return f"{count}{', counted in the logarithm' if row.quantity.ratio else ''}{clause}"
 
 
 def _course(row: Distribution) -> Figure:

@@ -78,8 +78,10 @@ class Distribution(QuantityValues):
     @property
     def outliers(self) -> tuple[int, ...]:
         """Places of the stages that stand out, farthest first."""
-        far = np.flatnonzero(np.abs(self.away) > self.limit)
-        return tuple(int(k) for k in far[np.argsort(-np.abs(self.away[far]), kind="stable")])
+        outliers = np.flatnonzero(np.abs(self.away) > self.limit)
+        return tuple(
+            int(k) for k in outliers[np.argsort(-np.abs(self.away[outliers]), kind="stable")]
+        )
 
 
 def compare_stages(fleet: Fleet) -> tuple[Distribution, ...]:
@@ -143,8 +145,8 @@ def _distribution(
     compared = spread_beyond(scaled, errors)
     reach = limit * (1.0 + WIDENED / len(values))
     usual = float(np.hypot(compared.sigma, np.median(errors)))
-    ends = compared.median + reach * usual * np.array([-1.0, 1.0])
-    low, high = np.exp(ends) if ratio else ends
+    limits = compared.median + reach * usual * np.array([-1.0, 1.0])
+    low, high = np.exp(limits) if ratio else limits
     return Distribution(
         **fields_of(measured),
         spread=spread_of(values),

@@ -180,14 +180,14 @@ def _without_parameters(stage: FleetStage) -> bytes:
     return json.encode({**record, "axes": axes})
 
 
-def stage_from_json(content: bytes, place: str) -> FleetStage:
+def stage_from_json(content: bytes, source: str) -> FleetStage:
     """Read what is kept of a stage; refuse a changed bit, another schema, a missing entry."""
-    record = unseal(content, STAGE_SCHEMA, place)
+    record = unseal(content, STAGE_SCHEMA, source)
     try:
         return convert(record, FleetStage)
     except ValidationError as error:
         raise ParameterFileError(
-            f"{place}: {type(error).__name__} at {error}",
+            f"{source}: {type(error).__name__} at {error}",
             needed=f"every entry of schema {STAGE_SCHEMA}, of its own kind",
             remedy="Remove the stage's folder and start the batch again.",
         ) from error

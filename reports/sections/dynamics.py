@@ -121,10 +121,10 @@ def _modelled(dynamics: LinearDynamics, measured: FrequencyResponse) -> ComplexA
     return response
 
 
-def _degrees(response: ComplexArray, polarity: int, kept: NDArray[np.bool_]) -> Array:
+def _degrees(response: ComplexArray, polarity: int, is_kept: NDArray[np.bool_]) -> Array:
     """Unwrapped phase, degrees; NaN where a line is not kept."""
     degrees = np.full(len(response), np.nan)
-    degrees[kept] = np.degrees(np.unwrap(np.angle(polarity * response[kept])))
+    degrees[is_kept] = np.degrees(np.unwrap(np.angle(polarity * response[is_kept])))
     return degrees
 
 

@@ -143,14 +143,14 @@ def not_detected_tables(diagnoses: Sequence[Diagnosis]) -> list[Part]:
     ]
 
 
-def _known(one: NotDetected | None) -> str:
+def _known(absence: NotDetected | None) -> str:
     """Return bound and limit of an effect, or why it could not be tested."""
-    if one is None:
+    if absence is None:
         return "found"
-    if one.detection_limit_m is None:
+    if absence.detection_limit_m is None:
         return "not tested"
-    limit = number(one.detection_limit_m, "m")
-    is_fault = effect_named(one.effect).fault is not None
-    if is_fault or one.upper_bound_m is None:
+    limit = number(absence.detection_limit_m, "m")
+    is_fault = effect_named(absence.effect).fault is not None
+    if is_fault or absence.upper_bound_m is None:
         return limit
-    return f"{number(one.upper_bound_m, 'm')}, {limit}"
+    return f"{number(absence.upper_bound_m, 'm')}, {limit}"

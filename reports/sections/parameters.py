@@ -104,10 +104,12 @@ def _contributions(budgets: Sequence[DisplacementBudget]) -> list[Part]:
     names |= dict.fromkeys(one.name for b in budgets for one in b.budget.contributions)
     sizes = [{one.name: one for one in b.budget.contributions} for b in budgets]
 
-    def cell(budget: DisplacementBudget, one: Contribution | None) -> str:
-        if one is None or one.standard == 0.0:
+    def cell(budget: DisplacementBudget, contribution: Contribution | None) -> str:
+        if contribution is None or contribution.standard == 0.0:
             return ""
-        return f"{number(one.standard, 'm')} ({percent(budget.budget.share(one))})"
+        return (
+            f"{number(contribution.standard, 'm')} ({percent(budget.budget.share(contribution))})"
+        )
 
     rows = [
         (name, *(cell(b, size.get(name)) for b, size in zip(budgets, sizes, strict=True)))

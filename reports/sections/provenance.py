@@ -94,28 +94,32 @@ def _chain(page: Page) -> Table:
 
 
 def _verified(page: Page) -> list[tuple[str, str, str]]:
-    found = page.verification
-    if found is None:
+    verification = page.verification
+    if verification is None:
         return []
-    runtime = ("runtime source, as shipped", found.runtime_digest, "piezoid_runtime.h and .c")
+    runtime = (
+        "runtime source, as shipped",
+        verification.runtime_digest,
+        "piezoid_runtime.h and .c",
+    )
     if "verification.json" not in page.files or "params.json" not in page.files:
         return [runtime]
-    ran = _of("params.json", found.parameters_digest, _sealed(page, "params.json"))
+    ran = _of("params.json", verification.parameters_digest, _sealed(page, "params.json"))
     digest = _sealed(page, "verification.json")
-    made_from = f"{ran}, this runtime source, model.json{_lab(page, found.lab_digest)}"
+    made_from = f"{ran}, this runtime source, model.json{_lab(page, verification.lab_digest)}"
     return [runtime, ("verification.json", digest, made_from)]
 
 
-def _lab(page: Page, said: str) -> str:
+def _lab(page: Page, digest: str) -> str:
     """Return which lab.toml a record was made with, against that of the fit."""
     fitted = page.model.lab or ""
-    if said == fitted:
-        return ", lab.toml" if said else ""
-    return f", another lab.toml: {said[:19]}..." if said else ", no lab.toml"
+    if digest == fitted:
+        return ", lab.toml" if digest else ""
+    return f", another lab.toml: {digest[:19]}..." if digest else ", no lab.toml"
 
 
-def _of(name: str, said: str, held: str) -> str:
-    return name if said == held else f"another {name}: {said[:19]}..."
+def _of(name: str, expected: str, actual: str) -> str:
+    return name if expected == actual else f"another {name}: {expected[:19]}..."
 
 
 def _sealed(page: Page, name: str) -> str:

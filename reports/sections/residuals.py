@@ -86,9 +86,9 @@ def _over_drive(axis: AxisModel, traces: tuple[Trace, ...]) -> Figure:
         for branch in (is_rising, ~is_rising)
     )
     x = axis_over("drive", [voltage_V], "V")
-    shown = [rising[:, 1:].ravel(), falling[:, 1:].ravel()]
-    canvas = Canvas(x=x, y=axis_over("residual", shown, "m", even=True))
-    largest = [number(_largest_median(one), "m") for one in (rising, falling)]
+    curves = [rising[:, 1:].ravel(), falling[:, 1:].ravel()]
+    canvas = Canvas(x=x, y=axis_over("residual", curves, "m", even=True))
+    largest = [number(_largest_median(bins), "m") for bins in (rising, falling)]
     return Figure(
         title=f"Axis {axis.axis}: residual against drive",
         caption=f"Largest median {largest[0]} rising, {largest[1]} falling; bands hold 90 %.",
@@ -101,8 +101,8 @@ def _over_drive(axis: AxisModel, traces: tuple[Trace, ...]) -> Figure:
 def _is_rising(trace: Trace) -> NDArray[np.bool_]:
     """Return for each sample whether the drive last moved upwards."""
     step = np.sign(np.diff(trace.voltage_V, prepend=trace.voltage_V[0]))
-    last = np.maximum.accumulate(np.where(step != 0, np.arange(len(step)), 0))
-    return np.asarray(step[last] > 0)
+    previous = np.maximum.accumulate(np.where(step != 0, np.arange(len(step)), 0))
+    return np.asarray(step[previous] > 0)
 
 
 def _quantiles(voltage_V: Array, residual_m: Array, edges_V: Array) -> Array:

@@ -31,8 +31,8 @@ def render(page: Page) -> Section:
     tones = [card.tone for card in cards]
     if page.unshipped or (page.verification is not None and not page.verification.passed):
         tones.append("bad")
-    said = Said(sentences=sentences(page), tone=worst_tone(tones))
-    return Section(anchor="summary", title="Summary", lead="", parts=(said, Cards(cards=cards)))
+    summary = Said(sentences=sentences(page), tone=worst_tone(tones))
+    return Section(anchor="summary", title="Summary", lead="", parts=(summary, Cards(cards=cards)))
 
 
 def sentences(page: Page) -> tuple[tuple[str, str], ...]:
@@ -52,12 +52,12 @@ def sentences(page: Page) -> tuple[tuple[str, str], ...]:
 def _verdict(page: Page) -> str:
     if not page.axes:
         return "No axis with drive and displacement was recorded, only a tunnelling junction"
-    good = [axis.axis for axis in page.axes if axis.verdict.applies]
-    bad = [axis.axis for axis in page.axes if not axis.verdict.applies]
-    if not bad:
-        return f"The hysteresis model applies to {_names(good)}"
-    but = f", but it does to {_names(good)}" if good else ""
-    return f"The hysteresis model does not apply to {_names(bad)}{but}"
+    fitted = [axis.axis for axis in page.axes if axis.verdict.applies]
+    rejected = [axis.axis for axis in page.axes if not axis.verdict.applies]
+    if not rejected:
+        return f"The hysteresis model applies to {_names(fitted)}"
+    exception = f", but it does to {_names(fitted)}" if fitted else ""
+    return f"The hysteresis model does not apply to {_names(rejected)}{exception}"
 
 
 def _verified(page: Page) -> str:

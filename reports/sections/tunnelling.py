@@ -91,8 +91,10 @@ def _laws(junction: TunnellingModel, page: Page) -> tuple[tuple[GapLaw, Directio
         return ()
     if junction.forward is not None and junction.backward is not None:
         return (junction.forward, Direction.FORWARD), (junction.backward, Direction.BACKWARD)
-    held = {curve.direction for curve in curves_of(page.sweeps)}
-    return ((first, Direction.BACKWARD if held == {Direction.BACKWARD} else Direction.FORWARD),)
+    directions = {curve.direction for curve in curves_of(page.sweeps)}
+    return (
+        (first, Direction.BACKWARD if directions == {Direction.BACKWARD} else Direction.FORWARD),
+    )
 
 
 def _decay(law: GapLaw) -> str:

@@ -21,8 +21,8 @@ STROKES = {"mpi_dob": "model", "none": "limit", "dob": "rising", "mpi": "trend"}
 
 def render(page: Page) -> Section | None:
     """Return how the compiled controllers behave on the identified stage, if they were run."""
-    found = page.verification
-    if found is None:
+    verification = page.verification
+    if verification is None:
         return None
     return Section(
         anchor="verification",
@@ -30,37 +30,37 @@ def render(page: Page) -> Section | None:
         lead="The compiled controller that ships, run against the identified stage with "
         "converters, noise, and other stages that the recordings allow.",
         parts=(
-            *_figures(page, found),
+            *_figures(page, verification),
             *with_rows(
-                _bounds(found),
-                _currents(found),
-                _verdicts(found.verdicts),
-                _proofs(found.proofs),
-                _limit_proofs(found.limit_proofs),
+                _bounds(verification),
+                _currents(verification),
+                _verdicts(verification.verdicts),
+                _proofs(verification.proofs),
+                _limit_proofs(verification.limit_proofs),
             ),
         ),
     )
 
 
-def _figures(page: Page, found: Verification) -> list[Part]:
-    shipped = set(found.methods.values())
-    fastest_Hz = max((trace.frequency_Hz for trace in found.traces), default=0.0)
+def _figures(page: Page, verification: Verification) -> list[Part]:
+    shipped = set(verification.methods.values())
+    fastest_Hz = max((trace.frequency_Hz for trace in verification.traces), default=0.0)
     spirals = [
-        spiral(trace, found)
-        for trace in found.traces
+        spiral(trace, verification)
+        for trace in verification.traces
         if trace.method in shipped and trace.frequency_Hz == fastest_Hz
     ]
-    details = [*spirals, *motions(found)]
-    parts: list[Part] = [_shape_figure(found)] if found.comparison else []
-    parts += errors_in_time(found)[-1:]
+    details = [*spirals, *motions(verification)]
+    parts: list[Part] = [_shape_figure(verification)] if verification.comparison else []
+    parts += errors_in_time(verification)[-1:]
     parts += folded(f"Steps and spiral: {count_of(len(details), 'figure')}", details)
-    return parts + ([_table(page, found)] if found.comparison else [])
+    return parts + ([_table(page, verification)] if verification.comparison else [])
 
 
-def _shape_figure(found: Verification) -> Figure:
+def _shape_figure(verification: Verification) -> Figure:
     """Draw the shape error of every method over the frequency, in logarithms."""
-    methods = list(dict.fromkeys(row.method for row in found.comparison))
-    curves = {m: [row for row in found.comparison if row.method == m] for m in methods}
+    methods = list(dict.fromkeys(row.method for row in verification.comparison))
+    curves = {m: [row for row in verification.comparison if row.method == m] for m in methods}
     points = {
         m: (
             np.log10([row.frequency_Hz for row in rows]),
@@ -84,11 +84,11 @@ def _shape_figure(found: Verification) -> Figure:
     )
 
 
-def _table(page: Page, found: Verification) -> Table:
+def _table(page: Page, verification: Verification) -> Table:
     """Return the error of each method at each rate, and what is guaranteed of what ships."""
-    rates_Hz = sorted({row.frequency_Hz for row in found.comparison})
+    rates_Hz = sorted({row.frequency_Hz for row in verification.comparison})
     by_method: dict[str, dict[float, ComparisonRow]] = {}
-    for row in found.comparison:
+    for row in verification.comparison:
         by_method.setdefault(row.method, {})[row.frequency_Hz] = row
     rows = []
     for method, of_method in by_method.items():
@@ -96,12 +96,12 @@ def _table(page: Page, found: Verification) -> Table:
         rows.append(
             (METHODS[method], *("" if e is None else number(e.rms_m, "m") for e in errors))
         )
-        bounds = ["" if e is None else _guaranteed(page, found, e) for e in errors]
-        if any(bounds) and method in found.methods.values():
+        bounds = ["" if e is None else _guaranteed(page, verification, e) for e in errors]
+        if any(bounds) and method in verification.methods.values():
             rows.append((f"guaranteed: {METHODS[method]}", *bounds))
     return Table(
-        caption=f"Distance from a spiral of radius {number(found.radius_m, 'm')}, rms, by turns a "
-        "second.",
+        caption=f"Distance from a spiral of radius {number(verification.radius_m, 'm')}, rms, "
+        "by turns a second.",
         columns=("method", *(number(rate_Hz, "Hz") for rate_Hz in rates_Hz)),
         rows=tuple(rows),
     )
@@ -132,21 +132,25 @@ def _bounds(verification: Verification) -> Table:
     )
 
 
-def _guaranteed(page: Page, found: Verification, row: ComparisonRow) -> str:
+def _guaranteed(page: Page, verification: Verification, row: ComparisonRow) -> str:
     """Return what both axes' certificates say of the distance from the path at its speed."""
     loops = [
         loop
         for axis in (page.design.axes if page.design is not None else ())
         for loop in axis.loops
-        if axis.axis in found.methods and loop.method == row.method
+        if axis.axis in verification.methods and loop.method == row.method
     ]
     proven = [loop.certificate for loop in loops if loop.certificate is not None]
-    if not found.passed or not proven or not all(one.is_guaranteed for one in proven):
+    if (
+        not verification.passed
+        or not proven
+        or not all(certificate.is_guaranteed for certificate in proven)
+    ):
         return ""
-    speed_m_per_s = spiral_speed_m_per_s(row.frequency_Hz, found.radius_m)
-    bounds_m = [one.guaranteed_at(speed_m_per_s) for one in proven]
+    speed_m_per_s = spiral_speed_m_per_s(row.frequency_Hz, verification.radius_m)
+    bounds_m = [certificate.guaranteed_at(speed_m_per_s) for certificate in proven]
     bound_m = float(np.hypot.reduce(bounds_m))
-    return number(bound_m, "m") if bound_m < 2.0 * found.radius_m else ""
+    return number(bound_m, "m") if bound_m < 2.0 * verification.radius_m else ""
 
 
 def _currents(verification: Verification) -> Table:
