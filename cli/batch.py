@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
@@ -165,7 +166,7 @@ def write_summary(out: str, fleet: "Fleet", *, printed: bool = False, force: boo
 
 @contextmanager
 def _bar(
-    whole: int, *, quiet: bool
+    total: int, *, quiet: bool
 ) -> Iterator[tuple[Callable[[int], None], Callable[[str], None]]]:
     """Give what is told how many stages are finished already, and what is told of each other."""
     from rich import progress as bar
@@ -176,29 +177,32 @@ def _bar(
         *(doing(), bar.BarColumn(), bar.MofNCompleteColumn()),
         *(bar.TimeElapsedColumn(), bar.TimeRemainingColumn()),
     )
-    done = 0
+    n_done = 0
 
-    def before(finished: int) -> None:
-        nonlocal done
-        done = finished
+    def set_finished(finished: int) -> None:
+        nonlocal n_done
+        n_done = finished
         progress.update(task, completed=finished)
 
     def line(name: str) -> None:
-        nonlocal done
-        done += 1
-        told(f"{done} of {whole} stages done: {name}")
+        nonlocal n_done
+        n_done += 1
+        report(f"{n_done} of {total} stages done: {name}")
 
-    seen = console.is_terminal and not quiet
-    with bar.Progress(*columns, console=console, transient=True, disable=not seen) as progress:
-        task = progress.add_task("stages", total=whole)
-        if seen:
-            yield before, lambda name: progress.update(task, advance=1, description=one_line(name))
+    is_visible = console.is_terminal and not quiet
+    with bar.Progress(
+        *columns, console=console, transient=True, disable=not is_visible
+    ) as progress:
+        task = progress.add_task("stages", total=total)
+        if is_visible:
+            advance = partial(progress.update, task, advance=1)
+            yield set_finished, lambda name: advance(description=one_line(name))
             return
-        with shown(quiet=quiet) as told:
-            yield before, line
+        with shown(quiet=quiet) as report:
+            yield set_finished, line
 
 
-def _show(fleet: "Fleet", before: int, out: str) -> None:
+def _show(fleet: "Fleet", n_finished: int, out: str) -> None:
     from itertools import islice
 
     from rich.console import Console
@@ -213,10 +217,12 @@ def _show(fleet: "Fleet", before: int, out: str) -> None:
     ]
     title = f"batch {fleet.name}: {len(fleet.stages)} stages"
     console.print(table(title, ("stages", "state", "meaning"), rows, left=3))
-    if before:
-        console.print(f"{before} were finished before and were not done again")
-    if bare := fleet.without_controller:
-        console.print(f"{bare} passed without a controller: their reports say what is missing")
+    if n_finished:
+        console.print(f"{n_finished} were finished before and were not done again")
+    if n_uncontrolled := fleet.without_controller:
+        console.print(
+            f"{n_uncontrolled} passed without a controller: their reports say what is missing"
+        )
     for stage in islice((stage for stage in fleet.stages if stage.reason), MOST_REASONS):
         console.print(plain(f"{stage.name}: {stage.state}: {stage.reason}", style="dim"))
     beyond = len(fleet.stages) - fleet.counts.get(PASSED, 0) - MOST_REASONS
@@ -276,9 +282,9 @@ def _rows(stage: "FleetStage") -> list[dict[str, Any]]:
 
 def _parameter_names(fleet: "Fleet") -> dict[str, type]:
     """Return the kind of every parameter, in the order in which they are first seen."""
-    found: dict[str, type] = {}
+    kinds: dict[str, type] = {}
     for stage in fleet.stages:
         for axis in stage.axes:
-            if not axis.parameters.keys() <= found.keys():
-                found |= {n: type(v) for n, v in axis.parameters.items() if n not in found}
-    return found
+            if not axis.parameters.keys() <= kinds.keys():
+                kinds |= {n: type(v) for n, v in axis.parameters.items() if n not in kinds}
+    return kinds

@@ -92,24 +92,24 @@ def answers(
     waiting, run = deque(tasks), token_hex(4)
     threads = max(sum(client.nthreads().values()), 1)
     window = max(LEAST_WINDOW, 2 * threads)
-    given: dict[Future, list[StageTask]] = {}
+    submitted: dict[Future, list[StageTask]] = {}
     ended = as_completed(with_results=True, raise_errors=False)
 
     def give(bundle: list[StageTask]) -> None:
         key = f"stages-{run}-{next(numbers)}"
         future = client.submit(work, bundle, retries=retries, pure=False, key=key)
-        given[future] = bundle
+        submitted[future] = bundle
         ended.add(future)
 
     def refill() -> None:
-        while waiting and len(given) < window:
+        while waiting and len(submitted) < window:
             size = min(bundle_size(len(waiting), threads), len(waiting))
             give([waiting.popleft() for _ in range(size)])
 
     numbers = count()
     refill()
     for future, found in ended:
-        bundle = given.pop(future)
+        bundle = submitted.pop(future)
         if future.status == "finished":
             yield from found
             waiting.extendleft(reversed(bundle[len(found) :]))

@@ -98,9 +98,10 @@ def diagnose(
             )
             comparison = None
             if earlier is not None:
-                used = moving(recordings, diagnosis.axis)
-                known = earlier[diagnosis.axis]
-                comparison = compare(known, used, digest=digest, progress=progress)
+                new = moving(recordings, diagnosis.axis)
+                comparison = compare(
+                    earlier[diagnosis.axis], new, digest=digest, progress=progress
+                )
         diagnosis = texts_in_counts(diagnosis)
         since = None if comparison is None else comparison.to_json()
         content = write_diagnosis(diagnosis, since=since)
@@ -142,10 +143,10 @@ def _show_unused(recordings: "Sequence[Recording]", axis: str) -> None:
     from piezoid.identification.fit import moving, recorded_of
     from piezoid.records.checks.feedback import is_held_throughout
 
-    used = {recording.name for recording in moving(recordings, axis)}
+    used_names = {recording.name for recording in moving(recordings, axis)}
     servo = [r.name for r in recorded_of(recordings, axis) if is_held_throughout(r, axis)]
-    unused = [r.name for r in recordings if r.name not in (*used, *servo)]
-    if servo and not set(servo) & used:
+    unused = [r.name for r in recordings if r.name not in (*used_names, *servo)]
+    if servo and not set(servo) & used_names:
         say(f"{', '.join(servo)}: recorded in closed loop; only creep was tested")
     if unused:
         say(
@@ -166,9 +167,9 @@ def _show(diagnosis: "Diagnosis", out: Path) -> None:
     console, counted = Console(), diagnosis.counted
     if diagnosis.findings:
         console.print(_table(diagnosis))
-    before, after = (with_unit(e.rms_m, "m") for e in (diagnosis.baseline, diagnosis.final))
+    baseline, final = (with_unit(e.rms_m, "m") for e in (diagnosis.baseline, diagnosis.final))
     line = (
-        f"axis {diagnosis.axis}: held-out error {before} without the findings, {after} with "
+        f"axis {diagnosis.axis}: held-out error {baseline} without the findings, {final} with "
         f"them; sensor noise {with_unit(diagnosis.noise_floor_rms_m, 'm')}"
     )
     console.print(plain(in_counts(line, counted)))

@@ -75,9 +75,9 @@ def export(
     contents = failed_files(failed_of(release))
     file, notes = release.parameters, tuple[str, ...]()
     if file is not None:
-        beside = target_files(_target_inputs(file, folder, hardware), targets)
-        notes = beside.notes
-        contents |= beside.files
+        generated = target_files(_target_inputs(file, folder, hardware), targets)
+        notes = generated.notes
+        contents |= generated.files
         contents |= {f"bundle/{name}": text for name, text in bundle(file).files.items()}
         contents["params.json"] = to_json(file)
     contents["verification.json"] = release.verification.to_json()
@@ -116,11 +116,14 @@ def _target_inputs(
     from piezoid.verification.verify_stage import stage_plants
 
     declared, model = folder.lab or Lab(), folder.model
-    plants, drawn = stage_plants(file, model, declared)
+    plants, variations = stage_plants(file, model, declared)
     return TargetInputs(
         file=file,
         plants=plants,
-        drawn={plant.axis: others for plant, others in zip(plants, drawn, strict=True)},
+        drawn={
+            plant.axis: plants_of_axis
+            for plant, plants_of_axis in zip(plants, variations, strict=True)
+        },
         models={axis.axis: model[axis.axis] for axis in file.axes if axis.method != "rst"},
         designs={axis.axis: axis for axis in folder.design.axes},
         converter_V=declared.acquisition.input_range_V,

@@ -76,7 +76,7 @@ def _record(inspection: "Inspection") -> dict[str, object]:
     record["problems"] = [
         {
             "kind": statement.quantity,
-            "place": _place(statement),
+            "place": _location(statement),
             "text": statement.text,
             "value": statement.value,
             "unit": statement.unit,
@@ -86,7 +86,7 @@ def _record(inspection: "Inspection") -> dict[str, object]:
     return record
 
 
-def _place(statement: "Statement") -> str:
+def _location(statement: "Statement") -> str:
     """Return where a statement holds: a place in the file, an axis, or the recording."""
     return statement.place or (f"axis {statement.axis}" if statement.axis else "recording")
 
@@ -107,7 +107,7 @@ def show(inspections: "tuple[Inspection, ...]") -> None:
             for line in response_lines(inspection):
                 console.print(plain(line))
         for statement in inspection.statements:
-            place, text = _cut(_place(statement)), _cut(statement.text)
+            place, text = _cut(_location(statement)), _cut(statement.text)
             console.print(plain(f"  {statement.quantity} ({place}): {text}", "yellow"))
         if inspection.refusal is not None:
             console.print(plain(f"  no recording: {inspection.refusal}", style="red"))
@@ -178,14 +178,14 @@ def _cells(column: "ColumnSummary") -> tuple[str, ...]:
 
 def _noise(column: "ColumnSummary") -> float | None:
     """Return the noise of a column; None where it is but rounding, of a computed ramp say."""
-    found, low, high = column.noise_rms, column.minimum, column.maximum
-    if found is None or low is None or high is None:
-        return found
-    return found if found > _EXACT * (high - low) else None
+    noise, low, high = column.noise_rms, column.minimum, column.maximum
+    if noise is None or low is None or high is None:
+        return noise
+    return noise if noise > _EXACT * (high - low) else None
 
 
-def _cut(said: str) -> str:
-    return said if len(said) <= _LONGEST else f"{said[:_LONGEST]} ..."
+def _cut(text: str) -> str:
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
 
 
 def _quantity(value: float | None, unit: str) -> str:
@@ -199,35 +199,38 @@ def _quantity(value: float | None, unit: str) -> str:
 
 
 def _state(column: "ColumnSummary") -> str:
-    found = []
+    states = []
     if column.minimum is None:
-        found.append("empty")
+        states.append("empty")
     elif column.missing:
-        found.append(f"{column.missing} missing")
+        states.append(f"{column.missing} missing")
     if column.is_dead:
-        found.append("dead")
+        states.append("dead")
     if column.clipped:
-        found.append(f"{100 * column.clipped:.2g} % clipped")
-    return ", ".join(found)
+        states.append(f"{100 * column.clipped:.2g} % clipped")
+    return ", ".join(states)
 
 
 def response_lines(inspection: "Inspection") -> list[str]:
     """Return the band, what was measured through, each axis, and how they couple."""
     from piezoid.formatting import with_unit
 
-    found = inspection.response
-    if found is None:
+    response = inspection.response
+    if response is None:
         return []
-    through = " and ".join(found.includes) if found.includes else "neither amplifier nor sensor"
-    band = f"{with_unit(found.lowest_Hz, 'Hz')} to {with_unit(found.highest_Hz, 'Hz')}"
+    through = (
+        " and ".join(response.includes) if response.includes else "neither amplifier nor sensor"
+    )
+    band = f"{with_unit(response.lowest_Hz, 'Hz')} to {with_unit(response.highest_Hz, 'Hz')}"
     lines = [
-        f"  a frequency response, {band}, {found.lines} lines, with the poles of {through} in it",
+        f"  a frequency response, {band}, {response.lines} lines, "
+        f"with the poles of {through} in it",
     ]
-    lines += [_path(path, found.lines) for path in found.paths if path.output == path.drive]
+    lines += [_path(path, response.lines) for path in response.paths if path.output == path.drive]
     if not inspection.axis_is_named:
         lines.append("  axis not named in the file, taken as x")
-    lines += [_coupling(coupling) for coupling in found.couplings]
-    if found.couplings:
+    lines += [_coupling(coupling) for coupling in response.couplings]
+    if response.couplings:
         lines.append("  each axis has its own response; coupling is reported, not controlled")
     return lines
 

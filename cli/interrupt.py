@@ -35,8 +35,8 @@ def install() -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         return
     signal.signal(signal.SIGINT, _handle)
-    shown = sys.unraisablehook
-    sys.unraisablehook = lambda found: None if found.exc_type is Interrupted else shown(found)
+    report_error = sys.unraisablehook
+    sys.unraisablehook = lambda e: None if e.exc_type is Interrupted else report_error(e)
 
 
 @contextmanager

@@ -88,8 +88,8 @@ for verb in VERBS:
     app.command()(verb)
 
 
-def _tell_version(asked: bool) -> None:
-    if asked:
+def _tell_version(is_requested: bool) -> None:
+    if is_requested:
         from piezoid import __version__
         from piezoid_cli.terminal import say
 

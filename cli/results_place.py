@@ -56,7 +56,7 @@ class ResultsPlace(Protocol):
     def write(self, stage: str, files: Mapping[str, bytes]) -> None:
         """Write the files of a stage, its record among them."""
 
-    def put(self, name: str, made: Callable[[BinaryIO], object]) -> None:
+    def put(self, name: str, write: Callable[[BinaryIO], object]) -> None:
         """Write a file about all stages, as ``made`` fills it."""
 
     def tidy(self, stages: Iterable[str]) -> None:
@@ -133,9 +133,9 @@ class Folder:
                 add_to_folder(self._folder / STAGES / above, {})
         write_folder(place, files, force=self._force, shared=True)
 
-    def put(self, name: str, made: Callable[[BinaryIO], object]) -> None:
+    def put(self, name: str, write: Callable[[BinaryIO], object]) -> None:
         """Write a file, whole or not at all."""
-        add_to_folder(self._folder, {name: made}, force=self._force)
+        add_to_folder(self._folder, {name: write}, force=self._force)
 
     def tidy(self, stages: Iterable[str]) -> None:
         """Remove half-written folders that workers left when they were killed."""
@@ -198,17 +198,17 @@ class _Store:
         for name, text in sorted({**files, MANIFEST: manifest}.items(), key=_manifest_then_record):
             self._pipe(self._of(stage, name), text)
 
-    def _pipe(self, place: str, content: bytes) -> None:
-        self._files.makedirs(place.rpartition("/")[0], exist_ok=True)
-        self._files.pipe_file(place, content)
+    def _pipe(self, path: str, content: bytes) -> None:
+        self._files.makedirs(path.rpartition("/")[0], exist_ok=True)
+        self._files.pipe_file(path, content)
 
-    def put(self, name: str, made: Callable[[BinaryIO], object]) -> None:
+    def put(self, name: str, write: Callable[[BinaryIO], object]) -> None:
         self._files.makedirs(self._root, exist_ok=True)
         with TemporaryFile() as scratch:
-            made(scratch)
+            write(scratch)
             scratch.seek(0)
-            with self._files.open(f"{self._root}/{name}", "wb") as there:
-                copyfileobj(scratch, there)
+            with self._files.open(f"{self._root}/{name}", "wb") as stream:
+                copyfileobj(scratch, stream)
 
     def tidy(self, stages: Iterable[str]) -> None:
         """Do nothing: an object is there or not, and the next try replaces what lacks a record."""

@@ -124,8 +124,8 @@ def _recordings(folder: Path) -> Sequence[str]:
         declared = [entry.file for entry in read_lab(folder / LAB).recordings]
     except PiezoidError:
         declared = []  # it is read again, and its refusal becomes the stage's reason
-    there = [name for name in dict.fromkeys(declared) if (folder / name).is_file()]
-    return there or sorted(
+    present = [name for name in dict.fromkeys(declared) if (folder / name).is_file()]
+    return present or sorted(
         place.name
         for place in folder.iterdir()
         if place.is_file() and place.suffix not in NO_RECORDING and place.name[0] != "."

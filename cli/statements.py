@@ -38,5 +38,5 @@ def show_statements(statements: "Iterable[Statement]", minimum: "Level | None" =
         )
         console.print(plain(text, style=style))
     if len(selected) > len(shown):
-        rest = len(selected) - len(shown)
-        console.print(plain(f"  {rest} more in the report and with --verbose"))
+        omitted = len(selected) - len(shown)
+        console.print(plain(f"  {omitted} more in the report and with --verbose"))

@@ -101,21 +101,21 @@ def _guarded(stream: TextIO | None, name: str = "") -> TextIO:
     )
 
 
-def say(said: str, *, err: bool = False) -> None:
+def say(text: str, *, err: bool = False) -> None:
     """Print one line, never broken by us: a path in it can be copied."""
-    typer.echo(one_line(said), err=err)
+    typer.echo(one_line(text), err=err)
 
 
-def one_line(said: str) -> str:
+def one_line(text: str) -> str:
     """Return a text without anything that a terminal obeys, a line's end included."""
-    return str(printable(said))
+    return str(printable(text))
 
 
-def plain(said: str, style: str = "") -> "Text":
+def plain(text: str, style: str = "") -> "Text":
     """Return a cell or a paragraph, its lines kept: no markup, nothing that a terminal obeys."""
     from rich.text import Text
 
-    return Text("\n".join(one_line(line) for line in said.split("\n")), style)
+    return Text("\n".join(one_line(line) for line in text.split("\n")), style)
 
 
 def table(
@@ -127,12 +127,12 @@ def table(
     """
     from rich.table import Table
 
-    made = Table(title=plain(title))
+    cells = Table(title=plain(title))
     for k, heading in enumerate(headings):
-        made.add_column(heading, justify="left" if k < left else "right")
+        cells.add_column(heading, justify="left" if k < left else "right")
     for row in rows:
-        made.add_row(*(plain(cell) if isinstance(cell, str) else cell for cell in row))
-    return made
+        cells.add_row(*(plain(cell) if isinstance(cell, str) else cell for cell in row))
+    return cells
 
 
 def hand_over(content: str | bytes) -> None:

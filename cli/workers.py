@@ -130,10 +130,10 @@ def map_jobs(
     if pool is None or len(jobs) < 2:
         return [work(job, report) for job in jobs]
     pool.report_to(report)
-    first, *others = sorted(range(len(jobs)), key=lambda index: -cost(jobs[index]))
-    futures = {index: pool.submit(work, jobs[index], index) for index in others}
+    first, *remaining = sorted(range(len(jobs)), key=lambda index: -cost(jobs[index]))
+    futures = {index: pool.submit(work, jobs[index], index) for index in remaining}
     results: dict[int, Result | PiezoidError] = {}
-    for index in (first, *reversed(others)):
+    for index in (first, *reversed(remaining)):
         if index == first or futures[index].cancel():
             results[index] = _result_of(work, jobs[index], partial(pool.say, index))
             pool.say(index, "")
