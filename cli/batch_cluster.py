@@ -172,7 +172,14 @@ def _check_installed() -> None:
 
 def stages_of(folder: Path, results: str) -> tuple[StageTask, ...]:
     """Find the stages of a folder by their lab.toml, of which nothing is read here."""
-    tasks = tuple(_tasks(folder, results))
+    tasks = []
+    root, now = os.path.realpath(folder), version("piezoid")
+    for place, below, files in os.walk(root):
+        below[:] = sorted(name for name in below if not _is_result(Path(place, name), results))
+        if LAB in files and os.path.isfile(os.path.join(place, LAB)):
+            name = Path(os.path.relpath(place, root)).as_posix()
+            _check_name(name)
+            tasks.append(StageTask(name=name, folder=place, results=results, version=now))
     if not folder.is_dir():
         raise RecordingError(
             f"{folder} is {'a file' if folder.exists() else 'not there'}",
@@ -185,17 +192,7 @@ def stages_of(folder: Path, results: str) -> tuple[StageTask, ...]:
             needed=f"one folder for each stage, with its recordings and a {LAB}",
             remedy="Write one with `piezoid init FILES... --out STAGE/lab.toml`.",
         )
-    return tasks
-
-
-def _tasks(folder: Path, results: str) -> Iterator[StageTask]:
-    root, now = os.path.realpath(folder), version("piezoid")
-    for place, below, files in os.walk(root):
-        below[:] = sorted(name for name in below if not _is_result(Path(place, name), results))
-        if LAB in files and os.path.isfile(os.path.join(place, LAB)):
-            name = Path(os.path.relpath(place, root)).as_posix()
-            _check_name(name)
-            yield StageTask(name=name, folder=place, results=results, version=now)
+    return tuple(tasks)
 
 
 def _is_result(folder: Path, results: str) -> bool:

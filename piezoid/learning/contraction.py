@@ -117,19 +117,18 @@ def learning_filter(
     of_model = np.zeros(len(q), dtype=complex)
     of_model[answers] = _OF_MODEL / responses[0][answers]
     relative = responses / np.where(responses[0] == 0.0, 1.0, responses[0])
-    share, remaining = _best_shares(relative, sector)
+    by_share = _remaining(_SHARES, relative, sector)
+    share, remaining = _SHARES[np.argmin(by_share, axis=0)], by_share.min(axis=0)
     applied = gain * share * relative
-    remaining = (
-        (np.abs(1.0 - applied) + sector * np.abs(applied)).max(axis=0)
-        if gain != 1.0
-        else remaining
-    )
+    if gain != 1.0:
+        remaining = (np.abs(1.0 - applied) + sector * np.abs(applied)).max(axis=0)
     learns = max(
         (_widest(applied, sector, usable & (remaining <= limit)) for limit in _LIMITS),
         key=np.count_nonzero,
     )
     if learns[1]:
-        each = _contractions(applied[:, learns], sector)
+        learnt = applied[:, learns]
+        each = np.abs(1.0 - learnt).max(axis=1) + sector * np.abs(learnt).max(axis=1)
         L = np.zeros(len(q), dtype=complex)
         L[learns] = gain * share[learns] / responses[0][learns]
         return LearningFilter(
@@ -184,13 +183,11 @@ def table_response(member: Plant, values: Values | None, q: Response) -> Respons
     return np.asarray(position * np.linalg.solve(rows, impulse)[:, n + 1, 0])
 
 
-def _best_shares(relative: Response, sector: float) -> tuple[Array, Array]:
-    """Return the share of the nominal inverse that leaves least, and what it leaves."""
-    remaining = np.stack(
-        [(np.abs(1.0 - c * relative) + sector * c * np.abs(relative)).max(axis=0) for c in _SHARES]
+def _remaining(shares: Array, relative: Response, sector: float) -> Array:
+    """Return what each share of the nominal inverse leaves at most, (shares, harmonics)."""
+    return np.stack(
+        [(np.abs(1.0 - c * relative) + sector * c * np.abs(relative)).max(axis=0) for c in shares]
     )
-    best = np.argmin(remaining, axis=0)
-    return _SHARES[best], np.asarray(remaining.min(axis=0))
 
 
 def _probes(
@@ -200,20 +197,12 @@ def _probes(
     is_wanted: NDArray[np.bool_],
 ) -> Response:
     """Return the largest step that no plant of the family answers with more than ``_PROBED``."""
-    remaining = np.stack(
-        [(np.abs(1.0 - c * relative) + sector * c * np.abs(relative)).max(axis=0) for c in _STEPS]
-    )
+    remaining = _remaining(_STEPS, relative, sector)
     share = _STEPS[np.argmin(np.where(remaining <= _PROBED, -_STEPS[:, None], 0.0), axis=0)]
     share = np.where(remaining.min(axis=0) <= _PROBED, share, 0.0)
     probe = np.zeros(responses.shape[1], dtype=complex)
     probe[is_wanted] = share[is_wanted] / responses[0][is_wanted]
     return probe
-
-
-def _contractions(applied: Response, sector: float) -> Array:
-    """Return what a period leaves on each member, over these harmonics together."""
-    remaining, driven = np.abs(1.0 - applied).max(axis=1), np.abs(applied).max(axis=1)
-    return np.asarray(remaining + sector * driven)
 
 
 def _widest(applied: Response, sector: float, candidates: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -27,19 +27,12 @@ class TargetFiles:
     notes: tuple[str, ...]
 
 
-def _fmu(inputs: TargetInputs) -> FilesAndNotes:
-    controllers = controller_units(inputs.file)
-    return fmu_files({**controllers, **plant_units(inputs.file.name, inputs.plants)})
-
-
-def _library(inputs: TargetInputs) -> FilesAndNotes:
-    return shared_library_files(inputs.file)
-
-
 # The name of a target is also that of its folder.
 _WRITERS: dict[str, Callable[[TargetInputs], FilesAndNotes]] = {
-    "fmu": _fmu,
-    "library": _library,
+    "fmu": lambda inputs: fmu_files(
+        {**controller_units(inputs.file), **plant_units(inputs.file.name, inputs.plants)}
+    ),
+    "library": lambda inputs: shared_library_files(inputs.file),
     "pid": pid_files,
     "nanonis": nanonis_files,
     "waveform": waveform_files,
