@@ -76,7 +76,7 @@ class HysteresisStates:
 
     def __init__(self, history: Sequence[float]) -> None:
         """Follow full cycles, then the turning points of ``history``."""
-        self._end = _after(tuple(history))
+        self._end = _end_of_history(tuple(history))
 
     def follow(self, drive: Array) -> States:
         """Return plays, friction states and Bouc-Wen states at the samples, (samples, states)."""
@@ -86,7 +86,7 @@ class HysteresisStates:
 
 
 @lru_cache(maxsize=256)
-def _after(history: tuple[float, ...]) -> _End:
+def _end_of_history(history: tuple[float, ...]) -> _End:
     """Return drive and states after full cycles and the turning points of a history."""
     segments = [
         np.linspace(a, b, max(2, int(abs(b - a) / PATH_STEP) + 1))[1:]
@@ -105,8 +105,8 @@ def _end(drive: Array, states: States) -> _End:
 
 def _along(drive: Array, start: _End) -> States:
     """Return the states along a drive that starts from where another one ended."""
-    before, plays, friction, bouc_wen = start
-    path = np.concatenate([[before], drive])
+    start_drive, plays, friction, bouc_wen = start
+    path = np.concatenate([[start_drive], drive])
     reach = np.tile(REACH, len(FRICTION_POWERS))
     power = np.repeat(FRICTION_POWERS, len(REACH))
     columns = np.empty((len(drive), len(BOUC_WEN)), order="F")
@@ -173,9 +173,9 @@ def smooth_response(drive: Array, states: States, coefficient: Array) -> Array:
     total, first = np.zeros(len(drive)), 0
     for terms in _smooth_terms(drive, states).values():
         for n, block in terms:
-            last = first + block.shape[1]
-            total += drive**n * (block @ coefficient[first:last])
-            first = last
+            stop = first + block.shape[1]
+            total += drive**n * (block @ coefficient[first:stop])
+            first = stop
     return total
 
 
