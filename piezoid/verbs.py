@@ -21,15 +21,12 @@ from piezoid.diagnosis import diagnose as engine
 from piezoid.diagnosis import experiment
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.experiment import Plan
-from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.errors import ParameterFileError, RecordingError
-from piezoid.export import parameter_file
 from piezoid.export.parameter_file import ParameterFile
 from piezoid.identification import fit as identification
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.from_recordings import as_single_axes
 from piezoid.identification.model import AxisModel
-from piezoid.identification.store import write_model
 from piezoid.learning.learn import Learned, first_table, next_table, refuse_changed
 from piezoid.numerics.executor import on_one_thread
 from piezoid.raw_counts import errors_in_counts, refuse_counts, texts_in_counts
@@ -40,7 +37,7 @@ from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording, counted_in
 from piezoid.records.table import RawTable
-from piezoid.sealed_files import Place, digest_of, path_of
+from piezoid.sealed_files import Place, digest_of, path_of, sealed
 from piezoid.verification.axis_simulation import (
     Controller,
     axis_parameters,
@@ -414,18 +411,18 @@ def report(
     True
     """
     collection = collection_of(recordings)
-    files = {"model.json": write_model(model)}
-    if diagnoses:
-        files["diagnosis.json"] = write_diagnosis(diagnoses[0], others=diagnoses[1:])
-    if design is not None:
-        files["design.json"] = design.to_json()
     unshipped: Mapping[str, str] = {} if design is None else design.refused
+    verification = parameters = None
     if shipping is not None:
-        files["verification.json"] = shipping.verification.to_json()
-        unshipped = shipping.reasons
-        if shipping.parameters is not None:
-            files["params.json"] = parameter_file.to_json(shipping.parameters)
-            unshipped = shipping.parameters.unshipped
+        verification, parameters = shipping.verification, shipping.parameters
+        unshipped = shipping.reasons if parameters is None else parameters.unshipped
+    records = {
+        "model.json": model,
+        "diagnosis.json": tuple(diagnoses) or None,
+        "design.json": design,
+        "verification.json": verification,
+        "params.json": parameters,
+    }
     page = _reports().Page(
         model=model,
         recordings=collection.recordings,
@@ -434,9 +431,9 @@ def report(
         design=design,
         undesigned="" if design is not None else "no design was passed to the report.",
         diagnoses=diagnoses,
-        verification=None if shipping is None else shipping.verification,
+        verification=verification,
         unshipped=unshipped,
-        files=files,
+        files={name: sealed(record) for name, record in records.items() if record is not None},
         lab=_lab(lab),
     )
     text: str = _reports().render(page)
@@ -473,12 +470,11 @@ def _axis_of(model: ActuatorModel, axis: str | None, recordings: Sequence[Record
     return axis_model if is_same else replace(axis_model, starts=())
 
 
-def _collected(given: object, lab: Lab | None) -> Collection:
-    if isinstance(given, str | Path):
-        return collect([path_of(given)], lab)
-    if isinstance(given, list | tuple) and given and isinstance(given[0], str | Path):
-        return collect([path_of(file) for file in given], lab)
-    return collection_of(given)
+def _collected(recordings: object, lab: Lab | None) -> Collection:
+    files = recordings if isinstance(recordings, list | tuple) else [recordings]
+    if files and isinstance(files[0], str | Path):
+        return collect([path_of(file) for file in files], lab)
+    return collection_of(recordings)
 
 
 def _lab(given: object) -> Lab | None:

@@ -72,16 +72,13 @@ def simulate(
         ) from error
     files: dict[str, bytes] = written.campaign_files(campaign)
     with TemporaryDirectory(prefix="piezoid-") as name:
-        places = []
-        for file, content in files.items():
-            place = Path(name) / Path(file).name
-            place.write_bytes(content)
-            places += [place] if place.suffix == ".csv" else []
+        paths = {file: Path(name) / Path(file).name for file in files}
+        for file, path in paths.items():
+            path.write_bytes(files[file])
         lab = laboratory.read_lab(Path(name) / "lab.toml")
-        held = collect(places, lab)
-    return VirtualStage(
-        recordings=held, lab=lab, truth=loads(files["truth/truth.json"]), files=files
-    )
+        recordings = collect([path for path in paths.values() if path.suffix == ".csv"], lab)
+    truth_file = loads(files["truth/truth.json"])
+    return VirtualStage(recordings=recordings, lab=lab, truth=truth_file, files=files)
 
 
 _LABORATORY = ("campaign", "write")
