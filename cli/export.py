@@ -69,7 +69,7 @@ def export(
             design,
             design_digest=digest_in(content_of(stage / "design.json")),
             lab=folder.lab,
-            told=progress,
+            progress=progress,
             threads=usable_cores(),
         )
     contents = failed_files(failed_of(release))

@@ -22,7 +22,7 @@ from piezoid_cli.terminal import (
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from piezoid.calibration.calibrate import Calibration, Told
+    from piezoid.calibration.calibrate import Calibration, Progress
     from piezoid.design.design import LoopDesign
     from piezoid.identification.coupled.coupled_stage import CoupledStage
     from piezoid.identification.model import AxisModel
@@ -272,7 +272,7 @@ def _coupled(coupled: "CoupledStage | None") -> list[str]:
 
 
 def calibrate_streamed(
-    files: Sequence[Path], lab: Path | None, progress: "Told", processes: int = 1
+    files: Sequence[Path], lab: Path | None, progress: "Progress", processes: int = 1
 ) -> "Calibration":
     """Fit recordings that are read in chunks, design, export, verify and report one stage.
 

@@ -62,9 +62,9 @@ def check_folder(
     written.
     """
     target = _target_of(folder)
-    for given in inputs:
-        if Path(os.path.realpath(given)).is_relative_to(target):
-            raise refusal(f"{folder} holds {given}, which is read")
+    for file in inputs:
+        if Path(os.path.realpath(file)).is_relative_to(target):
+            raise refusal(f"{folder} holds {file}, which is read")
     listed = _listed_in(target)
     if listed and new and not force:
         raise OutputFolderError(
@@ -76,9 +76,9 @@ def check_folder(
     parent = next(above for above in target.parents if above.exists())
     if not parent.is_dir():
         raise refusal(f"{parent} is a file")
-    for place in (parent, target) if target.exists() else (parent,):
-        if not os.access(place, os.W_OK | os.X_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(place))
+    for path in (parent, target) if target.exists() else (parent,):
+        if not os.access(path, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
 
 
 def write_folder(
@@ -132,30 +132,30 @@ def remove_unfinished(folder: Path, name: str = "") -> None:
 
 
 def write_file(
-    place: Path, content: bytes, *, opening: bytes, force: bool = False, only_check: bool = False
+    path: Path, content: bytes, *, opening: bytes, force: bool = False, only_check: bool = False
 ) -> None:
     """Write one file whole or not at all, where nothing is or, with ``force``, a file of ours.
 
     opening     what every file of ours of this type begins with
     only_check  decide whether it may be written, before any work is done
     """
-    with _named(place):
-        mode = _mode_of(place)
+    with _named(path):
+        mode = _mode_of(path)
         if mode is not None and not stat.S_ISREG(mode):
-            raise refusal(f"{place} is no regular file")
-        if mode is not None and not (force and _begins_with(place, opening)):
+            raise refusal(f"{path} is no regular file")
+        if mode is not None and not (force and _begins_with(path, opening)):
             raise OutputFolderError(
-                f"{place} is already there",
+                f"{path} is already there",
                 needed="the name of a new file",
                 remedy="Name another file; --force replaces only one that this command wrote.",
             )
         if only_check:
             return
-        place.parent.mkdir(parents=True, exist_ok=True)
-        fresh = _beside(place)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        fresh = _beside(path)
         try:
             _fill(fresh, content)
-            _move(fresh, place, is_ours=mode is not None)
+            _move(fresh, path, is_ours=mode is not None)
         finally:
             fresh.unlink(missing_ok=True)
 
@@ -215,33 +215,33 @@ def _listed_in(target: Path) -> Listed:
     return listed
 
 
-def _begins_with(place: Path, opening: bytes) -> bool:
-    with place.open("rb") as stream:
+def _begins_with(path: Path, opening: bytes) -> bool:
+    with path.open("rb") as stream:
         return stream.read(len(opening)) == opening
 
 
 def _check_names(target: Path, listed: Listed, names: Iterable[str], *, force: bool) -> None:
     """Refuse names behind which something lies that may not be replaced."""
     for name in (*names, MANIFEST):
-        place = target / name
+        path = target / name
         for above in _folders_of([name]):
             if os.path.lexists(target / above) and not _is_folder(target / above):
                 raise refusal(f"{target / above} is no folder of piezoid")
-        if not os.path.lexists(place) or (name == MANIFEST and manifest_in(target) is not None):
+        if not os.path.lexists(path) or (name == MANIFEST and manifest_in(target) is not None):
             continue
-        if name not in listed or not is_regular(place):
-            raise refusal(f"{place} was not written by piezoid")
-        if not force and digest_of_file(place) not in listed[name]:
+        if name not in listed or not is_regular(path):
+            raise refusal(f"{path} was not written by piezoid")
+        if not force and digest_of_file(path) not in listed[name]:
             reason = "was edited since piezoid wrote it" if listed[name] else "is in no manifest"
             raise OutputFolderError(
-                f"{place} {reason}",
+                f"{path} {reason}",
                 needed="the file as it was written",
                 remedy="Move it to keep it, or add --force to replace it.",
             )
 
 
-def _is_folder(place: Path) -> bool:
-    return place.is_dir() and not place.is_symlink()
+def _is_folder(path: Path) -> bool:
+    return path.is_dir() and not path.is_symlink()
 
 
 def _folders_of(names: Iterable[str]) -> list[str]:
@@ -257,15 +257,15 @@ def _write(
     target = _target_of(folder)
     listed = _listed_in(target)
     gone = [name for name in gone if name not in contents]
-    kept = [n for n in listed if n not in {*contents, *gone} and is_regular(target / n)]
+    unchanged = [n for n in listed if n not in {*contents, *gone} and is_regular(target / n)]
     fresh = _beside(target)
     with _named(folder):
         target.parent.mkdir(parents=True, exist_ok=True)
         try:
             fresh.mkdir()
-            _fill(fresh / MANIFEST, manifest_of(dict.fromkeys((*contents, *kept), "")))
+            _fill(fresh / MANIFEST, manifest_of(dict.fromkeys((*contents, *unchanged), "")))
             digests = {n: _fill(fresh / n, content) for n, content in contents.items()}
-            for name in kept:  # an edited file keeps the digest that piezoid wrote
+            for name in unchanged:  # an edited file keeps the digest that piezoid wrote
                 known = listed[name]
                 actual = digest_of_file(target / name) if len(known) > 1 else ""
                 digests[name] = actual if actual in known else min(known, default="")
@@ -275,7 +275,7 @@ def _write(
                 _check_names(target, listed, (*contents, *gone), force=force)
                 _put(fresh, target, digests, listed, gone)
         finally:
-            _remove_listed(fresh, (*contents, *kept, *listed))
+            _remove_listed(fresh, (*contents, *unchanged, *listed))
 
 
 def _put(
@@ -286,8 +286,8 @@ def _put(
         fresh.rename(target)
         return
     new = [name for name in digests if is_regular(fresh / name)]
-    kept = [name for name in digests if name not in new]
-    is_ready = _holds_only(target, listed) and _take_over(target, fresh, kept)
+    unchanged = [name for name in digests if name not in new]
+    is_ready = _holds_only(target, listed) and _take_over(target, fresh, unchanged)
     if is_ready and _rename(fresh, target, _EXCHANGE):
         _remove_listed(fresh, listed)
         _return_others(fresh, target)
@@ -305,56 +305,56 @@ def _holds_only(target: Path, listed: Listed) -> bool:
     """Return whether a folder of this user holds no object that is not listed."""
     names, folders = {*listed, MANIFEST}, set(_folders_of(listed))
 
-    def is_ours(place: Path) -> bool:
-        name = place.relative_to(target).as_posix()
-        if _is_folder(place):
-            return name in folders and all(map(is_ours, place.iterdir()))
-        return name in names and is_regular(place)
+    def is_ours(path: Path) -> bool:
+        name = path.relative_to(target).as_posix()
+        if _is_folder(path):
+            return name in folders and all(map(is_ours, path.iterdir()))
+        return name in names and is_regular(path)
 
     return all(map(is_ours, target.iterdir()))
 
 
-def _take_over(target: Path, fresh: Path, kept: Iterable[str]) -> bool:
+def _take_over(target: Path, fresh: Path, unchanged: Iterable[str]) -> bool:
     """Give the finished folder the files that stay, and all modes; False where it cannot be."""
     new, old = fresh.stat(), target.stat()
     if (new.st_uid, new.st_gid) != (old.st_uid, old.st_gid):
         return False
     try:
-        for name in kept:
+        for name in unchanged:
             if is_regular(target / name):
                 (fresh / name).parent.mkdir(parents=True, exist_ok=True)
                 os.link(target / name, fresh / name)
     except OSError:
         return False
-    for place in (fresh, *fresh.rglob("*")):
-        if (mode := _mode_of(target / place.relative_to(fresh))) is not None:
-            place.chmod(stat.S_IMODE(mode))
+    for path in (fresh, *fresh.rglob("*")):
+        if (mode := _mode_of(target / path.relative_to(fresh))) is not None:
+            path.chmod(stat.S_IMODE(mode))
     return True
 
 
-def _mode_of(place: Path) -> int | None:
-    return place.lstat().st_mode if os.path.lexists(place) else None
+def _mode_of(path: Path) -> int | None:
+    return path.lstat().st_mode if os.path.lexists(path) else None
 
 
-def _move(source: Path, place: Path, *, is_ours: bool = True) -> None:
+def _move(source: Path, path: Path, *, is_ours: bool = True) -> None:
     """Move a file over one of ours, whose mode it takes, or to where nothing is."""
-    mode = _mode_of(place)
+    mode = _mode_of(path)
     if mode is not None and is_ours and stat.S_ISREG(mode):
         source.chmod(stat.S_IMODE(mode))
-        source.replace(place)
-    elif not _rename(source, place, _NOREPLACE):
-        if os.path.lexists(place):
-            raise refusal(f"{place} was not written by piezoid")
-        source.rename(place)
+        source.replace(path)
+    elif not _rename(source, path, _NOREPLACE):
+        if os.path.lexists(path):
+            raise refusal(f"{path} was not written by piezoid")
+        source.rename(path)
 
 
-def _rename(source: Path, place: Path, flag: int) -> bool:
+def _rename(source: Path, path: Path, flag: int) -> bool:
     """Rename without replacing, or exchange, in one step; tell whether it was done."""
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2
     except (AttributeError, OSError):
         return False
-    names = os.fsencode(source), os.fsencode(place)
+    names = os.fsencode(source), os.fsencode(path)
     status: int = rename(_AT_FDCWD, names[0], _AT_FDCWD, names[1], flag)
     return status == 0
 
@@ -389,17 +389,17 @@ def _remove(folder: Path, names: Collection[str]) -> None:
                 (folder / above).rmdir()
 
 
-def _fill(place: Path, content: Content) -> str:
+def _fill(path: Path, content: Content) -> str:
     """Write a new file to the disk and return its digest."""
-    place.parent.mkdir(parents=True, exist_ok=True)
-    with place.open("w+b") as stream:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w+b") as stream:
         if isinstance(content, bytes):
             stream.write(content)
         else:
             content(stream)
         stream.flush()
         os.fsync(stream.fileno())
-    return digest_of_bytes(content) if isinstance(content, bytes) else digest_of_file(place)
+    return digest_of_bytes(content) if isinstance(content, bytes) else digest_of_file(path)
 
 
 def _beside(target: Path) -> Path:
@@ -407,12 +407,12 @@ def _beside(target: Path) -> Path:
 
 
 @contextmanager
-def _named(place: str | Path) -> Iterator[None]:
+def _named(path: str | Path) -> Iterator[None]:
     """Let a failing disk name what was to be written, not a file nobody has heard of."""
     try:
         yield
     except OSError as error:
-        raise OSError(error.errno, error.strerror or str(error), str(place)) from error
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
 
 
 @contextmanager

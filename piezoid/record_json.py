@@ -140,7 +140,7 @@ def _read(kind: Any, value: Any, layouts: Sequence[RecordLayout], path: str) -> 
         return _tuple(arguments, _leaf(list[Any], value, path), layouts, path)
     if isinstance(origin, type) and issubclass(origin, Mapping):
         table = _leaf(dict[str, Any], value, path)
-        return {k: _read(arguments[1], held, layouts, f"{path}.{k}") for k, held in table.items()}
+        return {k: _read(arguments[1], item, layouts, f"{path}.{k}") for k, item in table.items()}
     if origin is np.ndarray:
         return np.array(value, dtype=np.float64)
     if not is_dataclass(kind):
@@ -166,23 +166,23 @@ def _by_fields(
     kind: type[Record], value: Any, layouts: Sequence[RecordLayout], path: str
 ) -> Record:
     table = _leaf(dict[str, Any], value, path)
-    known = {field.name: field for field in fields(cast(Any, kind))}
+    by_name = {field.name: field for field in fields(cast(Any, kind))}
     needed = {
         name
-        for name, field in known.items()
+        for name, field in by_name.items()
         if field.default is MISSING and field.default_factory is MISSING
     }
-    unknown = {name for name in table if name not in known and not hasattr(kind, name)}
+    unknown = {name for name in table if name not in by_name and not hasattr(kind, name)}
     if unknown or not needed <= set(table):
         raise ValueError(
-            f"{path or 'the top'}: the fields are {sorted(table)}, not {sorted(known)}"
+            f"{path or 'the top'}: the fields are {sorted(table)}, not {sorted(by_name)}"
         )
     hints = _hints(cast(Any, kind))
     return kind(
         **{
-            name: _read(hints[name], held, layouts, f"{path}.{name}")
-            for name, held in table.items()
-            if name in known
+            name: _read(hints[name], item, layouts, f"{path}.{name}")
+            for name, item in table.items()
+            if name in by_name
         }
     )
 

@@ -262,7 +262,7 @@ def export(
         design,
         design_digest=digest_of(design),
         lab=_lab(lab),
-        told=_callback(progress),
+        progress=_callback(progress),
         threads=threads,
     )
 

@@ -14,7 +14,7 @@ from piezoid.output_folder import add_to_folder
 from piezoid.records.collection import Collection
 from piezoid.records.lab import Lab
 
-Told = Callable[[str], None]
+Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,11 @@ class FittedStage:
 
 
 def calibrate(
-    collection: Collection, lab: Lab | None, told: Told = lambda _: None, *, threads: int = 1
+    collection: Collection,
+    lab: Lab | None,
+    progress: Progress = lambda _: None,
+    *,
+    threads: int = 1,
 ) -> Calibration:
     """Fit, diagnose, design, export and verify one stage, one axis after the other.
 
@@ -83,8 +87,10 @@ def calibrate(
     Raises what fitting raises; a stage for which no controller can be designed is a calibration
     without one.
     """
-    blank, jobs = jobs_of(collection, lab, threads, told)
-    return finished(stage_of(blank, [run_job(job, told) for job in jobs]), lab, told, threads)
+    blank, jobs = jobs_of(collection, lab, threads, progress)
+    return finished(
+        stage_of(blank, [run_job(job, progress) for job in jobs]), lab, progress, threads
+    )
 
 
 def stage_of(blank: ActuatorModel, results: Sequence[AxisResult | TipResult]) -> FittedStage:
@@ -107,7 +113,9 @@ def stage_of(blank: ActuatorModel, results: Sequence[AxisResult | TipResult]) ->
     )
 
 
-def finished(stage: FittedStage, lab: Lab | None, told: Told, threads: int = 1) -> Calibration:
+def finished(
+    stage: FittedStage, lab: Lab | None, progress: Progress, threads: int = 1
+) -> Calibration:
     """Design, export and verify a stage that is fitted.
 
     threads  so many verify; the files are the same bytes
@@ -122,7 +130,7 @@ def finished(stage: FittedStage, lab: Lab | None, told: Told, threads: int = 1) 
         stage.model,
         model_file,
         lab,
-        told,
+        progress,
         designed=stage.designed,
         threads=threads,
     )

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from piezoid.verification.release import Shipping
     from piezoid.verification.verification import Verification
 
-Told = Callable[[str], None]
+Progress = Callable[[str], None]
 REFUSED = "refused"
 
 
@@ -62,7 +62,7 @@ def controllers_of(
     model: "ActuatorModel",
     content: bytes,
     lab: "Lab | None",
-    told: Told,
+    progress: Progress,
     *,
     designed: "Sequence[Designed] | None" = None,
     threads: int = 1,
@@ -89,19 +89,21 @@ def controllers_of(
     try:
         digest = loads(content)["digest"]
         outcomes = (
-            design_axes(model, lab=lab, progress=told) if designed is None else _outcomes(designed)
+            design_axes(model, lab=lab, progress=progress)
+            if designed is None
+            else _outcomes(designed)
         )
         if not outcomes:
             raise nothing_to_design(model)
         design = design_of(outcomes, model_digest=digest, lab=lab, coupled=model.coupled)
-        controllers, reasons = _verified(model, design, lab, told, threads)
+        controllers, reasons = _verified(model, design, lab, progress, threads)
         slower = without_damping(outcomes, reasons)
         if slower == outcomes:
             return controllers
-        told("trying again below the mode")
+        progress("trying again below the mode")
         below = design_of(slower, model_digest=digest, lab=lab, coupled=model.coupled)
         below = replace(below, remarks=(*below.remarks, *_not_damped(design, below, reasons)))
-        undamped, _ = _verified(model, below, lab, told, threads)
+        undamped, _ = _verified(model, below, lab, progress, threads)
         return undamped if len(undamped.shipped) > len(controllers.shipped) else controllers
     except PiezoidError as refusal:
         sought = design is not None or isinstance(refusal, TemplateError)
@@ -131,11 +133,13 @@ def _not_damped(design: "Design", below: "Design", reasons: Mapping[str, str]) -
 
 
 def _verified(
-    model: "ActuatorModel", design: "Design", lab: "Lab | None", told: Told, threads: int
+    model: "ActuatorModel", design: "Design", lab: "Lab | None", progress: Progress, threads: int
 ) -> tuple[Controllers, Mapping[str, str]]:
     """Return what ships of a design, what its run against the stage showed, why axes failed."""
     digest = loads(design.to_json())["digest"]
-    shipping = shipped(model, design, design_digest=digest, lab=lab, told=told, threads=threads)
+    shipping = shipped(
+        model, design, design_digest=digest, lab=lab, progress=progress, threads=threads
+    )
     reasons = "; ".join(f"axis {axis}: {reason}" for axis, reason in shipping.reasons.items())
     controllers = Controllers(
         design=design,
@@ -154,7 +158,7 @@ def shipped(
     *,
     design_digest: str,
     lab: "Lab | None",
-    told: Told = lambda _: None,
+    progress: Progress = lambda _: None,
     threads: int = 1,
 ) -> "Shipping":
     """Export a design, run it against the stage, and return which axes may ship.
@@ -167,9 +171,9 @@ def shipped(
     from piezoid.export.export_stage import export_stage
     from piezoid.verification.release import release
 
-    told("exporting")
+    progress("exporting")
     parameters = export_stage(model, design, design_digest=design_digest, lab=lab)
-    told("running the compiled controller against the stage")
+    progress("running the compiled controller against the stage")
     return release(parameters, model, lab=lab, threads=threads)
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from piezoid.records.recording import Recording
     from piezoid.records.table import RawTable
 
-Told = Callable[[str], None]
+Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +91,10 @@ class TipResult:
 
 
 def jobs_of(
-    held: "Collection", lab: "Lab | None", processes: int = 1, told: Told = lambda _: None
+    collection: "Collection",
+    lab: "Lab | None",
+    processes: int = 1,
+    progress: Progress = lambda _: None,
 ) -> "tuple[ActuatorModel, list[AxisJob | TipJob]]":
     """Return the stage before any fit of an axis, and what is to be done of it: the tip first.
 
@@ -107,12 +110,14 @@ def jobs_of(
     from piezoid.records.lab import Lab
 
     declared = lab or Lab()
-    inputs = prepare_fit(held.recordings, declared, held.sweeps, held.responses, progress=told)
+    inputs = prepare_fit(
+        collection.recordings, declared, collection.sweeps, collection.responses, progress=progress
+    )
     stage, axes = inputs.stage, inputs.axes
     tip = TipJob(
         stage=stage,
-        recordings=tuple(filter(is_loop, held.recordings)),
-        sweeps=held.sweeps,
+        recordings=tuple(filter(is_loop, collection.recordings)),
+        sweeps=collection.sweeps,
         axes=axes,
         lab=lab,
     )
@@ -144,16 +149,16 @@ def estimated_cost(job: "AxisJob | TipJob") -> float:
     return float(sum(recording.samples for recording in job.recordings))
 
 
-def run_job(job: "AxisJob | TipJob", told: Told) -> "AxisResult | TipResult":
+def run_job(job: "AxisJob | TipJob", progress: Progress) -> "AxisResult | TipResult":
     """Do all that needs nothing of the other axes.
 
     Raises what fitting raises; whatever a diagnosis or a design stumbles over, the model is there
     without it.
     """
-    return _run_axis(job, told) if isinstance(job, AxisJob) else _run_tip(job, told)
+    return _run_axis(job, progress) if isinstance(job, AxisJob) else _run_tip(job, progress)
 
 
-def _run_axis(job: AxisJob, told: Told) -> AxisResult:
+def _run_axis(job: AxisJob, progress: Progress) -> AxisResult:
     from piezoid.identification.fit import fit_axis, moving
     from piezoid.identification.loop_shape_fit import with_loop_shape
     from piezoid.raw_counts import errors_in_counts, in_counts, texts_in_counts
@@ -161,7 +166,7 @@ def _run_axis(job: AxisJob, told: Told) -> AxisResult:
     from piezoid.records.recording import counted_in
 
     def of_axis(text: str) -> None:
-        told(f"axis {job.axis}: {text}")
+        progress(f"axis {job.axis}: {text}")
 
     with errors_in_counts(counted_in(job.recordings)):
         model = fit_axis(
@@ -183,12 +188,12 @@ def _run_axis(job: AxisJob, told: Told) -> AxisResult:
         diagnosis=None if diagnosis is None else texts_in_counts(diagnosis),
         undiagnosed=in_counts(missing, model.counted),
         stumbled=stumbled,
-        designed=_designed(replace(job.stage, axes={job.axis: model}), job.lab, told),
+        designed=_designed(replace(job.stage, axes={job.axis: model}), job.lab, progress),
     )
 
 
 def _diagnosed(
-    job: AxisJob, model: "AxisModel", told: Told
+    job: AxisJob, model: "AxisModel", progress: Progress
 ) -> "tuple[Diagnosis | None, str, bool]":
     """Return the diagnosis, or why there is none and whether that is our fault."""
     from piezoid.diagnosis.diagnose import diagnose
@@ -196,39 +201,39 @@ def _diagnosed(
 
     refused = f"axis {job.axis} is not diagnosed"
     try:
-        found = diagnose(
+        diagnosis = diagnose(
             job.recordings,
             axis=job.axis,
             lab=job.lab,
             model=model,
             response=job.response,
-            progress=told,
+            progress=progress,
             threads=job.threads,
         )
     except PiezoidError as refusal:
         return None, f"{refused}: {refusal}", False
     except Exception as error:  # an internal error must not cost the lab its model
         return None, f"{refused}: internal error ({type(error).__name__}: {error})", True
-    return found, "", False
+    return diagnosis, "", False
 
 
-def _run_tip(job: TipJob, told: Told) -> TipResult:
+def _run_tip(job: TipJob, progress: Progress) -> TipResult:
     from piezoid.design.junction_task import axis_of
     from piezoid.identification.tunnelling.junction import fit_junction
     from piezoid.records.lab import Lab
 
-    told("fitting the tunnelling current")
+    progress("fitting the tunnelling current")
     tunnelling = fit_junction(job.sweeps, job.recordings, job.lab or Lab())
     if tunnelling is None or axis_of(tunnelling) in job.axes:
         return TipResult(tunnelling=tunnelling, designed=Designed())
     stage = replace(job.stage, tunnelling=tunnelling)
-    return TipResult(tunnelling=tunnelling, designed=_designed(stage, job.lab, told))
+    return TipResult(tunnelling=tunnelling, designed=_designed(stage, job.lab, progress))
 
 
-def _designed(stage: "ActuatorModel", lab: "Lab | None", told: Told) -> Designed:
+def _designed(stage: "ActuatorModel", lab: "Lab | None", progress: Progress) -> Designed:
     from piezoid.design.design_stage import design_axes
 
     try:
-        return Designed(outcomes=design_axes(stage, lab=lab, progress=told))
+        return Designed(outcomes=design_axes(stage, lab=lab, progress=progress))
     except Exception as fault:  # told where the controllers of the whole stage are
         return Designed(fault=fault)
