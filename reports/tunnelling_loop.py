@@ -70,20 +70,20 @@ def _plant(loop: LoopPlant) -> Table:
         "delay": [number(m.delay_s, "s") for m in loop.family],
     }
     plant = loop.plant
-    found = {
+    identified = {
         "gain [nepers per V]": with_interval(plant.gain_nepers_per_V, loop.gain_interval, ""),
         "sensor pole": with_interval(plant.sensor_pole_Hz, loop.sensor_pole_interval_Hz, "Hz"),
         "delay": with_interval(plant.delay_s, loop.delay_interval_s, "s"),
     }
     rows = []
-    for place, (name, text) in enumerate(found.items()):
-        extremes = family[name][1 + 2 * place : 3 + 2 * place]
+    for k, (name, text) in enumerate(identified.items()):
+        extremes = family[name][1 + 2 * k : 3 + 2 * k]
         rows.append((name, text, *(extremes if len(extremes) == 2 else ("", ""))))
     rows.append(("amplifier's pole, declared", number(plant.amplifier_pole_Hz, "Hz"), "", ""))
-    seen = loop.family_records > 2
+    is_sampled = loop.family_records > 2
     spread = (
         f"the plant family covers 95 % of further spots, from {loop.family_records} records"
-        if seen
+        if is_sampled
         else "the plant family covers the uncertainty of one record; other spots may differ"
     )
     return Table(

@@ -111,16 +111,18 @@ def _meaning(finding: Finding, described: str, *, is_proposed: bool) -> list[Par
 
 def not_detected_tables(diagnoses: Sequence[Diagnosis]) -> list[Part]:
     """Return the effects and the data faults that were not detected, least known first."""
-    absent = [(one, diagnosis.axis) for diagnosis in diagnoses for one in diagnosis.not_detected]
+    absent = [
+        (absence, diagnosis.axis) for diagnosis in diagnoses for absence in diagnosis.not_detected
+    ]
     # Below the larger of bound and limit nothing is known of an effect.
     absent.sort(
         key=lambda pair: -max(pair[0].detection_limit_m or 0.0, pair[0].upper_bound_m or 0.0)
     )
-    names = dict.fromkeys(one.effect for one, _ in absent)
+    names = dict.fromkeys(absence.effect for absence, _ in absent)
     effects = [name for name in names if effect_named(name).fault is None]
     faults = [name for name in names if effect_named(name).fault is not None]
     axes = [diagnosis.axis for diagnosis in diagnoses]
-    by_name = {(one.effect, axis): one for one, axis in absent}
+    by_name = {(absence.effect, axis): absence for absence, axis in absent}
     tables = (
         (
             effects,
@@ -134,16 +136,16 @@ def not_detected_tables(diagnoses: Sequence[Diagnosis]) -> list[Part]:
             caption=caption,
             columns=("effect", *(f"axis {axis}" for axis in axes)),
             rows=tuple(
-                (words(name), *(_known(by_name.get((name, axis))) for axis in axes))
-                for name in shown
+                (words(name), *(_limits_of(by_name.get((name, axis))) for axis in axes))
+                for name in names_of_table
             ),
         )
-        for shown, caption in tables
-        if shown
+        for names_of_table, caption in tables
+        if names_of_table
     ]
 
 
-def _known(absence: NotDetected | None) -> str:
+def _limits_of(absence: NotDetected | None) -> str:
     """Return bound and limit of an effect, or why it could not be tested."""
     if absence is None:
         return "found"

@@ -99,10 +99,10 @@ def _contributions(budgets: Sequence[DisplacementBudget]) -> list[Part]:
     """Return the uncertainty budgets of all axes side by side, largest contribution first."""
     if not budgets:
         return []
-    first = sorted(budgets[0].budget.contributions, key=lambda one: -one.standard)
-    names = dict.fromkeys(one.name for one in first)
-    names |= dict.fromkeys(one.name for b in budgets for one in b.budget.contributions)
-    sizes = [{one.name: one for one in b.budget.contributions} for b in budgets]
+    ranked = sorted(budgets[0].budget.contributions, key=lambda c: -c.standard)
+    names = dict.fromkeys(c.name for c in ranked)
+    names |= dict.fromkeys(c.name for b in budgets for c in b.budget.contributions)
+    sizes = [{c.name: c for c in b.budget.contributions} for b in budgets]
 
     def cell(budget: DisplacementBudget, contribution: Contribution | None) -> str:
         if contribution is None or contribution.standard == 0.0:

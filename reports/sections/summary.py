@@ -63,13 +63,14 @@ def _verdict(page: Page) -> str:
 def _verified(page: Page) -> str:
     """Return what became of the controllers, as the end of the first sentence."""
     missing = "".join(f"; axis {name} has no controller" for name in page.unshipped)
-    found = page.verification
-    if found is None:
+    verification = page.verification
+    if verification is None:
         return missing
-    n_failed, n_all = sum(not one.passed for one in found.verdicts), len(found.verdicts)
+    n_all = len(verification.verdicts)
+    n_failed = sum(not verdict.passed for verdict in verification.verdicts)
     if n_failed:
         return f"; the controllers failed {n_failed} of {n_all} verdicts{missing}"
-    if not found.passed:
+    if not verification.passed:
         return f"; a rebuild of the controllers did not give the same bits{missing}"
     return f"; the controllers passed all {n_all} verdicts{missing}"
 
@@ -145,11 +146,11 @@ def _speed(page: Page, axis: str, loop: LoopDesign | None) -> tuple[str, str]:
     """Return the bandwidth, with the error on the spiral if the verification ran one."""
     if loop is None:
         return "Bandwidth", "none"
-    bandwidth, found = number(loop.bandwidth_Hz, "Hz"), page.verification
-    if found is None:
+    bandwidth, verification = number(loop.bandwidth_Hz, "Hz"), page.verification
+    if verification is None:
         return "Bandwidth", bandwidth
-    for row in found.comparison:
-        if (row.method, row.frequency_Hz) == (found.methods.get(axis), TRACKED_Hz):
+    for row in verification.comparison:
+        if (row.method, row.frequency_Hz) == (verification.methods.get(axis), TRACKED_Hz):
             label = f"Bandwidth; tracking error at {TRACKED_Hz:g} Hz"
             return label, f"{bandwidth}; {number(row.rms_m, 'm')} rms"
     return "Bandwidth", bandwidth
@@ -157,15 +158,15 @@ def _speed(page: Page, axis: str, loop: LoopDesign | None) -> tuple[str, str]:
 
 def guarantee(page: Page, axis: AxisModel, loop: LoopDesign | None) -> str:
     """Return the guaranteed error of a loop, or why there is none of use."""
-    found = page.verification
+    verification = page.verification
     if loop is None or loop.certificate is None or not loop.certificate.is_guaranteed:
         return "none proven"
-    if found is None or not page.ships(axis.axis):
+    if verification is None or not page.ships(axis.axis):
         return "not verified"
     bound_m = useful_bound_m(loop.certificate, axis)
     if bound_m is None:
         return "no useful bound"
-    speed_m_per_s = spiral_speed_m_per_s(TRACKED_Hz, found.radius_m)
+    speed_m_per_s = spiral_speed_m_per_s(TRACKED_Hz, verification.radius_m)
     slow_m = loop.certificate.guaranteed_at(speed_m_per_s)
     at_most = f"{number(bound_m, 'm')} at most"
     return (
@@ -179,11 +180,11 @@ def ships(page: Page, axis: str) -> str:
         return "no: see limits"
     if page.loop_of(axis) is None:
         return "no: not designed"
-    found = page.verification
-    if found is None or axis not in found.methods:
+    verification = page.verification
+    if verification is None or axis not in verification.methods:
         return "no: not verified"
-    method = METHODS[found.methods[axis]]
-    return f"yes: {method}" if found.passed else f"no: verification failed ({method})"
+    method = METHODS[verification.methods[axis]]
+    return f"yes: {method}" if verification.passed else f"no: verification failed ({method})"
 
 
 def _tip_card(page: Page) -> tuple[Card, ...]:

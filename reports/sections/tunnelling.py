@@ -113,13 +113,13 @@ ROWS: tuple[tuple[str, Callable[[GapLaw], str]], ...] = (
 def _table(junction: TunnellingModel, page: Page) -> Table:
     laws = _laws(junction, page)
     columns = [(direction.value, law) for law, direction in laws]
-    both = ""
+    note = ""
     if len(laws) > 1 and junction.gap_law is not None:
         columns.insert(0, ("both directions", junction.gap_law))
-        both = " Only the law of both directions is free of height drift."
+        note = " Only the law of both directions is free of height drift."
     return Table(
         caption="Gap law i = ± I0 exp(\N{MINUS SIGN}k z) + offset, z growing as the tip "
-        f"retracts; 95 % intervals. The barrier is (k / 10.246 per nm)², in eV.{both}",
+        f"retracts; 95 % intervals. The barrier is (k / 10.246 per nm)², in eV.{note}",
         columns=("", *(heading for heading, _ in columns)),
         rows=tuple((name, *(text(law) for _, law in columns)) for name, text in ROWS),
     )
@@ -129,7 +129,7 @@ def _shift(junction: TunnellingModel) -> tuple[Part, ...]:
     shift = junction.shift
     if shift is None:
         return ()
-    both = "one decay fits both directions" if shift.is_one_decay else "the two decays differ"
+    verdict = "one decay fits both directions" if shift.is_one_decay else "the two decays differ"
     low, high = shift.decay_change_interval
     return (
         Prose(
@@ -137,7 +137,7 @@ def _shift(junction: TunnellingModel) -> tuple[Part, ...]:
             f"that differs from the forward sweeps by "
             f"{with_interval(shift.shift_m, shift.shift_interval_m, 'm')} "
             f"(hysteresis, creep and drift of the height). The decay differs by "
-            f"{percent(shift.decay_change)}, {percent(low)} to {percent(high)} (95 %): {both}.",
+            f"{percent(shift.decay_change)}, {percent(low)} to {percent(high)} (95 %): {verdict}.",
             tone="plain" if shift.is_one_decay else "middling",
         ),
     )
@@ -167,12 +167,12 @@ def _curve(
     y = decades_over("current", [*logs, np.array([floor])], "pA")
     width, height_px = size or (Canvas.width, Canvas.height)
     canvas = Canvas(x=x, y=y, width=width, height=height_px)
-    seen = line > floor - 1.0  # far below the noise the law has nothing to be compared with
+    is_compared = line > floor - 1.0  # far below the noise the law has nothing to be compared with
     layers: list[Layer] = [
         canvas.line("measured", f"sweep {k + 1}", height, log, points=400)
         for k, ((height, _), log) in enumerate(zip(rows, logs, strict=True))
     ]
-    layers.append(canvas.line("model", "gap law", heights[seen], line[seen]))
+    layers.append(canvas.line("model", "gap law", heights[is_compared], line[is_compared]))
     layers.append(canvas.line("zero", "noise, rms", heights[[0, -1]], np.full(2, floor)))
     return Figure(
         title=f"Current over height, {len(curves)} sweep{'s' if len(curves) != 1 else ''}",
@@ -188,12 +188,14 @@ def _residual(
     law: GapLaw, curves: list[ApproachCurve], size: tuple[int, int] | None = None
 ) -> Figure:
     rows = [_measured(law, curve) for curve in curves]
-    left = [(height, current_A - _modelled(law, height)) for height, current_A in rows]
-    x = axis_over("height", [height for height, _ in left], "m")
-    y = axis_over("measured minus gap law", [residual for _, residual in left], "A", even=True)
+    residuals = [(height, current_A - _modelled(law, height)) for height, current_A in rows]
+    x = axis_over("height", [height for height, _ in residuals], "m")
+    y = axis_over(
+        "measured minus gap law", [residual for _, residual in residuals], "A", even=True
+    )
     width, height_px = size or (Canvas.width, 260)
     canvas = Canvas(x=x, y=y, width=width, height=height_px)
-    rms_A = float(np.sqrt(np.mean(np.concatenate([residual for _, residual in left]) ** 2)))
+    rms_A = float(np.sqrt(np.mean(np.concatenate([residual for _, residual in residuals]) ** 2)))
     zero = canvas.line("zero", "gap law", np.array([x.low, x.high]) * x.scale.factor, np.zeros(2))
     return Figure(
         title="Residual of the gap law",
@@ -207,7 +209,7 @@ def _residual(
             zero,
             *(
                 canvas.line("measured", f"sweep {k + 1}", height, residual, points=400)
-                for k, (height, residual) in enumerate(left)
+                for k, (height, residual) in enumerate(residuals)
             ),
         ),
     )
