@@ -10,7 +10,6 @@ from functools import partial
 
 import numpy as np
 
-from piezoid.diagnosis.attribution import ModelErrors, attribute_errors, repaired
 from piezoid.diagnosis.budget import RemainingErrors, corrected, with_budget
 from piezoid.diagnosis.closed_loop_recordings import with_creep_of_holds
 from piezoid.diagnosis.constant_drive import diagnose_at_rest
@@ -21,6 +20,7 @@ from piezoid.diagnosis.findings import findings_of, held_out
 from piezoid.diagnosis.forward_selection import SLIP
 from piezoid.diagnosis.identified_modes import split_known_modes, with_modes
 from piezoid.diagnosis.ingest_faults import with_ingested
+from piezoid.diagnosis.refit import ModelErrors, attribute_errors, repaired
 from piezoid.diagnosis.residual_structure import NAME as SOMETHING_ELSE
 from piezoid.diagnosis.residual_structure import (
     SearchResult,
@@ -171,9 +171,10 @@ def _select_effects(
     )
     if not is_rejected:
         result, errors = _prefer_named_effects(search_all(view, executor), attribute)
-        if errors.final > 2.0 * UNEXPLAINED:
+        error = errors.final_m / view.stroke_m
+        if error > 2.0 * UNEXPLAINED:
             rejection = (
-                f"everything found leaves {50.0 * errors.final:.1f} % of the range"
+                f"everything found leaves {50.0 * error:.1f} % of the range"
                 if model.verdict.applies
                 else model.verdict.reason
             )
@@ -208,11 +209,11 @@ def _prefer_named_effects(
         return result, errors
     if curve.end is not None:
         return result, errors
-    if not curve.is_unheard_of and errors.final >= errors.without[SOMETHING_ELSE]:
+    if not curve.is_unheard_of and errors.final_m >= errors.without_m[SOMETHING_ELSE]:
         return named, attribute(named)
     if _names_of(named) - _names_of(result):
         named_errors = attribute(named)
-        if named_errors.final <= errors.final:
+        if named_errors.final_m <= errors.final_m:
             return named, named_errors
     return result, errors
 
@@ -225,7 +226,7 @@ def _drop_useless_slips(result: SearchResult, errors: ModelErrors) -> SearchResu
     it.
     """
     faults = result.outcome.faults
-    if SLIP not in faults or errors.without.get(SLIP, np.inf) > errors.final:
+    if SLIP not in faults or errors.without_m.get(SLIP, np.inf) > errors.final_m:
         return result
     others = {name: fault for name, fault in faults.items() if name != SLIP}
     return replace(result, outcome=replace(result.outcome, faults=others))
@@ -267,14 +268,14 @@ def _assembled(
     diagnosis = Diagnosis(
         axis=axis,
         stroke_m=2.0 * stroke_m,
-        baseline=held_out(errors.baseline, stroke_m),
+        baseline=held_out(errors.baseline_m, stroke_m),
         final=FinalError(
             rms_m=quality.held_out_rms_m, rms_percent=50.0 * quality.held_out_rms_m / stroke_m
         ),
         envelope_rms_m=outcome.final.rms * stroke_m,
         noise_floor_rms_m=quality.noise_rms_m,
         explained_fraction=fraction_explained(
-            errors.baseline * stroke_m, quality.held_out_rms_m, quality.noise_rms_m
+            errors.baseline_m, quality.held_out_rms_m, quality.noise_rms_m
         ),
         findings=searched,
         not_detected=tuple(

@@ -15,6 +15,7 @@ from piezoid.diagnosis.planning.drive_response import Driven
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.segments import Places, Track
 from piezoid.identification.extensions.extension import Extension, Where
+from piezoid.identification.hysteresis.pieces import Scales
 from piezoid.identification.joint.vector import Structure, parts_of
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.numerics.arrays import Array
@@ -74,17 +75,12 @@ class SearchScaling:
         return max(piece.samples / piece.rate_Hz for piece in self.pieces)
 
 
-def scaling_of(
-    model: AxisModel, recordings: Sequence[Recording], scales: Mapping[str, float]
-) -> SearchScaling:
-    """Return the setting of a search on these recordings.
-
-    scales  ``voltage_V``, ``voltage_offset_V`` and ``stroke_m`` of the search's view
-    """
+def scaling_of(model: AxisModel, recordings: Sequence[Recording], scales: Scales) -> SearchScaling:
+    """Return the units of a search on these recordings."""
     return SearchScaling(
-        voltage_V=scales["voltage_V"],
-        voltage_offset_V=scales["voltage_offset_V"],
-        stroke_m=scales["stroke_m"],
+        voltage_V=scales.voltage_V,
+        voltage_offset_V=scales.voltage_offset_V,
+        stroke_m=abs(scales.displacement_m),
         pieces=tuple(part.where for part in parts_of(model, recordings)),
         recordings=tuple(recording.name for recording in recordings),
     )

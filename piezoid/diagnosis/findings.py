@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.attribution import ModelErrors
 from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.diagnosis import Finding, HeldOut, Size
 from piezoid.diagnosis.effect import Effect, Fault
@@ -16,6 +15,7 @@ from piezoid.diagnosis.effect_size import size_of
 from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.noise_level import noise_level
 from piezoid.diagnosis.null_distribution import chance_of, strengths_of_healthy
+from piezoid.diagnosis.refit import ModelErrors
 from piezoid.diagnosis.residual_structure import NAME as SOMETHING_ELSE
 from piezoid.diagnosis.residual_structure import SURE, SearchResult
 from piezoid.diagnosis.residual_view import View
@@ -54,8 +54,8 @@ def findings_of(
         findings.append(
             of_discovered(
                 result.discovered,
-                before=held_out(errors.without[SOMETHING_ELSE], stroke_m),
-                after=held_out(errors.final, stroke_m),
+                before=held_out(errors.without_m[SOMETHING_ELSE], stroke_m),
+                after=held_out(errors.final_m, stroke_m),
                 scale_m=scales.displacement_m,
                 middle_m=_middle_m(result.discovered.view, recordings, axis, scales),
             )
@@ -64,7 +64,7 @@ def findings_of(
         findings.append(
             of_noise(
                 level,
-                error=held_out(errors.final, stroke_m),
+                error=held_out(errors.final_m, stroke_m),
                 scale_m=scales.displacement_m,
                 middle_m=_middle_m(outcome.final, recordings, axis, scales),
             )
@@ -84,24 +84,24 @@ def _middle_m(view: View, recordings: Sequence[Recording], axis: str, scales: Sc
     return float(np.median(first - scales.displacement_m * view.static[0][: len(first)]))
 
 
-def held_out(rms: float, stroke_m: float) -> HeldOut:
-    """Return a scaled error in metres and in percent of the stroke."""
-    return HeldOut(rms_m=rms * stroke_m, rms_percent=50.0 * rms)
+def held_out(rms_m: float, stroke_m: float) -> HeldOut:
+    """Return an error in metres and in percent of the stroke, of which ``stroke_m`` is half."""
+    return HeldOut(rms_m=rms_m, rms_percent=50.0 * rms_m / stroke_m)
 
 
 def fault_finding(name: str, fault: Fault, errors: ModelErrors, stroke_m: float) -> Finding:
     """Return the finding of a fault of the data."""
     effect = effect_named(name)
     # what ingest repaired, and what cannot be repaired, changes nothing here
-    before, after = errors.without.get(name, errors.final), errors.final
+    before_m, after_m = errors.without_m.get(name, errors.final_m), errors.final_m
     reach = 1.96 * fault.spread
     return Finding(
         effect=name,
-        held_out_gain=_gain(before, after),
-        held_out_rms_before_m=before * stroke_m,
-        held_out_rms_after_m=after * stroke_m,
+        held_out_gain=_gain(before_m, after_m),
+        held_out_rms_before_m=before_m,
+        held_out_rms_after_m=after_m,
         p_value=min(1.0, fault.p_value * len(every_effect())),
-        rms_percent=50.0 * _gain(before, after) * before,
+        rms_percent=50.0 * _gain(before_m, after_m) * before_m / stroke_m,
         size=Size(
             value=fault.value, unit=effect.unit, ci95=(fault.value - reach, fault.value + reach)
         ),
@@ -115,15 +115,14 @@ def fault_finding(name: str, fault: Fault, errors: ModelErrors, stroke_m: float)
 def effect_finding(cause: Candidate, outcome: Outcome, errors: ModelErrors) -> Finding:
     """Return the finding of a selected effect."""
     effect = cause.effect
-    stroke_m = outcome.first.stroke_m
-    before, after = errors.without[effect.name], errors.final
+    before_m, after_m = errors.without_m[effect.name], errors.final_m
     confounded = outcome.confounded.get(effect.name, ())
     structure = _structure([*confounded, *_resembling(cause, outcome)])
     return Finding(
         effect=effect.name,
-        held_out_gain=_gain(before, after),
-        held_out_rms_before_m=before * stroke_m,
-        held_out_rms_after_m=after * stroke_m,
+        held_out_gain=_gain(before_m, after_m),
+        held_out_rms_before_m=before_m,
+        held_out_rms_after_m=after_m,
         p_value=chance_of(cause.strength, strengths_of_healthy()),
         rms_percent=100.0 * cause.share,
         size=_extend_to_zero(size_of(cause)) if structure else size_of(cause),
@@ -169,8 +168,8 @@ def _confounding_note(structure: Sequence[Effect]) -> str:
     return f" Not separable from {names}; the interval therefore includes zero."
 
 
-def _gain(before: float, after: float) -> float:
-    return float(np.clip(1.0 - after / before, 0.0, 1.0)) if before > 0.0 else 0.0
+def _gain(before_m: float, after_m: float) -> float:
+    return float(np.clip(1.0 - after_m / before_m, 0.0, 1.0)) if before_m > 0.0 else 0.0
 
 
 def _places(fault: Fault) -> str:

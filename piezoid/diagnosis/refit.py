@@ -1,150 +1,201 @@
-"""The simulation's own error, refitted before and after: a diagnosis put into the shipped model.
+"""Refit the shipped model with the effects of a search, and measure what each one is worth.
 
-Each effect that was found becomes extensions of the axis model, with start values from what the
-search found; everything is then refitted together, with each one left out in turn, and judged on
-rows left out in the same way. The baseline is the static model with the declared rig alone.
+Each effect becomes extensions of the axis model, started where the search ended. Everything is
+refitted together, and again without each effect; all errors are of the same left-out rows. The
+baseline is the static model with the declared rig alone. A fault is repaired in the recordings
+themselves, so that the model meets what the search met.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
+from piezoid.diagnosis.budget import relative_scatter
 from piezoid.diagnosis.effect import EffectEstimate, scaling_of
 from piezoid.diagnosis.effects import every_effect
-from piezoid.diagnosis.residual_structure import NAME
+from piezoid.diagnosis.residual_structure import NAME, SearchResult, with_it
+from piezoid.diagnosis.segments import Track
+from piezoid.diagnosis.selection import Outcome
 from piezoid.formatting import words
+from piezoid.identification.extensions import in_order
 from piezoid.identification.extensions.converter_hold import ConverterHold
 from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.delay import Delay
 from piezoid.identification.extensions.extension import Extension, Samples
 from piezoid.identification.extensions.first_order_lag import FirstOrderLag
+from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Scales
 from piezoid.identification.joint.fit_extended import Extended, fit_extended
 from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.identification.piece_start import wandering_zeros
-from piezoid.numerics.arrays import Array
 from piezoid.records.lab import Lab
-from piezoid.records.recording import Recording
+from piezoid.records.recording import Quantity, Recording
 
-LOOSE = 0.85  # of the error: what shares of its own for every rung of creep must leave
-LEFT_OF_LAG = 0.1  # of it, beside the mode that it had stood for
+FREE_RUNGS = 0.85  # of the error: what free shares of a creep ladder must leave to be kept
+LEFT_OF_LAG = 0.1  # of a lag beside the mode that it had stood for
 STATIC = Structure(lag=False)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Refitted:
-    """Errors on rows left out, in m, and the model they belong to.
+class ModelErrors:
+    """Held-out errors of the model that ships, rms in m.
 
-    baseline    of the static model on the recordings as they came
-    final       with everything that was found
-    without     with everything but one, by its name
-    extensions  the extensions each effect became, as fitted
-    spread      for each effect the standard errors of their numbers
+    baseline_m  of the static model on the recordings as they came
+    final_m     with every effect, faults repaired
+    without_m   with every effect but one, by its name
+    scatter     relative standard error of the mean square of the final error
     model       what ships: with the fitted lag where no lag or delay was found; as it was given
                 where its class does not apply
     """
 
-    baseline: Extended
-    final: Extended
-    without: Mapping[str, Extended]
-    extensions: Mapping[str, tuple[Extension, ...]]
-    spread: Mapping[str, tuple[Array, ...]]
+    baseline_m: float
+    final_m: float
+    without_m: Mapping[str, float]
+    scatter: float
     model: AxisModel
+
+
+def attribute_errors(
+    result: SearchResult,
+    recordings: Sequence[Recording],
+    *,
+    model: AxisModel,
+    lab: Lab,
+    scales: Scales,
+    progress: Callable[[str], None] = lambda _: None,
+) -> ModelErrors:
+    """Return the errors of the model before, after, and without each effect of a search.
+
+    recordings  those of the search, as they came
+    model       the axis as fitted to them, or to earlier ones
+    scales      of the search
+    """
+    outcome, raw = result.outcome, result.raw.tracks
+    faults, clean = repaired_faults(outcome), outcome.clean.tracks
+    curved = clean
+    if result.discovered is not None:
+        curved = with_it(outcome.clean, result.discovered).tracks
+    rows_differ = any(len(a.place) > len(b.place) for a, b in zip(curved, clean, strict=True))
+    return refitted(
+        repaired(recordings, model.axis, raw, clean, scales),
+        [
+            EffectEstimate(
+                effect=cause.effect.name,
+                parameters=cause.selected.parameters,
+                coefficient=cause.cv.coefficient,
+                from_jumps=cause.selected.from_jumps,
+            )
+            for cause in outcome.causes
+        ],
+        model=model,
+        lab=lab,
+        scales=scales,
+        raw=recordings,
+        faults=faults,
+        whole=None
+        if result.discovered is None
+        else repaired(recordings, model.axis, raw, curved, scales),
+        places=[track.place for track in clean] if faults or rows_differ else None,
+        places_of_whole=[track.place for track in curved] if faults or rows_differ else None,
+        progress=progress,
+    )
 
 
 def refitted(
     recordings: Sequence[Recording],
-    found: Sequence[EffectEstimate],
+    estimates: Sequence[EffectEstimate],
     *,
     model: AxisModel,
     lab: Lab,
-    scales: Mapping[str, float],
-    raw: Sequence[Recording] | None = None,
+    scales: Scales,
+    raw: Sequence[Recording],
     faults: Sequence[str] = (),
     whole: Sequence[Recording] | None = None,
     places: Sequence[Samples] | None = None,
     places_of_whole: Sequence[Samples] | None = None,
     progress: Callable[[str], None] = lambda _: None,
-) -> Refitted:
-    """Put what was found into the model and measure what each finding is worth.
+) -> ModelErrors:
+    """Refit a model with effects, and again without each of them.
 
     recordings  in which the axis moves, faults repaired, in the order in which they were made
-    found       effects as the search left them; those of the data themselves are ``faults``
-    model       the axis as fitted: where all searches begin
+    estimates   of the effects, by the search
+    model       the axis as fitted: where all refits begin
     lab         its clock is part of the rig
-    scales      ``voltage_V``, ``voltage_offset_V``, ``stroke_m``: what 1 and 0 meant
-    raw         the recordings as they came; None: the same
+    raw         the recordings as they came
     faults      names of faults that were repaired: without them everything is fitted to ``raw``
     whole       the same with something in them that no effect stands for; None: nothing is
     places      samples that may count, track by track; None: all, spread thinly
     places_of_whole  those of ``whole``
-    progress    told what is being done
     """
-    setting = scaling_of(model, recordings, scales)
-    declared = _declared(lab)
+    scaling = scaling_of(model, recordings, scales)
+    clock_Hz = lab.acquisition.sampling_rate_Hz
+    declared = () if clock_Hz is None else (ConverterHold(hold_s=0.5 / clock_Hz),)
     effects = {effect.name: effect for effect in every_effect()}
-    given, structure = {}, STATIC
-    for one in found:
-        effect = effects[one.effect]
+    given: dict[str, tuple[Extension, ...]] = {}
+    structure = STATIC
+    for estimate in estimates:
+        effect = effects[estimate.effect]
         if effect.extend is not None:
-            given[one.effect] = effect.extend(one, setting)
+            given[estimate.effect] = effect.extend(estimate, scaling)
         if effect.structural is not None:
             structure = effect.structural.structure(structure, model, True)
-    every = [*declared, *(part for parts in given.values() for part in parts)]
+    every = in_order([*declared, *(part for parts in given.values() for part in parts)])
     progress("refitting the simulation")
-    baseline = fit_extended(model, raw or recordings, declared, structure=STATIC)
-    final = fit_extended(
-        model, recordings, every, others=(baseline.model,), structure=structure, places=places
+    baseline = fit_extended(model, raw, declared, structure=STATIC)
+    final = _with_free_rungs(
+        fit_extended(
+            model, recordings, every, others=(baseline.model,), structure=structure, places=places
+        ),
+        recordings,
+        structure,
+        places,
     )
-    final = _loosened(final, recordings, structure, places)
-    fitted = _fitted(given, every, final)
     again = partial(fit_extended, final.model, others=(baseline.model,))
     without = {}
-    for one in found:
-        progress(f"refitting without {words(one.effect)}")
-        mine = fitted.get(one.effect, ())
-        rest = [part for part in final.model.extensions if not any(part is own for own in mine)]
-        own = effects[one.effect].structural
-        bare = structure if own is None else own.structure(structure, model, False)
-        without[one.effect] = again(recordings, rest, structure=bare, places=places)
+    for estimate in estimates:
+        progress(f"refitting without {words(estimate.effect)}")
+        effect = effects[estimate.effect]
+        own = given.get(estimate.effect, ())
+        rest = [
+            fitted
+            for start, fitted in zip(every, final.model.extensions, strict=True)
+            if not any(start is part for part in own)
+        ]
+        bare = structure
+        if effect.structural is not None:
+            bare = effect.structural.structure(structure, model, False)
+        without[estimate.effect] = again(recordings, rest, structure=bare, places=places)
     if faults:
-        broken = again(raw or recordings, final.model.extensions, structure=structure)
+        broken = again(raw, final.model.extensions, structure=structure)
         without |= dict.fromkeys(faults, broken)
     if whole is not None:
         progress("refitting without the unnamed structure")
         without[NAME] = again(
-            whole,
-            final.model.extensions,
-            structure=structure,
-            places=places_of_whole,
+            whole, final.model.extensions, structure=structure, places=places_of_whole
         )
-    return Refitted(
-        baseline=baseline,
-        final=final,
-        without=without,
-        extensions=fitted,
-        spread={name: _spread_of(parts, final) for name, parts in fitted.items()},
-        model=_shipped(model, recordings, final, structure, places)
-        if given or (not _drifts(model) and (model.verdict.applies or found))
-        else model,
+    # a zero that moves would be left out by a refit without a drift
+    drifts = wandering_zeros(model.starts, model.quality.rms_m, model.quality.range_m)
+    ships = given or (not drifts and (model.verdict.applies or estimates))
+    return ModelErrors(
+        baseline_m=baseline.held_out_rms_m,
+        final_m=final.held_out_rms_m,
+        without_m={name: error.held_out_rms_m for name, error in without.items()},
+        scatter=relative_scatter(final.held_m),
+        model=_shipped(model, recordings, final, structure, places) if ships else model,
     )
 
 
-def _drifts(model: AxisModel) -> bool:
-    """Return whether the zero of a piece moves, which a refit without a drift would leave out."""
-    quality = model.quality
-    return bool(wandering_zeros(model.starts, quality.rms_m, quality.range_m))
-
-
-def _loosened(
+def _with_free_rungs(
     final: Extended,
     recordings: Sequence[Recording],
     structure: Structure,
     places: Sequence[Samples] | None,
 ) -> Extended:
-    """Let every rung of a creep have a share of its own where that is clearly better.
+    """Free the share of each rung of a creep ladder where the error is clearly smaller.
 
-    Free rungs follow whatever hysteresis is not quite as the model's, so they must earn it.
+    Free rungs follow hysteresis that differs a little from the model's, so they must earn it.
     """
     free = tuple(
         replace(e, even=False) if isinstance(e, CreepLadder) else e for e in final.model.extensions
@@ -152,30 +203,7 @@ def _loosened(
     if not any(isinstance(e, CreepLadder) for e in free):
         return final
     loose = fit_extended(final.model, recordings, free, structure=structure, places=places)
-    return loose if loose.held_out_rms_m < LOOSE * final.held_out_rms_m else final
-
-
-def _declared(lab: Lab) -> tuple[Extension, ...]:
-    clock_Hz = lab.acquisition.sampling_rate_Hz
-    return () if clock_Hz is None else (ConverterHold(hold_s=0.5 / clock_Hz),)
-
-
-def _fitted(
-    given: Mapping[str, tuple[Extension, ...]], every: Sequence[Extension], final: Extended
-) -> dict[str, tuple[Extension, ...]]:
-    """Return for each effect its extensions with fitted numbers."""
-    from piezoid.identification.extensions import in_order
-
-    became = list(zip(in_order(every), final.model.extensions, strict=True))
-    return {
-        name: tuple(after for part in parts for before, after in became if before is part)
-        for name, parts in given.items()
-    }
-
-
-def _spread_of(parts: Sequence[Extension], final: Extended) -> tuple[Array, ...]:
-    pairs = list(zip(final.model.extensions, final.spread, strict=True))
-    return tuple(spread for part in parts for other, spread in pairs if other is part)
+    return loose if loose.held_out_rms_m < FREE_RUNGS * final.held_out_rms_m else final
 
 
 def _shipped(
@@ -187,25 +215,76 @@ def _shipped(
 ) -> AxisModel:
     """Return the final model with its one lag where the runtime looks for it.
 
-    A lag that was fitted before anything was found stands for all of it, a mode as well: beside
-    the mode itself it begins as what may be left of it too.
+    A lag that was fitted before any effect was found stands for a mode as well: beside the mode it
+    begins also as what may be left of it.
     """
-    late = [e for e in final.model.extensions if isinstance(e, Delay | FirstOrderLag)]
-    if not late:
+    late = next((e for e in final.model.extensions if isinstance(e, Delay | FirstOrderLag)), None)
+    if late is None:
         lags = (model.lag, replace(model.lag, time_s=LEFT_OF_LAG * model.lag.time_s))
         start, other = (replace(final.model, lag=lag) for lag in lags)
-        kept, every = replace(structure, lag=True), final.model.extensions
         return fit_extended(
-            start, recordings, every, others=(other,), structure=kept, places=places
+            start,
+            recordings,
+            final.model.extensions,
+            others=(other,),
+            structure=replace(structure, lag=True),
+            places=places,
         ).model
-    one = late[0]
-    if isinstance(one, Delay) and one.delay_samples > 0.0:
+    if isinstance(late, FirstOrderLag):
+        lag = Lag(kind="first_order", time_s=late.lag_s)
+    elif late.delay_samples > 0.0:
         return final.model
-    lag = (
-        Lag(kind="delay", time_s=one.delay_s)
-        if isinstance(one, Delay)
-        else Lag(kind="first_order", time_s=one.lag_s)
+    else:
+        lag = Lag(kind="delay", time_s=late.delay_s)
+    std_s = late.std[0] if late.std else 0.0
+    return replace(
+        final.model,
+        lag=lag,
+        extensions=tuple(e for e in final.model.extensions if e is not late),
+        uncertainty=final.model.uncertainty.known_anew("lag_s", lag.time_s, std_s),
     )
-    rest = tuple(e for e in final.model.extensions if e is not one)
-    known = final.model.uncertainty.known_anew("lag_s", lag.time_s, one.std[0] if one.std else 0.0)
-    return replace(final.model, lag=lag, extensions=rest, uncertainty=known)
+
+
+def repaired_faults(outcome: Outcome) -> tuple[str, ...]:
+    """Return the faults that were repaired; the others ask for a new measurement."""
+    before, names = outcome.first.tracks, []
+    for name, fault in outcome.faults.items():
+        if any(a is not b for a, b in zip(before, fault.tracks, strict=True)):
+            names.append(name)
+        before = fault.tracks
+    return tuple(names)
+
+
+def repaired(
+    recordings: Sequence[Recording],
+    axis: str,
+    before: Sequence[Track],
+    after: Sequence[Track],
+    scales: Scales,
+) -> tuple[Recording, ...]:
+    """Return recordings with the changes that repairs made to their tracks."""
+    pairs = iter(zip(before, after, strict=True))
+    mended = []
+    for recording in recordings:
+        change = {
+            Quantity.VOLTAGE: np.zeros(recording.samples),
+            Quantity.DISPLACEMENT: np.zeros(recording.samples),
+        }
+        for part in recording.pieces:
+            if part.stop - part.start < MINIMUM_SAMPLES:
+                continue
+            old, new = next(pairs)
+            change[Quantity.VOLTAGE][part] = scales.voltage_V * (new.drive - old.drive)
+            change[Quantity.DISPLACEMENT][part] = scales.displacement_m * (
+                new.response - old.response
+            )
+        if any(values.any() for values in change.values()):
+            channels = tuple(
+                replace(channel, values=channel.values + change[channel.quantity])
+                if channel.axis == axis and channel.quantity in change
+                else channel
+                for channel in recording.channels
+            )
+            recording = replace(recording, channels=channels)
+        mended.append(recording)
+    return tuple(mended)

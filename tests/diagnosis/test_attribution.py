@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.attribution import attribute_errors, mending, repaired
 from piezoid.diagnosis.blocked_regression import compared
 from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.diagnose import diagnose, view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effect_size import size_of
 from piezoid.diagnosis.effects import delay, rate_dependence
+from piezoid.diagnosis.refit import attribute_errors, repaired, repaired_faults
 from piezoid.diagnosis.refitted_view import SelectedEffect, extended
 from piezoid.diagnosis.residual_structure import Rest, SearchResult
 from piezoid.diagnosis.selection import Outcome
@@ -69,13 +69,11 @@ def test_a_model_is_returned_with_what_a_search_came_to() -> None:
         lab=Lab(),
         scales=scales_of(recordings, "x"),
     )
-    stroke_m = outcome.first.stroke_m
-    assert numbers.model is not None
     assert numbers.model.lag.kind == "delay"
     assert numbers.model.lag.time_s == pytest.approx(DELAY_s, rel=0.05)
-    assert stroke_m * numbers.final < 1.5 * NOISE_m
-    assert stroke_m * numbers.baseline > 10.0 * NOISE_m
-    assert numbers.without == {"delay": pytest.approx(numbers.baseline, rel=0.05)}
+    assert numbers.final_m < 1.5 * NOISE_m
+    assert numbers.baseline_m > 10.0 * NOISE_m
+    assert numbers.without_m == {"delay": pytest.approx(numbers.baseline_m, rel=0.05)}
     for recording in recordings:
         error_m = simulate_recording(numbers.model, recording) - recording.displacement_m()
         assert np.std(error_m) < 1.5 * NOISE_m
@@ -109,7 +107,7 @@ def test_only_a_fault_that_was_repaired_is_worth_something() -> None:
     known = Fault(tracks=outcome.first.tracks, value=1.0, spread=0.1, p_value=1e-6)
     other = tuple(replace(track, response=0.5 * track.response) for track in known.tracks)
     faults = {"quantisation": known, "outliers": replace(known, tracks=other)}
-    assert mending(replace(outcome, faults=faults)) == ("outliers",)
+    assert repaired_faults(replace(outcome, faults=faults)) == ("outliers",)
 
 
 def test_a_share_of_the_stroke_is_known_the_better_the_surer_its_effect_is() -> None:
