@@ -301,7 +301,7 @@ def _assembled(
     )
     gain_m_per_V = scales.displacement_m / scales.voltage_V
     diagnosis = with_creep_of_holds(diagnosis, recorded_of(recordings, axis), gain_m_per_V)
-    diagnosis = with_modes(diagnosis, start, selection.mode_recordings, len(every_effect()))
+    diagnosis = with_modes(diagnosis, start, selection.mode_recordings, outcome.final)
     others = {finding.effect for finding in diagnosis.findings} - named
     note = "{}: its error is not part of the baseline's."
     return with_budget(
