@@ -1,23 +1,22 @@
-"""A drive at rest: drift, jumps, hum, other axes and noise; no hysteresis is to be told from them.
+"""Diagnose recordings at constant drive: drift, jumps, hum, other axes, and one unknown line.
 
     y = c + drift(t) + jump(t - t0) + sum_h a_h cos(2 pi h f t) + b_h sin(2 pi h f t)
         + a cos(2 pi f1 t) + b sin(2 pi f1 t) + sum_j g_j u_j + noise
 
-All of it is linear but the grid's frequency f, the instant t0 and the frequency f1 of a line of
-its own (``rest_columns``). Each cause is judged by what it takes off the error of blocks of time
-that were left out, with the other causes at work. Where the logarithm of the time from the
-beginning does as well as a cubic, drift is not told from creep after what the drive did before.
+No hysteresis can be told from them. All of it is linear but the grid's frequency f, the instant t0
+and the frequency f1 of the line. Each cause is judged by how much it reduces the error on blocks
+of time that were left out, with the other causes in place. Where the logarithm of the time since
+the beginning does as well as a cubic, drift is not told from creep after earlier motion.
 
 Source: Bendat & Piersol for lines beside a trend; Arlot & Celisse (2010) on blocks.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import erfc, sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.blocked_regression import gain_z
 from piezoid.diagnosis.budget import RemainingErrors, relative_scatter, with_budget
 from piezoid.diagnosis.coordinate_tests import highest
 from piezoid.diagnosis.diagnosis import (
@@ -26,26 +25,23 @@ from piezoid.diagnosis.diagnosis import (
     Finding,
     HeldOut,
     NotDetected,
-    Seen,
     Size,
     Unexplained,
     fraction_explained,
 )
-from piezoid.diagnosis.effect import Effect
+from piezoid.diagnosis.effect import ConstantDriveData, Effect
 from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.residual_structure import NAME as SOMETHING_ELSE
 from piezoid.diagnosis.rest_columns import (
-    BLOCKS,
-    DRIFT,
     FOLDS,
-    JUMP,
-    LINE,
-    Columns,
-    Rest,
-    held,
-    line_in,
-    rest_columns,
-    spectrum_of,
+    MIN_Z,
+    SAME_ERROR,
+    blocks_of,
+    cubic,
+    held_out_gain,
+    held_out_residual,
+    peak_Hz,
+    waves,
 )
 from piezoid.diagnosis.segments import Places
 from piezoid.diagnosis.signals import GRIDS_Hz
@@ -55,72 +51,309 @@ from piezoid.identification.hysteresis.sensor_noise import noise_rms
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
-SURE = 3.3  # standard errors of the gain of blocks: as every effect asks for
-WORTH = 0.01  # of the error: less is not worth a name
-JUMPS = 0.05  # of the error beside any drift: a jump found by search takes off less by chance
-CHANCE = 1e-4  # p-value of a line that stands alone: there are thousands of frequencies to try
+DRIFT = "thermal_drift"  # the trend beside which all other causes are tested
+JUMP, LINE = "jump", "line"  # of no effect of the catalogue: findings of something else
+MIN_GAIN = 0.01  # of the error: less is not worth a name
+MIN_GAIN_JUMP = 0.05  # a jump found by search takes off less by chance
+LINE_P = 1e-4  # p-value of an unknown line: there are thousands of frequencies to try
 RESTS = "the drive rests, and nothing in these recordings excites it"
 ROWS = 60_000  # of a recording: enough for a line of a ten-thousandth of the noise
+LOG_SCALES = (0.003, 0.03, 0.1)  # of the recording: scales of a logarithm of time
+LOWEST = 4  # periods in the recording: slower motion is no line
+MEANS = 1000  # means in which a jump is sought
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RestColumns:
+    """Columns of all causes that may move a stage at constant drive.
+
+    recording its name
+    time_s    (rows,)
+    y_m       (rows,)  readings about their mean
+    columns   (rows, columns) by cause, each about its mean
+    is_creep  whether a logarithm of time does as well as a cubic
+    jump_s    instant of the jump, since the recording began
+    line_Hz   frequency of the unknown line, 0 without one
+    unseen    why an effect cannot be seen here, by its name
+    """
+
+    recording: str
+    time_s: Array
+    y_m: Array
+    columns: Mapping[str, Array]
+    is_creep: bool
+    jump_s: float
+    line_Hz: float = 0.0
+    unseen: Mapping[str, str] = field(default_factory=dict)
+
+    def residual(self, names: Iterable[str]) -> Array:
+        """Return the residual beside these causes on left-out blocks, (rows,)."""
+        return held_out_residual(self.y_m, [self.columns[name] for name in names])
+
+    def is_worth(self, name: str, beside: Sequence[str]) -> float:
+        """Return the gain of a cause beside others; 0 where it is too small or not sure."""
+        gain, z = held_out_gain(self.residual(beside), self.residual([*beside, name]))
+        least = MIN_GAIN_JUMP if name == JUMP else MIN_GAIN
+        return gain if gain >= least and z >= MIN_Z else 0.0
 
 
 def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
-    """Return what moves a stage whose drive rests.
+    """Return the causes that move a stage whose drive is constant.
 
     recordings  of one stage, each with the displacement of the axis
 
-    The longest is diagnosed; others are other hours. Effects that need a drive are not tested.
+    The longest is diagnosed. Effects that need a drive are not tested.
     """
     recording = max(recordings, key=lambda r: r.duration_s)
-    keep = np.setdiff1d(np.arange(recording.samples), recording.bridged)
-    keep = keep[:: max(1, len(keep) // ROWS)] if _is_slow(recording) else keep[:ROWS]
+    rows = np.setdiff1d(np.arange(recording.samples), recording.bridged)
+    is_slow = recording.sampling_rate_Hz <= 2.0 * GRIDS_Hz[0]  # no line of the grid shows
+    rows = rows[:: max(1, len(rows) // ROWS)] if is_slow else rows[:ROWS]
     reading_m = recording.displacement_m(axis)
-    time_s = keep / recording.sampling_rate_Hz
-    y = reading_m[keep] - reading_m[keep].mean()
-    block = np.arange(len(y)) * BLOCKS // len(y)
-    rest = rest_columns(recording, axis, keep, time_s, y, every_effect())
-    chosen = _chosen(rest.columns, y, block)
-    final = held(y, [rest.columns[name] for name in chosen], block)
-    line_Hz = line_in(final, time_s, CHANCE)
+    rest = rest_columns(recording, axis, rows, every_effect())
+    chosen = _select(rest)
+    final = rest.residual(chosen)
+    line_Hz = _line_Hz(final, rest.time_s)
     if line_Hz is not None:
-        wider = rest.with_line(line_Hz)
-        if _is_worth(LINE, _gain(wider.columns, chosen, LINE, y, block)):
-            rest, chosen = wider, [*chosen, LINE]
-            final = held(y, [rest.columns[name] for name in chosen], block)
-    noise_m = noise_rms((y, final))
-    span_m = max(float(np.ptp(reading_m)), 1e-30)
-    before, after = _error(held(y, [], block), span_m), _error(final, span_m)
-    findings = [_finding(name, rest, chosen, y, block) for name in chosen]
-    findings.sort(key=lambda finding: finding.held_out_gain, reverse=True)
+        columns = {**rest.columns, LINE: waves(rest.time_s, [line_Hz])}
+        with_line = replace(rest, columns=columns, line_Hz=line_Hz)
+        if with_line.is_worth(LINE, chosen):
+            rest, chosen = with_line, [*chosen, LINE]
+            final = rest.residual(chosen)
+    noise_m, span_m = noise_rms((rest.y_m, final)), max(float(np.ptp(reading_m)), 1e-30)
+    before_m, after_m = (float(np.sqrt(np.mean(e**2))) for e in (rest.residual([]), final))
+    findings = [_finding(name, rest, chosen) for name in chosen]
     diagnosis = Diagnosis(
         axis=axis,
         stroke_m=span_m,
-        baseline=before,
-        final=FinalError(rms_m=after.rms_m, rms_percent=after.rms_percent),
-        envelope_rms_m=after.rms_m,
+        baseline=HeldOut(rms_m=before_m, rms_percent=100.0 * before_m / span_m),
+        final=FinalError(rms_m=after_m, rms_percent=100.0 * after_m / span_m),
+        envelope_rms_m=after_m,
         noise_floor_rms_m=noise_m,
-        explained_fraction=fraction_explained(before.rms_m, after.rms_m, noise_m),
+        explained_fraction=fraction_explained(before_m, after_m, noise_m),
         unexplained=_unexplained(final, noise_m),
-        findings=tuple(findings),
+        findings=tuple(sorted(findings, key=lambda f: f.held_out_gain, reverse=True)),
         not_detected=tuple(
-            _absent(effect, rest, final) for effect in every_effect() if effect.name not in chosen
+            _absent(effect, rest, after_m)
+            for effect in every_effect()
+            if effect.name not in chosen
         ),
     )
     errors = RemainingErrors(
-        explained_m=after.rms_m,
-        wide_m=after.rms_m,
+        explained_m=after_m,
+        wide_m=after_m,
         scatter=relative_scatter(final),
         is_compared=False,
     )
     return with_budget(diagnosis, errors)
 
 
-def _unexplained(left_m: Array, noise_m: float) -> Unexplained:
-    """Return what is left beyond the noise, and how surely its highest line is none of that.
+def rest_columns(
+    recording: Recording, axis: str, rows: Places, effects: Iterable[Effect]
+) -> RestColumns:
+    """Return the columns of every cause that these rows can show.
 
-    The p-value is of the highest line beside the power around it, for all lines.
+    rows     (rows,)  samples that are used
+    effects  those with ``at_rest`` add columns
     """
-    lines = highest(spectrum_of(left_m))
-    total_m2 = float(np.mean(left_m**2))
+    reading_m = recording.displacement_m(axis)[rows]
+    time_s, y_m = rows / recording.sampling_rate_Hz, reading_m - reading_m.mean()
+    since_s, span_s = time_s - time_s[0], max(float(np.ptp(time_s)), 1e-30)
+    smooth = cubic(time_s)
+    slow = np.column_stack([np.log1p(since_s / (share * span_s)) for share in LOG_SCALES])
+
+    def error(columns: Array) -> float:
+        return float(np.mean(held_out_residual(y_m, [columns]) ** 2))
+
+    smooth_error = error(smooth)
+    drift = slow if error(slow) < smooth_error else smooth
+    jump, jump_s = _jump(time_s, y_m, (smooth, slow))
+    data = ConstantDriveData(
+        recording=recording,
+        axis=axis,
+        keep=rows,
+        time_s=time_s,
+        calm_m=y_m - drift @ np.linalg.lstsq(drift, y_m, rcond=None)[0],
+    )
+    columns, unseen = {DRIFT: drift, JUMP: jump}, {}
+    for effect in effects:
+        added = effect.at_rest(data) if effect.at_rest is not None else None
+        if isinstance(added, str):
+            unseen[effect.name] = added
+        elif added is not None:
+            columns[effect.name] = added
+    one_scale = min(error(slow[:, k : k + 1]) for k in range(len(LOG_SCALES)))
+    return RestColumns(
+        recording=recording.name,
+        time_s=time_s,
+        y_m=y_m,
+        columns={name: values - values.mean(axis=0) for name, values in columns.items()},
+        is_creep=one_scale <= SAME_ERROR**2 * smooth_error,
+        jump_s=jump_s,
+        unseen=unseen,
+    )
+
+
+def _select(rest: RestColumns) -> list[str]:
+    """Return the causes that are sure and worth a name, the largest first, each beside others.
+
+    A jump is tested beside drift, which follows half of any jump.
+    """
+    chosen = [JUMP] if rest.is_worth(JUMP, [DRIFT]) else []
+    while True:
+        remaining = [name for name in rest.columns if name not in (*chosen, JUMP)]
+        gains = {name: rest.is_worth(name, chosen) for name in remaining}
+        best = max(remaining, key=lambda name: gains[name], default=DRIFT)
+        if not gains.get(best):
+            return chosen
+        chosen.append(best)
+
+
+def _line_Hz(residual: Array, time_s: Array) -> float | None:
+    """Return the frequency of the highest line of a residual, or None where none stands out."""
+    lines = highest(_spectrum(residual))
+    if not lines or lines[0][1] > LINE_P:
+        return None
+    per_s = (len(residual) - 1) / (len(residual) * float(np.ptp(time_s)))
+    return peak_Hz(residual, time_s, per_s * lines[0][2], per_s)
+
+
+def _spectrum(residual: Array) -> Array:
+    power = np.asarray(np.abs(np.fft.rfft(residual - residual.mean())) ** 2)
+    power[:LOWEST] = 0.0
+    return power
+
+
+def _jump(time_s: Array, y: Array, drifts: Sequence[Array]) -> tuple[Array, float]:
+    """Return a step where it explains most beside drift, (rows, 1), and its instant."""
+    size = max(len(y) // MEANS, 1)
+    count = len(y) // size
+    means = y[: count * size].reshape(count, size).mean(axis=1)
+    edge = max(count // 50, 1)
+    steps = np.tri(count, count, -1)[:, edge:-edge]
+    errors = []
+    for drift in drifts:
+        basis = np.linalg.qr(np.column_stack([np.ones(count), drift[: count * size : size]]))[0]
+        residual = means - basis @ (basis.T @ means)
+        free = steps - basis @ (basis.T @ steps)
+        explained = (free.T @ residual) ** 2 / np.maximum((free**2).sum(axis=0), 1e-12)
+        error = float(residual @ residual) - float(explained.max())
+        errors.append((error, int(np.argmax(explained)) + edge + 1))
+    near = min(errors, key=lambda pair: pair[0])[1] * size
+    # among the rows near it, the one that separates its neighbours best
+    low, high = max(near - 4 * size, 0), min(near + 4 * size, len(y))
+    part = y[low:high]
+    sums, row = np.cumsum(part - part.mean())[:-1], np.arange(1, len(part))
+    at = low + 1 + int(np.argmax(np.abs(sums) / np.sqrt(row * (len(part) - row))))
+    return (np.arange(len(y)) >= at).astype(np.float64)[:, None], float(time_s[at] - time_s[0])
+
+
+def _finding(name: str, rest: RestColumns, chosen: Sequence[str]) -> Finding:
+    others = [other for other in chosen if other != name]
+    before, after = rest.residual(others), rest.residual([*others, name])
+    gain, z = held_out_gain(before, after)
+    design = np.column_stack([rest.columns[other] for other in (*others, name)])
+    width, fold = rest.columns[name].shape[1], blocks_of(len(rest.y_m)) % FOLDS
+    value_m = _size_m(design, rest.y_m, width)
+    sizes_m = [_size_m(design[fold != k], rest.y_m[fold != k], width) for k in range(FOLDS)]
+    reach_m = 1.96 * float(np.std(sizes_m, ddof=1)) * (FOLDS - 1) / sqrt(FOLDS)
+    finding = Finding(
+        effect=name,
+        held_out_gain=float(np.clip(gain, 0.0, 1.0)),
+        held_out_rms_before_m=float(np.sqrt(np.mean(before**2))),
+        held_out_rms_after_m=float(np.sqrt(np.mean(after**2))),
+        p_value=min(1.0, max(0.5 * erfc(z / sqrt(2.0)), 1e-12) * len(rest.columns)),
+        rms_percent=100.0 * value_m / max(float(np.ptp(rest.y_m)), 1e-30),
+        size=Size(
+            value=1e9 * value_m,
+            unit="nm, rms",
+            ci95=(1e9 * max(value_m - reach_m, 0.0), 1e9 * (value_m + reach_m)),
+        ),
+        not_separable_from=(),
+        explanation="",
+        next_experiment="",
+        parameters={},
+    )
+    size = f"At rest it is {with_unit(value_m, 'm')} rms."
+    if name in (JUMP, LINE):
+        return _something_else(finding, rest, design, width, size)
+    effect = effect_named(name)
+    finding = replace(
+        finding, explanation=f"{effect.summary} {size}", next_experiment=effect.experiment
+    )
+    if name != DRIFT or not rest.is_creep:
+        return finding
+    return replace(
+        finding,
+        explanation=f"{finding.explanation} It slows down as the logarithm of the time does: "
+        "drift and creep after what the drive did before are not separable here.",
+        next_experiment="Step to mid-range and hold the drive for ten times as long: creep goes "
+        "on slowing down, thermal drift does not.",
+        not_separable_from=effect.confounded,
+    )
+
+
+def _something_else(
+    finding: Finding, rest: RestColumns, design: Array, width: int, size: str
+) -> Finding:
+    """Return the finding of a jump or an unknown line, with its picture along time or phase."""
+    centred = design - design.mean(axis=0)
+    coefficient = np.linalg.lstsq(centred, rest.y_m, rcond=None)[0]
+    curve_m = centred[:, -width:] @ coefficient[-width:]
+    left_m = rest.y_m - centred @ coefficient + curve_m
+    if finding.effect == LINE:
+        return replace(
+            finding,
+            effect=SOMETHING_ELSE,
+            explanation="No effect of the catalogue stands for it: a line at "
+            f"{significant(rest.line_Hz, 5)} Hz, of the floor, a pump or another instrument. "
+            f"{size}",
+            next_experiment=NEXT["frequency"],
+            parameters={"frequency_Hz": rest.line_Hz},
+            coordinate="frequency",
+            seen=seen_in_classes((rest.time_s * rest.line_Hz) % 1.0, left_m, curve_m, unit=""),
+        )
+    jump_m = float(coefficient[-1])
+    return replace(
+        finding,
+        effect=SOMETHING_ELSE,
+        explanation="No effect of the catalogue stands for it: one jump by "
+        f"{with_unit(jump_m, 'm')} at {with_unit(rest.jump_s, 's')}, of the stage, its mount "
+        "or the sensor.",
+        next_experiment=NEXT["time"],
+        parameters={"instant_s": rest.jump_s, "jump_m": jump_m},
+        coordinate="time",
+        seen=seen_in_classes(rest.time_s, left_m, curve_m, unit="s", recording=rest.recording),
+    )
+
+
+def _size_m(design: Array, y_m: Array, width: int) -> float:
+    """Return the rms of the contribution of the last columns to a fit of all."""
+    centred = design - design.mean(axis=0)
+    coefficient = np.linalg.lstsq(centred, y_m - y_m.mean(), rcond=None)[0]
+    return float(np.std(centred[:, -width:] @ coefficient[-width:]))
+
+
+def _absent(effect: Effect, rest: RestColumns, rms_m: float) -> NotDetected:
+    bound_m = None
+    reason = rest.unseen.get(effect.name, RESTS)
+    if effect.name in rest.columns:
+        # a sum of so many columns within the noise of all rows, one-sided 95 %
+        width = rest.columns[effect.name].shape[1]
+        bound_m = rms_m * max(sqrt(2.0 * MIN_GAIN), 3.0 * sqrt(width / len(rest.y_m)))
+        reason = f"not detected; {with_unit(bound_m, 'm')} rms would have been"
+    return NotDetected(
+        effect=effect.name,
+        upper_bound_m=bound_m,
+        detection_limit_m=bound_m,
+        reason=reason,
+        next_experiment=effect.experiment,
+    )
+
+
+def _unexplained(residual_m: Array, noise_m: float) -> Unexplained:
+    """Return the residual beyond the noise, and the p-value of its highest line among all."""
+    lines = highest(_spectrum(residual_m))
+    total_m2 = float(np.mean(residual_m**2))
     above_m2 = max(total_m2 - noise_m**2, 0.0)
     line, p_value = (lines[0][0], max(lines[0][1], 1e-12)) if lines else (0.0, 1.0)
     return Unexplained(
@@ -128,185 +361,5 @@ def _unexplained(left_m: Array, noise_m: float) -> Unexplained:
         share=above_m2 / max(total_m2, 1e-300),
         p_value=p_value,
         coordinate="frequency",
-        gain=min(2.0 * line / max(total_m2 * len(left_m) ** 2, 1e-300), 1.0),
+        gain=min(2.0 * line / max(total_m2 * len(residual_m) ** 2, 1e-300), 1.0),
     )
-
-
-def _is_slow(recording: Recording) -> bool:
-    """Tell whether no line of the grid can be seen anyway, so that rows may be spread."""
-    return recording.sampling_rate_Hz <= 2.0 * GRIDS_Hz[0]
-
-
-def _chosen(columns: Columns, y: Array, block: Places) -> list[str]:
-    """Return the causes that are sure and worth a name, the largest first, each beside others.
-
-    A jump is asked beside drift, which follows the half of any jump.
-    """
-    chosen = [JUMP] if _is_worth(JUMP, _gain(columns, [DRIFT], JUMP, y, block)) else []
-    while True:
-        rest = [name for name in columns if name not in (*chosen, JUMP)]
-        seen = {name: _gain(columns, chosen, name, y, block) for name in rest}
-        sure = [name for name in rest if _is_worth(name, seen[name])]
-        if not sure:
-            return chosen
-        chosen.append(max(sure, key=lambda one: seen[one][0]))
-
-
-def _is_worth(name: str, seen: tuple[float, float]) -> bool:
-    gain, z = seen
-    return gain >= (JUMPS if name == JUMP else WORTH) and z >= SURE
-
-
-def _gain(
-    columns: Columns, beside: Sequence[str], name: str, y: Array, block: Places
-) -> tuple[float, float]:
-    """Return by how much a cause lowers the rms of blocks left out, and how surely."""
-    rest = [columns[other] for other in beside if other != name]
-    without, within = held(y, rest, block), held(y, [*rest, columns[name]], block)
-    better = np.bincount(block, without**2 - within**2, BLOCKS).astype(np.float64)
-    made = np.bincount(block, (without - within) ** 2, BLOCKS).astype(np.float64)
-    gain = 1.0 - float(np.sqrt(np.mean(within**2) / max(float(np.mean(without**2)), 1e-300)))
-    return gain, gain_z(better, made, gain)
-
-
-def _finding(name: str, found: Rest, chosen: Sequence[str], y: Array, block: Places) -> Finding:
-    columns = found.columns
-    gain, z = _gain(columns, chosen, name, y, block)
-    rest = [columns[other] for other in chosen if other != name]
-    before, after = held(y, rest, block), held(y, [*rest, columns[name]], block)
-    design = np.column_stack([*rest, columns[name]])
-    width = columns[name].shape[1]
-    sizes = [
-        _size(design[block % FOLDS != out], y[block % FOLDS != out], width) for out in range(FOLDS)
-    ]
-    value, spread = (
-        _size(design, y, width),
-        float(np.std(sizes, ddof=1)) * (FOLDS - 1) / sqrt(FOLDS),
-    )
-    said = _said(name, found, value, design, y)
-    return Finding(
-        effect=said.effect,
-        held_out_gain=float(np.clip(gain, 0.0, 1.0)),
-        held_out_rms_before_m=float(np.sqrt(np.mean(before**2))),
-        held_out_rms_after_m=float(np.sqrt(np.mean(after**2))),
-        p_value=min(1.0, max(0.5 * erfc(z / sqrt(2.0)), 1e-12) * len(columns)),
-        rms_percent=100.0 * value / max(float(np.ptp(y)), 1e-30),
-        size=Size(
-            value=1e9 * value,
-            unit="nm, rms",
-            ci95=(1e9 * max(value - 1.96 * spread, 0.0), 1e9 * (value + 1.96 * spread)),
-        ),
-        not_separable_from=said.confounded,
-        explanation=said.explanation,
-        next_experiment=said.experiment,
-        parameters=said.parameters,
-        coordinate=said.coordinate,
-        seen=_seen(name, found, design, y) if said.coordinate else None,
-    )
-
-
-def _seen(name: str, found: Rest, design: Array, y: Array) -> Seen:
-    """Return the picture of something else: what is left along time or phase, and its curve."""
-    width = found.columns[name].shape[1]
-    every = design - design.mean(axis=0)
-    coefficients = _coefficients(design, y)
-    curve = every[:, -width:] @ coefficients[-width:]
-    left = y - y.mean() - every @ coefficients + curve
-    phase = (found.time_s * found.line_Hz) % 1.0
-    if name == JUMP:
-        return seen_in_classes(found.time_s, left, curve, unit="s", recording=found.recording)
-    return seen_in_classes(phase, left, curve, unit="")
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Said:
-    """How a cause is called and told, fields as of ``Finding``."""
-
-    effect: str
-    explanation: str
-    experiment: str
-    confounded: tuple[str, ...] = ()
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    coordinate: str = ""
-
-
-def _said(name: str, rest: Rest, value_m: float, design: Array, y: Array) -> _Said:
-    """Return a cause in words.
-
-    design, y  rows of all that was found, the cause's own columns last
-    """
-    size = f"At rest it is {with_unit(value_m, 'm')} rms."
-    if name == LINE:
-        return _Said(
-            effect=SOMETHING_ELSE,
-            explanation="No effect of the catalogue stands for it: a line at "
-            f"{significant(rest.line_Hz, 5)} Hz, of the floor, a pump or another instrument. "
-            f"{size}",
-            experiment=NEXT["frequency"],
-            parameters={"frequency_Hz": rest.line_Hz},
-            coordinate="frequency",
-        )
-    if name == JUMP:
-        high_m = float(_coefficients(design, y)[-1])
-        return _Said(
-            effect=SOMETHING_ELSE,
-            explanation="No effect of the catalogue stands for it: one jump by "
-            f"{with_unit(high_m, 'm')} at {with_unit(rest.jump_s, 's')}, of the stage, its mount "
-            "or the sensor.",
-            experiment=NEXT["time"],
-            parameters={"instant_s": rest.jump_s, "jump_m": high_m},
-            coordinate="time",
-        )
-    effect = effect_named(name)
-    creeps = name == DRIFT and rest.is_creep
-    if creeps:
-        size += (
-            " It slows down as the logarithm of the time does: drift and creep after what the "
-            "drive did before are not separable here."
-        )
-    return _Said(
-        effect=name,
-        explanation=f"{effect.summary} {size}",
-        experiment="Step to mid-range and hold the drive for ten times as long: creep goes "
-        "on slowing down, thermal drift does not."
-        if creeps
-        else effect.experiment,
-        confounded=effect.confounded if creeps else (),
-    )
-
-
-def _coefficients(design: Array, y: Array) -> Array:
-    return np.asarray(np.linalg.lstsq(design - design.mean(axis=0), y - y.mean(), rcond=None)[0])
-
-
-def _size(design: Array, y: Array, width: int) -> float:
-    """Return the rms of what the last columns add to a fit of all."""
-    part = design[:, -width:] @ _coefficients(design, y)[-width:]
-    return float(np.std(part))
-
-
-def _absent(effect: Effect, rest: Rest, final: Array) -> NotDetected:
-    if effect.name not in rest.columns:
-        return NotDetected(
-            effect=effect.name,
-            upper_bound_m=None,
-            detection_limit_m=None,
-            reason=rest.unseen.get(effect.name, RESTS),
-            next_experiment=effect.experiment,
-        )
-    # a sum of so many columns within the noise of all rows, one-sided 95 %
-    rms_m = float(np.sqrt(np.mean(final**2)))
-    width = rest.columns[effect.name].shape[1]
-    bound_m = max(rms_m * sqrt(2.0 * WORTH), 3.0 * rms_m * sqrt(width / len(final)))
-    return NotDetected(
-        effect=effect.name,
-        upper_bound_m=bound_m,
-        detection_limit_m=bound_m,
-        reason=f"not detected; {with_unit(bound_m, 'm')} rms would have been",
-        next_experiment=effect.experiment,
-    )
-
-
-def _error(left: Array, span_m: float) -> HeldOut:
-    rms_m = float(np.sqrt(np.mean(left**2)))
-    return HeldOut(rms_m=rms_m, rms_percent=100.0 * rms_m / span_m)

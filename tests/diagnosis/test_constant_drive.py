@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.constant_drive import rest_columns
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis, Size
 from piezoid.diagnosis.effects import EFFECTS, effect_named
-from piezoid.diagnosis.rest_columns import BLOCKS, held, rest_columns, waves
+from piezoid.diagnosis.rest_columns import waves
 from piezoid.numerics.arrays import Array
 from piezoid.raw_counts import texts_in_counts
 from piezoid.records.frames import from_arrays
@@ -75,12 +76,10 @@ def test_an_effect_that_needs_no_drive_is_asked_while_it_rests() -> None:
     recording = from_arrays(
         time_s=TIME_s, voltage_V=np.full(SAMPLES, 20.0), displacement_m=reading_m
     )
-    keep = np.arange(SAMPLES)
-    rest = rest_columns(recording, "x", keep, TIME_s, reading_m, [pump])
-    left_m = held(reading_m, [rest.columns["pump"]], keep * BLOCKS // SAMPLES)
-    assert 1e6 * float(np.std(left_m)) == pytest.approx(NOISE_um, rel=0.03)
+    rest = rest_columns(recording, "x", np.arange(SAMPLES), [pump])
+    assert 1e6 * float(np.std(rest.residual(["pump"]))) == pytest.approx(NOISE_um, rel=0.03)
     silent = replace(pump, at_rest=lambda _: "the pump is off")
-    without = rest_columns(recording, "x", keep, TIME_s, reading_m, [silent])
+    without = rest_columns(recording, "x", np.arange(SAMPLES), [silent])
     assert without.unseen == {"pump": "the pump is off"}
     assert "pump" not in without.columns
 
