@@ -113,7 +113,7 @@ RULES = (
     ),
     Rule(
         name="other initial states",
-        places=((forward_selection, "leaves_clearly_less"),),
+        places=((forward_selection, "initial_states_explain"),),
         without=lambda *_: False,
     ),
     Rule(

@@ -1,9 +1,8 @@
-"""Forward selection: one effect after another is added to those selected before.
+"""Forward selection: take in one effect after another until none is significant.
 
-Every step all effects get a score test. Tangents tell which to refit: those that bring a good part
-of the best, and where none of them is evidence all others that bring anything. The shortlist is
-refitted with the whole model, and the effect that leaves the smallest error is selected, unless
-other initial states or a Bouc-Wen state leave less.
+A step takes in the effect that leaves the smallest error, or what explains as much without any
+effect: a filter on the other side of the hysteresis, a Bouc-Wen state, other initial states. Where
+nothing is significant, slips of the clock are tried in the place of a filter.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -35,136 +34,16 @@ from piezoid.diagnosis.step_responses import modes_behind_jumps
 from piezoid.formatting import words
 from piezoid.numerics.executor import Executor
 
-TELLING = 0.25  # of the best tangent's gain, from which an effect is refitted at first
-LEAST_GAIN = 0.012  # of the error: tangents err by factors
+FIRST_GAIN = 0.25  # of the best tangent's gain, from which an effect is refitted at first
+MIN_GAIN = 0.012  # of the error: tangents err by factors
 NEAR_PLACEBO = 0.9  # times its placebo's gain, below which a refit will not help it
 NEAR = 3.0  # times the least error left: how far a first refit may lie behind to be refined
 ABOUT = (-6, -5, -4, -3, -2, -1, 1, 2, 3, 4, 5, 6)  # steps from a trial to beyond the next
-CLEARLY = 0.98  # of the error that another place leaves, or another effect beside it
-MOST_CAUSES = 5
+OTHER_SIDE = 0.98  # largest relative error at which a filter changes its side
+MAX_EFFECTS = 5
 SLIP = "timestamp_fault"
 NOISY = 1.1  # residual/noise below which no structure of hysteresis is looked for
 BOUC_WEN = 0.97  # largest relative error at which a Bouc-Wen state is taken in
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SelectionContext:
-    """What candidates are refitted beside.
-
-    clean     the view without any effect
-    selected  effects that are at work already
-    view      the view with them
-    """
-
-    clean: View
-    selected: tuple[SelectedEffect, ...]
-    view: View
-
-
-def refit_shortlist(
-    found: Iterable[ScoreTest], beside: SelectionContext, executor: Executor
-) -> list[Candidate]:
-    """Return the telling effects with everything refitted, and if none is evidence the others."""
-    hopeful = [f for f in found if f.physical and f.total_gain > LEAST_GAIN]
-    telling = TELLING * max((f.total_gain for f in hopeful), default=0.0)
-    hopeful = [f for f in hopeful if _above_placebo(f)]
-    tried = _refined([f for f in hopeful if f.total_gain > telling], beside, executor)
-    if best_candidate(tried) is None:
-        tried += _refined([f for f in hopeful if f.total_gain <= telling], beside, executor)
-    return tried
-
-
-def best_candidate(tried: Sequence[Candidate]) -> Candidate | None:
-    """Return the effect that leaves least among those that are evidence."""
-    own = [j for j in tried if j.is_significant]
-    return min(own, key=lambda j: j.cv.rms, default=None)
-
-
-def _refined(
-    telling: Sequence[ScoreTest], beside: SelectionContext, executor: Executor
-) -> list[Candidate]:
-    """Return effects with everything refitted, but those that begin far behind the best."""
-    first = executor.map(lambda found: _beginning(found, beside), telling)
-    left = executor.map(lambda one: extended(beside.clean, [*beside.selected, one]).rms, first)
-    least = min(left, default=0.0)
-
-    def refit(begin: tuple[SelectedEffect, ScoreTest]) -> Candidate:
-        one, found = begin
-        executor.report(f"refitting with {words(one.effect.name)}")
-        better, view = refined(one, beside.clean, beside.selected)
-        return _refined_together(judged(better, view, beside.view, seen=found), beside, found)
-
-    near = [
-        (one, found)
-        for one, found, rms in zip(first, telling, left, strict=True)
-        if rms <= NEAR * least
-    ]
-    return executor.map(refit, near)
-
-
-def _beginning(found: ScoreTest, beside: SelectionContext) -> SelectedEffect:
-    """Return where a refit begins: at the best tangent, or in front of the hysteresis at the best.
-
-    A static response fitted to the command follows a part of what the stage was never given: its
-    tangents lead astray, and the error has a second lowest place where the response makes up for
-    the wrong limit. So there each trial is put in place, and each step about the best of them.
-    """
-    guess = initial_guess(found.effect, found.trial, float(found.cv.coefficient[0]))
-    if found.effect.drive_filter is None or found.effect.trials is None:
-        return guess
-
-    def left(one: SelectedEffect) -> float:
-        return extended(beside.clean, [*beside.selected, one]).rms
-
-    trials = [trial for trial in found.effect.trials(beside.view) if trial.physical]
-    best = min((guess, *(initial_guess(found.effect, trial, 1.0) for trial in trials)), key=left)
-    near = [stepped(best, name, part) for name in best.free for part in ABOUT]
-    return min((best, *near), key=left)
-
-
-def _refined_together(alone: Candidate, beside: SelectionContext, seen: ScoreTest) -> Candidate:
-    """Refine what was selected alone for both, where these look alike, and the effect again.
-
-    A delay that is none may be one then: beside a limit that follows a part of it, it differs from
-    recording to recording. Where more is free than a time, that costs too much to hope for.
-    """
-    free = len(alone.selected.free)
-    moving = [one for one in beside.selected if one.free and not one.from_jumps]
-    alike = [one for one in moving if one.effect.resembles(alone.effect)]
-    if not alike or not (free == 1 or (free and alone.physical)):
-        return alone
-    others = [one for one in beside.selected if one not in alike]
-    better, view = refined_together([*alike, alone.selected], beside.clean, others)
-    return judged(better[-1], view, alone.without, seen=seen)
-
-
-def _above_placebo(found: ScoreTest) -> bool:
-    """Tell whether a refit may help: tangents of what is looked for on a grid err by factors."""
-    if found.placebo is None or found.trial.free:
-        return True
-    return found.cv.gain > NEAR_PLACEBO * found.placebo.gain
-
-
-def moved_to_other_side(
-    beside: SelectionContext, best: Candidate | None
-) -> tuple[SelectedEffect, ...] | None:
-    """Return what was selected with one on the other side of the hysteresis, where it fits better.
-
-    An amplifier that charges the ceramic slowly rounds the turns of the drive before walls see
-    them, a sensor's filter those of what walls have done. What the one leaves of the other looks
-    like walls that need time.
-
-    best  what else is evidence: asked is for one that looks like it, or for any where nothing is
-    """
-    for k, one in enumerate(beside.selected):
-        other = one.effect.other_side
-        if other is None or not (best is None or one.effect.resembles(best.effect)):
-            continue
-        rest = [*beside.selected[:k], *beside.selected[k + 1 :]]
-        there, view = refined(replace(one, effect=other), beside.clean, rest, finer=1)
-        if view.rms < CLEARLY * min(beside.view.rms, best.view.rms if best else beside.view.rms):
-            return (*beside.selected[:k], there, *beside.selected[k + 1 :])
-    return None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -173,6 +52,7 @@ class SelectionState:
 
     clean     the view of repaired tracks, with the initial states and Bouc-Wen state taken in
     selected  effects, in the order in which they were selected
+    view      the view with them, on which the score tests are made
     faults    of the data, by effect
     screened  the last score test of each effect that was not selected, also ``BETWEEN`` recordings
     initial   the best shared and the best own initial states, where they are known
@@ -180,9 +60,30 @@ class SelectionState:
 
     clean: View
     selected: tuple[SelectedEffect, ...]
+    view: View
     faults: Mapping[str, Fault]
     screened: Mapping[str, ScoreTest]
     initial: InitialStates | None = None
+
+    def after(
+        self,
+        *,
+        clean: View | None = None,
+        selected: Sequence[SelectedEffect] | None = None,
+        faults: Mapping[str, Fault] | None = None,
+        initial: InitialStates | None = None,
+    ) -> "SelectionState":
+        """Return the state after a step that changes these."""
+        clean = self.clean if clean is None else clean
+        selected = self.selected if selected is None else tuple(selected)
+        return SelectionState(
+            clean=clean,
+            selected=selected,
+            view=extended(clean, selected),
+            faults=self.faults if faults is None else faults,
+            screened=self.screened,
+            initial=initial,
+        )
 
 
 def select_forward(
@@ -191,7 +92,7 @@ def select_forward(
     executor: Executor,
     initial: InitialStates | None = None,
 ) -> SelectionState:
-    """Select one effect after another until none is evidence.
+    """Select one effect after another until none is significant.
 
     initial  of the view, where they are known
     """
@@ -200,92 +101,199 @@ def select_forward(
     state = SelectionState(
         clean=clean,
         selected=selected,
+        view=extended(clean, selected),
         faults=faults,
         screened={},
         initial=None if selected else initial,
     )
-    for _ in range(MOST_CAUSES + 2):
-        view = extended(state.clean, state.selected)
-        named = {one.effect.name for one in state.selected}
-        state = replace(state, screened=_score_all(view, named, executor))
-        next_state = _next_state(state, view, executor)
+    for _ in range(MAX_EFFECTS + 2):
+        state = replace(state, screened=_score_all(state, executor))
+        next_state = _next_state(state, executor)
         if next_state is None:
             break
         state = next_state
     return state
 
 
-def _next_state(state: SelectionState, view: View, executor: Executor) -> SelectionState | None:
-    """Return the state after the step that leaves the smallest error; None where none helps.
+def _score_all(state: SelectionState, executor: Executor) -> dict[str, ScoreTest]:
+    def tested(effect: Effect) -> ScoreTest | None:
+        executor.report(f"testing {words(effect.name)}")
+        return score_test(effect, state.view)
 
-    A step takes in a Bouc-Wen state, other initial states or an effect.
+    named = {one.effect.name for one in state.selected}
+    effects = {
+        effect.name: effect
+        for effect in every_effect()
+        if effect.structural is None
+        and effect.name not in named
+        and not effect.untestable(state.view)
+    }
+    for name, effect in list(effects.items()):
+        if effect.between_recordings is not None:
+            effects[f"{name} {BETWEEN}"] = effect.between_recordings
+    tests = zip(effects, executor.map(tested, effects.values()), strict=True)
+    return {name: test for name, test in tests if test is not None}
 
-    view  with everything selected, on which the score tests were made
-    """
 
-    def bend() -> View:
+def _next_state(state: SelectionState, executor: Executor) -> SelectionState | None:
+    """Return the state after the step that leaves the smallest error; None where none helps."""
+    view = state.view
+
+    def with_bouc_wen_state() -> View:
         return with_best_bouc_wen(view) if view.rms > NOISY * view.noise else view
 
-    beside = SelectionContext(clean=state.clean, selected=state.selected, view=view)
-    tried = refit_shortlist(state.screened.values(), beside, executor)
-    best = best_candidate(tried)
+    best = best_candidate(refit_shortlist(state, executor))
     least = best.view.rms if best else np.inf
-    moved = moved_to_other_side(beside, best)
+    moved = moved_to_other_side(state, best)
     if moved is not None:
-        return replace(state, selected=moved, initial=None)
+        return state.after(selected=moved)
     if state.initial is None:
         shared = with_shared_initial_state(view, executor)
-        own, bent = executor.both(lambda: with_own_initial_states(view, shared), bend)
+        own, bent = executor.both(
+            lambda: with_own_initial_states(view, shared), with_bouc_wen_state
+        )
     else:
-        (shared, own), bent = state.initial, bend()
+        (shared, own), bent = state.initial, with_bouc_wen_state()
     if bent.rms < min(BOUC_WEN * view.rms, least, own.rms):
-        clean = with_bouc_wen(state.clean, bent.nuisance.bouc_wen)
-        return replace(state, clean=clean, initial=None)
-    if leaves_clearly_less(own, view, least):
+        return state.after(clean=with_bouc_wen(state.clean, bent.nuisance.bouc_wen))
+    if initial_states_explain(own, view, least):
         # beside selected effects they are not the same again: these follow the static response
-        return replace(
-            state,
+        return state.after(
             clean=with_free_memory(with_reversals(state.clean, own.nuisance.reversals)),
             initial=None if state.selected else (shared, own),
         )
     if best is None:
-        return _with_slips_in_place(state, view)
-    return replace(state, selected=(*state.selected, best.selected), initial=None)
+        return _with_slips_in_place(state)
+    return state.after(selected=(*state.selected, best.selected))
 
 
-def leaves_clearly_less(own: View, view: View, least: float) -> bool:
-    """Tell whether a view with other initial states is taken; ``least``: what an effect leaves."""
+def initial_states_explain(own: View, view: View, least: float) -> bool:
+    """Return whether other initial states explain more than any effect, which leaves ``least``."""
     return own.rms < min(OTHER_INITIAL_STATES * view.rms, least)
 
 
-def _with_slips_in_place(state: SelectionState, view: View) -> SelectionState | None:
-    """Take in slips that stand better than a filter selected before, in its place."""
+def refit_shortlist(state: SelectionState, executor: Executor) -> list[Candidate]:
+    """Return the best effects with everything refitted, and if none is significant the others.
+
+    An effect goes on if its tangent explains enough, and as much as its placebo; tangents of
+    parameters that are refined err by factors, and are not held against their placebos.
+    """
+    hopeful = [f for f in state.screened.values() if f.physical and f.total_gain > MIN_GAIN]
+    first_gain = FIRST_GAIN * max((f.total_gain for f in hopeful), default=0.0)
+    hopeful = [
+        f
+        for f in hopeful
+        if f.placebo is None or f.trial.free or f.cv.gain > NEAR_PLACEBO * f.placebo.gain
+    ]
+    tried = _refitted([f for f in hopeful if f.total_gain > first_gain], state, executor)
+    if best_candidate(tried) is None:
+        tried += _refitted([f for f in hopeful if f.total_gain <= first_gain], state, executor)
+    return tried
+
+
+def best_candidate(tried: Iterable[Candidate]) -> Candidate | None:
+    """Return the effect that leaves least among those that are significant."""
+    significant = [candidate for candidate in tried if candidate.is_significant]
+    return min(significant, key=lambda candidate: candidate.cv.rms, default=None)
+
+
+def _refitted(
+    tests: Sequence[ScoreTest], state: SelectionState, executor: Executor
+) -> list[Candidate]:
+    """Return effects with everything refitted, but those that begin far behind the best."""
+    clean, selected = state.clean, state.selected
+    starts = executor.map(lambda test: _start(test, state), tests)
+    errors = executor.map(lambda start: extended(clean, [*selected, start]).rms, starts)
+    least = min(errors, default=0.0)
+
+    def refit(pair: tuple[SelectedEffect, ScoreTest]) -> Candidate:
+        start, test = pair
+        executor.report(f"refitting with {words(start.effect.name)}")
+        better, view = refined(start, clean, selected)
+        return _refitted_together(judged(better, view, state.view, seen=test), state, test)
+
+    near = [
+        (start, test)
+        for start, test, rms in zip(starts, tests, errors, strict=True)
+        if rms <= NEAR * least
+    ]
+    return executor.map(refit, near)
+
+
+def _start(test: ScoreTest, state: SelectionState) -> SelectedEffect:
+    """Return where a refit begins: at the best tangent, or in front of the hysteresis at the best.
+
+    A static response fitted to the command follows a part of what the stage was never given: its
+    tangents lead astray, and the error has a second lowest place where the response makes up for
+    the wrong limit. So there each trial is put in place, and each step about the best of them.
+    """
+    guess = initial_guess(test.effect, test.trial, float(test.cv.coefficient[0]))
+    if test.effect.drive_filter is None or test.effect.trials is None:
+        return guess
+
+    def error(start: SelectedEffect) -> float:
+        return extended(state.clean, [*state.selected, start]).rms
+
+    trials = [trial for trial in test.effect.trials(state.view) if trial.physical]
+    best = min((guess, *(initial_guess(test.effect, trial, 1.0) for trial in trials)), key=error)
+    near = [stepped(best, name, part) for name in best.free for part in ABOUT]
+    return min((best, *near), key=error)
+
+
+def _refitted_together(alone: Candidate, state: SelectionState, test: ScoreTest) -> Candidate:
+    """Refine selected effects that look like a candidate together with it.
+
+    A delay that is none may be one then: beside a limit that follows a part of it, it differs from
+    recording to recording. Where more is free than a time, that costs too much to hope for.
+    """
+    free = len(alone.selected.free)
+    alike = [
+        one
+        for one in state.selected
+        if one.free and not one.from_jumps and one.effect.resembles(alone.effect)
+    ]
+    if not alike or not (free == 1 or (free and alone.physical)):
+        return alone
+    others = [one for one in state.selected if one not in alike]
+    better, view = refined_together([*alike, alone.selected], state.clean, others)
+    return judged(better[-1], view, alone.without, seen=test)
+
+
+def moved_to_other_side(
+    state: SelectionState, best: Candidate | None
+) -> tuple[SelectedEffect, ...] | None:
+    """Return the selected effects with a filter on the other side of the hysteresis, if better.
+
+    An amplifier that charges the ceramic slowly rounds the turns of the drive before the walls
+    follow, a sensor's filter those of the displacement. A filter on the wrong side leaves a
+    residual that looks like rate dependence.
+
+    best  the best candidate: only filters that resemble it are tried, or all where there is none
+    """
+    for k, one in enumerate(state.selected):
+        other = one.effect.other_side
+        if other is None or not (best is None or one.effect.resembles(best.effect)):
+            continue
+        before, behind = state.selected[:k], state.selected[k + 1 :]
+        there, view = refined(replace(one, effect=other), state.clean, [*before, *behind], finer=1)
+        rivals = [state.view.rms] if best is None else [state.view.rms, best.view.rms]
+        if view.rms < OTHER_SIDE * min(rivals):
+            return (*before, there, *behind)
+    return None
+
+
+def _with_slips_in_place(state: SelectionState) -> SelectionState | None:
+    """Take in slips of the clock in the place of a filter, where they explain more."""
     known = state.faults.get(SLIP)
     if known is None:
         return None
     for one in state.selected:
         if one.effect.response_filter is None:
             continue
-        rest = tuple(other for other in state.selected if other is not one)
-        slips = slips_in_place(state.clean, rest, view, known)
+        others = tuple(other for other in state.selected if other is not one)
+        slips = slips_in_place(state.clean, others, state.view, known)
         if slips is not None:
-            faults = {**state.faults, SLIP: slips[1].after(known)}
-            return replace(state, clean=slips[0], selected=rest, faults=faults, initial=None)
+            clean, fault = slips
+            faults = {**state.faults, SLIP: fault.after(known)}
+            return state.after(clean=clean, selected=others, faults=faults)
     return None
-
-
-def _score_all(view: View, named: set[str], executor: Executor) -> dict[str, ScoreTest]:
-    def screened(effect: Effect) -> ScoreTest | None:
-        executor.report(f"testing {words(effect.name)}")
-        return score_test(effect, view)
-
-    others = [e for e in every_effect() if e.structural is None and e.name not in named]
-    others = [effect for effect in others if not effect.untestable(view)]
-    between = {
-        f"{e.name} {BETWEEN}": e.between_recordings
-        for e in others
-        if e.between_recordings is not None
-    }
-    asked = {**{effect.name: effect for effect in others}, **between}
-    found = zip(asked, executor.map(screened, asked.values()), strict=True)
-    return {name: one for name, one in found if one is not None}
