@@ -115,7 +115,7 @@ def _table(planned: "Plan") -> "Table":
     headings = ("drive", "duration", *(() if is_single else ("separability",)))
     rows: list[tuple[Any, ...]] = []
     for drive in planned.alternatives:
-        estimate = drive.told
+        estimate = drive.estimate
         if estimate is None:
             rows.append((drive.name, *[""] * (len(headings) - 1), drive.refusal))
             continue

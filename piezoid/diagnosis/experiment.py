@@ -18,7 +18,7 @@ from piezoid.diagnosis.planning.drive_limits import Bench, Drive, DriveLimits, b
 from piezoid.diagnosis.planning.drive_response import driven_recording
 from piezoid.diagnosis.planning.open_questions import Question, is_open, questions_of
 from piezoid.diagnosis.planning.plan_ranking import Alternative, Choice, Table, table_of
-from piezoid.diagnosis.planning.separation import Told
+from piezoid.diagnosis.planning.separation import SeparationEstimate
 from piezoid.errors import ExcitationError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.raw_counts import VOLTAGE, refuse_counts
@@ -50,8 +50,8 @@ class Plan:
     drive: Drive
     limits: DriveLimits
     limits_from: str
-    before: Told | None
-    after: Told
+    before: SeparationEstimate | None
+    after: SeparationEstimate
     answers: bool
     forbids: str
     set_aside: tuple[Question, ...]
@@ -109,8 +109,8 @@ def plan(
         if is_missing and not chosen.answers
         else ""
     )
-    drive, told = table.drives[chosen.best.name], chosen.best.told
-    if not chosen.shows or told is None or not isinstance(drive, Drive):
+    drive, estimate = table.drives[chosen.best.name], chosen.best.estimate
+    if not chosen.shows or estimate is None or not isinstance(drive, Drive):
         raise ExcitationError(
             f"no drive of the menu shows {' and '.join(chosen.question.effects)} inside these "
             "limits",
@@ -125,7 +125,7 @@ def plan(
         limits=bench.limits,
         limits_from=bench.limits_from,
         before=chosen.before,
-        after=told,
+        after=estimate,
         answers=chosen.answers,
         forbids=forbids,
         set_aside=set_aside,

@@ -24,7 +24,7 @@ from piezoid.diagnosis.planning.open_questions import (
 )
 from piezoid.diagnosis.planning.plan_file import plan_json, sentences
 from piezoid.diagnosis.planning.plan_ranking import Table, table_of
-from piezoid.diagnosis.planning.separation import Told
+from piezoid.diagnosis.planning.separation import SeparationEstimate
 from piezoid.errors import ExcitationError
 from piezoid.records.lab import Amplifier, Lab
 from tests.reports.known_diagnosis import diagnosed, finding
@@ -69,8 +69,8 @@ def test_nothing_is_promised_to_show_below_what_the_diagnosis_names(effect: str)
     diagnosis = _open(**{effect: HIGH_m})
     (asked,) = questions_of(diagnosis, effect)
     best = _table().choice(asked).best
-    if best.told is not None and best.score > 0.0:
-        assert expected_limit_m(asked, None, best.told) >= MINIMUM_SHARE * diagnosis.stroke_m
+    if best.estimate is not None and best.score > 0.0:
+        assert expected_limit_m(asked, None, best.estimate) >= MINIMUM_SHARE * diagnosis.stroke_m
 
 
 def test_a_coupling_that_no_recording_excites_has_a_size_along_the_drive_that_would() -> None:
@@ -84,8 +84,8 @@ def test_a_coupling_that_no_recording_excites_has_a_size_along_the_drive_that_wo
     (asked,) = questions_of(replace(found, not_detected=absent), "cross_coupling")
     best = _table().choice(asked).best
     assert best.name == "other_axis"
-    assert best.told is not None
-    assert 1e-6 < best.told.errors[0] < 1.0
+    assert best.estimate is not None
+    assert 1e-6 < best.estimate.errors[0] < 1.0
 
 
 def test_other_axes_that_reach_their_loops_late_are_waited_for() -> None:
@@ -149,7 +149,7 @@ def test_what_is_said_stands_in_the_file_for_scripts() -> None:
 def test_two_that_stay_lost_in_their_errors_are_not_told_apart_however_unlike_they_are() -> None:
     found = diagnosed(finding("creep", rivals=("thermal_drift",)))
     asked: Question = questions_of(found, "creep")[0]
-    unlike = Told(separability=0.9, errors=(2.0, 0.1))
+    unlike = SeparationEstimate(separability=0.9, errors=(2.0, 0.1))
     assert not answers(asked, None, unlike)
     assert answers(asked, None, replace(unlike, errors=(0.1, 0.1)))
     assert not answers(

@@ -17,7 +17,7 @@ from piezoid.diagnosis.candidate import MINIMUM_SHARE
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, NotDetected, Size
 from piezoid.diagnosis.effect import Tangent
 from piezoid.diagnosis.effects import effect_named, every_effect
-from piezoid.diagnosis.planning.separation import Suspect, Told
+from piezoid.diagnosis.planning.separation import SeparationEstimate, Suspect
 from piezoid.errors import ExcitationError
 
 HALF_95 = 1.96  # standard errors
@@ -170,13 +170,17 @@ def _width(finding: Finding | None) -> float:
     return 0.5 * (high - low) / max(abs(finding.size.value), 1e-30)
 
 
-def answers(question: Question, before: Told | None, after: Told) -> bool:
+def answers(
+    question: Question, before: SeparationEstimate | None, after: SeparationEstimate
+) -> bool:
     """Tell whether a drive answers enough of a question to be worth playing."""
-    told = question.kind != "separate" or POWER * after.worst <= 1.0
-    return told and left_open(question, before, after) <= WORTHWHILE
+    stand_out = question.kind != "separate" or POWER * after.worst <= 1.0
+    return stand_out and left_open(question, before, after) <= WORTHWHILE
 
 
-def left_open(question: Question, before: Told | None, after: Told) -> float:
+def left_open(
+    question: Question, before: SeparationEstimate | None, after: SeparationEstimate
+) -> float:
     """Return how much of a question a drive leaves, 0 to 1."""
     if question.kind == "separate":
         now = 1.0 / POWER if before is None else before.worst
@@ -199,7 +203,9 @@ def _half(size: Size) -> float:
     return 0.5 * (high - low)
 
 
-def expected_half(question: Question, before: Told | None, after: Told) -> float:
+def expected_half(
+    question: Question, before: SeparationEstimate | None, after: SeparationEstimate
+) -> float:
     """Return half the interval to expect of the size that was diagnosed, in its own unit.
 
     Without the recordings, what the planned drive alone would say is added to what was known.
@@ -216,7 +222,9 @@ def expected_half(question: Question, before: Told | None, after: Told) -> float
     return half * alone / sqrt(half**2 + alone**2) if half > 0.0 else 0.0
 
 
-def expected_limit_m(question: Question, before: Told | None, after: Told) -> float:
+def expected_limit_m(
+    question: Question, before: SeparationEstimate | None, after: SeparationEstimate
+) -> float:
     """Return the rms from which an effect would show, m.
 
     Never less than what the diagnosis asks of an effect before it names it, however often a drive

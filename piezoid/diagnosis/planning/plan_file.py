@@ -14,7 +14,7 @@ from piezoid.diagnosis.planning.open_questions import (
     is_open,
 )
 from piezoid.diagnosis.planning.plan_ranking import Alternative
-from piezoid.diagnosis.planning.separation import Told
+from piezoid.diagnosis.planning.separation import SeparationEstimate
 from piezoid.digests import digest_of_bytes, seal
 from piezoid.formatting import significant, with_unit, words
 
@@ -57,20 +57,20 @@ def plan_json(found: Plan) -> dict[str, Any]:
         "answers": found.answers,
         "forbids": found.forbids,
         "set_aside": [{"kind": one.kind, "effects": list(one.effects)} for one in found.set_aside],
-        "before": _told(found, found.before),
-        "after": _told(found, found.after),
+        "before": _estimate_json(found, found.before),
+        "after": _estimate_json(found, found.after),
         "size": _size(found),
         "alternatives": [_alternative(found, one) for one in found.alternatives],
     }
 
 
-def _told(found: Plan, told: Told | None) -> dict[str, Any] | None:
+def _estimate_json(found: Plan, estimate: SeparationEstimate | None) -> dict[str, Any] | None:
     """Return separability, and of each effect half its expected interval over its size."""
-    if told is None:
+    if estimate is None:
         return None
-    halves = zip(found.question.effects, told.errors, strict=True)
+    halves = zip(found.question.effects, estimate.errors, strict=True)
     return {
-        "separability": told.separability if len(told.errors) > 1 else None,
+        "separability": estimate.separability if len(estimate.errors) > 1 else None,
         "half_interval_over_size": {
             name: HALF_95 * error if isfinite(error) else None for name, error in halves
         },
@@ -103,7 +103,7 @@ def _alternative(found: Plan, one: Alternative) -> dict[str, Any]:
         "why": one.why,
         "duration_s": one.duration_s,
         "score": one.score,
-        "expected": _told(found, one.told),
+        "expected": _estimate_json(found, one.estimate),
         "refusal": one.refusal,
     }
 
@@ -183,7 +183,7 @@ def _shows_from(found: Plan) -> str:
     return f"Expect it to show from {with_unit(expected_m, 'm', 2)} rms{now}{least}."
 
 
-def _separable(before: Told | None, after: Told) -> str:
+def _separable(before: SeparationEstimate | None, after: SeparationEstimate) -> str:
     reached = f"Expect the separability of the two to be {after.separability:.2g} of 1"
     if before is None:
         return f"{reached}."

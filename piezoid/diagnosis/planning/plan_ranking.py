@@ -8,7 +8,7 @@ from piezoid.diagnosis.planning.candidate_drives import MENU, played
 from piezoid.diagnosis.planning.drive_limits import Bench, Drive
 from piezoid.diagnosis.planning.drive_response import Driven, driven_drive, usual_drives
 from piezoid.diagnosis.planning.open_questions import Question, answers, left_open
-from piezoid.diagnosis.planning.separation import Errors, Told, told_apart
+from piezoid.diagnosis.planning.separation import Errors, SeparationEstimate, estimate_separation
 from piezoid.errors import ExcitationError
 from piezoid.identification.model import AxisModel
 
@@ -20,7 +20,7 @@ NEARLY = 0.9  # of the best: a shorter drive that reaches it is taken
 class Alternative:
     """One candidate drive and what it would bring.
 
-    told     with the recordings there are, where they were given; None where it cannot be played
+    estimate with the recordings there are, where they were given; None where it cannot be played
     score    standard errors of the size asked about; of two effects to be separated their
              separability, once both exceed ``ENOUGH`` standard errors
     refusal  why it cannot be played, or empty
@@ -29,7 +29,7 @@ class Alternative:
     name: str
     why: str
     duration_s: float
-    told: Told | None
+    estimate: SeparationEstimate | None
     score: float = 0.0
     refusal: str = ""
 
@@ -47,14 +47,16 @@ class Choice:
     question: Question
     alternatives: tuple[Alternative, ...]
     best: Alternative
-    before: Told | None
+    before: SeparationEstimate | None
     left: float
 
     @property
     def answers(self) -> bool:
         """Whether the drive is worth a recording."""
-        told = self.best.told
-        return self.shows and told is not None and answers(self.question, self.before, told)
+        estimate = self.best.estimate
+        return (
+            self.shows and estimate is not None and answers(self.question, self.before, estimate)
+        )
 
     @property
     def shows(self) -> bool:
@@ -80,14 +82,16 @@ class Table:
 
     def choice(self, question: Question) -> Choice:
         """Return the best drive for a question, or a shorter one that is nearly as good."""
-        before = self._told(question) if self.recorded else None
+        before = self._estimate(question) if self.recorded else None
         ranked = tuple(
             sorted(self._alternatives(question), key=lambda alternative: -alternative.score)
         )
 
         def choice(best: Alternative) -> Choice:
-            is_shown = best.told is not None and best.score > 0.0
-            left = left_open(question, before, best.told) if is_shown and best.told else 1.0
+            is_shown = best.estimate is not None and best.score > 0.0
+            left = (
+                left_open(question, before, best.estimate) if is_shown and best.estimate else 1.0
+            )
             return Choice(
                 question=question, alternatives=ranked, best=best, before=before, left=left
             )
@@ -105,28 +109,30 @@ class Table:
             drive = self.drives[one.name]
             if isinstance(drive, str):
                 refused = Alternative(
-                    name=one.name, why=one.why, duration_s=0.0, told=None, refusal=drive
+                    name=one.name, why=one.why, duration_s=0.0, estimate=None, refusal=drive
                 )
                 found.append(refused)
                 continue
-            told = self._told(question, self.driven[one.name])
-            score = 1.0 / max(told.worst if question.kind == "separate" else told.errors[0], 1e-30)
+            estimate = self._estimate(question, self.driven[one.name])
+            score = 1.0 / max(
+                estimate.worst if question.kind == "separate" else estimate.errors[0], 1e-30
+            )
             if question.kind == "separate":
-                score = told.separability * min(score / ENOUGH, 1.0)
+                score = estimate.separability * min(score / ENOUGH, 1.0)
             found.append(
                 Alternative(
                     name=one.name,
                     why=one.why,
                     duration_s=drive.duration_s,
-                    told=told,
+                    estimate=estimate,
                     score=score,
                 )
             )
         return found
 
-    def _told(self, question: Question, *planned: Driven) -> Told:
+    def _estimate(self, question: Question, *planned: Driven) -> SeparationEstimate:
         drives = [*self.recorded, *planned]
-        return told_apart(drives, question.suspects, self.reference, self.errors)
+        return estimate_separation(drives, question.suspects, self.reference, self.errors)
 
 
 def table_of(

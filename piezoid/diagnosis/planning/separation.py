@@ -55,7 +55,7 @@ class Errors:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Told:
+class SeparationEstimate:
     """How well effects can be told apart.
 
     separability  0 to 1; 1 where there is only one
@@ -72,12 +72,12 @@ class Told:
         return max(self.errors)
 
 
-def told_apart(
+def estimate_separation(
     drives: Sequence[Driven],
     suspects: Sequence[Suspect],
     reference: Sequence[Driven],
     errors: Errors,
-) -> Told:
+) -> SeparationEstimate:
     """Return how well drives tell suspects apart.
 
     drives     all of one model, to be evaluated together
@@ -97,7 +97,7 @@ def told_apart(
         whole = weight * strength * _sum(suspect.tangent, scale, drives)
         beside = [basis, *(basis_of(b) for j, b in enumerate(blocks) if j != k)]
         found.append(_relative_error(whole, np.hstack(beside), weight, drives, errors))
-    return Told(separability=_separability(blocks), errors=tuple(found))
+    return SeparationEstimate(separability=_separability(blocks), errors=tuple(found))
 
 
 def scale_of(suspect: Suspect, reference: Sequence[Driven]) -> float:
