@@ -30,6 +30,7 @@ from piezoid.diagnosis.diagnosis import (
     Finding,
     NotDetected,
     Size,
+    held_out_gain,
     with_finding,
 )
 from piezoid.diagnosis.effects import effect_named
@@ -236,10 +237,9 @@ def _with_loop_shape(
         return _without_loop_shape(diagnosis, sqrt(max(power, 0.0) + ONE_SIDED_95 * doubt))
     effect = effect_named(LOOP_SHAPE)
     low, high = (sqrt(max(power + side * 1.96 * doubt, 0.0)) for side in (-1.0, 1.0))
-    gain = 1.0 - after_m / before_m if before_m > 0.0 else 0.0
     finding = Finding(
         effect=LOOP_SHAPE,
-        held_out_gain=float(np.clip(gain, 0.0, 1.0)),
+        held_out_gain=held_out_gain(before_m, after_m),
         held_out_rms_before_m=before_m,
         held_out_rms_after_m=after_m,
         p_value=0.5 * erfc(power / doubt / sqrt(2.0)) if doubt > 0.0 else 0.0,

@@ -22,7 +22,7 @@ from piezoid.diagnosis.rest_columns import (
     MIN_Z,
     SAME_ERROR,
     cubic,
-    held_out_gain,
+    gain_on_blocks,
     held_out_residual,
 )
 from piezoid.diagnosis.structure_findings import seen_in_classes
@@ -127,7 +127,7 @@ def _finding(hold: _Hold, diagnosis: Diagnosis, gain_m_per_V: float) -> Finding 
     column = np.log1p(time_s / scale_s)
     column -= column.mean()
     slope_V = float(column @ drive_V) / float(column @ column)
-    gain, z = held_out_gain(constant_V, residual_V)
+    gain, z = gain_on_blocks(constant_V, residual_V)
     # the drive compensates creep, so it moves against the step before
     continues = hold.step_V * slope_V < 0.0
     if gain < MIN_GAIN or z < MIN_Z or not continues or after_V > SAME_ERROR * cubic_V:

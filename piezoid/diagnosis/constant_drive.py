@@ -38,7 +38,7 @@ from piezoid.diagnosis.rest_columns import (
     SAME_ERROR,
     blocks_of,
     cubic,
-    held_out_gain,
+    gain_on_blocks,
     held_out_residual,
     peak_Hz,
     waves,
@@ -92,7 +92,7 @@ class RestColumns:
 
     def is_worth(self, name: str, beside: Sequence[str]) -> float:
         """Return the gain of a cause beside others; 0 where it is too small or not sure."""
-        gain, z = held_out_gain(self.residual(beside), self.residual([*beside, name]))
+        gain, z = gain_on_blocks(self.residual(beside), self.residual([*beside, name]))
         least = MIN_GAIN_JUMP if name == JUMP else MIN_GAIN
         return gain if gain >= least and z >= MIN_Z else 0.0
 
@@ -250,7 +250,7 @@ def _jump(time_s: Array, y: Array, drifts: Sequence[Array]) -> tuple[Array, floa
 def _finding(name: str, rest: RestColumns, chosen: Sequence[str]) -> Finding:
     others = [other for other in chosen if other != name]
     before, after = rest.residual(others), rest.residual([*others, name])
-    gain, z = held_out_gain(before, after)
+    gain, z = gain_on_blocks(before, after)
     design = np.column_stack([rest.columns[other] for other in (*others, name)])
     width, fold = rest.columns[name].shape[1], blocks_of(len(rest.y_m)) % FOLDS
     value_m = _size_m(design, rest.y_m, width)

@@ -157,6 +157,11 @@ def fraction_explained(before: float, after: float, noise: float) -> float:
     return min(max((before**2 - after**2) / explainable, 0.0), 1.0)
 
 
+def held_out_gain(before_m: float, after_m: float) -> float:
+    """Return the part by which an error falls, 0 where it rises."""
+    return min(max(1.0 - after_m / before_m, 0.0), 1.0) if before_m > 0.0 else 0.0
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Diagnosis(Summarised):
     """Everything that was found and not found about one axis.

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.candidate import Candidate
-from piezoid.diagnosis.diagnosis import Finding, HeldOut, Size
+from piezoid.diagnosis.diagnosis import Finding, HeldOut, Size, held_out_gain
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effect_size import size_of
 from piezoid.diagnosis.effects import effect_named, every_effect
@@ -97,11 +97,11 @@ def fault_finding(name: str, fault: Fault, errors: ModelErrors, stroke_m: float)
     reach = 1.96 * fault.spread
     return Finding(
         effect=name,
-        held_out_gain=_gain(before_m, after_m),
+        held_out_gain=held_out_gain(before_m, after_m),
         held_out_rms_before_m=before_m,
         held_out_rms_after_m=after_m,
         p_value=min(1.0, fault.p_value * len(every_effect())),
-        rms_percent=50.0 * _gain(before_m, after_m) * before_m / stroke_m,
+        rms_percent=50.0 * held_out_gain(before_m, after_m) * before_m / stroke_m,
         size=Size(
             value=fault.value, unit=effect.unit, ci95=(fault.value - reach, fault.value + reach)
         ),
@@ -120,7 +120,7 @@ def effect_finding(cause: Candidate, outcome: Outcome, errors: ModelErrors) -> F
     structure = _structure([*confounded, *_resembling(cause, outcome)])
     return Finding(
         effect=effect.name,
-        held_out_gain=_gain(before_m, after_m),
+        held_out_gain=held_out_gain(before_m, after_m),
         held_out_rms_before_m=before_m,
         held_out_rms_after_m=after_m,
         p_value=chance_of(cause.strength, strengths_of_healthy()),
@@ -166,10 +166,6 @@ def _confounding_note(structure: Sequence[Effect]) -> str:
         return ""
     names = " or ".join(words(one.name) for one in structure)
     return f" Not separable from {names}; the interval therefore includes zero."
-
-
-def _gain(before_m: float, after_m: float) -> float:
-    return float(np.clip(1.0 - after_m / before_m, 0.0, 1.0)) if before_m > 0.0 else 0.0
 
 
 def _places(fault: Fault) -> str:

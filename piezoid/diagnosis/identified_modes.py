@@ -12,7 +12,7 @@ from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Size, with_finding
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Size, held_out_gain, with_finding
 from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.residual_view import View
 from piezoid.formatting import with_unit
@@ -78,7 +78,7 @@ def with_modes(
         )
     )
     effect = effect_named(NAME)
-    gain = float(np.clip(1.0 - after_m / before_m, 0.0, 1.0)) if before_m > 0.0 else 0.0
+    gain = held_out_gain(before_m, after_m)
     names = ", ".join(recording.name for recording in shaped)
     finding = Finding(
         effect=NAME,

@@ -29,7 +29,7 @@ def held_out_residual(y: Array, parts: Sequence[Array]) -> Array:
     return residual
 
 
-def held_out_gain(before: Array, after: Array) -> tuple[float, float]:
+def gain_on_blocks(before: Array, after: Array) -> tuple[float, float]:
     """Return by which part columns lower the rms on left-out blocks, and its standard errors."""
     block = blocks_of(len(before))
     gain = 1.0 - float(np.sqrt(np.mean(after**2) / max(float(np.mean(before**2)), 1e-300)))

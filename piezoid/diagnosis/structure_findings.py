@@ -6,7 +6,14 @@ from math import sqrt
 import numpy as np
 
 from piezoid.diagnosis.coordinate_tests import CoordinateScore
-from piezoid.diagnosis.diagnosis import Finding, HeldOut, Seen, Size, Unexplained
+from piezoid.diagnosis.diagnosis import (
+    Finding,
+    HeldOut,
+    Seen,
+    Size,
+    Unexplained,
+    held_out_gain,
+)
 from piezoid.diagnosis.noise_level import NoiseLevel, excess_of
 from piezoid.diagnosis.residual_structure import NAME, Discovered
 from piezoid.diagnosis.residual_view import View
@@ -76,10 +83,9 @@ def of_discovered(
     way = float(np.sign(scale_m))
     seen = _seen(lives, found.view, way * found.left, way * lives.followed, scale_m, middle_m)
     part = f"{100 * found.share:.0f} % of what no cause explains beyond the noise"
-    gain = 1.0 - after.rms_m / before.rms_m if before.rms_m > 0.0 else 0.0
     return Finding(
         effect=NAME,
-        held_out_gain=float(np.clip(gain, 0.0, 1.0)),
+        held_out_gain=held_out_gain(before.rms_m, after.rms_m),
         held_out_rms_before_m=before.rms_m,
         held_out_rms_after_m=after.rms_m,
         p_value=found.chance,
