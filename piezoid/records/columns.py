@@ -255,7 +255,12 @@ def _converted(
     if unit.is_counted and quantity is not Quantity.REFERENCE and scale is None:
         statements.append(_in_counts(table, lab, column, quantity, axis))
     elif quantity is Quantity.DISPLACEMENT and unit.dimension is Dimension.VOLTAGE:
-        values = values / _sensor_gain_V_per_m(table, lab, column, axis)
+        values = values / sensor_gain_V_per_m(
+            lab,
+            axis,
+            f"{table.name}: {column.place} is a displacement of axis {axis} in volts",
+            needed="metres",
+        )
     else:
         _check_dimension(table, column, quantity, axis, unit, is_scaled=scale is not None)
     offset = _declared_for(entry.offset, name, axis)
@@ -301,12 +306,13 @@ def _declared_for(by_name: Mapping[str, T], name: str, axis: str) -> T | None:
     return by_name.get(f"{name}_{axis}", by_name.get(name))
 
 
-def _sensor_gain_V_per_m(table: RawTable, lab: Lab, column: Column, axis: str) -> float:
+def sensor_gain_V_per_m(lab: Lab, axis: str, volts: str, *, needed: str) -> float:
+    """Return the gain of a sensor, or refuse ``volts``, which cannot be converted without it."""
     gain_V_per_m = lab.sensor_of(axis).gain_V_per_m
     if gain_V_per_m is None:
         raise UnitError(
-            f"{table.name}: {column.place} is a displacement of axis {axis} in volts",
-            needed="the sensor's gain, to know it in metres",
+            volts,
+            needed=f"the sensor's gain, to know it in {needed}",
             remedy="Write into lab.toml:\n\n[sensor]\ngain_V_per_m = ...\n",
         )
     return gain_V_per_m

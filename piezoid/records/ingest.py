@@ -31,7 +31,6 @@ from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import read_table
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid.records.response_columns import is_response
-from piezoid.records.response_ingest import not_a_recording_error
 from piezoid.records.row_alignment import (
     Rows,
     SampleRows,
@@ -101,7 +100,11 @@ def ingest_parts(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tup
     Raises ``RecordingError`` for a frequency response, beside what a table may lack.
     """
     if is_response(table, entry):
-        raise not_a_recording_error(table)
+        raise RecordingError(
+            f"{table.name}: a frequency response, not a recording over time",
+            needed="a recording over time here",
+            remedy="Give it to piezoid fit beside a slow sweep of the same axis.",
+        )
     return tuple(with_checks(ingest_table(*part), lab) for part in parts_of(table, lab, entry))
 
 

@@ -4,29 +4,41 @@ A file is one where a column is a frequency, swept, and no column is a time, or 
 """
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from json import dumps
 
 import numpy as np
 
 from piezoid.errors import LabFileError, RecordingError, UnitError
-from piezoid.records.column_roles import Role, meaning_of
-from piezoid.records.columns import first_values, missing_column
+from piezoid.records.column_roles import meaning_of
+from piezoid.records.columns import clocks_of, first_values, missing_column
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.recording import Quantity
-from piezoid.records.response_units import Kind, bare, unit_in_heading
+from piezoid.records.response_units import AMPLITUDES, Kind, bare, unit_in_heading
 from piezoid.records.table import Column, RawTable
 
-PARTS = ("frequency", "magnitude", "phase", "real", "imaginary", "coherence", "excitation")
-COMPLEX = "response"  # one name of lab.toml for both columns a complex array is read as
-_WORDS = {
-    "frequency": {"frequency", "freq", "f", "frequenz", "omega"},
-    "phase": {"phase", "phi", "theta", "arg", "angle"},
-    "magnitude": {"magnitude", "mag", "gain", "amplitude", "amp", "abs", "modulus", "betrag"},
-    "real": {"real", "re"},
-    "imaginary": {"imaginary", "imag", "im"},
-    "coherence": {"coherence", "coh", "msc", "koh", "kohärenz"},
+_GAINS = AMPLITUDES | {Kind.DECIBEL}
+# Words that name a part, and the units it may be in.
+_PARTS: dict[str, tuple[set[str], frozenset[Kind]]] = {
+    "frequency": (
+        {"frequency", "freq", "f", "frequenz", "omega"},
+        frozenset({Kind.FREQUENCY}),
+    ),
+    "phase": ({"phase", "phi", "theta", "arg", "angle"}, frozenset({Kind.ANGLE})),
+    "magnitude": (
+        {"magnitude", "mag", "gain", "amplitude", "amp", "abs", "modulus", "betrag"},
+        _GAINS,
+    ),
+    "real": ({"real", "re"}, _GAINS),
+    "imaginary": ({"imaginary", "imag", "im"}, _GAINS),
+    "coherence": ({"coherence", "coh", "msc", "koh", "kohärenz"}, frozenset({Kind.SHARE})),
 }
+COMPLEX = "response"  # one name of lab.toml for both columns a complex array is read as
+_NAMES = (
+    *("frequency", "magnitude", "phase", "real", "imaginary", "coherence", "excitation"),
+    COMPLEX,
+)
 # A frequency that is measured, not swept; a property of a fit; a spread.
 _FOREIGN = {"shift", "std", "stddev", "error", "fit", "model", "residual", "set", "setpoint"}
 _TOKENS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöü]+|\d+")
@@ -35,7 +47,8 @@ _AXIS_PAIR = re.compile(r"(?<![a-zA-Z])[HGhg]?_?([xyz])_?([xyz])(?![a-zA-Z])")
 _AXIS = re.compile(r"(?<![a-zA-Z])[HGhg]?_?([xyz])(?![a-zA-Z])")
 _AXIS_NUMBERS = re.compile(r"\((\d),(\d)\)|(?<![a-zA-Z])[HGhg]_?([1-3])([1-3])(?!\d)")
 
-Pair = tuple[str, str]
+Pair = tuple[str, str]  # axis that moves, axis that is driven
+Part = tuple[str, Pair | None, Column]  # name, axes if it names any, column
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,70 +67,32 @@ class ResponseColumns:
     is_named: bool = True
 
 
-@dataclass(kw_only=True, eq=False)
-class _Parts:
-    """Columns by their part in the response; the pair is None where no axis is named."""
-
-    frequency: list[Column] = field(default_factory=list)
-    paths: dict[Pair | None, dict[str, Column]] = field(default_factory=dict)
-    by_number: bool = False
-
-
 def is_response(table: RawTable, entry: RecordingEntry | None) -> bool:
     """Whether a table is a frequency response: by the names in lab.toml, else by its headings."""
     if entry is not None and entry.columns:
         return "frequency" in entry.columns
-    swept = [c for c in table.columns if part_of(c) == "frequency"]
-    if not swept:
-        return False
-    parts_of_file = _by_heading(table)
-    is_complete = any(_is_complete(parts) for parts in parts_of_file.paths.values())
-    if any(meaning_of(c.heading).role is Role.TIME for c in table.columns):
+    parts = _parts_by_heading(table)
+    swept = [column for part, _, column in parts if part == "frequency"]
+    names_of_pair: dict[Pair | None, set[str]] = {}
+    for part, pair, _ in parts:
+        names_of_pair.setdefault(pair, set()).add(part)
+    is_complete = any(map(_is_complete, names_of_pair.values()))
+    if swept and clocks_of(table):
         # Beside a clock a frequency is swept where it goes one way only.
-        return is_complete and any(_is_swept(column) for column in swept)
+        steps = [np.diff(c.values[np.isfinite(c.values)]) for c in swept]
+        return is_complete and any(len(s) and ((s > 0).all() or (s < 0).all()) for s in steps)
     quantities = {
         m.quantity for c in table.columns if (m := meaning_of(c.heading)).by_name and m.quantity
     }
-    return is_complete or not {Quantity.VOLTAGE, Quantity.DISPLACEMENT} <= quantities
+    is_recording = {Quantity.VOLTAGE, Quantity.DISPLACEMENT} <= quantities
+    return bool(swept) and (is_complete or not is_recording)
 
 
 def response_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> ResponseColumns:
     """Decide what every column is, or refuse with what was seen and what to write."""
-    check_names(lab, entry)
-    if not entry.columns:
-        _refuse_both(table)
-    parts_of_file = _declared(table, lab, entry) if entry.columns else _by_heading(table)
-    if len(parts_of_file.frequency) != 1:
-        places = " and ".join(c.place for c in parts_of_file.frequency) or "no column"
-        raise refuse_response(table, f"{places} is the frequency")
-    paths, is_named = _with_axes(table, entry, parts_of_file)
-    for pair, parts in paths.items():
-        if not _is_complete(parts):
-            names = ", ".join(parts) or "nothing"
-            of = f" of {pair[0]} to a drive of {pair[1]}" if len(paths) > 1 else ""
-            raise refuse_response(table, f"{names} alone is no response{of}")
-    if not paths:
-        raise refuse_response(table, "no column is a magnitude, a phase or a part of a response")
-    return ResponseColumns(
-        frequency=parts_of_file.frequency[0],
-        paths=paths,
-        by_number=parts_of_file.by_number,
-        is_named=is_named,
-    )
-
-
-def _is_complete(parts: Mapping[str, Column]) -> bool:
-    return {"magnitude", "phase"} <= set(parts) or {"real", "imaginary"} <= set(parts)
-
-
-def _is_swept(column: Column) -> bool:
-    steps = np.diff(column.values[np.isfinite(column.values)])
-    return len(steps) > 0 and bool((steps > 0).all() or (steps < 0).all())
-
-
-def _refuse_both(table: RawTable) -> None:
-    clocks = [c for c in table.columns if meaning_of(c.heading).role is Role.TIME]
-    if clocks:
+    _check_entry(lab, entry)
+    clocks = clocks_of(table)
+    if clocks and not entry.columns:
         raise RecordingError(
             f"{table.name}: {clocks[0].place} is a time, and beside it there is a frequency with "
             "a response: a recording over time and a frequency response in one file",
@@ -125,6 +100,37 @@ def _refuse_both(table: RawTable) -> None:
             remedy="Say which by naming its columns in lab.toml; for the response:\n\n"
             f"{response_block(table)}\n",
         )
+    parts = _declared_parts(table, lab, entry) if entry.columns else _parts_by_heading(table)
+    frequencies = [column for part, _, column in parts if part == "frequency"]
+    paths: dict[Pair | None, dict[str, Column]] = {}
+    for part, pair, column in parts:
+        if part != "frequency":
+            first = paths.setdefault(pair, {}).setdefault(part, column)
+            if first is not column:
+                places = f"{first.place} and {column.place}"
+                raise ambiguous_response(table, f"{places} both claim to be the {part}")
+    if len(frequencies) != 1:
+        places = " and ".join(c.place for c in frequencies) or "no column"
+        raise ambiguous_response(table, f"{places} is the frequency")
+    by_pair, is_named = _with_axes(table, entry, paths)
+    for pair, columns in by_pair.items():
+        if not _is_complete(columns):
+            of = f" of {pair[0]} to a drive of {pair[1]}" if len(by_pair) > 1 else ""
+            raise ambiguous_response(table, f"{', '.join(columns)} alone is no response{of}")
+    if not by_pair:
+        raise ambiguous_response(
+            table, "no column is a magnitude, a phase or a part of a response"
+        )
+    return ResponseColumns(
+        frequency=frequencies[0],
+        paths=by_pair,
+        by_number=not entry.columns and any(_AXIS_NUMBERS.search(c.label) for _, _, c in parts),
+        is_named=is_named,
+    )
+
+
+def _is_complete(parts: Iterable[str]) -> bool:
+    return {"magnitude", "phase"} <= set(parts) or {"real", "imaginary"} <= set(parts)
 
 
 def part_of(column: Column) -> str | None:
@@ -137,71 +143,51 @@ def part_of(column: Column) -> str | None:
     unit = unit_in_heading(column)
     if unit is None and column.heading.unit is not None:
         return None  # of forces, times and currents
-    kind = None if unit is None else unit.kind
-    for part, names in _WORDS.items():
-        if words & names and (kind is None or kind in _KINDS[part]):
+    for part, (names, kinds) in _PARTS.items():
+        if words & names and (unit is None or unit.kind in kinds):
             return part
     return None
 
 
-_GAINS = {Kind.GAIN, Kind.VOLTAGE_GAIN, Kind.LENGTH, Kind.VOLTAGE, Kind.DECIBEL}
-_KINDS = {
-    "frequency": {Kind.FREQUENCY},
-    "phase": {Kind.ANGLE},
-    "magnitude": _GAINS,
-    "real": _GAINS,
-    "imaginary": _GAINS,
-    "coherence": {Kind.SHARE},
-}
-
-
-def _by_heading(table: RawTable) -> _Parts:
-    parts_of_file = _Parts()
+def _parts_by_heading(table: RawTable) -> list[Part]:
+    parts: list[Part] = []
     for column in table.columns:
         part = part_of(column)
-        if part == "frequency":
-            parts_of_file.frequency.append(column)
-        elif part is not None:
-            pair, by_number = _pair_in(column.label)
-            parts_of_file.by_number |= by_number
-            parts = parts_of_file.paths.setdefault(pair, {})
-            if part in parts:
-                pairs = f"{parts[part].place} and {column.place}"
-                raise refuse_response(table, f"{pairs} both claim to be the {part}")
-            parts[part] = column
-    return parts_of_file
+        if part is not None:
+            pair = None if part == "frequency" else _pair_in(column.label)
+            parts.append((part, pair, column))
+    return parts
 
 
-def _pair_in(label: str) -> tuple[Pair | None, bool]:
-    """Return output and drive that a heading names, and whether by number."""
+def _pair_in(label: str) -> Pair | None:
+    """Return the output and the drive that a heading names."""
     if match := _AXIS_NUMBERS.search(label):
         i, j = (int(number) - 1 for number in match.groups() if number is not None)
-        return ((_LETTERS[i], _LETTERS[j]) if max(i, j) < len(_LETTERS) else None), True
+        return (_LETTERS[i], _LETTERS[j]) if max(i, j) < len(_LETTERS) else None
     stem = re.sub(r"\[.*?\]|\(.*?\)", " ", bare(label))
     if match := _AXIS_PAIR.search(stem):
-        return (match.group(1), match.group(2)), False
-    if match := _AXIS.search(stem):
-        return (match.group(1), match.group(1)), False
-    return None, False
+        return match[1], match[2]
+    match = _AXIS.search(stem)
+    return None if match is None else (match[1], match[1])
 
 
-def _declared(table: RawTable, lab: Lab, entry: RecordingEntry) -> _Parts:
+def _declared_parts(table: RawTable, lab: Lab, entry: RecordingEntry) -> list[Part]:
     """Return the columns that lab.toml names."""
-    parts_of_file = _Parts()
-    for key, wanted in entry.columns.items():
-        name, pair = named_part(key)
-        if name == "frequency":
-            parts_of_file.frequency.append(_column(table, lab, key, wanted))
-        elif name == COMPLEX:
-            pieces = (("real", f"real({wanted})"), ("imaginary", f"imag({wanted})"))
-            for part, label in pieces:
-                parts_of_file.paths.setdefault(pair, {})[part] = _column(table, lab, key, label)
-        else:
-            parts_of_file.paths.setdefault(pair, {})[name] = _column(table, lab, key, wanted)
-    return parts_of_file
+    parts: list[Part] = []
+    for key, name_or_number in entry.columns.items():
+        name, pair = _named_part(key)
+        labels: dict[str, str | int] = {name: name_or_number}
+        if name == COMPLEX:
+            labels = {"real": f"real({name_or_number})", "imaginary": f"imag({name_or_number})"}
+        for part, label in labels.items():
+            column = table.find(label)
+            if column is None:
+                raise missing_column(table, lab, key, label)
+            parts.append((part, pair, column))
+    return parts
 
 
-def named_part(key: str) -> tuple[str, Pair | None]:
+def _named_part(key: str) -> tuple[str, Pair | None]:
     """Take a name of lab.toml apart: ``phase_xy`` is the phase of x to a drive of y."""
     name, _, axis = key.partition("_")
     if not axis:
@@ -211,63 +197,49 @@ def named_part(key: str) -> tuple[str, Pair | None]:
     return name, (axis, axis)
 
 
-def check_names(lab: Lab, entry: RecordingEntry) -> None:
-    """Refuse names of an entry that are no part of a response, and what it cannot have."""
-    known = (*PARTS, COMPLEX)
+def _check_entry(lab: Lab, entry: RecordingEntry) -> None:
+    """Refuse names of an entry that are no part of a response, and what a response cannot have."""
     for key in (*entry.columns, *entry.units, *entry.scale):
-        if named_part(key)[0] not in known:
+        if _named_part(key)[0] not in _NAMES:
             raise LabFileError(
                 f"{lab.place}: [[recording]] {entry.file!r}, a frequency response, names {key!r}",
-                needed=f"one of {', '.join(known)}, with axes as in phase_x or phase_xy (x moves, "
-                "y is driven)",
+                needed=f"one of {', '.join(_NAMES)}, with axes as in phase_x or phase_xy (x "
+                "moves, y is driven)",
                 remedy="Correct the name, or leave the frequency out for a recording over time.",
             )
-    unusable = {
-        "offset": entry.offset,
-        "sampling_rate_Hz": entry.sampling_rate_Hz,
-        "start_s": entry.start_s,
-        "stop_s": entry.stop_s,
-        "reverse": entry.reverse,
-    }
-    names = [name for name, value in unusable.items() if value]
-    if names:
+    keys = ("offset", "sampling_rate_Hz", "start_s", "stop_s", "reverse")
+    unusable = [key for key in keys if getattr(entry, key)]
+    if unusable:
         raise LabFileError(
-            f"{lab.place}: [[recording]] {entry.file!r} has {', '.join(names)}",
+            f"{lab.place}: [[recording]] {entry.file!r} has {', '.join(unusable)}",
             needed="columns of a frequency response, which has no time and no offset",
             remedy="Leave it out.",
         )
 
 
-def _column(table: RawTable, lab: Lab, key: str, name_or_number: str | int) -> Column:
-    column = table.find(name_or_number)
-    if column is None:
-        raise missing_column(table, lab, key, name_or_number)
-    return column
-
-
 def _with_axes(
-    table: RawTable, entry: RecordingEntry, parts_of_file: _Parts
+    table: RawTable, entry: RecordingEntry, paths: Mapping[Pair | None, dict[str, Column]]
 ) -> tuple[dict[Pair, dict[str, Column]], bool]:
     """Give what names no axis that of the entry, or of the only response; else x."""
-    by_pair = {pair: parts for pair, parts in parts_of_file.paths.items() if pair is not None}
-    unnamed = parts_of_file.paths.get(None, {})
+    by_pair = {pair: columns for pair, columns in paths.items() if pair is not None}
+    unnamed = paths.get(None, {})
     if not unnamed:
         return by_pair, True
     if len(by_pair) == 1 and entry.axis is None and not _is_complete(unnamed):
-        pair = next(iter(by_pair))
-        if not set(unnamed) & set(by_pair[pair]):
-            return {pair: {**by_pair[pair], **unnamed}}, True
+        ((pair, columns),) = by_pair.items()
+        if not set(unnamed) & set(columns):
+            return {pair: {**columns, **unnamed}}, True
     if by_pair and entry.axis is None:
         places = " and ".join(column.place for column in unnamed.values())
-        raise refuse_response(table, f"{places} names no axis, beside others that do")
+        raise ambiguous_response(table, f"{places} names no axis, beside others that do")
     axis = entry.axis or "x"
     return {(axis, axis): unnamed, **by_pair}, entry.axis is not None
 
 
-def refuse_response(table: RawTable, found: str) -> UnitError:
-    """Refuse, showing the columns and the lines of lab.toml that would decide."""
+def ambiguous_response(table: RawTable, reason: str) -> UnitError:
+    """Return the error that shows the columns and the lines of lab.toml that would decide."""
     return UnitError(
-        f"{table.name}: a frequency response, of which {found} (seen: {first_values(table)})",
+        f"{table.name}: a frequency response, of which {reason} (seen: {first_values(table)})",
         needed="a frequency in Hz, kHz or rad/s; magnitude in m/V, um/V, nm/V, V/V or decibels of "
         "one of these, with phase in deg or rad; or real and imaginary part",
         remedy="Write into lab.toml, with the headings or numbers (from 1) and units of your "
@@ -278,29 +250,20 @@ def refuse_response(table: RawTable, found: str) -> UnitError:
 
 def response_block(table: RawTable) -> str:
     """Return the ``[[recording]]`` entry to complete for a frequency response, as TOML."""
-    from json import dumps
-
-    held = {part: column for column in table.columns if (part := part_of(column)) is not None}
-    names = {part: column.label for part, column in held.items()}
-    parts = ["real", "imaginary"] if "real" in held else ["magnitude", "phase"]
-    if names.get("real", "").startswith("real("):  # of a complex array
-        parts, names[COMPLEX] = [COMPLEX], names["real"][len("real(") : -1]
-    parts = ["frequency", *parts, *(["coherence"] if "coherence" in held else [])]
-    columns = ", ".join(f"{part} = {dumps(names.get(part, '...'))}" for part in parts)
-    units = ", ".join(
-        f"{part} = {dumps(_unit_said(held.get(part)))}" for part in parts if part != "coherence"
+    column_of = {part: column for column in table.columns if (part := part_of(column))}
+    labels = {part: column.label for part, column in column_of.items()}
+    parts = ["real", "imaginary"] if "real" in column_of else ["magnitude", "phase"]
+    if labels.get("real", "").startswith("real("):  # of a complex array
+        parts, labels[COMPLEX] = [COMPLEX], labels["real"][len("real(") : -1]
+    symbols = {}
+    for part in ("frequency", *parts):
+        unit = unit_in_heading(column_of[part]) if part in column_of else None
+        is_known = unit is not None and unit.kind is not Kind.DECIBEL
+        symbols[part] = unit.symbol if unit is not None and is_known else "..."
+    coherence = ["coherence"] if "coherence" in column_of else []
+    columns = [f"{p} = {dumps(labels.get(p, '...'))}" for p in (*symbols, *coherence)]
+    return (
+        f'[[recording]]\nfile = {dumps(table.name)}\naxis = "x"\n'
+        f"columns = {{ {', '.join(columns)} }}\n"
+        f"units = {{ {', '.join(f'{part} = {dumps(s)}' for part, s in symbols.items())} }}"
     )
-    return "\n".join(
-        (
-            "[[recording]]",
-            f"file = {dumps(table.name)}",
-            'axis = "x"',
-            f"columns = {{ {columns} }}",
-            f"units = {{ {units} }}",
-        )
-    )
-
-
-def _unit_said(column: Column | None) -> str:
-    unit = None if column is None else unit_in_heading(column)
-    return "..." if unit is None or unit.kind is Kind.DECIBEL else unit.symbol

@@ -1,26 +1,29 @@
 """Units of a frequency response as instruments write them: m/V, dB re 1 um/V, deg, rad/s."""
 
 import re
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import dataclass, replace
+from enum import Enum, auto
 
 import numpy as np
 
 from piezoid.records.table import Column
-from piezoid.records.units import Dimension, unit_of
+from piezoid.records.units import BRACKETS, Dimension, unit_of
 
 
 class Kind(Enum):
-    """What a unit measures; the value is how messages call it."""
+    """What a unit measures: a share is a ratio, a decibel one of an unknown reference."""
 
-    FREQUENCY = "a frequency"
-    ANGLE = "an angle"
-    GAIN = "a displacement per volt"
-    VOLTAGE_GAIN = "a sensor's volts per volt"
-    LENGTH = "a displacement"
-    VOLTAGE = "a voltage"
-    DECIBEL = "decibels of an unknown unit"
-    SHARE = "a share"
+    FREQUENCY = auto()
+    ANGLE = auto()
+    GAIN = auto()  # displacement per volt
+    VOLTAGE_GAIN = auto()  # volts of a sensor per volt
+    LENGTH = auto()
+    VOLTAGE = auto()
+    DECIBEL = auto()
+    SHARE = auto()
+
+
+AMPLITUDES = frozenset({Kind.GAIN, Kind.VOLTAGE_GAIN, Kind.LENGTH, Kind.VOLTAGE})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,15 +39,25 @@ class ResponseUnit:
     is_decibel: bool = False
 
 
+_RAD_PER_deg = np.pi / 180.0
 _ANGLES = {
-    "deg": np.pi / 180.0, "degree": np.pi / 180.0, "degrees": np.pi / 180.0, "°": np.pi / 180.0,
-    "grad °": np.pi / 180.0, "rad": 1.0, "radian": 1.0, "radians": 1.0, "mrad": 1e-3,
-}  # fmt: skip
-_TURNS = {"rad/s": 1.0, "rad/sec": 1.0, "rad s^-1": 1.0, "rad_s": 1.0, "rad_per_s": 1.0,
-          "krad/s": 1e3}  # fmt: skip
+    **dict.fromkeys(("deg", "degree", "degrees", "°", "grad °"), _RAD_PER_deg),
+    **dict.fromkeys(("rad", "radian", "radians"), 1.0),
+    "mrad": 1e-3,
+}
+_ANGULAR_FREQUENCIES = {
+    **dict.fromkeys(("rad/s", "rad/sec", "rad s^-1", "rad_s", "rad_per_s"), 1.0),
+    "krad/s": 1e3,
+}
+_PLAIN = {
+    Dimension.FREQUENCY: Kind.FREQUENCY,
+    Dimension.LENGTH: Kind.LENGTH,
+    Dimension.VOLTAGE: Kind.VOLTAGE,
+    Dimension.RATIO: Kind.SHARE,
+}
+_PER_VOLT = {Dimension.LENGTH: Kind.GAIN, Dimension.VOLTAGE: Kind.VOLTAGE_GAIN}
 _RATIO = re.compile(r"([A-Za-zµμÅ]+)\s?(?:/|_per_| per )\s?([A-Za-zµμ]+)")
 _DECIBEL = re.compile(r"dB\s*(?:re\.?|of|rel\.?)?\s*[(\[]?\s*1?\s*(.*?)\s*[)\]]?", re.IGNORECASE)
-_BRACKETS = re.compile(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)")
 _PART = re.compile(r"^(?:real|imag)\((.*)\)$")
 _INDEX = re.compile(r"\(\d,\d\)$")
 # A unit at the end of a name: ``phase_deg``, ``gain, um/V``, ``mag um_per_V``, ``freq/Hz``.
@@ -56,58 +69,37 @@ _AT_THE_END = (
 
 
 def response_unit(text: str) -> ResponseUnit | None:
-    """Return the unit a text stands for, None where it stands for none of a response."""
+    """Return the unit a text stands for, None if it is none of a frequency response."""
     symbol = " ".join(text.split())
-    if symbol.lower() in _ANGLES:
-        return ResponseUnit(symbol=symbol, kind=Kind.ANGLE, factor=_ANGLES[symbol.lower()])
-    if symbol.lower() in _TURNS:
-        factor = _TURNS[symbol.lower()] / (2.0 * np.pi)
+    name = symbol.lower()
+    if name in _ANGLES:
+        return ResponseUnit(symbol=symbol, kind=Kind.ANGLE, factor=_ANGLES[name])
+    if name in _ANGULAR_FREQUENCIES:
+        factor = _ANGULAR_FREQUENCIES[name] / (2.0 * np.pi)
         return ResponseUnit(symbol=symbol, kind=Kind.FREQUENCY, factor=factor)
-    if symbol[:2].lower() == "db" and (match := _DECIBEL.fullmatch(symbol)):
-        return _decibel(symbol, match.group(1))
+    if name.startswith("db") and (match := _DECIBEL.fullmatch(symbol)):
+        if not match[1]:
+            return ResponseUnit(symbol=symbol, kind=Kind.DECIBEL, is_decibel=True)
+        reference = response_unit(match[1])
+        if reference is None or reference.is_decibel or reference.kind not in AMPLITUDES:
+            return None
+        return replace(reference, symbol=symbol, is_decibel=True)
     if match := _RATIO.fullmatch(symbol):
-        return _ratio(symbol, *match.groups())
-    found = unit_of(symbol)
-    kind = None if found is None else _PLAIN.get(found.dimension)
-    if found is None or kind is None:
+        numerator, denominator = map(unit_of, match.groups())
+        if numerator is None or denominator is None or numerator.dimension not in _PER_VOLT:
+            return None
+        if denominator.dimension is not Dimension.VOLTAGE:
+            return None
+        factor = numerator.factor / denominator.factor
+        return ResponseUnit(symbol=symbol, kind=_PER_VOLT[numerator.dimension], factor=factor)
+    unit = unit_of(symbol)
+    if unit is None or unit.dimension not in _PLAIN:
         return None
-    return ResponseUnit(symbol=symbol, kind=kind, factor=found.factor)
-
-
-_PLAIN = {
-    Dimension.FREQUENCY: Kind.FREQUENCY,
-    Dimension.LENGTH: Kind.LENGTH,
-    Dimension.VOLTAGE: Kind.VOLTAGE,
-    Dimension.RATIO: Kind.SHARE,
-}
-
-
-def _decibel(symbol: str, reference: str) -> ResponseUnit | None:
-    if not reference:
-        return ResponseUnit(symbol=symbol, kind=Kind.DECIBEL, is_decibel=True)
-    inner = response_unit(reference)
-    if inner is None or inner.is_decibel or inner.kind not in _OF_RESPONSES:
-        return None
-    return ResponseUnit(symbol=symbol, kind=inner.kind, factor=inner.factor, is_decibel=True)
-
-
-_OF_RESPONSES = (Kind.GAIN, Kind.VOLTAGE_GAIN, Kind.LENGTH, Kind.VOLTAGE)
-
-
-def _ratio(symbol: str, above: str, below: str) -> ResponseUnit | None:
-    top, bottom = unit_of(above), unit_of(below)
-    if top is None or bottom is None or bottom.dimension is not Dimension.VOLTAGE:
-        return None
-    kinds = {Dimension.LENGTH: Kind.GAIN, Dimension.VOLTAGE: Kind.VOLTAGE_GAIN}
-    if top.dimension not in kinds:
-        return None
-    return ResponseUnit(
-        symbol=symbol, kind=kinds[top.dimension], factor=top.factor / bottom.factor
-    )
+    return ResponseUnit(symbol=symbol, kind=_PLAIN[unit.dimension], factor=unit.factor)
 
 
 def bare(label: str) -> str:
-    """Return a name without what our readers put about it: ``real(H(1,2))`` is ``H``."""
+    """Return a name without what the readers put around it: ``real(H(1,2))`` is ``H``."""
     return _INDEX.sub("", _PART.sub(r"\1", label))
 
 
@@ -115,8 +107,8 @@ def unit_in_heading(column: Column) -> ResponseUnit | None:
     """Return the unit of a column by what the format or its heading states, else None."""
     stated = [column.declared_unit] if column.declared_unit.strip() else []
     label = bare(" ".join(column.label.split()))
-    # A row of units has lost its outer brackets: of ``(dB (um/V))`` this is left.
+    # A row of units has lost its outer brackets: of ``(dB (um/V))`` the last one is missing.
     stated += [text + ")" for text in stated if text.count("(") > text.count(")")]
-    stated += [a or b for a, b in reversed(_BRACKETS.findall(label))]
+    stated += [a or b for a, b in reversed(BRACKETS.findall(label))]
     stated += [match.group(1) for end in _AT_THE_END if (match := end.match(label))]
     return next((unit for text in stated if (unit := response_unit(text)) is not None), None)

@@ -100,7 +100,7 @@ _OTHER = re.compile(
 )
 
 # Round brackets may hold others: of ``(A/sqrt(Hz))`` the unit is not the inner one.
-_BRACKETS = re.compile(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)")
+BRACKETS = re.compile(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)")
 MAX_HEADING = 1000  # characters of a heading that are interpreted
 _AFTER_SLASH = re.compile(r"^(.*\S)\s*/\s*([^\s/]+)$")
 _AFTER_COMMA = re.compile(r"^(.*\S)\s*(?:,|\bin\b)\s*([^\s,]+)$")
@@ -137,7 +137,7 @@ def heading_of(label: str) -> Heading:
 
 
 def _bracketed(label: str) -> Heading | None:
-    for match in reversed(list(_BRACKETS.finditer(label))):
+    for match in reversed(list(BRACKETS.finditer(label))):
         held = match.group(1) or match.group(2) or ""
         unit = unit_of(held) or unit_of(held.partition(",")[0])  # ``[um, filtered]``
         if unit is not None:
