@@ -1,5 +1,6 @@
 """Find the uniform clock of a recording: its rate, and gaps, repeats and steps of its stamps."""
 
+import itertools
 import json
 import math
 from collections.abc import Callable
@@ -32,6 +33,17 @@ MAX_RARE = 0.01  # of the steps
 MIN_INTERVAL_s, MAX_INTERVAL_s = 1e-13, 1e9  # of anything that is recorded
 MAX_LOST = 2.0**53  # samples in one gap: a damaged stamp may lie anywhere
 _MAX_PLACES = 3  # in a message
+
+# The interval is taken over BLOCK_STEPS, and a stretch lasts at least three blocks: the median of
+# 64 steps that jitter by a third of themselves is certain to 8 %, and single blocks that a gap or
+# a stall has spoilt are outvoted by their neighbours.
+_BLOCK_STEPS = 64
+_MIN_BLOCKS = 3
+# Recorders change their rate by factors. Intervals of one clock that jitters by a third differ by
+# less than this between two blocks; slower changes are left to the clock, which refuses them.
+_MIN_RATE_CHANGE = 1.5
+# Printed so coarsely (share of the interval), a block's span tells the interval, not single steps.
+_COARSE_PRINT = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,12 +183,38 @@ def _faulty_clock(time_s: Array, resolution_s: float, name: str, place: PlaceOf)
     if resolution_s > 0:
         rounding_s = math.ceil(interval_s / resolution_s - 1e-6) * resolution_s - interval_s
     max_excess_s = max(0.5 * interval_s, 6 * spread_s) + rounding_s
-    faults = StampFaults.find(time_s, interval_s, max_excess_s, resolution_s)
-    _refuse_false_clock(time_s, interval_s, faults, name, place)
+    gaps, missing = _gaps(time_s, interval_s, max_excess_s)
+    repeated = _repeated(steps, interval_s, resolution_s)
+    backward = np.flatnonzero(steps < -max_excess_s) + 1
+    stepped = np.round(np.minimum(1.0 - steps[backward - 1] / interval_s, MAX_LOST)).astype(int)
+    lost, returned = int(missing.sum()), int(stepped.sum())
+    # The steps must sum up to the span of the stamps. A repeated stamp may be one sample too many,
+    # or be made up for when the clock catches up.
+    span, expected = (time_s[-1] - time_s[0]) / interval_s, len(time_s) - 1 + lost - returned
+    tolerance = MAX_UNACCOUNTED * max(abs(span), expected) + SPARE_STEPS
+    if not expected - len(repeated) - tolerance <= span <= expected + tolerance:
+        first = int(np.argmax(np.abs(steps - interval_s) > 0.25 * interval_s)) + 1
+        raise _no_clock(
+            name,
+            f"most time steps are {interval_s:.6g} s, of which {expected} make "
+            f"{expected * interval_s:.6g} s, while the stamps span "
+            f"{time_s[-1] - time_s[0]:.6g} s; the first other step is at {place(first)}",
+            "samples at a uniform rate, or long stretches of one rate",
+        )
     # Two independent stamps make one step, hence the root of two.
     errors_s = (steps - interval_s)[np.abs(steps - interval_s) < max_excess_s]
     jitter_s = float(np.sqrt(np.mean(errors_s**2) / 2)) if len(errors_s) else 0.0
-    statements = faults.statements(time_s, place)
+    single = int(np.sum(missing == 1))
+    bridged = f"; {single} of single samples, bridged by straight lines" if single else ""
+    statements = [
+        *_fault_statement("gap", "time is missing", gaps, lost, time_s, place, bridged),
+        *_fault_statement(
+            "duplicate_time", "the time stamp is repeated", repeated, len(repeated), time_s, place
+        ),
+        *_fault_statement(
+            "time_reversed", "the clock steps back", backward, returned, time_s, place
+        ),
+    ]
     if jitter_s > MIN_JITTER * interval_s and jitter_s > 0.51 * resolution_s:
         text = (
             f"The time stamps jitter by {jitter_s:.3g} s rms about a uniform clock, "
@@ -190,12 +228,40 @@ def _faulty_clock(time_s: Array, resolution_s: float, name: str, place: PlaceOf)
     return Clock(
         sampling_rate_Hz=plain_rate_Hz(1 / interval_s, (resolution_s + jitter_s) / np.ptp(time_s)),
         jitter_rms_s=jitter_s,
-        breaks=tuple(
-            sorted({*faults.gaps[faults.missing > 1].tolist(), *faults.backward.tolist()})
-        ),
-        bridged=tuple(faults.gaps[faults.missing == 1].tolist()),
+        breaks=tuple(sorted({*gaps[missing > 1].tolist(), *backward.tolist()})),
+        bridged=tuple(gaps[missing == 1].tolist()),
         statements=tuple(statements),
     )
+
+
+def _fault_statement(
+    quantity: str,
+    sentence: str,
+    rows: Stamps,
+    samples: int,
+    time_s: Array,
+    place: PlaceOf,
+    addition: str = "",
+) -> list[Statement]:
+    """State a fault of the stamps: how often, and the first places; nothing without rows."""
+    if not len(rows):
+        return []
+    first = [
+        f"{place(k)}, t = {time_s[k]:.6g} s (step {time_s[k] - time_s[k - 1]:.6g} s)"
+        for k in rows[:_MAX_PLACES].tolist()
+    ]
+    unlisted = len(rows) - _MAX_PLACES
+    further = f" and {unlisted} more" if unlisted > 0 else ""
+    text = f"{sentence} at {len(rows)} places: {'; '.join(first)}{further}{addition}"
+    return [
+        finding(
+            quantity=quantity,
+            place=place(int(rows[0])),
+            text=text,
+            value=float(samples),
+            unit="samples",
+        )
+    ]
 
 
 def _interval_s(time_s: Array) -> float:
@@ -211,82 +277,6 @@ def _interval_s(time_s: Array) -> float:
         if width == 1 or agrees.mean() > MIN_AGREEING:
             return float(np.mean(spans[agrees])) / width if agrees.any() else median_s
         width //= 2
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class StampFaults:
-    """Where time stamps are not those of a uniform clock.
-
-    gaps       (count,)  first sample behind missing time
-    missing    (count,)  samples missing in front of each of these, at least one
-    repeated   (count,)  samples that repeat the stamp before
-    backward   (count,)  first sample behind a step backwards
-    stepped    (count,)  samples by which each of these steps back from where it should be
-    """
-
-    gaps: Stamps
-    missing: Stamps
-    repeated: Stamps
-    backward: Stamps
-    stepped: Stamps
-
-    @classmethod
-    def find(
-        cls, time_s: Array, interval_s: float, max_excess_s: float, resolution_s: float
-    ) -> "StampFaults":
-        """Find the faults of stamps.
-
-        max_excess_s  beyond which a step is neither jitter nor rounding
-        resolution_s  to which the stamps were printed
-        """
-        steps = np.diff(time_s)
-        backward = np.flatnonzero(steps < -max_excess_s) + 1
-        stepped = 1.0 - steps[backward - 1] / interval_s
-        gaps, missing = _gaps(time_s, interval_s, max_excess_s)
-        return cls(
-            gaps=gaps,
-            missing=missing,
-            repeated=_repeated(steps, interval_s, resolution_s),
-            backward=backward,
-            stepped=np.round(np.minimum(stepped, MAX_LOST)).astype(int),
-        )
-
-    def statements(self, time_s: Array, place: PlaceOf) -> list[Statement]:
-        """Return one statement for each kind of fault: the count, and the first places."""
-        single = int(np.sum(self.missing == 1))
-        bridged = f"; {single} of single samples, bridged by straight lines" if single else ""
-        faults = (
-            ("gap", "time is missing", self.gaps, int(self.missing.sum()), bridged),
-            (
-                "duplicate_time",
-                "the time stamp is repeated",
-                self.repeated,
-                len(self.repeated),
-                "",
-            ),
-            ("time_reversed", "the clock steps back", self.backward, int(self.stepped.sum()), ""),
-        )
-        statements = []
-        for quantity, sentence, rows, samples, addition in faults:
-            if not len(rows):
-                continue
-            first = [
-                f"{place(k)}, t = {time_s[k]:.6g} s (step {time_s[k] - time_s[k - 1]:.6g} s)"
-                for k in rows[:_MAX_PLACES].tolist()
-            ]
-            unlisted = len(rows) - _MAX_PLACES
-            further = f" and {unlisted} more" if unlisted > 0 else ""
-            statements.append(
-                finding(
-                    quantity=quantity,
-                    place=place(int(rows[0])),
-                    text=f"{sentence} at {len(rows)} places: {'; '.join(first)}{further}"
-                    f"{addition}",
-                    value=float(samples),
-                    unit="samples",
-                )
-            )
-        return statements
 
 
 def _gaps(time_s: Array, interval_s: float, max_excess_s: float) -> tuple[Stamps, Stamps]:
@@ -326,29 +316,6 @@ def _repeated(steps: Array, interval_s: float, resolution_s: float) -> Stamps:
     return np.concatenate(runs) if runs else np.zeros(0, dtype=int)
 
 
-def _refuse_false_clock(
-    time_s: Array, interval_s: float, faults: StampFaults, name: str, place: PlaceOf
-) -> None:
-    """Refuse a clock whose steps do not sum up to the span of the stamps.
-
-    A repeated stamp may be one sample too many, or be made up for when the clock catches up.
-    """
-    span = (time_s[-1] - time_s[0]) / interval_s
-    steps = len(time_s) - 1 + int(faults.missing.sum()) - int(faults.stepped.sum())
-    tolerance = MAX_UNACCOUNTED * max(abs(span), steps) + SPARE_STEPS
-    if steps - len(faults.repeated) - tolerance <= span <= steps + tolerance:
-        return
-    is_other = np.abs(np.diff(time_s) - interval_s) > 0.25 * interval_s
-    first = int(np.argmax(is_other)) + 1
-    raise _no_clock(
-        name,
-        f"most time steps are {interval_s:.6g} s, of which {steps} make {steps * interval_s:.6g} "
-        f"s, while the stamps span {time_s[-1] - time_s[0]:.6g} s; the first other step is at "
-        f"{place(first)}",
-        "samples at a uniform rate, or long stretches of one rate",
-    )
-
-
 def _no_clock(name: str, observed: str, needed: str) -> RecordingError:
     return RecordingError(
         f"{name}: {observed}",
@@ -356,3 +323,54 @@ def _no_clock(name: str, observed: str, needed: str) -> RecordingError:
         remedy="Record with a hardware clock, or state sampling_rate_Hz for this file in lab.toml "
         "and name no time column if the samples are known to be uniform.",
     )
+
+
+def stretches_of_one_rate(time_s: Array) -> tuple[slice, ...]:
+    """Cut stamps where the sampling rate changes for good; one slice where it never does.
+
+    time_s    (samples,)  s, finite
+    returned  adjacent slices that together hold every sample
+    """
+    steps = np.diff(time_s)
+    blocks = len(steps) // _BLOCK_STEPS
+    if blocks < 2 * _MIN_BLOCKS:
+        return (slice(0, len(time_s)),)
+    in_blocks = steps[: blocks * _BLOCK_STEPS].reshape(blocks, _BLOCK_STEPS)
+    intervals_s = np.median(in_blocks, axis=1)
+    if print_resolution_s(time_s) > _COARSE_PRINT * np.median(intervals_s):
+        intervals_s = in_blocks.mean(axis=1)
+    padded = np.concatenate([intervals_s[:1], intervals_s, intervals_s[-1:]])
+    intervals_s = np.median(np.lib.stride_tricks.sliding_window_view(padded, 3), axis=1)
+    if not (intervals_s > 0).all():
+        return (slice(0, len(time_s)),)
+    edges = [
+        _exact_edge(steps, block, intervals_s[block - 1], intervals_s[block]) + 1
+        for block in _rate_changes(np.log(intervals_s))
+    ]
+    return tuple(slice(a, b) for a, b in itertools.pairwise((0, *edges, len(time_s))))
+
+
+def _rate_changes(log_intervals: Array) -> list[int]:
+    """Return the first block of each further stretch whose interval differs and stays so."""
+    changes: list[int] = []
+    min_change = np.log(_MIN_RATE_CHANGE)
+    if np.ptp(log_intervals) <= min_change:
+        return changes
+    begin = 0
+    for block in range(1, len(log_intervals) - _MIN_BLOCKS + 1):
+        after = log_intervals[block : block + _MIN_BLOCKS] - np.median(log_intervals[begin:block])
+        is_lasting = np.ptp(after) < min_change / 2
+        if block - begin >= _MIN_BLOCKS and is_lasting and abs(after[0]) > min_change:
+            changes.append(block)
+            begin = block
+    return changes
+
+
+def _exact_edge(steps: Array, block: int, before_s: float, after_s: float) -> int:
+    """Return the first step that fits the interval after the change better than the one before."""
+    first = max((block - 2) * _BLOCK_STEPS, 0)
+    near_s = steps[first : min((block + 2) * _BLOCK_STEPS, len(steps))]
+    log_step = np.log(np.maximum(near_s, 1e-9 * min(before_s, after_s)))
+    misfit = np.abs(log_step - np.log(before_s)) - np.abs(log_step - np.log(after_s))
+    # The change is where the steps that fit the earlier interval end, counted from both sides.
+    return first + int(np.argmin(np.concatenate([[0.0], np.cumsum(misfit)])))

@@ -4,6 +4,7 @@ A file that leaves the assignment open is refused with the columns seen and the 
 that decide.
 """
 
+import itertools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,13 +18,15 @@ from piezoid.records.column_roles import DIMENSION_OF, Meaning, Role, meaning_of
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.recording import Quantity
 from piezoid.records.table import Column, RawTable
-from piezoid.records.time_stamps import unwrap_counter
 from piezoid.records.units import Dimension, Unit, unit_of
 from piezoid.statement import Statement, finding
 
 QUANTITIES = {quantity.name.lower(): quantity for quantity in Quantity}
 _LOOP_QUANTITIES = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
 _MAX_COLUMNS, _MAX_VALUES = 8, 3  # in a message
+# Counters that overflow: their bits, and their ticks where the column is in another unit.
+_BITS, _TICKS_s = (16, 24, 32), (1e-3, 1e-6)
+_MAX_MISS = 2.5  # intervals between a stamp at an overflow and the end of the counter
 
 Meanings = list[tuple[Column, Meaning]]
 T = TypeVar("T")
@@ -86,23 +89,49 @@ def assign_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Assignme
         _converted(table, lab, entry, column, quantity, axis, statements)
         for column, quantity, axis in [*((c, None, "") for c in clocks), *channels]
     ]
-    time = _without_wraps(table, converted[0], statements) if clocks else None
+    time = _unwrapped(table, converted[0], statements) if clocks else None
     return Assignment(
         time=time, channels=tuple(converted[len(clocks) :]), statements=tuple(statements)
     )
 
 
-def _without_wraps(
+def _unwrapped(
     table: RawTable, time: AssignedColumn, statements: list[Statement]
 ) -> AssignedColumn:
-    """Return a clock without the steps back of a counter that began anew."""
-    values, rows, bits = unwrap_counter(time.values, time.unit.factor)
-    if not len(rows):
+    """Return stamps that continue where a counter of 16, 24 or 32 bits overflowed.
+
+        t_k <- t_k + 2^bits * tick * (overflows up to k)
+
+    The tick is one unit of the column, a millisecond or a microsecond. The last stamp before an
+    overflow must lie at the end of the counter and the next one at its beginning, 0 or the lowest
+    signed number: a clock that was set back is no counter.
+    """
+    stamped = np.flatnonzero(np.isfinite(time.values))
+    steps_s = np.diff(time.values[stamped])
+    back = np.flatnonzero(steps_s < 0)
+    interval_s = float(np.median(steps_s)) if len(steps_s) else 0.0
+    if not len(back) or not interval_s > 0:
         return time
-    place = table.place_of_row(int(rows[0]))
-    text = f"The clock is a {bits}-bit counter that overflows {len(rows)} times, first at {place}."
-    statements.append(finding(quantity="wrapped_clock", place=place, text=text))
-    return replace(time, values=values)
+    last_s, first_s = time.values[stamped[back]], time.values[stamped[back + 1]]
+    max_miss_s = _MAX_MISS * interval_s
+    for tick_s, bits in itertools.product((time.unit.factor, *_TICKS_s), _BITS):
+        period_s = 2.0**bits * tick_s
+        continues = np.abs(steps_s[back] + period_s - interval_s) < max_miss_s
+        for low_s in (0.0, -period_s / 2):
+            begins = np.abs(first_s - low_s) < max_miss_s
+            ends = np.abs(last_s - low_s - period_s) < max_miss_s
+            if (continues & begins & ends).all():
+                rows = stamped[back + 1]
+                overflows_s = np.zeros(len(time.values))
+                overflows_s[rows] = period_s
+                place = table.place_of_row(int(rows[0]))
+                text = (
+                    f"The clock is a {bits}-bit counter that overflows {len(rows)} times, first "
+                    f"at {place}."
+                )
+                statements.append(finding(quantity="wrapped_clock", place=place, text=text))
+                return replace(time, values=time.values + np.cumsum(overflows_s))
+    return time
 
 
 def _from_headings(table: RawTable) -> Meanings:

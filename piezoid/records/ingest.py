@@ -6,7 +6,6 @@ read_table -> assign_columns -> unique_rows, complete_rows -> clock -> SampleRow
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,13 +19,18 @@ from piezoid.records.checks import check_recording
 from piezoid.records.checks.columns import check_columns
 from piezoid.records.clock import (
     Clock,
-    print_resolution_s,
     read_clock,
     refuse_newest_first,
     stated_clock,
+    stretches_of_one_rate,
 )
 from piezoid.records.columns import Assignment, assign_columns, clocks_of, entry_template
-from piezoid.records.invalid_samples import InvalidSamples, SensorColumn, find_invalid_samples
+from piezoid.records.invalid_samples import (
+    find_invalid_readings,
+    find_invalid_rows,
+    interpolated,
+    invalid_statement,
+)
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import read_table
 from piezoid.records.recording import Channel, Quantity, Recording
@@ -41,7 +45,6 @@ from piezoid.records.row_alignment import (
     unique_rows,
 )
 from piezoid.records.table import RawTable
-from piezoid.records.time_stamps import stretches_of_one_rate
 from piezoid.records.units import Dimension
 from piezoid.statement import Statement, finding
 
@@ -123,26 +126,24 @@ def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[P
               ``(part 1 of 3)``, and its start_s and stop_s count from its own first sample
     """
     undivided: tuple[Part, ...] = ((table, lab, entry),)
-    if table.independent or (entry is not None and entry.sampling_rate_Hz is not None):
+    described = entry or RecordingEntry(file=table.name)
+    if table.independent or described.sampling_rate_Hz is not None:
         return undivided
-    time = assign_columns(table, lab, entry or RecordingEntry(file=table.name)).time
+    time = assign_columns(table, lab, described).time
     if time is None:
         return undivided
-    is_reversed = entry is not None and entry.reverse
-    time_s = time.values[::-1] if is_reversed else time.values
+    time_s = time.values[::-1] if described.reverse else time.values
     stamped = np.flatnonzero(np.isfinite(time_s))
     stamps_s = time_s[stamped]
-    if not len(stamps_s):
-        return undivided
-    stretches = stretches_of_one_rate(stamps_s, print_resolution_s(stamps_s))
+    stretches = stretches_of_one_rate(stamps_s)
     if len(stretches) < 2:
         return undivided
     if entry is not None and entry.reverse:
         table, entry = table.reversed(), structs.replace(entry, reverse=False)
-    starts = [0, *(int(stamped[part.start]) for part in stretches[1:])]
+    starts = [0, *(int(stamped[stretch.start]) for stretch in stretches[1:])]
     places = ", ".join(
-        f"{table.place_of_row(row)} (t = {stamps_s[part.start]:.6g} s)"
-        for row, part in zip(starts, stretches, strict=True)
+        f"{table.place_of_row(row)} (t = {stamps_s[stretch.start]:.6g} s)"
+        for row, stretch in zip(starts, stretches, strict=True)
     )
     statement = finding(
         quantity="several_rates",
@@ -151,11 +152,10 @@ def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[P
         "read as a recording.",
     )
     parts: list[Part] = []
-    for k, (stretch, (start, stop)) in enumerate(
-        zip(stretches, pairwise((*starts, table.rows)), strict=True), 1
-    ):
-        begin_s, end_s = stamps_s[[stretch.start, stretch.stop - 1]] - stamps_s[0]
-        shifted = None if entry is None else _shifted(entry, float(begin_s), float(end_s))
+    edges = pairwise((*starts, table.rows))
+    for k, (stretch, (start, stop)) in enumerate(zip(stretches, edges, strict=True), 1):
+        first_s, last_s = (stamps_s[[stretch.start, stretch.stop - 1]] - stamps_s[0]).tolist()
+        shifted = None if entry is None else _shifted(entry, first_s, last_s)
         if entry is None or shifted is not None:
             part = table.part(slice(start, stop), f"{table.name} (part {k} of {len(stretches)})")
             part = replace(part, statements=(*part.statements, statement))
@@ -163,16 +163,16 @@ def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[P
     return tuple(parts) or undivided
 
 
-def _shifted(entry: RecordingEntry, begin_s: float, end_s: float) -> RecordingEntry | None:
+def _shifted(entry: RecordingEntry, first_s: float, last_s: float) -> RecordingEntry | None:
     """Return an entry with start and stop counted from a part, None if it is outside the part."""
     start_s = 0.0 if entry.start_s is None else entry.start_s
     stop_s = np.inf if entry.stop_s is None else entry.stop_s
-    if start_s >= end_s or stop_s <= begin_s:
+    if start_s >= last_s or stop_s <= first_s:
         return None
     return structs.replace(
         entry,
-        start_s=start_s - begin_s if start_s > begin_s else None,
-        stop_s=stop_s - begin_s if stop_s < end_s else None,
+        start_s=start_s - first_s if start_s > first_s else None,
+        stop_s=stop_s - first_s if stop_s < last_s else None,
     )
 
 
@@ -198,12 +198,12 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
         complete, {*clock.breaks, *skips(complete, unique), *segments}, clock.bridged
     )
     rows = rows.cut(_selected_samples(entry, clock, len(rows.position)))
-    invalid = find_invalid_samples(_sensor_columns(assignment, rows), rows.source_place(table))
-    channels = _channels(assignment, rows, invalid)
+    channels, invalid, invalid_statements = _channels(table, assignment, rows)
     _refuse_impossible_sizes(table, assignment, channels)
     axis, axis_statements = _select_axis(entry, channels, lab.place)
     quantities = {a.column.number: a.quantity for a in assignment.channels if a.quantity}
-    reported = {(s.quantity, s.place) for s in invalid.statements}
+    reported = {(s.quantity, s.place) for s in invalid_statements}
+    column_statements = check_columns(table, quantities)
     return Recording(
         name=table.name,
         digest=table.digest,
@@ -211,7 +211,7 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
         sampling_rate_Hz=clock.sampling_rate_Hz,
         channels=channels,
         breaks=rows.breaks,
-        bridged=tuple(sorted({*rows.bridged, *invalid.samples})),
+        bridged=tuple(sorted({*rows.bridged, *invalid})),
         statements=(
             *table.statements,
             *assignment.statements,
@@ -219,46 +219,57 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
             *repetitions,
             *missing,
             *clock.statements,
-            *invalid.statements,
-            *(
-                statement
-                for statement in check_columns(table, quantities)
-                if (statement.quantity, statement.place) not in reported
-            ),
+            *invalid_statements,
+            *(s for s in column_statements if (s.quantity, s.place) not in reported),
             *axis_statements,
         ),
     )
 
 
-def _sensor_columns(assignment: Assignment, rows: SampleRows) -> list[SensorColumn]:
-    return [
-        SensorColumn(
-            quantity=assigned.quantity,
-            axis=assigned.axis,
-            place=assigned.column.place,
-            unit=assigned.unit.symbol,
-            factor=assigned.unit.factor,
-            values=rows.values(assigned.column.values),
-        )
-        for assigned in assignment.channels
-        if assigned.quantity is not None
-    ]
-
-
 def _channels(
-    assignment: Assignment, rows: SampleRows, invalid: InvalidSamples
-) -> tuple[Channel, ...]:
-    return tuple(
+    table: RawTable, assignment: Assignment, rows: SampleRows
+) -> tuple[tuple[Channel, ...], list[int], list[Statement]]:
+    """Return the channels, with straight lines in place of samples that are no measurement.
+
+    Returns:
+        The channels, the invalid samples of any of them, and a statement for each column and kind.
+    """
+    columns = [a for a in assignment.channels if a.quantity is not None]
+    values = [rows.values(a.column.values) for a in columns]  # as the file holds them
+    is_invalid = [np.zeros(len(rows.position), dtype=bool) for _ in columns]
+    drive_of = {a.axis: k for k, a in enumerate(columns) if a.quantity is Quantity.VOLTAGE}
+    statements: list[Statement] = []
+    for k, assigned in enumerate(columns):
+        if assigned.quantity is not Quantity.DISPLACEMENT:
+            continue
+        drive, j = None, drive_of.get(assigned.axis)
+        if j is not None:
+            is_invalid[j] |= find_invalid_rows(values[k], values[j])
+            drive = interpolated(values[j], is_invalid[j])
+        for readings in find_invalid_readings(values[k], drive):
+            is_invalid[k][readings.samples] = True
+            statements.append(
+                invalid_statement(
+                    readings,
+                    values[k],
+                    is_invalid[k],
+                    place=assigned.column.place,
+                    unit=assigned.unit,
+                    place_of=lambda k: table.place_of_row(rows.source_row(k)),
+                )
+            )
+    channels = tuple(
         Channel(
             quantity=assigned.quantity,
             axis=assigned.axis,
-            values=invalid.interpolated(k, rows.values(assigned.values)),
+            values=interpolated(rows.values(assigned.values), mask),
             label=assigned.column.label or f"column {assigned.column.number}",
             is_counted=assigned.unit.is_counted and assigned.unit.dimension is Dimension.OTHER,
         )
-        for k, assigned in enumerate(assignment.channels)
+        for assigned, mask in zip(columns, is_invalid, strict=True)
         if assigned.quantity is not None
     )
+    return channels, np.flatnonzero(np.any(is_invalid, axis=0)).tolist(), statements
 
 
 # Peak to peak of a channel that moves, in SI units, and the sampling rate: no laboratory has more.
@@ -341,56 +352,43 @@ def _clock(
     """Return the clock, its breaks and single losses as indices of complete rows.
 
     It is read from every row with a stamp, so that a row that lacks another column's number is no
-    gap in time as well.
+    gap in time as well. A table without time column has the clock of its format, of its entry or
+    of the laboratory.
     """
-    declared_Hz = entry.sampling_rate_Hz
     if assignment.time is None:
         for column in clocks_of(table):  # not named the clock, and running backwards all the same
             stamped = np.flatnonzero(np.isfinite(column.values))
-            place = partial(_place_of, table, stamped)
-            refuse_newest_first(column.si_values[stamped], table.name, place)
-        return _stated_clock(table, lab, declared_Hz)
-    stamped = unique[np.isfinite(assignment.time.values[unique])]
-    place = partial(_place_of, table, stamped)
-    clock = read_clock(assignment.time.values[stamped], table.name, place)
-    if declared_Hz is not None:
-        _check_rate(table, lab, declared_Hz, clock.sampling_rate_Hz)
-    return replace(
-        clock,
-        breaks=positions_in(complete, stamped[list(clock.breaks)]),
-        bridged=positions_in(complete, stamped[list(clock.bridged)]),
-    )
-
-
-def _place_of(table: RawTable, rows: Rows, row: int) -> str:
-    return table.place_of_row(int(rows[row]))
-
-
-def _stated_clock(table: RawTable, lab: Lab, declared_Hz: float | None) -> Clock:
-    """Return the clock of a table without time column: the format's, entry's or laboratory's."""
-    stated_Hz = table.sampling_rate_Hz
-    rate_Hz = stated_Hz or declared_Hz or lab.acquisition.sampling_rate_Hz
-    if rate_Hz is None:
-        raise UnitError(
-            f"{table.name}: no column is a time and the file states no sampling rate",
-            needed="one of the two, to know when each row was recorded",
-            remedy="Write into lab.toml 'sampling_rate_Hz = ...' under [acquisition] or under the "
-            f"file's own entry, or name its time column:\n\n{entry_template(table)}\n",
+            refuse_newest_first(column.si_values[stamped], table.name, table.places_of(stamped))
+        rate_Hz = (
+            table.sampling_rate_Hz or entry.sampling_rate_Hz or lab.acquisition.sampling_rate_Hz
         )
-    clock = stated_clock(rate_Hz, table.name)
-    if stated_Hz is not None and declared_Hz is not None:
-        _check_rate(table, lab, declared_Hz, stated_Hz)
-    return clock
-
-
-def _check_rate(table: RawTable, lab: Lab, declared_Hz: float, clock_Hz: float) -> None:
-    if abs(declared_Hz - clock_Hz) > _RATE_TOLERANCE * clock_Hz:
+        if rate_Hz is None:
+            raise UnitError(
+                f"{table.name}: no column is a time and the file states no sampling rate",
+                needed="one of the two, to know when each row was recorded",
+                remedy="Write into lab.toml 'sampling_rate_Hz = ...' under [acquisition] or under "
+                f"the file's own entry, or name its time column:\n\n{entry_template(table)}\n",
+            )
+        clock, clock_Hz = stated_clock(rate_Hz, table.name), rate_Hz
+    else:
+        stamped = unique[np.isfinite(assignment.time.values[unique])]
+        stamps_s = assignment.time.values[stamped]
+        clock = read_clock(stamps_s, table.name, table.places_of(stamped))
+        clock = replace(
+            clock,
+            breaks=positions_in(complete, stamped[list(clock.breaks)]),
+            bridged=positions_in(complete, stamped[list(clock.bridged)]),
+        )
+        clock_Hz = clock.sampling_rate_Hz
+    declared_Hz = entry.sampling_rate_Hz
+    if declared_Hz is not None and abs(declared_Hz - clock_Hz) > _RATE_TOLERANCE * clock_Hz:
         raise LabFileError(
             f"{lab.place}: sampling_rate_Hz of {table.name} is {declared_Hz:.9g} Hz, the file's "
             f"own clock says {clock_Hz:.9g} Hz",
             needed="one rate, or no time column",
             remedy="Correct the rate or the unit of the time column.",
         )
+    return clock
 
 
 def _selected_samples(entry: RecordingEntry, clock: Clock, samples: int) -> slice:

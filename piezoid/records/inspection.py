@@ -1,5 +1,6 @@
 """Inspection: what was understood of a file, whether or not it can become a recording."""
 
+import contextlib
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,9 +11,9 @@ from piezoid.errors import PiezoidError
 from piezoid.numerics.arrays import Array
 from piezoid.records.checks import check_set
 from piezoid.records.checks.columns import check_columns
-from piezoid.records.column_roles import Meaning, Role, meaning_of
+from piezoid.records.column_roles import Role, meaning_of
 from piezoid.records.columns import Assignment, assign_columns
-from piezoid.records.ingest import ingest_table, parts_of, with_checks
+from piezoid.records.ingest import Part, ingest_table, parts_of, with_checks
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import is_approach_curve, read_table
 from piezoid.records.recording import Quantity, Recording
@@ -25,12 +26,12 @@ from piezoid.records.sample_statistics import clipped_share, is_dead, noise_rms,
 from piezoid.records.table import Column, RawTable
 from piezoid.statement import Statement, finding
 
-# A turn of the drive smaller than this share of its span is no sweep.
+# A turn of the drive smaller than this share of its range is no sweep.
 _TURN_SHARE = 0.01
-# Turning points closer than this share of the span are one level of the drive.
-_LEVEL_SHARE = 0.02
-_WIDE = 5.0  # times
-_MOST_LEVELS = 12
+# Turning points closer than this share of the range are one level of the drive; in a group five
+# times as wide they lie everywhere.
+_LEVEL_SHARE, _WIDE = 0.02, 5.0
+_MAX_LEVELS = 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,22 +116,13 @@ def inspect_files(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Inspec
     paths, lab = tuple(paths), lab or Lab()
     lab.check_files(paths)
     inspected = [pair for path in paths for pair in _inspected(path, lab)]
-    recordings = [recording for _, recording in inspected if recording is not None]
-    statements = check_set(recordings)
-    return tuple(
-        replace(
-            inspection,
-            statements=(
-                *inspection.statements,
-                *(
-                    s
-                    for s in statements
-                    if recording is not None and s.recording == recording.name
-                ),
-            ),
-        )
-        for inspection, recording in inspected
-    )
+    statements = check_set([recording for _, recording in inspected if recording is not None])
+    inspections = []
+    for inspection, recording in inspected:
+        name = None if recording is None else recording.name
+        further = (s for s in statements if s.recording == name)
+        inspections.append(replace(inspection, statements=(*inspection.statements, *further)))
+    return tuple(inspections)
 
 
 def _inspected(path: Path, lab: Lab) -> list[tuple[Inspection, Recording | None]]:
@@ -142,197 +134,168 @@ def _inspected(path: Path, lab: Lab) -> list[tuple[Inspection, Recording | None]
     for entry in lab.entries_of(path) or (None,):
         if is_response(table, entry):
             inspected.append((_inspect_response(table, lab, entry), None))
-        else:
-            inspected += [_inspect_table(*part) for part in _parts(table, lab, entry)]
+            continue
+        parts: tuple[Part, ...] = ((table, lab, entry),)
+        with contextlib.suppress(PiezoidError):  # which reading the whole says as well
+            parts = parts_of(table, lab, entry)
+        inspected += [_inspect_table(*part) for part in parts]
     return inspected
 
 
-def _inspect_response(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Inspection:
-    try:
-        response = ingest_response(table, lab, entry)
-    except PiezoidError as error:
-        by_name = {c.number: f"{part}, by its name" for c in table.columns if (part := part_of(c))}
-        refused = _refused(table, error)
-        return replace(
-            refused,
-            columns=tuple(_response_column(c, by_name.get(c.number)) for c in table.columns),
-        )
-    columns = response_columns(table, lab, entry or RecordingEntry(file=table.name))
-    parts = {columns.frequency.number: "frequency"}
-    for (output, drive), part_columns in columns.paths.items():
-        to = "" if output == drive else f" to a drive of {drive}"
-        parts |= {
-            column.number: f"{part} of {output}{to}" for part, column in part_columns.items()
-        }
+def _of_table(table: RawTable) -> Inspection:
+    """Return what can be said of any table that was read."""
     return Inspection(
         name=table.name,
         digest=table.digest,
         format=table.format,
         rows=table.rows,
-        columns=tuple(
-            _response_column(column, parts.get(column.number)) for column in table.columns
-        ),
-        axis_is_named=response.axis_is_named,
-        response=summary_of(response),
-        statements=response.statements,
+        sampling_rate_Hz=table.sampling_rate_Hz,
     )
 
 
-def _response_column(column: Column, part: str | None) -> ColumnSummary:
-    """Summarise a column of a frequency response, the numbers as found: rows are no samples."""
-    unit = unit_in_heading(column)
-    meaning = part or "not read: no part of the response"
-    summary = _numbers(column, column.values, meaning=meaning, unit="", si_unit="")
-    symbol = "" if unit is None else unit.symbol
-    return replace(summary, unit=symbol, si_unit=symbol, noise_rms=None, step=0.0, clipped=0.0)
-
-
-def _parts(
-    table: RawTable, lab: Lab, entry: RecordingEntry | None
-) -> tuple[tuple[RawTable, Lab, RecordingEntry | None], ...]:
+def _inspect_response(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Inspection:
+    """Inspect a frequency response: the numbers as found, since rows are no samples."""
+    inspection = replace(_of_table(table), sampling_rate_Hz=None)
+    meanings: dict[int, str] = {}
     try:
-        return parts_of(table, lab, entry)
-    except PiezoidError:  # which reading the whole says as well
-        return ((table, lab, entry),)
+        response = ingest_response(table, lab, entry)
+    except PiezoidError as error:
+        meanings = {
+            c.number: f"{part}, by its name" for c in table.columns if (part := part_of(c))
+        }
+        inspection = replace(
+            _of_table(table),
+            statements=(*table.statements, *check_columns(table, {})),
+            refusal=str(error),
+        )
+    else:
+        columns = response_columns(table, lab, entry or RecordingEntry(file=table.name))
+        meanings[columns.frequency.number] = "frequency"
+        for (output, drive), parts in columns.paths.items():
+            to = "" if output == drive else f" to a drive of {drive}"
+            meanings |= {c.number: f"{part} of {output}{to}" for part, c in parts.items()}
+        inspection = replace(
+            inspection,
+            axis_is_named=response.axis_is_named,
+            response=summary_of(response),
+            statements=response.statements,
+        )
+    summaries = []
+    for column in table.columns:
+        unit = unit_in_heading(column)
+        symbol = "" if unit is None else unit.symbol
+        meaning = meanings.get(column.number, "not read: no part of the response")
+        summary = _summary(column, column.values, meaning, symbol, symbol)
+        summaries.append(replace(summary, noise_rms=None, step=0.0, clipped=0.0))
+    return replace(inspection, columns=tuple(summaries))
 
 
 def _inspect_table(
     table: RawTable, lab: Lab, entry: RecordingEntry | None
 ) -> tuple[Inspection, Recording | None]:
+    described = RecordingEntry(file=table.name) if entry is None else entry
     try:
         recording = with_checks(ingest_table(table, lab, entry), lab)
+        assignment = assign_columns(table, lab, described)
     except PiezoidError as error:
-        refused = _refused(table, error)
-        is_named = entry is not None and entry.columns
-        is_curve = is_approach_curve(table) and not is_named
-        return (_approach_curve(table, refused) if is_curve else refused), None
-    entry = RecordingEntry(file=table.name) if entry is None else entry
-    assignment = assign_columns(table, lab, entry)
-    drive = recording.find(Quantity.VOLTAGE, recording.axis)
-    reversals = None if drive is None else _turns(recording, drive.values)
-    inspection = Inspection(
-        name=table.name,
-        digest=table.digest,
-        format=table.format,
-        rows=table.rows,
-        columns=tuple(_read_summary(column, assignment) for column in table.columns),
+        refused = replace(
+            _of_table(table),
+            columns=tuple(_column_summary(column, None) for column in table.columns),
+            statements=(*table.statements, *check_columns(table, {})),
+            refusal=str(error),
+        )
+        if described.columns or not is_approach_curve(table):
+            return refused, None
+        text = (
+            f"a table over the height {table.independent!r}, without a time: fit takes its "
+            "currents for approach curves of the tunnelling junction"
+        )
+        curve = finding(quantity="approach_curve", place=table.independent, text=text)
+        return replace(refused, refusal=None, statements=(curve, *refused.statements)), None
+    reversals, levels_V = _turns_of_drive(recording)
+    headings = [meaning_of(channel.column.heading) for channel in assignment.channels]
+    inspection = replace(
+        _of_table(table),
+        columns=tuple(_column_summary(column, assignment) for column in table.columns),
         axis=recording.axis,
-        axis_is_named=_is_axis_named(assignment, entry),
+        axis_is_named=described.axis is not None
+        or any("_" in key for key in described.columns)
+        or any(meaning.axis is not None for meaning in headings),
         sampling_rate_Hz=recording.sampling_rate_Hz,
         duration_s=recording.duration_s,
         breaks=len(recording.breaks),
-        reversals=None if reversals is None else len(reversals),
-        levels_V=() if drive is None or not reversals else _levels(drive.values, reversals),
+        reversals=reversals,
+        levels_V=levels_V,
         counted=recording.counted,
         statements=recording.statements,
     )
     return inspection, recording
 
 
-def _approach_curve(table: RawTable, refused: Inspection) -> Inspection:
-    """Return the inspection of a table over a height: its currents tell the tunnelling barrier."""
-    text = (
-        f"a table over the height {table.independent!r}, without a time: fit takes its currents "
-        "for approach curves of the tunnelling junction"
-    )
-    statement = finding(quantity="approach_curve", place=table.independent, text=text)
-    return replace(refused, refusal=None, statements=(statement, *refused.statements))
-
-
-def _refused(table: RawTable, error: PiezoidError) -> Inspection:
-    return Inspection(
-        name=table.name,
-        digest=table.digest,
-        format=table.format,
-        rows=table.rows,
-        columns=tuple(_summary(column, meaning_of(column.heading)) for column in table.columns),
-        sampling_rate_Hz=table.sampling_rate_Hz,
-        statements=(*table.statements, *check_columns(table, {})),
-        refusal=str(error),
-    )
-
-
-def _is_axis_named(assignment: Assignment, entry: RecordingEntry) -> bool:
-    headings = (meaning_of(channel.column.heading) for channel in assignment.channels)
-    return (
-        entry.axis is not None
-        or any("_" in key for key in entry.columns)
-        or any(meaning.axis is not None for meaning in headings)
-    )
-
-
-def _read_summary(column: Column, assignment: Assignment) -> ColumnSummary:
-    """Summarise a column by what the recording made of it, lab.toml included."""
-    for assigned in assignment.columns:
+def _column_summary(column: Column, assignment: Assignment | None) -> ColumnSummary:
+    """Summarise a column by what the recording made of it, else by its heading."""
+    for assigned in () if assignment is None else assignment.columns:
         if assigned.column is column:
-            quantity = assigned.quantity
-            return _numbers(
-                column,
-                assigned.values,
-                meaning=f"{quantity.name.lower()} of {assigned.axis}" if quantity else "time",
-                unit=assigned.unit.symbol,
-                si_unit=assigned.unit.si_symbol,
-            )
-    meaning = meaning_of(column.heading)
-    if meaning.role is not Role.UNREAD:
-        meaning = Meaning(role=Role.UNREAD, reason="another column was taken for this part")
-    return _summary(column, meaning)
+            quantity, unit = assigned.quantity, assigned.unit
+            meaning = "time" if quantity is None else f"{quantity.name.lower()} of {assigned.axis}"
+            return _summary(column, assigned.values, meaning, unit.symbol, unit.si_symbol)
+    role = meaning_of(column.heading)
+    if assignment is not None and role.role is not Role.UNREAD:
+        meaning = "not read: another column was taken for this part"
+    elif role.quantity is not None:
+        meaning = role.quantity.name.lower() + (f" of {role.axis}" if role.axis else "")
+    else:
+        meaning = f"not read: {role.reason}" if role.reason else role.role.value
+    in_heading = column.heading.unit
+    symbol, si = ("", "") if in_heading is None else (in_heading.symbol, in_heading.si_symbol)
+    return _summary(column, column.si_values, meaning, symbol, si)
 
 
-def _summary(column: Column, meaning: Meaning) -> ColumnSummary:
-    unit = column.heading.unit
-    return _numbers(
-        column,
-        column.si_values,
-        meaning=_sentence(meaning),
-        unit="" if unit is None else unit.symbol,
-        si_unit="" if unit is None else unit.si_symbol,
-    )
-
-
-def _sentence(meaning: Meaning) -> str:
-    if meaning.role is Role.CHANNEL and meaning.quantity is not None:
-        name = meaning.quantity.name.lower()
-        return f"{name} of {meaning.axis}" if meaning.axis else name
-    return f"not read: {meaning.reason}" if meaning.reason else meaning.role.value
-
-
-def _numbers(
-    column: Column, values: Array, *, meaning: str, unit: str, si_unit: str
+def _summary(
+    column: Column, values: Array, meaning: str, unit: str, si_unit: str
 ) -> ColumnSummary:
     numbers = values[np.isfinite(values)]
+    is_empty = not len(numbers)
     return ColumnSummary(
         number=column.number,
         label=column.label,
         meaning=meaning,
         unit=unit,
         si_unit=si_unit,
-        minimum=float(numbers.min()) if len(numbers) else None,
-        maximum=float(numbers.max()) if len(numbers) else None,
+        minimum=None if is_empty else float(numbers.min()),
+        maximum=None if is_empty else float(numbers.max()),
         noise_rms=noise_rms(numbers) if len(numbers) > 4 else None,
-        step=step_size(numbers) if len(numbers) else 0.0,
-        is_dead=bool(len(numbers)) and is_dead(numbers),
-        clipped=clipped_share(numbers, rest=0.0 if si_unit == "V" else None)
-        if len(numbers)
-        else 0.0,
+        step=0.0 if is_empty else step_size(numbers),
+        is_dead=not is_empty and is_dead(numbers),
+        clipped=clipped_share(numbers, rest=0.0 if si_unit == "V" else None),
         missing=int(np.count_nonzero(~np.isfinite(column.values))),
     )
 
 
-def _turns(recording: Recording, voltage_V: Array) -> list[int]:
-    """Return the reversals of the drive in all pieces, ignoring noise and small turns."""
-    ignored_V = max(_TURN_SHARE * float(np.ptp(voltage_V)), noise_of(voltage_V))
-    turns = []
-    for piece in recording.pieces:
-        turns += [piece.start + k for k in reversals_of(voltage_V[piece], ignored_V)]
-    return turns
+def _turns_of_drive(recording: Recording) -> tuple[int | None, tuple[float, ...]]:
+    """Return how often the drive turns, without noise and small turns, and at which voltages.
 
-
-def _levels(voltage_V: Array, reversals: list[int]) -> tuple[float, ...]:
-    """Return the distinct voltages the drive turns at, ascending; none where they are too many."""
-    turns = np.sort(voltage_V[reversals])
-    edges = np.flatnonzero(np.diff(turns) > _LEVEL_SHARE * float(np.ptp(voltage_V))) + 1
-    groups = np.split(turns, edges)
-    # a group many times wider than two levels are apart is no level: turns lie everywhere in it
-    is_wide = any(np.ptp(g) > _WIDE * _LEVEL_SHARE * np.ptp(voltage_V) for g in groups)
-    return () if is_wide or len(groups) > _MOST_LEVELS else tuple(float(g.mean()) for g in groups)
+    Returns:
+        The number of reversals, None without a drive; the distinct voltages, ascending, none
+        where they are too many to be levels.
+    """
+    drive = recording.find(Quantity.VOLTAGE, recording.axis)
+    if drive is None:
+        return None, ()
+    range_V = float(np.ptp(drive.values))
+    ignored_V = max(_TURN_SHARE * range_V, noise_of(drive.values))
+    turns_V = np.sort(
+        np.concatenate(
+            [
+                drive.values[piece][list(reversals_of(drive.values[piece], ignored_V))]
+                for piece in recording.pieces
+            ]
+        )
+    )
+    if not len(turns_V):
+        return 0, ()
+    groups = np.split(turns_V, np.flatnonzero(np.diff(turns_V) > _LEVEL_SHARE * range_V) + 1)
+    is_wide = any(np.ptp(group) > _WIDE * _LEVEL_SHARE * range_V for group in groups)
+    if is_wide or len(groups) > _MAX_LEVELS:
+        return len(turns_V), ()
+    return len(turns_V), tuple(float(group.mean()) for group in groups)

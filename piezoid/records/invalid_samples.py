@@ -14,7 +14,7 @@ What the drive did at the same instant is motion, and no fault. Smaller spikes a
 and the diagnosis, which know the response from which they stand out.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,9 +23,9 @@ from scipy.ndimage import median_filter
 
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
-from piezoid.records.recording import Quantity
 from piezoid.records.sample_statistics import clipped as clipped_samples
 from piezoid.records.sample_statistics import step_size
+from piezoid.records.units import Unit
 from piezoid.statement import Statement, finding
 
 Mask = NDArray[np.bool_]
@@ -61,19 +61,17 @@ class InvalidReadings:
     """Invalid readings of one channel and one kind.
 
     kind     ``written``, ``held``, ``stuck``, ``spike`` or ``clipped``
-    value    what was written, of the kind ``written``
     samples  (count,)  increasing
     """
 
     kind: str
-    value: float | None
     samples: Indices
 
 
 def find_invalid_readings(
     values: Array, drive: Array | None = None
 ) -> tuple[InvalidReadings, ...]:
-    """Return the invalid readings of one channel, by kind and value.
+    """Return the invalid readings of one channel, by kind and, of those written, by value.
 
     values  (samples,)  of a sensor, any unit
     drive   (samples,)  what moved the stage, or None
@@ -110,22 +108,24 @@ def find_invalid_readings(
     repeats = _repeats(values, invalid, noise, drive) & ~(clipped | stuck)
     if (invalid | repeats)[~(clipped | stuck)].mean() > MAX_SHARE:
         return ()
-    masks: list[tuple[str, float | None, Mask]] = [
-        *(("written", value, mask) for value, mask in sorted(written.items())),
-        ("held", None, repeats),
-        ("stuck", None, stuck),
-        ("spike", None, spikes),
-        ("clipped", None, clipped),
+    masks: list[tuple[str, Mask]] = [
+        *(("written", mask) for _, mask in sorted(written.items())),
+        ("held", repeats),
+        ("stuck", stuck),
+        ("spike", spikes),
+        ("clipped", clipped),
     ]
     return tuple(
-        InvalidReadings(kind=kind, value=value, samples=np.flatnonzero(mask))
-        for kind, value, mask in masks
+        InvalidReadings(kind=kind, samples=np.flatnonzero(mask))
+        for kind, mask in masks
         if mask.any()
     )
 
 
 def interpolated(values: Array, invalid: Mask) -> Array:
     """Return the values with straight lines in place of the invalid ones, (samples,)."""
+    if not invalid.any():
+        return values
     index = np.arange(len(values))
     return np.interp(index, index[~invalid], values[~invalid])
 
@@ -317,120 +317,62 @@ def _runs_of(mask: Mask) -> list[tuple[int, int]]:
     return list(zip(edges[::2], edges[1::2], strict=True))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SensorColumn:
-    """One column as the file holds it, with its part in the recording.
+def find_invalid_rows(values: Array, drive: Array) -> Mask:
+    """Return the rows in which drive and reading are one number, written again and again.
 
-    quantity, axis  what it measures, and of which axis
-    place           how messages call the column
-    unit            symbol of the unit in the file
-    factor          SI units for one of these
-    values          (samples,)  in the unit of the file
+    values, drive  (samples,)  as the file holds them
     """
-
-    quantity: Quantity
-    axis: str
-    place: str
-    unit: str
-    factor: float
-    values: Array
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class InvalidSamples:
-    """Which samples of a recording are no measurement.
-
-    by_column   (samples,) by the index of the column
-    statements  one for each column and kind
-    """
-
-    by_column: Mapping[int, Mask]
-    statements: tuple[Statement, ...]
-
-    def interpolated(self, column: int, values: Array) -> Array:
-        """Return a column's values with straight lines in place of the invalid ones."""
-        invalid = self.by_column.get(column)
-        return values if invalid is None else interpolated(values, invalid)
-
-    @property
-    def samples(self) -> tuple[int, ...]:
-        """All samples that are invalid in some column, increasing."""
-        if not self.by_column:
-            return ()
-        return tuple(np.flatnonzero(np.logical_or.reduce(list(self.by_column.values()))).tolist())
-
-
-def find_invalid_samples(
-    columns: Sequence[SensorColumn], place_of: Callable[[int], str]
-) -> InvalidSamples:
-    """Find invalid samples of all displacements, and of drives where the whole row is invalid.
-
-    place_of  how messages call a sample: its line or row
-    """
-    invalid: dict[int, Mask] = {}
-    statements: list[Statement] = []
-    for k, column in enumerate(columns):
-        if column.quantity is not Quantity.DISPLACEMENT:
-            continue
-        drives = [
-            j
-            for j, candidate in enumerate(columns)
-            if (candidate.quantity, candidate.axis) == (Quantity.VOLTAGE, column.axis)
-        ]
-        drive = columns[drives[0]].values if drives else None
-        rows = None if drive is None else _invalid_rows(column.values, drive)
-        if drive is not None and rows is not None:
-            invalid[drives[0]] = rows
-            drive = interpolated(drive, rows)
-        for readings in find_invalid_readings(column.values, drive):
-            mask = invalid.setdefault(k, np.zeros(len(column.values), dtype=bool))
-            mask[readings.samples] = True
-            statements.append(_statement(column, readings, mask, place_of))
-    return InvalidSamples(by_column=invalid, statements=tuple(statements))
-
-
-def _invalid_rows(values: Array, drive: Array) -> Mask | None:
-    """Return the rows in which drive and reading are one number, written again and again."""
-    is_equal = values == drive
+    is_equal, none = values == drive, np.zeros(len(values), dtype=bool)
     if not MIN_REPEATS <= np.count_nonzero(is_equal) <= MAX_SHARE * len(is_equal):
-        return None
+        return none
     numbers, counts = np.unique(values[is_equal], return_counts=True)
     rows = is_equal & (values == numbers[counts.argmax()])
     runs = [(a, b) for a, b in _runs_of(rows) if a >= 2 and b <= len(rows) - 2]
     if not runs:
-        return None
-    starts, stops = (np.array(edges, dtype=np.intp) for edges in zip(*runs, strict=True))
-    deviation, uncertainty = _deviations(drive, starts, stops)
+        return none
+    deviation, uncertainty = _deviations(drive, *np.array(runs).T)
     is_far = deviation > MIN_DEVIATION * uncertainty
-    return rows if np.count_nonzero(is_far) >= MIN_REPEATS else None
+    return rows if np.count_nonzero(is_far) >= MIN_REPEATS else none
 
 
-def _statement(
-    column: SensorColumn, readings: InvalidReadings, invalid: Mask, place_of: Callable[[int], str]
+def invalid_statement(
+    readings: InvalidReadings,
+    values: Array,
+    invalid: Mask,
+    *,
+    place: str,
+    unit: Unit,
+    place_of: Callable[[int], str],
 ) -> Statement:
-    samples, total = readings.samples, len(column.values)
-    levels = " and ".join(f"{x:.6g}" for x in np.unique(column.values[samples]).tolist())
+    """State which readings of a column are invalid.
+
+    values    (samples,)  of the column, as the file holds them
+    invalid   (samples,)  these readings and those of other kinds
+    place     how messages call the column
+    unit      of the values
+    place_of  how messages call a sample: its line or row
+    """
+    samples, total = readings.samples, len(values)
+    levels = " and ".join(f"{x:.6g}" for x in np.unique(values[samples]).tolist())
     appearance = {
-        "written": f"reads exactly {levels} {column.unit} where its neighbours do not",
+        "written": f"reads exactly {levels} {unit.symbol} where its neighbours do not",
         "held": "repeats the previous reading while the stage moves",
-        "stuck": f"is stuck at {levels} {column.unit} while the drive moves",
+        "stuck": f"is stuck at {levels} {unit.symbol} while the drive moves",
         "spike": "lies far from both neighbours",
-        "clipped": f"is clipped at {levels} {column.unit} while the drive moves",
+        "clipped": f"is clipped at {levels} {unit.symbol} while the drive moves",
     }[readings.kind]
+    labels = [place_of(k) for k in samples.tolist()]
     if readings.kind == "stuck":
-        mask = np.zeros(total, dtype=bool)
-        mask[samples] = True
+        mask = np.isin(np.arange(total), samples)
         labels = [f"{place_of(a)} to {place_of(b - 1)}" for a, b in _runs_of(mask)]
-    else:
-        labels = [place_of(int(k)) for k in samples]
     further = f" and {len(labels) - MAX_PLACES} more" if len(labels) > MAX_PLACES else ""
-    deviation = np.abs(column.values - interpolated(column.values, invalid))[samples]
+    deviation = np.abs(values - interpolated(values, invalid))[samples]
     return finding(
         quantity="saturated" if readings.kind == "clipped" else "lost_readings",
-        place=column.place,
-        text=f"{column.place} {appearance}, {len(samples)} times "
+        place=place,
+        text=f"{place} {appearance}, {len(samples)} times "
         f"({100 * len(samples) / total:.2g} % of the samples), at "
         f"{', '.join(labels[:MAX_PLACES])}{further}: left out as invalid.",
-        value=float(deviation.max()) * abs(column.factor),
+        value=float(deviation.max()) * abs(unit.factor),
         unit="m",
     )

@@ -29,13 +29,7 @@ import msgspec
 
 from piezoid.digests import digest_of_bytes, digest_of_json
 from piezoid.errors import LabFileError
-from piezoid.records.lab_check import (
-    check_file_name,
-    check_number,
-    check_range,
-    check_separator,
-    refusal,
-)
+from piezoid.records.lab_check import check_number, check_range, lab_error
 from piezoid.records.lab_tables import (
     GUARDS,
     Acquisition,
@@ -72,7 +66,12 @@ _MAX_bytes = 1 << 22  # entries about fifty thousand files
 _MAX_PARTS = 256  # each is read and judged by itself
 
 
-class _Contents(Table, frozen=True, kw_only=True):
+class _Contents(
+    Table,
+    frozen=True,
+    kw_only=True,
+    rename={"certificates": "uncertainty", "recordings": "recording", "axes": "axis"},
+):
     rig: RigName = RigName()
     amplifier: Amplifier = Amplifier()
     actuator: Actuator = Actuator()
@@ -80,10 +79,10 @@ class _Contents(Table, frozen=True, kw_only=True):
     acquisition: Acquisition = Acquisition()
     tunnelling: Tunnelling = Tunnelling()
     verification: dict[str, float] = msgspec.field(default_factory=dict)
-    uncertainty: Certificates = Certificates()
+    certificates: Certificates = Certificates()
     coupled: Coupled = Coupled()
-    recording: tuple[RecordingEntry, ...] = ()
-    axis: dict[str, AxisRig] = msgspec.field(default_factory=dict)
+    recordings: tuple[RecordingEntry, ...] = ()
+    axes: dict[str, AxisRig] = msgspec.field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,14 +127,10 @@ class Lab:
         return self._digest_without(())
 
     def _digest_without(self, guards: tuple[str, ...]) -> str:
-        tunnelling = msgspec.to_builtins(self.tunnelling)
-        tables = {
-            **{
-                name: msgspec.to_builtins(getattr(self, name))
-                for name in ("amplifier", "actuator", "sensor", "acquisition", "axes")
-            },
-            "tunnelling": {n: v for n, v in tunnelling.items() if n not in guards},
-        }
+        names = ("amplifier", "actuator", "sensor", "acquisition", "axes", "tunnelling")
+        tables = {name: msgspec.to_builtins(getattr(self, name)) for name in names}
+        for guard in guards:
+            del tables["tunnelling"][guard]
         return digest_of_json(tables)
 
     def amplifier_of(self, axis: str) -> Amplifier:
@@ -177,9 +172,8 @@ class Lab:
         entries = [e for e in self.recordings if realpath(self.folder / e.file) == target]
         entries = entries or [e for e in self.recordings if Path(e.file).name == path.name]
         if len(entries) > _MAX_PARTS:
-            raise refusal(
-                self.folder / self.place,
-                f"{len(entries)} entries are about {path.name}",
+            raise lab_error(
+                f"{self.place}: {len(entries)} entries are about {path.name}",
                 f"at most {_MAX_PARTS} parts of one file",
             )
         return tuple(entries)
@@ -199,10 +193,9 @@ class Lab:
             for e in self.entries_of(path)
         }
         if len(formats) > 1:
-            raise refusal(
-                self.folder / self.place,
-                f"the {len(formats)} entries about {path.name} differ in separator, decimal or "
-                "heading_row",
+            raise lab_error(
+                f"{self.place}: the {len(formats)} entries about {path.name} differ in separator, "
+                "decimal or heading_row",
                 "one way in which the file is written, in each of its entries",
             )
         return formats.pop() if formats else TextFormat()
@@ -226,10 +219,9 @@ class Lab:
             without_entry = [p.name for p in paths if not self.entries_of(p)]
             similar = get_close_matches(path.name, without_entry, n=1)
             hint = f"; is {similar[0]!r} meant, which has no entry?" if similar else ""
-            raise refusal(
-                self.folder / self.place,
-                f"[[recording]] {entry.file!r} is about a file that is neither in the folder of "
-                f"{self.place} nor among those to be read{hint}",
+            raise lab_error(
+                f"{self.place}: [[recording]] {entry.file!r} is about a file that is neither in "
+                f"the folder of {self.place} nor among those to be read{hint}",
                 "the name of a recording, from the folder of lab.toml",
             )
 
@@ -239,7 +231,7 @@ def read_lab(path: Path) -> Lab:
     try:
         size = regular_size(path)
         if size > _MAX_bytes:
-            raise refusal(path, f"it has {size} bytes", f"at most {_MAX_bytes}")
+            raise lab_error(f"{path.name}: it has {size} bytes", f"at most {_MAX_bytes}")
         with path.open("rb") as stream:
             content = stream.read(size)
         record = read_toml(content.decode("utf-8-sig"))
@@ -250,45 +242,37 @@ def read_lab(path: Path) -> Lab:
             remedy="Check its name, or write one with `piezoid init RECORDINGS`.",
         ) from error
     except OSError as error:
-        raise refusal(path, error.strerror or str(error), "a file that can be read") from error
+        reason = error.strerror or str(error)
+        raise lab_error(f"{path.name}: {reason}", "a file that can be read") from error
     except ValueError as error:
-        raise refusal(path, str(error), "text in TOML, UTF-8") from error
+        raise lab_error(f"{path.name}: {error}", "text in TOML, UTF-8") from error
     try:
         contents = msgspec.convert(record, _Contents, strict=True)
     except msgspec.ValidationError as error:
-        message, _, where = str(error).partition(" - at `$")
-        place = where.rstrip("`").lstrip(".") or "the top"
-        needed = f"the names and types of a lab.toml{_similar_name(message)}"
-        raise refusal(path, f"{place}: {message}", needed) from error
+        message, _, location = str(error).partition(" - at `$")
+        table = location.rstrip("`").lstrip(".") or "the top"
+        unknown = message.partition("unknown field `")[2].rstrip("`").lower()
+        tables = Table.__subclasses__()
+        names = {name.lower(): name for t in tables for name in t.__struct_encode_fields__}
+        similar = get_close_matches(unknown, names, n=1)
+        hint = f" (did you mean {names[similar[0]]}?)" if similar else ""
+        needed = f"the names and types of a lab.toml{hint}"
+        raise lab_error(f"{path.name}: {table}: {message}", needed) from error
+    tables_of_lab = msgspec.structs.asdict(contents)
     lab = Lab(
-        name=contents.rig.name,
+        name=tables_of_lab.pop("rig").name,
         place=path.name,
         folder=path.parent,
         digest=digest_of_bytes(content),
-        amplifier=contents.amplifier,
-        actuator=contents.actuator,
-        sensor=contents.sensor,
-        acquisition=contents.acquisition,
-        tunnelling=contents.tunnelling,
-        verification=contents.verification,
-        certificates=contents.uncertainty,
-        coupled=contents.coupled,
-        recordings=contents.recording,
-        axes=contents.axis,
+        **tables_of_lab,
     )
-    _check(path, lab)
+    _check_tables(lab)
+    _check_dependent(lab)
     return lab
 
 
-def _similar_name(message: str) -> str:
-    """Return a question for the name that was meant, empty if none is similar."""
-    unknown = message.partition("unknown field `")[2].rstrip("`").lower()
-    names = {name.lower(): name for t in Table.__subclasses__() for name in t.__struct_fields__}
-    similar = get_close_matches(unknown, names, n=1)
-    return f" (did you mean {names[similar[0]]}?)" if similar else ""
-
-
-def _check(path: Path, lab: Lab) -> None:
+def _check_tables(lab: Lab) -> None:
+    """Refuse numbers, ranges and names that no laboratory has."""
     tables: list[tuple[str, Table]] = [
         ("[amplifier]", lab.amplifier),
         ("[actuator]", lab.actuator),
@@ -299,53 +283,53 @@ def _check(path: Path, lab: Lab) -> None:
         ("[coupled]", lab.coupled),
     ]
     for name, rig in lab.axes.items():
-        held = (("amplifier", rig.amplifier), ("actuator", rig.actuator), ("sensor", rig.sensor))
-        tables += [(f"[axis.{name}.{kind}]", table) for kind, table in held if table is not None]
-    tables += [(f"[[recording]] {entry.file!r}", entry) for entry in lab.recordings]
-    for place, table in tables:
-        for key in table.__struct_fields__:
-            check_number(path, place, key, getattr(table, key))
-        if isinstance(table, Amplifier):
-            check_range(path, place, "output", table.output_min_V, table.output_max_V)
-        if isinstance(table, RecordingEntry):
-            _check_entry(path, place, table)
-    _check_dependent(path, lab)
+        of_axis = ((key, getattr(rig, key)) for key in rig.__struct_fields__)
+        tables += [(f"[axis.{name}.{key}]", table) for key, table in of_axis if table is not None]
+    for heading, table in tables:
+        _check_numbers(f"{lab.place}: {heading}", table)
+    for entry in lab.recordings:
+        place = f"{lab.place}: [[recording]] {entry.file!r}"
+        _check_numbers(place, entry)
+        check_range(place, "start_s, stop_s", entry.start_s, entry.stop_s)
+        if "\0" in entry.file:
+            raise lab_error(f"{place} holds a zero character", "the name of a file")
+        mark = "," if entry.separator is None else entry.separator
+        if len(mark) != 1 or mark.isalnum() or mark == ".":
+            needed = 'one character, as ";", "\\t" or " " for any white space'
+            raise lab_error(f"{place} separator is {mark[:20]!r}", needed)
+
+
+def _check_numbers(place: str, table: Table) -> None:
+    for key in table.__struct_fields__:
+        value = getattr(table, key)
+        numbers = value.values() if isinstance(value, dict) else value
+        for number in numbers if isinstance(value, dict | tuple) else (value,):
+            check_number(place, key, number)
+        if isinstance(value, tuple) and key in ("input_range_V", "barrier_range_eV"):
+            check_range(place, key, *value)
+    if isinstance(table, Amplifier):
+        check_range(place, "output", table.output_min_V, table.output_max_V)
+
+
+def _check_dependent(lab: Lab) -> None:
+    """Refuse a key that would be ignored because another one is missing."""
     axes = lab.coupled.axes
     if len(set(axes)) != len(axes) or len(axes) == 1:
-        raise refusal(path, f"[coupled] axes are {list(axes)}", "two axes or more, each once")
-    if lab.acquisition.input_range_V is not None:
-        for end_V in lab.acquisition.input_range_V:
-            check_number(path, "[acquisition]", "input_range_V", end_V)
-        check_range(path, "[acquisition]", "input_range_V", *lab.acquisition.input_range_V)
-    if lab.tunnelling.barrier_range_eV is not None:
-        low_eV, high_eV = lab.tunnelling.barrier_range_eV
-        check_number(path, "[tunnelling]", "barrier_eV", low_eV)
-        check_number(path, "[tunnelling]", "barrier_eV", high_eV)
-        check_range(path, "[tunnelling]", "barrier_range_eV", low_eV, high_eV)
-
-
-def _check_dependent(path: Path, lab: Lab) -> None:
-    """Refuse a key that would be ignored because another one is missing."""
+        found = f"{lab.place}: [coupled] axes are {list(axes)}"
+        raise lab_error(found, "two axes or more, each once")
     converter = lab.acquisition
     for key in ("dac_bits", "adc_bits"):
         if getattr(converter, key) is not None and converter.input_range_V is None:
-            found = f"[acquisition] declares {key} and no input_range_V"
-            raise refusal(path, found, "input_range_V = [low, high], the volts of all codes")
-    if lab.coupled.settling_periods != Coupled().settling_periods and not lab.coupled.axes:
-        found = "[coupled] declares settling_periods and no axes"
-        raise refusal(path, found, "the names of the axes that are coupled")
+            found = f"{lab.place}: [acquisition] declares {key} and no input_range_V"
+            raise lab_error(found, "input_range_V = [low, high], the volts of all codes")
+    if lab.coupled.settling_periods != Coupled().settling_periods and not axes:
+        found = f"{lab.place}: [coupled] declares settling_periods and no axes"
+        raise lab_error(found, "the names of the axes that are coupled")
     for name, rig in lab.axes.items():
         for key in ("output_min_V", "output_max_V", "slew_V_per_s"):
-            common, own = getattr(lab.amplifier, key), getattr(rig.amplifier, key, None)
-            if rig.amplifier is not None and common is not None and own is None:
-                found = f"[amplifier] limits {key}, and [axis.{name}.amplifier] does not"
-                raise refusal(path, found, f"{key} of axis {name}: its table replaces [amplifier]")
-
-
-def _check_entry(path: Path, place: str, entry: RecordingEntry) -> None:
-    check_file_name(path, place, entry.file)
-    check_separator(path, place, entry.separator)
-    check_range(path, place, "start_s, stop_s", entry.start_s, entry.stop_s)
-    for key in ("scale", "offset"):
-        for value in getattr(entry, key).values():
-            check_number(path, place, key, value)
+            common, of_axis = getattr(lab.amplifier, key), getattr(rig.amplifier, key, None)
+            if rig.amplifier is not None and common is not None and of_axis is None:
+                raise lab_error(
+                    f"{lab.place}: [amplifier] limits {key}, and [axis.{name}.amplifier] does not",
+                    f"{key} of axis {name}: its table replaces [amplifier]",
+                )

@@ -1,6 +1,6 @@
 """Select the rows of a table that become samples, and align them with a uniform clock."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,9 +59,9 @@ class SampleRows:
             bridged=tuple(b - first for b in self.bridged if first <= b < stop),
         )
 
-    def source_place(self, table: RawTable) -> Callable[[int], str]:
-        """Return a function from a sample to the place of its row, or of the row before it."""
-        return lambda sample: table.place_of_row(int(self.complete[int(self.position[sample])]))
+    def source_row(self, sample: int) -> int:
+        """Return the row of the table that a sample comes from, or the row before it."""
+        return int(self.complete[int(self.position[sample])])
 
     def values(self, column: Array) -> Array:
         """Return the samples of a column, interpolated where a row is lost."""

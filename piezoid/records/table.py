@@ -1,11 +1,11 @@
 """RawTable: the columns of a file as a reader returns them, not yet interpreted."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array
@@ -142,6 +142,10 @@ class RawTable:
         if self.first_line:
             return f"line {self.first_line + row}"
         return f"row {self.first_row + row + 1}"
+
+    def places_of(self, rows: NDArray[np.intp]) -> Callable[[int], str]:
+        """Return a function that says where the k-th of some rows stands."""
+        return lambda k: self.place_of_row(int(rows[k]))
 
     def reversed(self) -> "RawTable":
         """Return the table with its last row in front, for files that hold the newest first."""

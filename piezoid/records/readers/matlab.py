@@ -51,6 +51,8 @@ def read(source: Source) -> RawTable:
         _check_sizes(source)
         opaque = {} if source.head.startswith(b"MATLAB 5") else _objects_of_hdf5(source)
         variables = dict(_flattened("", read_mat(str(source.path)), opaque))
+        if not source.head.startswith(b"MATLAB 5"):  # of HDF5 they come in the order of a set
+            variables = dict(sorted(variables.items()))
         arrays = {name: value for name, value in variables.items() if name not in opaque}
     objects = ", ".join(f"{name!r} ({kind})" for name, kind in opaque.items())
     if opaque and not any(value.size > 1 for value in arrays.values()):

@@ -73,10 +73,14 @@ def find_table(lines: list[str], name: str, declared: TextFormat | None = None) 
     best = _best_start(lines, 1.0, declared) or _best_start(lines, 0.5, declared)
     if best is None:
         check_columns(name, max((_widest(x) for x in lines if len(x) > MAX_LINE), default=0))
+        entries = ", ".join(f"{key} = {value!r}" for key, value in declared.keys.items())
+        stated = f" with {entries} of lab.toml" if entries else ""
+        numbers = (match[0] for line in lines if (match := _HEXADECIMAL.search(line)))
+        hint = next((f", and {number!r} is a hexadecimal number" for number in numbers), "")
         raise unreadable(
             name,
-            f"its first {count} lines hold no row of numbers{_declared_text(declared)}; line "
-            f"1 is {lines[0][:60]!r}{_hexadecimal(lines)}",
+            f"its first {count} lines hold no row of numbers{stated}; line 1 is "
+            f"{lines[0][:60]!r}{hint}",
             needed="a table of numbers separated by tabs, semicolons, bars, commas or blanks",
             remedy="Export the recording as CSV, in decimal numbers, without units or other words "
             "in the cells.",
@@ -90,16 +94,6 @@ def find_table(lines: list[str], name: str, declared: TextFormat | None = None) 
     if not declared.decimal:
         _refuse_possible_thousands(lines, best, name)
     return best
-
-
-def _hexadecimal(lines: list[str]) -> str:
-    matches = (match for line in lines if (match := _HEXADECIMAL.search(line)))
-    return next((f", and {match[0]!r} is a hexadecimal number" for match in matches), "")
-
-
-def _declared_text(declared: TextFormat) -> str:
-    entries = [f"{key} = {value!r}" for key, value in declared.keys.items()]
-    return f" with {', '.join(entries)} of lab.toml" if entries else ""
 
 
 def _check_heading_row(lines: list[str], name: str, declared: TextFormat) -> None:
@@ -145,7 +139,8 @@ def _refuse_other_fields_than_headings(lines: list[str], start: TableStart, name
     why, entry = "", 'decimal = "."'
     if headed < layout.fields and layout.separator == ",":
         why = ", as if commas stood between the numbers and inside them"
-        example = next((s for s in map(_with_decimal_comma, lines[start.row :]) if s), "")
+        cut_numbers = (match[0] for x in lines[start.row :] if (match := _CUT_NUMBER.match(x)))
+        example = next(cut_numbers, "")
         why += f" ({example})" if example else ""
     if layout.separator == "," and layout.fields == 2 * headed:
         entry = 'separator = ","\ndecimal = ","'
@@ -168,17 +163,8 @@ def _refuse_other_fields_than_headings(lines: list[str], start: TableStart, name
 def _counts_rows(lines: list[str], layout: Layout) -> bool:
     """Tell whether the first cells of the rows are 0, 1, 2, ... or 1, 2, 3, ..."""
     rows = [line for line in lines if line.strip() and not _COMMENT.match(line)]
-    firsts = [cells_of(line, layout)[0] for line in rows[:3]]
-    return firsts in (
-        [str(k) for k in range(len(firsts))],
-        [str(k + 1) for k in range(len(firsts))],
-    )
-
-
-def _with_decimal_comma(line: str) -> str:
-    """Return the first number of a row that a comma may have cut in two, empty without one."""
-    match = _CUT_NUMBER.match(line)
-    return match[0] if match else ""
+    cells = [cells_of(line, layout)[0] for line in rows[:3]]
+    return any(cells == [str(first + k) for k in range(len(cells))] for first in (0, 1))
 
 
 def _refuse_possible_thousands(lines: list[str], start: TableStart, name: str) -> None:
@@ -365,14 +351,18 @@ def drop_repeated_headings(
     segment_starts: list[int] = []
     heading_lines: list[int] = []
     rows = 0
+    labels = [(heading.stem.lower(), heading.unit) for heading in map(heading_of, start.labels)]
     for number, content in enumerate(text.split("\n"), start=line):
         cells = _heading_cells(content, start)
-        if cells and (_are_same_headings(cells, start.labels) or cells == start.units):
-            if cells != start.units:
-                heading_lines.append(number)
-                segment_starts.append(rows)
+        headings = [heading_of(cell) for cell in cells]
+        if cells and cells == start.units:
             continue
-        if cells and sum(_has_name_and_unit(cell) for cell in cells) > 1:
+        if cells and labels == [(heading.stem.lower(), heading.unit) for heading in headings]:
+            heading_lines.append(number)
+            segment_starts.append(rows)
+            continue
+        # Two names with units are a heading; other words may be a damaged row.
+        if sum(heading.unit is not None and bool(heading.stem) for heading in headings) > 1:
             raise unreadable(
                 name,
                 f"line {number} heads the columns anew, {' | '.join(cells)[:200]!r}, which were "
@@ -398,18 +388,6 @@ def _heading_cells(line: str, start: TableStart) -> tuple[str, ...]:
     filled = [cell for cell in cells if cell]
     is_heading = filled and all(number_of(cell, start.layout.decimal) is None for cell in filled)
     return cells if is_heading else ()
-
-
-def _are_same_headings(cells: tuple[str, ...], labels: tuple[str, ...]) -> bool:
-    """Tell whether headings say the same, in whichever case."""
-    pairs = zip(map(heading_of, cells), map(heading_of, labels), strict=True)
-    return all(a.stem.lower() == b.stem.lower() and a.unit == b.unit for a, b in pairs)
-
-
-def _has_name_and_unit(cell: str) -> bool:
-    """Tell whether a cell heads a column: it says what it is, and in which unit."""
-    heading = heading_of(cell)
-    return heading.unit is not None and bool(heading.stem)
 
 
 def _are_units(cells: tuple[str, ...]) -> bool:

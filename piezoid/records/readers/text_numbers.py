@@ -4,6 +4,7 @@ import csv
 import io
 import re
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING
@@ -78,19 +79,12 @@ class NumberTable:
 
 def split(line: str, separator: str) -> list[str]:
     """Cut a row into its fields, without the white space and quotes around them."""
-    fields = _quoted(line, separator) if '"' in line and separator else None
-    if fields is None:
-        fields = line.split(separator) if separator else line.split()
+    fields = line.split(separator) if separator else line.split()
+    if '"' in line and separator and line.count('"') % 2 == 0:  # it may stand inside quotes
+        with suppress(csv.Error):
+            reader = csv.reader([line], delimiter=separator, skipinitialspace=True)
+            fields = next(reader, fields)
     return [field.strip().strip('"').strip() for field in fields]
-
-
-def _quoted(line: str, separator: str) -> list[str] | None:
-    """Cut a row some fields of which hold its separator within quotes; None where none does."""
-    try:
-        fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True), None)
-    except csv.Error:
-        return None
-    return fields if line.count('"') % 2 == 0 else None
 
 
 def cells_of(line: str, layout: Layout) -> list[str]:
@@ -147,7 +141,7 @@ def parse_numbers(text: str, layout: Layout, name: str, first_line: int) -> Numb
         columns = tuple(frame[k].to_numpy(dtype=np.float64) for k in frame.columns)
         return NumberTable(columns=columns, textual=frozenset(), statements=())
     try:
-        table = _parse_cells(_cut_rows(text, layout, first_line), layout, name)
+        table = _parse_cells(text, layout, name, first_line)
     except UnreadableFileError:
         _refuse_prefixes(text, layout, name, first_line, frozenset())  # the better reason
         raise
@@ -186,54 +180,18 @@ def without_comments(text: str, first_line: int) -> tuple[str, tuple[Statement, 
     return "\n".join(line for line in lines if not _COMMENT.match(line)), (statement,)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Rows:
-    """The cells of a table as text.
-
-    cells   a column for each field, empty where a row is short
-    lines   (rows,)  on which each row stands
-    fields  (rows,)  of each row, up to its last filled one
-    """
-
-    cells: "DataFrame"
-    lines: NDArray[np.intp]
-    fields: NDArray[np.intp]
-
-
-def _cut_rows(text: str, layout: Layout, first_line: int) -> _Rows:
-    """Cut a table into cells; one by one only where rows are blank or of different lengths."""
-    import pandas as pd
-
-    frame = None if "\n\n" in text.rstrip("\n") else _frame(text, layout, str)
-    if frame is not None:
-        lines = first_line + np.arange(len(frame))
-        return _Rows(
-            cells=frame.fillna(""), lines=lines, fields=np.full(len(frame), layout.fields)
-        )
-    rows = [
-        (line, cells_of(content, layout))
-        for line, content in enumerate(text.split("\n"), start=first_line)
-        if content.strip()
-    ]
-    cells = [row[: layout.fields] + [""] * (layout.fields - len(row)) for _, row in rows]
-    return _Rows(
-        cells=pd.DataFrame(cells, dtype=str),
-        lines=np.array([line for line, _ in rows]),
-        fields=np.array([len(row) if any(row[layout.fields :]) else 0 for _, row in rows]),
-    )
-
-
-def _parse_cells(rows: _Rows, layout: Layout, name: str) -> NumberTable:
+def _parse_cells(text: str, layout: Layout, name: str, first_line: int) -> NumberTable:
     """Read cells as numbers or times of day, and state which hold neither.
 
     Raises ``UnreadableFileError`` where text or surplus cells damage more than a quarter of the
     rows.
     """
-    numbers = np.empty((len(rows.lines), layout.fields))
+    rows, lines, fields = _cut_rows(text, layout, first_line)
+    numbers = np.empty((len(lines), layout.fields))
     is_text = np.zeros(numbers.shape, dtype=bool)
     stamped = set()
     for k in range(layout.fields):
-        cells = rows.cells[k].str.strip()
+        cells = rows[k].str.strip()
         numbers[:, k], is_text[:, k] = _numbers_of(cells, layout)
         if 2 * is_text[:, k].sum() > len(cells) and (seconds := _seconds_of(cells)) is not None:
             numbers[:, k], is_text[:, k] = seconds, False
@@ -243,20 +201,20 @@ def _parse_cells(rows: _Rows, layout: Layout, name: str) -> NumberTable:
     statements = [
         finding(
             quantity="not_a_number",
-            place=f"line {rows.lines[is_text[:, k].argmax()]}, column {k + 1}",
+            place=f"line {lines[is_text[:, k].argmax()]}, column {k + 1}",
             text=f"{counts[k]} fields of column {k + 1} hold text instead of a number",
         )
         for k in np.flatnonzero(counts).tolist()
         if k not in textual
     ]
-    wide = np.flatnonzero(rows.fields > layout.fields)
+    wide = np.flatnonzero(fields > layout.fields)
     if len(wide):
         numbers[wide] = np.nan
         text = (
-            f"{len(wide)} rows have more fields than the table ({rows.fields[wide[0]]} > "
+            f"{len(wide)} rows have more fields than the table ({fields[wide[0]]} > "
             f"{layout.fields})"
         )
-        place = f"line {rows.lines[wide[0]]}"
+        place = f"line {lines[wide[0]]}"
         statements.append(finding(quantity="field_count", place=place, text=text))
     others = [count for k, count in enumerate(counts.tolist()) if k not in textual]
     damaged = len(wide) + max(others, default=0)
@@ -265,16 +223,44 @@ def _parse_cells(rows: _Rows, layout: Layout, name: str) -> NumberTable:
         raise unreadable(
             name,
             f"{damaged} of {len(numbers)} rows hold text or too many fields, the first on line "
-            f"{rows.lines[first]}",
+            f"{lines[first]}",
             needed="rows of numbers, as many in each",
             remedy="Export the recording again, or remove the rows that are no data.",
-            line=int(rows.lines[first]),
+            line=int(lines[first]),
         )
     return NumberTable(
         columns=tuple(numbers[:, k].copy() for k in range(layout.fields)),
         textual=textual,
         stamped=frozenset(stamped),
         statements=tuple(statements),
+    )
+
+
+def _cut_rows(
+    text: str, layout: Layout, first_line: int
+) -> tuple["DataFrame", NDArray[np.intp], NDArray[np.intp]]:
+    """Cut a table into cells; one by one only where rows are blank or of different lengths.
+
+    Returns:
+        A column of text for each field, empty where a row is short; the line of each row; and its
+        number of fields, where more than the table has are filled.
+    """
+    import pandas as pd
+
+    frame = None if "\n\n" in text.rstrip("\n") else _frame(text, layout, str)
+    if frame is not None:
+        lines = first_line + np.arange(len(frame))
+        return frame.fillna(""), lines, np.full(len(frame), layout.fields)
+    rows = [
+        (line, cells_of(content, layout))
+        for line, content in enumerate(text.split("\n"), start=first_line)
+        if content.strip()
+    ]
+    cells = [row[: layout.fields] + [""] * (layout.fields - len(row)) for _, row in rows]
+    return (
+        pd.DataFrame(cells, dtype=str),
+        np.array([line for line, _ in rows]),
+        np.array([len(row) if any(row[layout.fields :]) else 0 for _, row in rows]),
     )
 
 

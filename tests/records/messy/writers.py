@@ -4,7 +4,7 @@ import io
 import struct
 import zipfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -27,14 +27,14 @@ LONG = 4096  # samples of the files whose rate changes
 Write = Callable[[Path], None]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Messy:
     """One file.
 
     name      of the file; its suffix may matter
     wrong     what is wrong with it, for people
     write     writes it
-    kept      the samples of the truth that must come out; None where it is refused
+    kept      the samples of the truth that must come out if it is read; None for other values
     refused   what the refusal must say
     problems  the kinds of problems that must be told, these and no others
     breaks    how often memory is interrupted
@@ -46,7 +46,8 @@ class Messy:
     name: str
     wrong: str
     write: Write
-    kept: np.ndarray | None = None
+    _: KW_ONLY
+    kept: np.ndarray | None = field(default_factory=lambda: EVERY)
     refused: str = ""
     problems: frozenset[str] = frozenset()
     breaks: int = 0
