@@ -273,6 +273,14 @@ def test_a_spectrum_and_a_lone_gain_are_no_response(tmp_path: Path) -> None:
         collect([path])
 
 
+def test_a_part_that_two_columns_claim_is_shown_with_the_reason(tmp_path: Path) -> None:
+    heading = "f [Hz],gain [um/V],gain [nm/V],phase [deg]"
+    path = write_csv(tmp_path / "a.csv", heading, FREQUENCY_Hz, SIZE_um, SIZE_um, ANGLE_deg)
+    (inspection,) = inspect_file(path)
+    assert "both claim to be the magnitude" in (inspection.refusal or "")
+    assert inspection.columns[2].meaning == "magnitude, by its name"
+
+
 def test_a_response_is_no_recording(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="a frequency response, not a recording over time"):
         ingest(WRITERS["real and imaginary"](tmp_path))

@@ -171,3 +171,10 @@ def test_a_footer_of_words_is_no_row(tmp_path: Path) -> None:
     recording = ingest(path)
     assert recording.samples == 50
     assert not recording.breaks
+
+
+def test_columns_of_matlab_7_3_come_in_the_order_of_their_names(
+    write: Callable[[str], Path],
+) -> None:
+    labels = [column.label for column in read_table(write("run73.mat")).columns]
+    assert labels == ["displacement_um", "time_s", "voltage_V"]
