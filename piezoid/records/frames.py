@@ -4,7 +4,7 @@ Heading and unit decide what a column is, by the same rules as for files: ``Volt
 ``position_um``. What they leave open is refused, never guessed.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,11 +24,6 @@ from piezoid.records.units import heading_of, unit_of
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-_SYMBOL = {quantity: quantity.value for quantity in Quantity} | {
-    Quantity.HUMIDITY: "%",
-    Quantity.REFERENCE: "",
-}
-_PERCENT = 100.0
 ByAxis = ArrayLike | Mapping[str, ArrayLike]  # samples of one axis, or by the name of the axis
 
 
@@ -60,38 +55,38 @@ def from_arrays(
     >>> recording.samples, round(recording.sampling_rate_Hz), recording.axes
     (2000, 1000, ('x',))
     """
-    quantities = {"voltage": voltage_V, "displacement": displacement_m, "current": current_A}
     if (time_s is None) == (sampling_rate_Hz is None):
         raise RecordingError(
             f"{name}: {'neither' if time_s is None else 'both'} time_s and sampling_rate_Hz given",
             needed="one clock",
             remedy="Give the time of every sample, or the rate of them all.",
         )
-    arrays = {} if time_s is None else {"time": _samples(time_s, f"{name}: time_s")}
-    for quantity, given in quantities.items():
-        by_axis = given if isinstance(given, Mapping) else {axis: given}
-        for name_of_axis, values in by_axis.items():
+    columns = [] if time_s is None else [("time", "s", _samples(time_s, f"{name}: time_s"))]
+    for quantity, channel in (
+        (Quantity.VOLTAGE, voltage_V),
+        (Quantity.DISPLACEMENT, displacement_m),
+        (Quantity.CURRENT, current_A),
+    ):
+        by_axis = channel if isinstance(channel, Mapping) else {axis: channel}
+        for axis_of_values, values in by_axis.items():
             if values is not None:
-                label = f"{quantity}_{name_of_axis}"
-                arrays[label] = _samples(values, f"{name}: {quantity} of {name_of_axis}")
-    _same_length(name, arrays)
-    symbols = {q.name.lower(): q.value for q in Quantity} | {"time": "s"}
-    columns = tuple(
-        Column(
-            number=number,
-            label=label,
-            declared_unit=symbols[label.partition("_")[0]],
-            values=values,
+                label = quantity.name.lower()
+                samples = _samples(values, f"{name}: {label} of {axis_of_values}")
+                columns.append((f"{label}_{axis_of_values}", quantity.value, samples))
+    if len({len(values) for _, _, values in columns}) > 1:
+        lengths = ", ".join(f"{label} {len(values)}" for label, _, values in columns)
+        raise RecordingError(
+            f"{name}: arrays of different length: {lengths}",
+            needed="one value of each for every sample",
+            remedy="Cut them to the same samples.",
         )
-        for number, (label, values) in enumerate(arrays.items(), 1)
-    )
     entry = RecordingEntry(
         file=name,
         axis=axis,
-        columns={label: number for number, label in enumerate(arrays, 1)},
+        columns={label: number for number, (label, _, _) in enumerate(columns, 1)},
         sampling_rate_Hz=sampling_rate_Hz,
     )
-    return _single_recording(_table(name, columns), entry)
+    return _recording(columns, entry)
 
 
 def from_frame(
@@ -140,13 +135,6 @@ def from_frame(
         *_index(frame, name),
         *_columns(frame, headings, set((columns or {}).values()), name),
     ]
-    table = _table(
-        name,
-        tuple(
-            Column(number=k, label=label, declared_unit=declared.get(label, ""), values=values)
-            for k, (label, values) in enumerate(arrays, 1)
-        ),
-    )
     entry = RecordingEntry(
         file=name,
         axis=axis,
@@ -154,7 +142,9 @@ def from_frame(
         sampling_rate_Hz=sampling_rate_Hz,
     )
     try:
-        return _single_recording(table, entry)
+        return _recording(
+            [(label, declared.get(label, ""), values) for label, values in arrays], entry
+        )
     except UnitError as error:
         raise UnitError(
             error.found,
@@ -180,18 +170,31 @@ def to_frame(recording: Recording) -> "DataFrame":
     for channel in recording.channels:
         label, values = f"{channel.quantity.name.lower()}_{channel.axis}", channel.values
         if channel.quantity is Quantity.HUMIDITY:
-            columns[f"{label} [%]"] = _PERCENT * values
+            columns[f"{label} [%]"] = 100.0 * values
         elif channel.is_counted:
             columns[f"{label} [{channel.unit}]"] = values
+        elif channel.quantity is Quantity.REFERENCE:
+            columns[label] = values
         else:
-            symbol = _SYMBOL[channel.quantity]
-            columns[f"{label}_{symbol}" if symbol else label] = values
+            columns[f"{label}_{channel.unit}"] = values
     breaks = list(recording.breaks)
     return DataFrame({label: np.insert(v, breaks, np.nan) for label, v in columns.items()})
 
 
-def _single_recording(table: RawTable, entry: RecordingEntry) -> Recording:
-    """Return a table as a recording, remarks of a file included."""
+def _recording(columns: Sequence[tuple[str, str, Array]], entry: RecordingEntry) -> Recording:
+    """Return headings, units and samples as a recording, with the statements of a file."""
+    text = "\n".join(f"{label}\t{unit}" for label, unit, _ in columns)
+    table_columns = tuple(
+        Column(number=k, label=label, declared_unit=unit, values=values)
+        for k, (label, unit, values) in enumerate(columns, 1)
+    )
+    content = b"".join(column.values.tobytes() for column in table_columns)
+    table = RawTable(
+        name=entry.file,
+        digest=digest_of_bytes(text.encode() + b"\0" + content),
+        format="data frame",
+        columns=table_columns,
+    )
     parts = parts_of(table, Lab(), entry)
     if len(parts) > 1:
         raise RecordingError(
@@ -200,13 +203,6 @@ def _single_recording(table: RawTable, entry: RecordingEntry) -> Recording:
             remedy="Make a recording of each stretch.",
         )
     return with_checks(ingest_table(*parts[0]), Lab())
-
-
-def _table(name: str, columns: tuple[Column, ...]) -> RawTable:
-    text = "\n".join(f"{c.label}\t{c.declared_unit}" for c in columns)
-    content = b"".join(c.values.tobytes() for c in columns)
-    digest = digest_of_bytes(text.encode() + b"\0" + content)
-    return RawTable(name=name, digest=digest, format="data frame", columns=columns)
 
 
 def _samples(given: ArrayLike, place: str) -> Array:
@@ -225,16 +221,6 @@ def _samples(given: ArrayLike, place: str) -> Array:
             remedy="Pass each channel as an array of its own.",
         )
     return values
-
-
-def _same_length(name: str, arrays: Mapping[str, Array]) -> None:
-    if len({len(values) for values in arrays.values()}) > 1:
-        lengths = ", ".join(f"{label} {len(values)}" for label, values in arrays.items())
-        raise RecordingError(
-            f"{name}: arrays of different length: {lengths}",
-            needed="one value of each for every sample",
-            remedy="Cut them to the same samples.",
-        )
 
 
 def _refuse_other_than_frame(frame: object, name: str) -> None:
