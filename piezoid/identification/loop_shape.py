@@ -1,10 +1,11 @@
 """Loop shape: the part of the hysteresis that plays with dead zones cannot represent.
 
-    static displacement = Psi(H[u - u_off]) + L[u]
+    static displacement = a Psi(H[u - u_off]) + L[u]
 
 L is a function of the wide class of ``operators.wide_hysteresis``, fitted to the recordings by
-``loop_shape_fit``. Simulation, prediction, held-out error and the verification plant include it. A
-controller inverts the first term exactly; L is what that inverse leaves.
+``loop_shape_fit`` together with the weight a of the plays. Simulation, prediction, held-out error
+and the verification plant include it. A controller inverts Psi(H) exactly; the difference is what
+that inverse leaves.
 """
 
 from collections.abc import Sequence
@@ -61,6 +62,7 @@ class LoopShape:
     centre_V, reach_V  middle and half of the range of the recorded drive
     density_m          (widths, cells)  of the plays, m
     smooth_m           (columns,)       coefficients of all other families in their order, m
+    plays_weight       what the plays with dead zones count for beside it
     plain              the fit without it
     """
 
@@ -68,6 +70,7 @@ class LoopShape:
     reach_V: float
     density_m: Array
     smooth_m: Array
+    plays_weight: float
     plain: PlainFit
 
     def __post_init__(self) -> None:

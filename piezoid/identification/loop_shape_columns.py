@@ -7,6 +7,7 @@ thousand times the displacement, and left-out blocks are missed by as much.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import starts_of, where_of, zero_of
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.family_ridge import FamilyRidge, Moments
 from piezoid.operators.play import turns_of, way_to
 from piezoid.operators.wide_hysteresis import (
     CHUNK,
@@ -36,7 +38,7 @@ from piezoid.operators.wide_hysteresis import (
 )
 from piezoid.records.recording import Recording
 
-ROWS = 10_000  # of all pieces together
+ROWS = 20_000  # of all pieces together
 FOLDS = 5
 BLOCKS_OF_A_PIECE = 15
 COVERED = 0.97  # of the range of a piece: before, its initial state is unresolved
@@ -44,6 +46,8 @@ JUMP = 0.03  # half ranges in one sample, four times the neighbouring steps: an 
 JITTER = 1e-7  # of the mean diagonal: what is smaller is redundant
 FILTERED = 0.02  # of the motion, rms: less than this a delay may miss of the filters
 MANY_HISTORIES = 120  # columns of initial states of all pieces together
+TURNS, STEP = 150, 0.02  # of the drive on which plays are approximated, half ranges
+PLAYS = "plays"  # family of what the plays have beyond their approximation by the class
 NEVER = -1  # number of the fold of rows that no fold leaves out
 
 
@@ -81,7 +85,7 @@ class _Path:
     def changes_m(self, shape: LoopShape) -> Array:
         """Return by how much every history changes the response, (rows, histories)."""
         made = [shape.of_states(self.drive, states) for states in self.states]
-        total_m = self.plays_m + np.stack(made, axis=1)
+        total_m = shape.plays_weight * self.plays_m + np.stack(made, axis=1)
         return np.asarray(total_m[:, 1:] - total_m[:, :1])
 
 
@@ -92,6 +96,8 @@ class Columns:
     x          (rows, columns)   the wide class, scaled
     scale      (columns,)        what the columns were divided by
     change     (columns, columns)  from coefficients without redundancy to those of ``x``
+    plays      (columns,)        coefficients of ``smooth_plays``; 0 for the last column, what the
+                                 plays have beyond them
     family     (columns,)        name of each column's family
     paths      path of each piece's drive to its first rows, for other histories
     """
@@ -99,6 +105,7 @@ class Columns:
     x: Array
     scale: Array
     change: Array
+    plays: Array
     family: tuple[str, ...]
     paths: tuple[_Path, ...]
 
@@ -167,7 +174,7 @@ def _folds(level: Array, rows: NDArray[np.intp], number: int) -> NDArray[np.intp
 
 def columns_of(axis: AxisModel, pieces: Sequence[Piece]) -> Columns:
     """Return everything that depends on lag and extensions."""
-    shape, forward = no_loop_shape(axis), axis.forward
+    shape, forward, smooth = no_loop_shape(axis), axis.forward, smooth_plays(axis)
     tables, paths = [], []
     number = min(len(histories(0.0)), max(3, MANY_HISTORIES // len(pieces)))
     for piece in pieces:
@@ -189,6 +196,9 @@ def columns_of(axis: AxisModel, pieces: Sequence[Piece]) -> Columns:
                 name: forward.behind(x, piece.where, instant=True)[piece.rows]
                 for name, x in unfiltered.items()
             }
+        plays_m = forward.behind(static_m, piece.where, instant=True)[piece.rows]
+        of_class = np.hstack(list(table.values())) @ smooth
+        table[PLAYS] = (plays_m / (0.5 * axis.quality.range_m) - of_class)[:, None]
         tables.append({name: x * _gain(axis, piece) for name, x in table.items()})
         paths.append(_remembering_path(axis, shape, drive_V, places, piece.start, number))
     family = tuple(name for name, x in tables[0].items() for _ in range(x.shape[1]))
@@ -198,9 +208,40 @@ def columns_of(axis: AxisModel, pieces: Sequence[Piece]) -> Columns:
         x=x / scale,
         scale=scale,
         change=change,
+        plays=np.append(smooth, 0.0),
         family=family,
         paths=tuple(paths),
     )
+
+
+def smooth_plays(axis: AxisModel) -> Array:
+    """Return the coefficients with which the wide class comes closest to the plays, (columns,).
+
+    Along a drive that visits the whole range, in half ranges of the displacement. They are what
+    the fit of loop shape falls back on where recordings say nothing; plays with dead zones have
+    kinks, which a smooth material has not.
+    """
+    shape = no_loop_shape(axis)
+    turns = np.random.default_rng(0).uniform(-1.0, 1.0, TURNS)
+    runs = [np.arange(a, b, np.copysign(STEP, b - a)) for a, b in pairwise(turns)]
+    drive = np.concatenate(runs)
+    states = HysteresisStates((float(drive[0]),)).follow(drive)
+    table = class_columns(drive, states)
+    x = np.hstack(list(table.values()))
+    family = np.repeat(np.arange(len(table)), [block.shape[1] for block in table.values()])
+    memory_V = axis.memory_after(shape.turns_V(()))
+    drive_V = shape.centre_V + shape.reach_V * drive
+    plays = axis.invertible_m(drive_V, memory_V, 1.0) / (0.5 * axis.quality.range_m)
+    scale, change = _without_redundancy(x, np.repeat(list(table), np.bincount(family)))
+    z, y = np.column_stack([x / scale @ change, np.ones(len(x))]), plays
+    sums = Moments(gram=z.T @ z, moment=z.T @ y, square=float(y @ y), count=len(y))
+    ridge = FamilyRidge(
+        family=np.append(family, len(table)),
+        variance=np.append(np.full(len(table), 0.1 * sums.square / len(y)), np.inf),
+        noise=1e-4 * sums.square / len(y),
+    )
+    _, coefficient, _ = ridge.maximised(sums, ceiling=np.full(len(table) + 1, np.inf))
+    return np.asarray(change @ coefficient[:-1] / scale)
 
 
 def _gain(axis: AxisModel, piece: Piece) -> Array | float:
@@ -219,6 +260,7 @@ def no_loop_shape(axis: AxisModel) -> LoopShape:
         reach_V=0.5 * (high_V - low_V),
         density_m=np.zeros((len(WIDTHS), len(EDGES) - 1)),
         smooth_m=np.zeros(smooth_count()),
+        plays_weight=1.0,
         plain=PlainFit(
             lag_s=axis.lag.time_s,
             rms_m=0.0,
@@ -306,7 +348,7 @@ def _without_redundancy(x: Array, family: NDArray[np.str_]) -> tuple[Array, Arra
     gram, change, before = z.T @ z, np.eye(len(family)), np.zeros(0, dtype=np.intp)
     for name in dict.fromkeys(family):
         place = np.flatnonzero(family == name)
-        if len(before):
+        if len(before) and name != PLAYS:
             known = gram[np.ix_(before, before)]
             known = known + JITTER * np.trace(known) / len(before) * np.eye(len(before))
             change[np.ix_(before, place)] = -np.linalg.solve(known, gram[np.ix_(before, place)])

@@ -1,13 +1,14 @@
 """Fit loop shape: the wide class of hysteresis, to what plays with dead zones leave.
 
-    y - y_plays = F(X w) + sum_k a_k D_k + zero + sum_j t_j dy/dp_j + e
+    y - y_plays = F(X w) + b P + sum_k a_k D_k + zero + sum_j t_j dy/dp_j + e
 
 X are the columns of ``operators.wide_hysteresis`` along the drive, F the filters behind the
-hysteresis, D_k the change that another history of the drive makes in the response of the model,
-and t_j the errors of the numbers p_j of lag and extensions. The zero moves between the knots of
-the fit of the plays. Ridge regression with one prior variance for each family of columns gives the
-coefficients. D_k and the derivatives depend on the last estimate: rounds are made until the
-numbers are at rest (Gauss-Newton with the linear coefficients eliminated).
+hysteresis, P what plays have beyond their best approximation by the class, D_k the change that
+another history of the drive makes in the response of the model, and t_j the errors of the numbers
+p_j of lag and extensions. The zero moves between the knots of the fit of the plays. Ridge
+regression with one prior variance for each family of columns gives the coefficients. D_k and the
+derivatives depend on the last estimate: rounds are made until the numbers are at rest, as in
+Gauss-Newton with the linear coefficients eliminated.
 """
 
 from collections.abc import Sequence
@@ -46,17 +47,14 @@ from piezoid.records.recording import Recording
 
 FEWEST_ROWS = 500
 FEWEST_ROUNDS, MOST_ROUNDS = 3, 8
-# Of the noise variance in the final solve: neighbouring residuals of a class that is slightly
-# wrong are correlated. On 5 s of one sweep the error on another drive falls from 0.83 % of the
-# range at 1 to 0.33 % at 30 and 0.23 % at 100 (0.11 % without loop shape). On five stages of laws
-# that are no sums of plays 1 and 10 explain the same to 4 %, but for one (2.30 and 1.38 times the
-# noise); at 100 such laws are explained to 1.35 times the noise only.
-NOISE_FACTOR = 10.0
 WORTH = 0.97  # each of both errors over that without loop shape: less gain is not worth the class
 WORSE = 1.02  # noise variance over the least: lag and extensions no longer improve it
 STEP_WORTH = 0.9  # held-out error with a step of the zero over that without
 STEP_PLACES = 60  # of a piece, at which a step of the zero is tried
-SHRINK = (1.0, 0.1, 0.01, 0.001)  # common factors of the prior variances
+# Of the noise variance in the last solve, the one that predicts left-out blocks best: neighbouring
+# residuals of a class that is slightly wrong are correlated. Of four laws that the class follows
+# it is 1, on the bundled axis y 100.
+NOISE_FACTORS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 FAR = 7.0  # robust standard deviations
 SHIFT = 0.02  # of the residual: a larger change by lag and extensions makes columns anew
 UNPENALISED = ("zero", "number", "step")
@@ -142,9 +140,12 @@ def _improved(
     if len(places):
         values = regression.value + regression.step * coefficient[places]
         axis = with_numbers(axis, np.clip(values, regression.lower, regression.upper))
-    density, smooth = coefficients(wide / columns.scale)
+    of_plays = float(wide[-1] / columns.scale[-1])
+    of_class = wide / columns.scale - of_plays * columns.plays
+    density, smooth = coefficients(of_class[:-1])
     shape = replace(
         axis.loop_shape or no_loop_shape(axis),
+        plays_weight=1.0 + of_plays,
         density_m=abs(scale_m) * density,
         smooth_m=abs(scale_m) * smooth,
     )
@@ -208,12 +209,9 @@ def _accepted(
             plain, errors = _plain_errors(axis, stepped), errors_with_step
     if errors.held_out > WORTH * plain.held_out or errors.explained > WORTH * plain.explained:
         return replace(axis, loop_shape=None)
-    shrunk = replace(
-        estimate,
-        variance=_shrunk(estimate.variance, factor),
-        noise=NOISE_FACTOR * estimate.noise,
+    final = _improved(
+        replace(estimate, noise=factor * estimate.noise), pieces, columns, regression, steps=0
     )
-    final = _improved(shrunk, pieces, columns, regression, steps=0)
     regression = _again(final, pieces, columns, regression)
     final = _improved(final, pieces, columns, regression, steps=0)
     scale_m = abs(half_range_m(axis))
@@ -330,32 +328,22 @@ def _plain_errors(axis: AxisModel, regression: Regression) -> _Errors:
 
 
 def _errors(estimate: Estimate, regression: Regression) -> tuple[_Errors, float]:
-    """Return the errors with loop shape, and the common factor of the prior variances.
+    """Return the errors with loop shape, and the factor of the noise variance.
 
     Where the class is wrong, less freedom predicts better than marginal likelihood says.
     """
     folds = regression.moments()
     total = _sum(folds)
     tried = {}
-    for factor in SHRINK:
-        shrunk = replace(
-            estimate,
-            variance=_shrunk(estimate.variance, factor),
-            noise=NOISE_FACTOR * estimate.noise,
-        )
-        tried[factor] = _error(regression, folds, total, _ridge(shrunk, regression, total))
-    factor = min(SHRINK, key=tried.__getitem__)
+    for factor in NOISE_FACTORS:
+        ridge = _ridge(replace(estimate, noise=factor * estimate.noise), regression, total)
+        tried[factor] = _error(regression, folds, total, ridge)
+    factor = min(NOISE_FACTORS, key=tried.__getitem__)
     coefficient = regression.change @ _ridge(estimate, regression, total).mean(total)
     residual = (regression.target - regression.design @ coefficient)[regression.use]
     free = max(len(residual) - estimate.parameters, 1.0)
     explained = float(np.sqrt(np.sum(residual**2) / free))
     return _Errors(explained=explained, held_out=tried[factor]), factor
-
-
-def _shrunk(variance: dict[str, float], factor: float) -> dict[str, float]:
-    """Return the variances with those of the wide class times a factor."""
-    local = (*UNPENALISED, "initial state", "step")
-    return {name: v if name in local else factor * v for name, v in variance.items()}
 
 
 def _error(

@@ -97,8 +97,8 @@ class AxisModel:
     minor_loops  what simulates, ships and is bounded in place of ``hysteresis``, by which a
                  diagnosis still goes; None where it predicts no better
     function_orders  plays behind functions that were tried, the largest first
-    loop_shape   hysteresis that no controller inverts, beside the operator; None where it
-                 predicts no better
+    loop_shape   hysteresis that no controller inverts, beside or in place of the operator; None
+                 where it predicts no better
     discrepancy  what this class leaves of the recordings, for verification; None: not known
     dynamics_remarks  those of the verdict's remarks that tell how the dynamics were found
     counted      what was recorded in counts of a converter, of ``displacement`` and ``voltage``:
@@ -332,7 +332,8 @@ class AxisModel:
         if self.loop_shape is None:
             return static_m
         history = history_of(self.hysteresis, memory_V, self.loop_shape)
-        return static_m + self.loop_shape.response(driven_V, history)
+        static_m = self.loop_shape.plays_weight * static_m
+        return np.asarray(static_m + self.loop_shape.response(driven_V, history))
 
     def static_after_m(
         self,
@@ -403,7 +404,7 @@ class AxisModel:
         for number, history in enumerate(tried):
             begun_V = self.memory_after(shape.turns_V(history))
             changes_m[:stop, number] = (
-                self.invertible_m(drive_V, begun_V, rate_Hz)
+                shape.plays_weight * self.invertible_m(drive_V, begun_V, rate_Hz)
                 + shape.response(drive_V, history)
                 - base_m
             )

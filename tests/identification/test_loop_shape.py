@@ -88,6 +88,14 @@ def test_a_law_that_is_no_sum_of_plays_is_explained_to_the_noise(
     assert rms_m == pytest.approx(axis.quality.rms_m, rel=0.1)
 
 
+@pytest.mark.parametrize("law", ["dahl", "bouc_wen"])
+def test_a_smooth_law_is_simulated_without_the_kinks_of_plays(law: str) -> None:
+    _, _, axis = fitted(law)
+    assert axis.loop_shape is not None
+    assert abs(axis.loop_shape.plays_weight) < 0.2
+    assert axis.quality.held_out_rms_m < 1.7 * NOISE_M
+
+
 def test_a_recording_that_was_not_fitted_is_predicted_better() -> None:
     _, plain, axis = fitted("dahl")
     unseen = recorded("dahl", walk(4), "unseen")
