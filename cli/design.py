@@ -21,7 +21,7 @@ def design(
     spec: Annotated[Path | None, typer.Option(help="design.toml: specification.")] = None,
     rate: Annotated[
         float | None,
-        typer.Option(help="Controller's samples per second, if lab.toml did not say.", min=0.0),
+        typer.Option(help="Sampling rate of the controller; default: lab.toml.", min=0.0),
     ] = None,
     lab: StageLab = None,
     force: Force = False,

@@ -34,7 +34,7 @@ def diagnose(
     ],
     out: Annotated[Path, typer.Option(help="Folder for the results.")],
     lab: RecordingLab = None,
-    axis: Annotated[str | None, typer.Option(help="Which axis; default: the first.")] = None,
+    axis: Annotated[str | None, typer.Option(help="Axis; default: the first.")] = None,
     force: Force = False,
     quiet: Quiet = False,
     json: JsonFile = False,

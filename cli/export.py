@@ -20,7 +20,7 @@ def export(
     lab: StageLab = None,
     target: Annotated[
         list[str] | None,
-        typer.Option(help="Beside the bundle: fmu, library, pid, nanonis, waveform."),
+        typer.Option(help="Also write: fmu, library, pid, nanonis, waveform. Repeatable."),
     ] = None,
     box: Annotated[Path | None, typer.Option(help="box.toml: limits of the hardware.")] = None,
     force: Force = False,
@@ -93,14 +93,15 @@ def export(
         )
     elif not quiet:
         for axis in axes:
-            alternatives = f", to compare {', '.join(axis.methods[1:])}" * bool(axis.alternatives)
-            say(f"axis {axis.axis}: {axis.method}{alternatives}")
+            alternatives = ", ".join(axis.methods[1:])
+            comparison = f" (for comparison: {alternatives})" if alternatives else ""
+            say(f"axis {axis.axis}: {axis.method}{comparison}")
         show_unshipped(unshipped)
         if file is not None:
             folders = dict.fromkeys(("bundle", *targets))
             say(f"exported: {', '.join(str(stage / name) for name in ('params.json', *folders))}")
         elif targets:
-            say("no target is written: each is made of a controller that ships, and none does")
+            say("no target was written, because no controller ships")
         for note in notes:
             say(note)
     if unshipped:

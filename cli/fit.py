@@ -145,6 +145,7 @@ def show(calibration: "Calibration") -> None:
     from rich.console import Console
 
     from piezoid.calibration.stage_statements import stage_statements
+    from piezoid.statement import Level
 
     console, model, controllers = Console(), calibration.model, calibration.controllers
     console.print(_table(calibration))
@@ -165,6 +166,9 @@ def show(calibration: "Calibration") -> None:
         unshipped=controllers.unshipped,
         verification=verification,
     )
+    for fact in statements:
+        if fact.quantity == "guaranteed_error" and fact.level is Level.WARNING:
+            console.print(plain(f"axis {fact.axis}: {fact.text}"))
     show_statements(statements)
 
 
@@ -243,7 +247,7 @@ def _budgets(calibration: "Calibration") -> list[str]:
         line = f"error budget {diagnosis.axis}: {total} = {terms}"
         lines.append(in_counts(line, diagnosis.counted))
     if any("*" in line for line in lines):
-        lines.append("(rms, squares add up; * removed by the model)")
+        lines.append("(rms; squares add up; * removed by the model; closure: error / noise)")
     return lines
 
 

@@ -14,21 +14,23 @@ if TYPE_CHECKING:
 def learn(
     stage: Annotated[Path, typer.Argument(help="Folder with model.json and params.json.")],
     reference: Annotated[
-        Path, typer.Option(help="One period, a point for each sample: a column of a length.")
+        Path,
+        typer.Option(help="One period of the motion: a length, one row per sample."),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the table.")],
     period: Annotated[
-        Path | None, typer.Option(help="What was recorded, from point 0 on; whole periods count.")
+        Path | None, typer.Option(help="Recorded motion from point 0 of a period on.")
     ] = None,
     table: Annotated[
-        Path | None, typer.Option(help="learning.json of the table that was played then.")
+        Path | None, typer.Option(help="learning.json of the table that was played in --period.")
     ] = None,
-    axis: Annotated[str | None, typer.Option(help="Which axis; default: the only one.")] = None,
+    axis: Annotated[str | None, typer.Option(help="Axis; default: the only one.")] = None,
     open_loop: Annotated[
-        bool, typer.Option("--open-loop", help="The table is all of the voltage: no controller.")
+        bool,
+        typer.Option("--open-loop", help="For a drive without a controller."),
     ] = False,
     gain: Annotated[
-        float, typer.Option(help="Of learning, over the best for the worst plant.", min=0.0)
+        float, typer.Option(help="Learning gain; 1 is best for the worst plant.", min=0.0)
     ] = 1.0,
     lab: StageLab = None,
     force: Force = False,

@@ -111,8 +111,7 @@ def piezoid(
 ) -> None:
     """From recordings of a piezo stage to a calibrated, verified controller.
 
-    [bold]Typical use[/bold]: check what was understood, complete the draft of lab.toml, calibrate.
-    Then open stage42/report.html and compile stage42/bundle/.
+    [bold]Typical use[/bold]: check the files, draft lab.toml, complete it, calibrate:
 
     piezoid inspect sweep.csv check.csv
 
@@ -120,11 +119,14 @@ def piezoid(
 
     piezoid fit sweep.csv check.csv --lab lab.toml --out stage42/
 
-    The help of every verb has examples, as in: piezoid fit --help
+    Then open stage42/report.html and compile stage42/bundle/. For examples of a verb:
+    piezoid fit --help
+
+    Options of every verb: -v, --verbose logs each step with its elapsed time; --debug adds a
+    traceback to errors.
 
     Exit status: 0 done, 1 a verdict failed, 2 usage, 3 data or file unusable, 4 no solution,
-    70 internal error, 130 interrupted. -v, --verbose: log each step with its elapsed time.
-    --debug: add a traceback to errors.
+    70 internal error, 130 interrupted.
     """
 
 

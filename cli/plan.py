@@ -24,13 +24,13 @@ def plan(
     ] = None,
     lab: Annotated[Path | None, typer.Option(help="lab.toml: range, slew and clock.")] = None,
     axis: Annotated[
-        str | None, typer.Option(help="Which axis; default: the first that was diagnosed.")
+        str | None, typer.Option(help="Axis; default: the first that was diagnosed.")
     ] = None,
     effect: Annotated[
         str | None, typer.Option(help="Effect to target; default: the least certain.")
     ] = None,
     rate: Annotated[
-        float | None, typer.Option(help="Converters' samples per second.", min=0.0)
+        float | None, typer.Option(help="Sampling rate of the converters in Hz.", min=0.0)
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
     force: Force = False,
@@ -129,4 +129,4 @@ def _table(planned: "Plan") -> "Table":
             )
         )
     title = f"axis {planned.axis}: {' against '.join(planned.question.effects)}"
-    return table(title, (*headings, "error of the size"), rows, left=1)
+    return table(title, (*headings, "expected error"), rows, left=1)

@@ -57,9 +57,9 @@ def report(
         hand_over_record("reported", report=str(stage / "report.html"), out_of_date=stale)
     elif not quiet:
         for name, reason in stale.items():
-            say(f"left out, for it is out of date: {name} ({reason})")
+            say(f"left out because it is out of date: {name} ({reason})")
         if model.sources and not files:
-            say("without its recordings: no loops, no residuals, no score")
+            say("without loops and residuals: name the recordings of the fit to draw them")
         say(f"report: {stage / 'report.html'}")
 
 

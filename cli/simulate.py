@@ -113,4 +113,5 @@ def _lines(campaign: "Campaign", out: Path) -> list[str]:
         for rows in campaign.recordings
     ]
     hidden = ", ".join(effect.name for effect in campaign.answer.effects) or "nothing"
-    return [*lines, f"{out / 'truth' / 'truth.json'}: {campaign.answer.truth}, hiding {hidden}"]
+    truth = f"{campaign.answer.truth} ceramic, hidden effects: {hidden}"
+    return [*lines, f"{out / 'truth' / 'truth.json'}: {truth}"]

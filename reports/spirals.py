@@ -75,6 +75,7 @@ def _error_in_time(frequency_Hz: float, verification: Verification) -> Figure:
         f"{METHODS[t.method]}: {number(rms(np.array(t.shape_error_m)), 'm')} rms"
         for t in reversed(traces)
     )
+    sizes = f"{sizes[:1].upper()}{sizes[1:]}"
     return Figure(
         title=f"Shape error along the spiral of {number(frequency_Hz, 'Hz')}",
         caption=f"{sizes}{_limit_clause(limit_m)}.",
@@ -101,7 +102,9 @@ def _shape_limit_m(verification: Verification, frequency_Hz: float) -> float | N
 
 
 def _limit_clause(limit_m: float | None) -> str:
-    return "; no limit at this rate" if limit_m is None else f"; limit {number(limit_m, 'm')} rms"
+    if limit_m is None:
+        return "; no limit is set at this rate"
+    return f"; limit {number(limit_m, 'm')} rms"
 
 
 def _shaded(canvas: Canvas, x_m: Array, y_m: Array, error_m: Array, limit_m: float) -> list[Layer]:

@@ -112,8 +112,7 @@ def plan(
     drive, estimate = table.drives[chosen.best.name], chosen.best.estimate
     if not chosen.shows or estimate is None or not isinstance(drive, Drive):
         raise ExcitationError(
-            f"no drive of the menu shows {' and '.join(chosen.question.effects)} inside these "
-            "limits",
+            f"no drive shows {' and '.join(chosen.question.effects)} inside these limits",
             needed="a range and speed in which it moves the stage",
             remedy=f"{forbids} Declare wider limits in lab.toml, or the other axes that can be "
             "driven.",
@@ -174,12 +173,10 @@ def what_forbids(bench: Bench, best: Best, left: float) -> str:
     shares = {name: best(one) for name, one in looser.items()}
     name, least = min(shares.items(), key=lambda pair: pair[1])
     if least > FELT * left:
-        return (
-            f"No limit stands in the way: {LOOSER:g} times the range, the speed or the clock "
-            "would not change that"
-            + ("." if bench.others else "; no other axis is known that could be driven.")
+        return f"{LOOSER:g} times the range, the slew rate or the sampling rate would not help" + (
+            "." if bench.others else "; no other axis that can be driven is declared."
         )
     return (
-        f"What forbids more is {name}: {LOOSER:g} times as much would leave {100 * least:.0f} % "
-        f"of what is open, not {100 * left:.0f} %."
+        f"The limit is {name}: {LOOSER:g} times as much would leave {100 * least:.0f} % of the "
+        f"uncertainty, not {100 * left:.0f} %."
     )

@@ -129,8 +129,7 @@ def effect_finding(cause: Candidate, outcome: Outcome, errors: ModelErrors) -> F
         not_separable_from=(*confounded, *(s.name for s in structure if s.name not in confounded)),
         explanation=effect.summary
         + f" {'Behind jumps of the drive' if cause.selected.from_jumps else 'Here'} "
-        f"{100 * cause.share:.3g} % of the stroke (rms) is beyond any hysteresis; with every "
-        f"other effect in place it reduces the error by {100 * cause.cv.gain:.3g} %."
+        f"{100 * cause.share:.3g} % of the stroke (rms) cannot be imitated by any hysteresis."
         f"{_confounding_note(structure)}"
         + ("" if effect.note is None else f" {effect.note(cause.selected.parameters)}"),
         next_experiment=" ".join(one.experiment for one in (effect, *structure)),

@@ -115,8 +115,10 @@ def _limit(
 
 
 def sentence(clause: str) -> str:
-    """Return a clause as a sentence, with its capital and its full stop."""
-    return f"{clause[:1].upper()}{clause[1:].rstrip('.')}."
+    """Return a clause as a sentence with capital and full stop; a file name keeps its case."""
+    first_word, _, _ = clause.partition(" ")
+    first_letter = clause[:1].upper() if first_word.rstrip(",:").isalpha() else clause[:1]
+    return f"{first_letter}{clause[1:].rstrip('.')}."
 
 
 def _noise(axis: AxisModel) -> list[Statement]:

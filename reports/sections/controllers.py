@@ -64,7 +64,7 @@ def render(page: Page) -> Section | None:
     return Section(
         anchor="controllers",
         title="Controllers",
-        lead="Margins are computed from R, S and every member of the plant family.",
+        lead="Margins and bounds hold for every plant of the family that the recordings allow.",
         parts=tuple(parts),
     )
 
@@ -85,7 +85,7 @@ def _conditions(page: Page) -> Iterator[str]:
 def _loops(page: Page) -> Table:
     """Return every loop of every axis with its worst margins; the first of an axis is chosen."""
     return Table(
-        caption="Worst member of each plant family; the first loop of an axis is recommended.",
+        caption="The first loop of an axis is recommended.",
         columns=(
             "axis",
             "loop",

@@ -61,10 +61,10 @@ def _waterfall(diagnosis: Diagnosis) -> Waterfall:
             )
         )
     modelled = [label_of(part) for part in parts if part.is_explained]
-    removed = " and ".join(modelled) if modelled else "nothing"
+    removed = f"{', '.join(modelled)} (red)" if modelled else "none of them"
     return Waterfall(
         title=f"Axis {diagnosis.axis}: error budget",
-        caption=f"Removed by the model: {removed}; held-out error "
+        caption=f"Removed by the model: {removed}; held-out error of the model: "
         f"{number(diagnosis.final.rms_m, 'm')}.",
         axis=axis_from_zero("error, rms", total_m, "m"),
         bars=tuple(bars),

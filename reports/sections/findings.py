@@ -14,8 +14,8 @@ from piezoid_reports.parts import Heading, Part, Prose, Section, Table
 from piezoid_reports.quantities import number, percent, size_of
 
 MIN_GAIN = 1e-3  # of the held-out error: below, refitting alone moves it as much
-NO_PICTURES = "No pictures: they need a model of these recordings, which `piezoid fit` makes."
-NO_PICTURE = "No picture: the residual of the fit is the same without the effect."
+NO_PICTURES = "No figures: they need a model of these recordings, which `piezoid fit` makes."
+NO_PICTURE = "No figure: the model fits these recordings equally well without the effect."
 
 
 def render(page: Page) -> Section | None:
@@ -31,8 +31,8 @@ def render(page: Page) -> Section | None:
     return Section(
         anchor="findings",
         title="Findings",
-        lead="Effects that a simulation with hysteresis alone lacks. Dashed: the effect at the "
-        "size found, put into a simulated healthy stage.",
+        lead="Effects that a simulation with hysteresis alone lacks. Look-alike: the same effect, "
+        "added to the simulation of a healthy stage.",
         parts=(*parts, *not_detected_tables(page.diagnoses)),
     )
 
@@ -73,8 +73,8 @@ def _table(diagnoses: Sequence[Diagnosis]) -> Part:
     if not rows:
         return Prose(text="No effect was found.")
     return Table(
-        caption="Size with 95 % interval; held-out error without and with the effect, both "
-        "refitted; p from healthy stages.",
+        caption="Size with 95 % interval; held-out error of two fits, without and with the "
+        "effect; p-value from simulated healthy stages.",
         columns=("axis", "effect", "size", "error without", "with", "gain", "p"),
         rows=rows,
         is_open=True,

@@ -26,7 +26,7 @@ def render(page: Page) -> Section:
     if open_facts:
         parts.append(
             Table(
-                caption="Limits and what to do about them.",
+                caption="Limits, and what to do about them.",
                 columns=("level", "about", "statement"),
                 rows=tuple(
                     (LABELS[fact.level], words(fact.quantity), page.text_of(fact))
@@ -46,7 +46,7 @@ def render(page: Page) -> Section:
     return Section(
         anchor="limits",
         title="Limits and next experiment",
-        lead="Beyond what the summary says.",
+        lead="Conditions under which the results hold, beyond those in the summary.",
         parts=tuple(parts),
     )
 

@@ -59,7 +59,7 @@ def render(page: Page) -> Section | None:
     return Section(
         anchor="parameters",
         title="Parameters and uncertainty",
-        lead="Intervals are 95 %, from refits without one block of cycles each.",
+        lead="95 % intervals, from refits that each leave out one block of cycles.",
         parts=tuple(parts),
     )
 

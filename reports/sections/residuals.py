@@ -43,7 +43,7 @@ def render(page: Page) -> Section | None:
     return Section(
         anchor="residuals",
         title="Residuals",
-        lead="Measured minus modelled displacement; each column spans its extremes.",
+        lead="Measured minus modelled displacement; each vertical line spans minimum and maximum.",
         parts=tuple(parts),
     )
 

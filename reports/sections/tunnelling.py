@@ -135,9 +135,9 @@ def _shift(junction: TunnellingModel) -> tuple[Part, ...]:
         Prose(
             text=f"Backward sweeps reach {number(shift.reference_current_A, 'A')} at a height "
             f"that differs from the forward sweeps by "
-            f"{with_interval(shift.shift_m, shift.shift_interval_m, 'm')} "
-            f"(hysteresis, creep and drift of the height). The decay differs by "
-            f"{percent(shift.decay_change)}, {percent(low)} to {percent(high)} (95 %): {verdict}.",
+            f"{with_interval(shift.shift_m, shift.shift_interval_m, 'm')}, because of hysteresis, "
+            f"creep and drift. The decay differs by {percent(shift.decay_change)} "
+            f"({percent(low)} to {percent(high)}): {verdict}.",
             tone="plain" if shift.is_one_decay else "middling",
         ),
     )

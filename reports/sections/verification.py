@@ -27,8 +27,8 @@ def render(page: Page) -> Section | None:
     return Section(
         anchor="verification",
         title="Verification",
-        lead="The compiled controller that ships, run against the identified stage with "
-        "converters, noise, and other stages that the recordings allow.",
+        lead="The compiled controller, run against the identified stage with converters and "
+        "noise, and against other stages that the recordings allow.",
         parts=(
             *_figures(page, verification),
             *with_rows(
@@ -101,7 +101,7 @@ def _table(page: Page, verification: Verification) -> Table:
             rows.append((f"guaranteed: {METHODS[method]}", *bounds))
     return Table(
         caption=f"Distance from a spiral of radius {number(verification.radius_m, 'm')}, rms, "
-        "by turns a second.",
+        "by turns per second.",
         columns=("method", *(number(rate_Hz, "Hz") for rate_Hz in rates_Hz)),
         rows=tuple(rows),
     )

@@ -103,9 +103,9 @@ def test_other_axes_that_reach_their_loops_late_are_waited_for() -> None:
 def test_where_speed_is_what_is_missing_the_plan_says_so_and_is_right() -> None:
     slow = _too_slow()
     assert not slow.answers
-    assert "No drive of the menu answers that inside these limits" in sentences(slow)[1]
+    assert "No drive answers this within these limits" in sentences(slow)[1]
     said = re.search(
-        r"forbids more is the speed, 2 V/s .*slew_V_per_s.* leave (\d+) % .* not (\d+) %",
+        r"The limit is the speed, 2 V/s .*slew_V_per_s.* leave (\d+) % .* not (\d+) %",
         slow.forbids,
     )
     assert said is not None
@@ -121,7 +121,7 @@ def test_a_question_that_no_drive_answers_gives_way_to_one_that_is_answered() ->
     assert planned.answers
     assert planned.question.effects == ("thermal_drift",)
     assert [one.effects for one in planned.set_aside] == [("delay",)]
-    assert "More pressing, but answered by no drive" in sentences(planned)[-1]
+    assert "More important, but answered by no drive" in sentences(planned)[-1]
     assert "whether there is delay" in sentences(planned)[-1]
 
 

@@ -50,7 +50,7 @@ def sections(stage: Path) -> set[str]:
 def test_without_recordings_the_page_says_what_it_lacks(stage: Path) -> None:
     status, said = run(stage)
     assert status == 0, said
-    assert "without its recordings" in said
+    assert "without loops and residuals" in said
     assert {"summary", "parameters", "limits", "provenance"} <= sections(stage)
     assert "loops" not in sections(stage)
     assert "drawn without the recordings" in (stage / "report.html").read_text()

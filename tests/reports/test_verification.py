@@ -161,4 +161,4 @@ def test_a_limit_is_drawn_only_beside_the_spiral_that_it_was_the_limit_of(
     (at_100_Hz,) = errors_in_time(faster)
     assert "limit" not in {layer.role for layer in at_100_Hz.layers}
     for figure in (at_100_Hz, spiral(faster.traces[0], faster)):
-        assert figure.caption.endswith("no limit at this rate.")
+        assert figure.caption.endswith("no limit is set at this rate.")

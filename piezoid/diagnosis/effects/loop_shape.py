@@ -1,4 +1,4 @@
-"""Loop shape: loops that plays with dead zones cannot represent, although a wider class can.
+"""Loop shape: the loops have a shape that plays with dead zones cannot represent.
 
 What you see
     The error repeats from cycle to cycle as a function of the drive and of its last turns; minor
@@ -20,6 +20,7 @@ import numpy as np
 from piezoid.diagnosis.appearance import OVER_DRIVE
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.signals import with_added
+from piezoid.identification.model import AxisModel
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
 
@@ -36,6 +37,11 @@ def inject(recording: Recording, share: float) -> Recording:
     return with_added(recording, np.sin(3.0 * np.pi * states).sum(axis=1), share)
 
 
+def _without_loop_shape(axis: AxisModel, _: Recording) -> AxisModel | None:
+    plays_only = axis.without_loop_shape()
+    return None if plays_only is axis else plays_only
+
+
 EFFECT = Effect(
     name=NAME,
     explanation=__doc__ or "",
@@ -47,4 +53,5 @@ EFFECT = Effect(
     shows=OVER_DRIVE,
     tangent="the widest class of hysteresis is compared with the model, not a single column",
     inject=inject,
+    without=_without_loop_shape,
 )

@@ -170,19 +170,19 @@ def _still(limits: DriveLimits, rate_Hz: float, time_s: float) -> Array:
 MENU: tuple[Experiment, ...] = (
     Experiment(
         name="quasi_static_loops",
-        why="Nested minor loops, slow: the hysteresis alone.",
+        why="Slow nested minor loops: hysteresis without creep or dynamics.",
         drive=at(
             SLOW_Hz, lambda b, f, _: decaying_loops(b.limits, f, frequency_Hz=0.5, cycles=12)
         ),
     ),
     Experiment(
         name="reversal_curves",
-        why="First-order reversal curves: how minor loops depend on where they are.",
+        why="First-order reversal curves: how the shape of minor loops depends on the bias.",
         drive=at(SLOW_Hz, lambda b, f, _: reversal_curves(b.limits, f, curves=10, move_s=1.0)),
     ),
     Experiment(
         name="held_levels",
-        why="Random levels, each held: what goes on by itself, with the sign of the step.",
+        why="Random levels, each held: motion at constant drive, with the sign of the step.",
         drive=at(
             SLOWER_Hz,
             lambda b, f, rng: held_levels(
@@ -203,18 +203,18 @@ MENU: tuple[Experiment, ...] = (
     ),
     Experiment(
         name="sine_grid",
-        why="Sines of every amplitude at every frequency: what grows with speed, and whether "
-        "small motion does too.",
+        why="Sines of every amplitude at every frequency: which errors grow with speed, and at "
+        "which amplitudes.",
         drive=at(ROWS * max(GRID_Hz), _sines),
     ),
     Experiment(
         name="small_multisine",
-        why="Small motion up to a tenth of the clock: gain and phase without walls moving.",
+        why="Small motion up to a tenth of the sampling rate: gain and phase without hysteresis.",
         drive=at(np.inf, _small_multisine),  # at the clock itself
     ),
     Experiment(
         name="other_axis",
-        why="This axis held while the others move: what comes across.",
+        why="This axis at constant drive while the others move: cross-coupling.",
         drive=_other_axes,
         needs_other=True,
     ),
@@ -225,23 +225,23 @@ MENU: tuple[Experiment, ...] = (
     ),
     Experiment(
         name="long_hold",
-        why="Five minutes at one level: what moves now, moves by itself.",
+        why="Five minutes at one level: creep and drift.",
         drive=at(SLOWER_Hz, lambda b, f, _: _still(b.limits, f, 300.0)),
     ),
     Experiment(
         name="idle",
-        why="The drive at rest, sampled fast: the sensor and its surroundings alone.",
+        why="The drive at rest, sampled fast: the sensor noise and disturbances.",
         drive=at(2000.0, lambda b, f, _: _still(b.limits, f, 20.0)),
     ),
     Experiment(
         name="equal_cycles",
-        why="The same full cycle over and over: whatever differs came with time.",
+        why="The same full cycle many times: changes with time.",
         drive=at(SLOW_Hz, lambda b, f, _: equal_cycles(b.limits, f, frequency_Hz=0.97, cycles=40)),
     ),
     Experiment(
         name="slow_ramp",
-        why="The whole range once, slowly: errors that repeat with displacement, and by how much "
-        "a slow loop differs from fast ones.",
+        why="The whole range once, slowly: errors that repeat with displacement, and the "
+        "difference between slow and fast loops.",
         drive=at(1000.0, _slow_ramp),
     ),
 )

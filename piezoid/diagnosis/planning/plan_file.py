@@ -120,35 +120,35 @@ def _settled(found: Plan) -> tuple[str, ...]:
     absent = found.question.absent
     limit_m = 0.0 if absent is None else absent.detection_limit_m or 0.0
     return (
-        f"These recordings would show {words(found.question.effects[0])} from "
-        f"{with_unit(limit_m, 'm')} rms, as small a one as the diagnosis names: no recording is "
-        "needed.",
-        f"Of the menu {_played(found)} would serve it best.",
+        f"These recordings show {words(found.question.effects[0])} from "
+        f"{with_unit(limit_m, 'm')} rms, the smallest size that a diagnosis reports: no recording "
+        "is needed.",
+        f"The best drive for a check is {_played(found)}.",
     )
 
 
 def _why(question: Question) -> str:
     first, *others = map(words, question.effects)
     if question.kind == "separate":
-        return f"These recordings show {first} or {others[0]} and cannot tell which."
+        return f"These recordings cannot separate {first} from {others[0]}."
     if question.finding is not None:
         size = question.finding.size
         low, high = map(significant, size.ci95)
         return (
-            f"These recordings give {first} as {significant(size.value)} {size.unit}, anywhere "
-            f"from {low} to {high}."
+            f"Size of {first} so far: {significant(size.value)} {size.unit}, 95 % interval {low} "
+            f"to {high}."
         )
     limit_m = question.absent.detection_limit_m if question.absent else None
     if limit_m is None:
         return f"These recordings cannot show {first} at all."
-    return f"These recordings would show {first} only from {with_unit(limit_m, 'm')} rms."
+    return f"These recordings show {first} only from {with_unit(limit_m, 'm')} rms."
 
 
 def _what(found: Plan) -> str:
     played = f"{_played(found)}. {found.drive.why}"
     if found.answers:
         return f"Play {played}"
-    return f"No drive of the menu answers that inside these limits; the best is {played}"
+    return f"No drive answers this within these limits; the best is {played}"
 
 
 def _played(found: Plan) -> str:
@@ -167,9 +167,9 @@ def _expected(found: Plan) -> str:
         size = question.finding.size
         half = 0.5 * (size.ci95[1] - size.ci95[0])
         return (
-            f"Expect half the 95 % interval to be "
-            f"{significant(expected_half(question, before, after), 2)} {size.unit} where it is "
-            f"{significant(half, 2)} now."
+            f"Expected half width of the 95 % interval: "
+            f"{significant(expected_half(question, before, after), 2)} {size.unit} (now "
+            f"{significant(half, 2)})."
         )
     return _shows_from(found)
 
@@ -177,23 +177,24 @@ def _expected(found: Plan) -> str:
 def _shows_from(found: Plan) -> str:
     question = found.question
     expected_m = expected_limit_m(question, found.before, found.after)
-    least = ", the least that the diagnosis names" if expected_m <= question.floor_m else ""
+    is_least = expected_m <= question.floor_m
+    least = ", the smallest size that a diagnosis reports" if is_least else ""
     held_m = None if question.absent is None else question.absent.detection_limit_m
-    now = " as it does now" if held_m is not None and expected_m >= held_m else ""
-    return f"Expect it to show from {with_unit(expected_m, 'm', 2)} rms{now}{least}."
+    now = ", as now" if held_m is not None and expected_m >= held_m else ""
+    return f"Expected detection limit: {with_unit(expected_m, 'm', 2)} rms{now}{least}."
 
 
 def _separable(before: SeparationEstimate | None, after: SeparationEstimate) -> str:
-    reached = f"Expect the separability of the two to be {after.separability:.2g} of 1"
+    reached = f"Expected separability of the two: {after.separability:.2g} of 1"
     if before is None:
         return f"{reached}."
     shrinks = after.worst / before.worst if isfinite(before.worst) else 1.0
     narrower = (
-        f", and the wider of their intervals to shrink to {100 * shrinks:.0f} % of what it is"
+        f"; the wider interval shrinks to {100 * shrinks:.0f} % of its width"
         if shrinks < 1.0
         else ""
     )
-    return f"{reached} where it is {before.separability:.2g} now{narrower}."
+    return f"{reached} (now {before.separability:.2g}){narrower}."
 
 
 def _lost(found: Plan) -> str:
@@ -203,14 +204,14 @@ def _lost(found: Plan) -> str:
         for name, error in zip(found.question.effects, found.after.errors, strict=True)
         if POWER * error > 1.0
     ]
-    return f" The size of {' and of '.join(lost)} stays lost in its error." if lost else ""
+    return f" The size of {' and of '.join(lost)} remains smaller than its error." if lost else ""
 
 
 def _aside(found: Plan) -> str:
     if not found.set_aside:
         return ""
     asked = "; ".join(map(_asked, found.set_aside))
-    return f"More pressing, but answered by no drive of the menu inside these limits: {asked}."
+    return f"More important, but answered by no drive within these limits: {asked}."
 
 
 def _asked(question: Question) -> str:

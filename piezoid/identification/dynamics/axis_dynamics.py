@@ -249,8 +249,7 @@ def _fit_behind_hysteresis(
     if not is_determined(dynamics):
         text = (
             f"{recording.name}: no resonance or pole could be identified between {low_Hz:.3g} and "
-            f"{high_Hz:.4g} Hz; the model keeps a pure lag. Record a chirp or a multisine through "
-            "the first resonance."
+            f"{high_Hz:.3g} Hz; the model keeps a pure lag."
         )
         return AxisDynamics(remarks=(text,))
     text = (

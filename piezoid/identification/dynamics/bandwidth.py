@@ -108,7 +108,7 @@ def decide_bandwidth(
             f"The gain peaks at {peak_Hz:.4g} Hz with {ratio:.3g} times that at rest: "
             f"{MEANING[kind]}."
             if is_peak
-            else f"{UNDECIDED}: usable lines end at {f[-1]:.4g} Hz, where the gain is still "
+            else f"{UNDECIDED}: they end at {f[-1]:.3g} Hz, where the gain is still "
             f"{gain[-1]:.2f} times that at rest. "
             f"{_remedy(stated_Hz)}"
         )
