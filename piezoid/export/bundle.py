@@ -47,19 +47,20 @@ _README = """\
     cc -std=c99 -O2 -ffp-contract=off example_main.c piezoid_runtime.c -o example
     ./example < golden.csv
 
-must print `0 differ`. Add `-DPZ_REAL_FLOAT` for single precision. With `-ffp-contract=off` every
-IEEE machine gives the same bits; without it some outputs may differ by one converter code.
+must end with `0 differ`. Add `-DPZ_REAL_FLOAT` for single precision. With `-ffp-contract=off`
+every IEEE machine gives the same bits; without it some outputs may differ by one converter code.
 
 ## Call it
 
 1. At power-up, for each axis: `pz_start(&state, &piezo_params[index], voltage_V, measured)` with
    the present converter voltage and sensor reading. It returns `PZ_OK`, or the index of an invalid
    parameter (`pz_describe` gives its name).
-2. In the interrupt, at the rate of the table below: write the voltage that
-   `pz_step(&state, &piezo_params[index], reference, measured)` returns to the converter.
-   `reference` and `measured` are in metres in the coordinates of the sensor; for an axis with
-   method `rst` they are tunnelling currents in amperes. `reference` is the position that you want
-   `preview_samples` (see `piezo_params.h`) later.
+2. In the interrupt, at the rate of the table below: read the sensor, call
+   `pz_step(&state, &piezo_params[index], reference, measured)`, and write the voltage that it
+   returns to the converter. The voltage is within the range of the table and rounded to a
+   converter code. `reference` and `measured` are in metres, with the zero and the sign that the
+   sensor had in the recordings; for an axis with method `rst` they are currents in amperes.
+   Give the reference of a moving path ahead of time, by the samples in the column `preview`.
 3. If `state.status` is not 0, its bits (`PZ_STATUS_...`) state why the output differs from the
    requested one. If `PZ_STATUS_LATCHED` is set, the axis holds its voltage (x, y) or its tip stays
    retracted (z) until an operator has found the cause and you call `pz_reset(&state)`.
@@ -70,12 +71,12 @@ called.
 
 {which_voltage}
 
-The guaranteed error of an axis (`design.json`, report) holds while none of these status bits is
+The guaranteed error of an axis, stated in `report.html`, holds while none of these status bits is
 set: `PZ_STATUS_UNCERTIFIED`, `REFERENCE_LIMITED`, `VOLTAGE_LIMITED`, `VOLTAGE_STEP`,
 `BAD_MEASUREMENT`, `MEASUREMENT_LIMITED`, `STUCK_SENSOR` and `BLIND`.
 
-| axis | index | method | calls per second | plays | dead zones | observer order | state, bytes |
-| --- | --- | --- | --- | --- | --- | --- | --- |
+| axis | index | method | calls per second | voltage range, V | preview | state, bytes |
+| --- | --- | --- | --- | --- | --- | --- |
 {axes}
 
 Methods: `mpi_dob` is a disturbance observer on the inverse hysteresis model, `dob` an observer
@@ -168,10 +169,10 @@ def _decoupled(file: ParameterFile) -> str:
 
 def _row(index: int, axis: AxisParameters) -> str:
     values = axis.values
-    counts = [int(values[f"{name}_count"]) for name in ("play", "knot")]
+    ends = (f"{float(values[f'voltage_{end}_V']):g}" for end in ("minimum", "maximum"))
     cells = (
         *(axis.axis, index, axis.method, f"{float(values['sampling_rate_Hz']):g}"),
-        *(*counts, int(values["observer_order"])),
+        *(" to ".join(ends), int(values["preview_samples"])),
         " / ".join(f"{library(p).state_size} ({p})" for p in ("float", "double")),
     )
     return "| " + " | ".join(str(cell) for cell in cells) + " |"
