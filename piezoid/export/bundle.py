@@ -169,10 +169,10 @@ def _decoupled(file: ParameterFile) -> str:
 
 def _row(index: int, axis: AxisParameters) -> str:
     values = axis.values
-    ends = (f"{float(values[f'voltage_{end}_V']):g}" for end in ("minimum", "maximum"))
+    limits = [f"{float(values[f'voltage_{end}_V']):g}" for end in ("minimum", "maximum")]
     cells = (
         *(axis.axis, index, axis.method, f"{float(values['sampling_rate_Hz']):g}"),
-        *(" to ".join(ends), int(values["preview_samples"])),
+        *(" to ".join(limits), int(values["preview_samples"])),
         " / ".join(f"{library(p).state_size} ({p})" for p in ("float", "double")),
     )
     return "| " + " | ".join(str(cell) for cell in cells) + " |"
