@@ -41,7 +41,6 @@ from piezoid.records.row_alignment import (
     complete_rows,
     on_common_rows,
     positions_in,
-    skips,
     unique_rows,
 )
 from piezoid.records.table import RawTable
@@ -191,12 +190,12 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
     table, slower = on_common_rows(table, assignment)
     assignment = assign_columns(table, lab, entry) if slower else assignment
     unique, repetitions = unique_rows(table, assignment)
-    complete, missing = complete_rows(table, assignment, unique)
+    complete, single, several, missing = complete_rows(table, assignment, unique)
     clock = _clock(table, lab, entry, assignment, complete, unique)
     segments = positions_in(complete, np.array(table.segment_starts, dtype=int))
-    rows = SampleRows.of(
-        complete, {*clock.breaks, *skips(complete, unique), *segments}, clock.bridged
-    )
+    bridged = set(clock.bridged)  # beside an incomplete row two samples are missing
+    breaks = {*clock.breaks, *several, *segments, *(bridged & single)}
+    rows = SampleRows.of(complete, breaks, bridged | single)
     rows = rows.cut(_selected_samples(entry, clock, len(rows.position)))
     channels, invalid, invalid_statements = _channels(table, assignment, rows)
     _refuse_impossible_sizes(table, assignment, channels)

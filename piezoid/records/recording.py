@@ -70,7 +70,8 @@ class Recording(Summarised):
                       without one: on straight lines between their neighbours
     statements          what was odd about the file, in the order of its columns
 
-    A recording holds no NaN: rows that had one were cut at the ends or are behind a break.
+    A recording holds no NaN: rows that had one were cut at the ends, bridged where they are single
+    or are behind a break.
     """
 
     name: str

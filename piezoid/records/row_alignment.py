@@ -152,8 +152,13 @@ def unique_rows(table: RawTable, assignment: Assignment) -> tuple[Rows, list[Sta
 
 def complete_rows(
     table: RawTable, assignment: Assignment, rows: Rows
-) -> tuple[Rows, list[Statement]]:
-    """Return those of ``rows`` in which every column that is read holds a number."""
+) -> tuple[Rows, set[int], set[int], list[Statement]]:
+    """Return those of ``rows`` in which every column that is read holds a number.
+
+    Returns:
+        The rows; the indices of those that follow a single row in which only some channels lack
+        a number; the indices of those that follow several such rows or a blank one; a statement.
+    """
     is_complete = np.ones(len(rows), dtype=bool)
     for assigned in assignment.columns:
         is_complete &= np.isfinite(assigned.values[rows])
@@ -170,26 +175,25 @@ def complete_rows(
         )
     incomplete = np.flatnonzero(~is_complete)
     if not len(incomplete):
-        return complete, []
-    held = np.flatnonzero(is_complete)
-    at_ends = int(held[0]) + len(rows) - 1 - int(held[-1])
+        return complete, set(), set(), []
+    usable = np.flatnonzero(is_complete)
+    at_ends = int(usable[0]) + len(rows) - 1 - int(usable[-1])
+    is_blank = np.all([np.isnan(c.values[rows]) for c in assignment.channels], axis=0)
+    after = np.flatnonzero(np.diff(usable) > 1) + 1
+    is_single = (np.diff(usable)[after - 1] == 2) & ~is_blank[usable[after] - 1]
+    single, several = set(after[is_single].tolist()), set(after[~is_single].tolist())
     row = int(rows[incomplete[0]])
     empty = [a.column.place for a in assignment.columns if not np.isfinite(a.values[row])]
     place = table.place_of_row(row)
     text = (
-        f"{len(incomplete)} rows lack a number, {at_ends} of them at the ends, "
-        f"{len(incomplete) - at_ends} inside (behind a break); the first is {place}, "
-        f"{' and '.join(empty)}"
+        f"{len(incomplete)} rows lack a number: {at_ends} at the ends, {len(single)} single ones "
+        f"inside, bridged by straight lines, {len(incomplete) - at_ends - len(single)} in "
+        f"{len(several)} gaps; the first is {place}, {' and '.join(empty)}"
     )
-    return complete, [finding(quantity="missing_values", place=place, text=text)]
+    return complete, single, several, [finding(quantity="missing_values", place=place, text=text)]
 
 
 def positions_in(complete: Rows, rows: Rows) -> tuple[int, ...]:
     """Return the index of the first complete row at or after each of some rows, ends left out."""
     indices = np.searchsorted(complete, rows)
     return tuple(sorted({int(k) for k in indices if 0 < k < len(complete)}))
-
-
-def skips(complete: Rows, rows: Rows) -> tuple[int, ...]:
-    """Return the indices of complete rows that follow an incomplete one of ``rows``."""
-    return tuple((np.flatnonzero(np.diff(np.searchsorted(rows, complete)) > 1) + 1).tolist())

@@ -20,7 +20,26 @@ def test_rows_without_a_number_are_cut_or_left_behind_a_break(tmp_path: Path) ->
     (problem,) = recording.statements
     assert problem.quantity == "missing_values"
     assert problem.place == "line 2"
-    assert "5 rows lack a number, 3 of them at the ends, 2 inside" in problem.text
+    assert "5 rows lack a number: 3 at the ends, 0 single" in problem.text
+    assert "2 in 1 gaps" in problem.text
+
+
+def test_a_single_missing_cell_is_bridged_and_no_break(tmp_path: Path) -> None:
+    holed = RESPONSE.copy()
+    holed[[100, 200]] = np.nan
+    path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, holed)
+    recording = ingest(path)
+    assert recording.breaks == ()
+    assert recording.bridged == (100, 200)
+    assert recording.samples == SAMPLES
+    assert np.allclose(recording.voltage_V(), VOLTAGE_V, atol=1e-3 * np.ptp(VOLTAGE_V))
+
+
+def test_a_blank_row_is_a_break(tmp_path: Path) -> None:
+    drive_V, holed = VOLTAGE_V.copy(), RESPONSE.copy()
+    drive_V[100] = holed[100] = np.nan
+    path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, drive_V, holed)
+    assert ingest(path).breaks == (100,)
 
 
 def test_a_gap_in_time_is_a_break_with_its_line(tmp_path: Path) -> None:

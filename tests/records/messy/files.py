@@ -332,14 +332,14 @@ FILES: tuple[Messy, ...] = (
     ),
     Messy(
         "holes.csv",
-        "empty cells in two rows",
+        "empty cells in two pairs of rows",
         with_rows(
             lambda rows: [
-                row if k not in (50, 300) else row.rsplit(",", 1)[0] + ","
+                row if k not in (50, 51, 300, 301) else row.rsplit(",", 1)[0] + ","
                 for k, row in enumerate(rows)
             ]
         ),
-        kept=at(49, 299),
+        kept=at(49, 50, 299, 300),
         breaks=2,
         problems=frozenset({"missing_values"}),
     ),
