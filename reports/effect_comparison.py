@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
-from piezoid.diagnosis.effect import Tangent
-from piezoid.diagnosis.effects import effect_named
-from piezoid.diagnosis.planning.drive_response import (
+from piezoid.diagnosis.drive_response import (
     Driven,
     driven_recording,
     null_columns,
     rows_of,
 )
+from piezoid.diagnosis.effect import Tangent
+from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.planning.open_questions import suspect_of
 from piezoid.diagnosis.planning.separation import basis_of, block_of, scale_of
 from piezoid.diagnosis.residual_structure import NAME as SOMETHING_ELSE

@@ -11,7 +11,7 @@ import numpy as np
 
 from piezoid.diagnosis.appearance import Appearance
 from piezoid.diagnosis.blocked_regression import Null
-from piezoid.diagnosis.planning.drive_response import Driven
+from piezoid.diagnosis.drive_response import Driven
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.segments import Places, Track
 from piezoid.identification.extensions.extension import Extension, Where

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.drive_response import driven_recording
 from piezoid.diagnosis.planning.drive_limits import Bench, Drive, DriveLimits, bench_of
-from piezoid.diagnosis.planning.drive_response import driven_recording
 from piezoid.diagnosis.planning.open_questions import Question, is_open, questions_of
 from piezoid.diagnosis.planning.plan_ranking import Alternative, Choice, Table, table_of
 from piezoid.diagnosis.planning.separation import SeparationEstimate

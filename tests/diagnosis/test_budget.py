@@ -10,6 +10,8 @@ from piezoid import diagnose, read
 from piezoid.diagnosis.budget import RemainingErrors, with_budget
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.sealed_diagnosis import read_diagnosis, write_diagnosis
+from piezoid.identification.simulation import simulate_recording
+from piezoid.records.collection import Collection
 from tests.diagnosis.ceramic import NOISE_um, bouc_wen_um
 from tests.records.responses import write_csv
 from tests.reports.known_diagnosis import diagnosed, finding
@@ -88,11 +90,28 @@ def test_a_model_at_the_noise_has_nothing_left_to_name() -> None:
     assert silent.largest_remaining is None
 
 
-@pytest.mark.slow
-def test_no_effect_is_given_the_gain_of_loop_shape() -> None:
+@cache
+def bundled_y() -> tuple[Collection, Diagnosis]:
     """Axis y of the bundled stage: a Preisach ceramic, and two recordings of unknown past."""
     recordings = read(*(BUNDLED / f"y_{name}.csv" for name in ("check", "sweep")))
-    found = diagnose(recordings, lab=BUNDLED / "lab.toml")
+    return recordings, diagnose(recordings, lab=BUNDLED / "lab.toml")
+
+
+@pytest.mark.slow
+def test_the_simulation_leaves_what_the_model_states() -> None:
+    recordings, found = bundled_y()
+    assert found.model is not None
+    errors_m = [
+        recording.displacement_m("y") - simulate_recording(found.model, recording)
+        for recording in recordings.recordings
+    ]
+    rms_m = np.sqrt(np.mean(np.concatenate(errors_m) ** 2))
+    assert rms_m == pytest.approx(found.model.quality.rms_m, rel=0.1)
+
+
+@pytest.mark.slow
+def test_no_effect_is_given_the_gain_of_loop_shape() -> None:
+    _, found = bundled_y()
     assert found.model is not None
     assert found.model.loop_shape is not None
     parts = {part.part: part for part in found.budget}

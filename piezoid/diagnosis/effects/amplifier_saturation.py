@@ -16,6 +16,7 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_DRIVE
+from piezoid.diagnosis.drive_response import Driven
 from piezoid.diagnosis.effect import (
     Effect,
     EffectEstimate,
@@ -25,7 +26,6 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
-from piezoid.diagnosis.planning.drive_response import Driven
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import drive_change, stroke_of, untested, with_displacement
 from piezoid.identification.extensions.amplifier_limits import AmplifierLimits

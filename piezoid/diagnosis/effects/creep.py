@@ -27,6 +27,7 @@ from itertools import product
 import numpy as np
 
 from piezoid.diagnosis.appearance import Appearance
+from piezoid.diagnosis.drive_response import Driven
 from piezoid.diagnosis.effect import (
     Effect,
     EffectEstimate,
@@ -36,7 +37,6 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
-from piezoid.diagnosis.planning.drive_response import Driven
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import seconds_of, through, with_added
 from piezoid.identification.extensions.creep_ladder import CreepLadder

@@ -16,6 +16,7 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.appearance import Appearance, unsigned
+from piezoid.diagnosis.drive_response import Driven
 from piezoid.diagnosis.effect import (
     ConstantDriveData,
     Effect,
@@ -25,7 +26,6 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
-from piezoid.diagnosis.planning.drive_response import Driven
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import GAPS, added_percent, answers_of_others, through, with_added
 from piezoid.identification.extensions.cross_axis import CrossAxis

@@ -25,6 +25,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.appearance import Appearance
+from piezoid.diagnosis.drive_response import Driven
 from piezoid.diagnosis.effect import (
     Effect,
     EffectEstimate,
@@ -34,7 +35,6 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
-from piezoid.diagnosis.planning.drive_response import Driven
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.signals import seconds_of, through

@@ -20,6 +20,7 @@ from itertools import pairwise
 import numpy as np
 
 from piezoid.diagnosis.appearance import IN_SPECTRUM
+from piezoid.diagnosis.drive_response import Driven
 from piezoid.diagnosis.effect import (
     ConstantDriveData,
     Effect,
@@ -28,7 +29,6 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
-from piezoid.diagnosis.planning.drive_response import Driven
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.rest_columns import peak_Hz, waves
 from piezoid.diagnosis.segments import Places

@@ -21,8 +21,8 @@ import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_DRIVE
 from piezoid.diagnosis.blocked_regression import Null
+from piezoid.diagnosis.drive_response import Driven
 from piezoid.diagnosis.effect import Effect, Structural, Tangent, Trial
-from piezoid.diagnosis.planning.drive_response import Driven
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.identification.joint.vector import Structure

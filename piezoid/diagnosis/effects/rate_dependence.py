@@ -18,6 +18,7 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_SPEED
+from piezoid.diagnosis.drive_response import Driven
 from piezoid.diagnosis.effect import (
     Effect,
     EffectEstimate,
@@ -27,7 +28,6 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
-from piezoid.diagnosis.planning.drive_response import Driven
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import added_percent, rate_of, with_displacement
 from piezoid.identification.extensions.extension import Extension

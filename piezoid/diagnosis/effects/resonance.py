@@ -16,6 +16,7 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.appearance import IN_SPECTRUM
+from piezoid.diagnosis.drive_response import Driven
 from piezoid.diagnosis.effect import (
     Effect,
     EffectEstimate,
@@ -25,7 +26,6 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
-from piezoid.diagnosis.planning.drive_response import Driven
 from piezoid.diagnosis.refitted_view import without_memory
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import filtered_change, mode, through

@@ -16,6 +16,7 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_SPEED
+from piezoid.diagnosis.drive_response import Driven
 from piezoid.diagnosis.effect import (
     Effect,
     Parameters,
@@ -23,7 +24,6 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
-from piezoid.diagnosis.planning.drive_response import Driven
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import drive_change, stroke_of, untested, with_displacement
 from piezoid.identification.extensions.slew_limit import SlewLimit

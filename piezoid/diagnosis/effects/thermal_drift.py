@@ -18,13 +18,13 @@ import numpy as np
 from numpy.polynomial.legendre import legval
 
 from piezoid.diagnosis.appearance import OVER_TIME
+from piezoid.diagnosis.drive_response import Driven
 from piezoid.diagnosis.effect import (
     Effect,
     Tangent,
     Trial,
     without_part,
 )
-from piezoid.diagnosis.planning.drive_response import Driven
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import added_percent, seconds_of, with_added
 from piezoid.identification.extensions.thermal_drift import ThermalDrift

@@ -1,18 +1,23 @@
 """Rank candidate drives on a fitted model by what each adds to the recordings there are."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.drive_response import ROWS, Driven, rows_of, scaled_drives
 from piezoid.diagnosis.planning.candidate_drives import MENU, played
 from piezoid.diagnosis.planning.drive_limits import Bench, Drive
-from piezoid.diagnosis.planning.drive_response import Driven, driven_drive, usual_drives
 from piezoid.diagnosis.planning.open_questions import Question, answers, left_open
 from piezoid.diagnosis.planning.separation import Errors, SeparationEstimate, estimate_separation
+from piezoid.diagnosis.planning.waveforms import equal_cycles
 from piezoid.errors import ExcitationError
 from piezoid.identification.model import AxisModel
 
 ENOUGH = 5.0  # standard errors; beyond, it is likeness of shape that misleads, not noise
+SLOW_Hz = 0.5
+CYCLE_ROWS = 200.0
 NEARLY = 0.9  # of the best: a shorter drive that reaches it is taken
 
 
@@ -157,3 +162,33 @@ def table_of(
             if isinstance(drive, Drive)
         },
     )
+
+
+def driven_drive(axis: AxisModel, drive: Drive) -> Driven:
+    """Return a planned drive, from an initial state that cycled over the range."""
+    return Driven(
+        name=drive.name,
+        model=axis,
+        rate_Hz=drive.sampling_rate_Hz,
+        voltage_V=drive.voltage_V[:, 0],
+        rows=rows_of(len(drive.voltage_V), ROWS),
+        others=scaled_drives(
+            {name: drive.voltage_V[:, k + 1] for k, name in enumerate(drive.axes[1:])}
+        ),
+    )
+
+
+def usual_drives(axis: AxisModel, bench: Bench) -> tuple[Driven, ...]:
+    """Return full cycles, slow and as fast as the stage was driven: the usual recordings."""
+    limits = replace(bench.limits, slew_V_per_s=axis.certificate.slew_V_per_s)
+    low_V, high_V = limits.range_V
+    fast_Hz = max(limits.slew_V_per_s / (np.pi * (high_V - low_V)), SLOW_Hz)
+    drives = []
+    for frequency_Hz in (SLOW_Hz, fast_Hz):
+        rate_Hz = min(bench.clock_Hz, CYCLE_ROWS * frequency_Hz)
+        voltage_V = equal_cycles(limits, rate_Hz, frequency_Hz=frequency_Hz, cycles=5)
+        rows = rows_of(len(voltage_V), ROWS)
+        drives.append(
+            Driven(name="full cycles", model=axis, rate_Hz=rate_Hz, voltage_V=voltage_V, rows=rows)
+        )
+    return tuple(drives)

@@ -21,8 +21,8 @@ from typing import cast
 
 import numpy as np
 
+from piezoid.diagnosis.drive_response import Driven, null_columns, side_by_side
 from piezoid.diagnosis.effect import Tangent
-from piezoid.diagnosis.planning.drive_response import Driven, null_columns, side_by_side
 from piezoid.numerics.arrays import Array
 
 ALIKE = 0.15  # of half the range: how far states may differ for the error to be the same

@@ -17,8 +17,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.diagnosis.planning.drive_limits import Bench, Drive
-from piezoid.diagnosis.planning.waveforms import equal_cycles
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import starts_of
 from piezoid.numerics.arrays import Array
@@ -27,8 +25,6 @@ from piezoid.operators.dead_zone import LINEAR
 from piezoid.records.recording import Quantity, Recording
 
 ROWS = 700  # of each drive that are compared
-SLOW_Hz = 0.5
-CYCLE_ROWS = 200.0
 BENT = (0, 2, 3)  # powers of the input that the model might have bent
 BEND = 1e-3  # of half the range, for the difference that stands for a derivative
 SETTLED = 2  # cycles over the range before a drive of which the initial state is not known
@@ -193,40 +189,12 @@ def driven_recording(axis: AxisModel, recording: Recording) -> Driven:
         rate_Hz=recording.sampling_rate_Hz,
         voltage_V=recording.voltage_V(axis.axis),
         rows=rows_of(recording.samples, ROWS),
-        others=_scaled(others),
+        others=scaled_drives(others),
         memory_V=starts[0].memory_V if starts else None,
     )
 
 
-def driven_drive(axis: AxisModel, drive: Drive) -> Driven:
-    """Return a planned drive, from an initial state that cycled over the range."""
-    return Driven(
-        name=drive.name,
-        model=axis,
-        rate_Hz=drive.sampling_rate_Hz,
-        voltage_V=drive.voltage_V[:, 0],
-        rows=rows_of(len(drive.voltage_V), ROWS),
-        others=_scaled({name: drive.voltage_V[:, k + 1] for k, name in enumerate(drive.axes[1:])}),
-    )
-
-
-def usual_drives(axis: AxisModel, bench: Bench) -> tuple[Driven, ...]:
-    """Return full cycles, slow and as fast as the stage was driven: the usual recordings."""
-    limits = replace(bench.limits, slew_V_per_s=axis.certificate.slew_V_per_s)
-    low_V, high_V = limits.range_V
-    fast_Hz = max(limits.slew_V_per_s / (np.pi * (high_V - low_V)), SLOW_Hz)
-    found = []
-    for frequency_Hz in (SLOW_Hz, fast_Hz):
-        rate_Hz = min(bench.clock_Hz, CYCLE_ROWS * frequency_Hz)
-        voltage_V = equal_cycles(limits, rate_Hz, frequency_Hz=frequency_Hz, cycles=5)
-        rows = rows_of(len(voltage_V), ROWS)
-        found.append(
-            Driven(name="full cycles", model=axis, rate_Hz=rate_Hz, voltage_V=voltage_V, rows=rows)
-        )
-    return tuple(found)
-
-
-def _scaled(others_V: Mapping[str, Array]) -> dict[str, Array]:
+def scaled_drives(others_V: Mapping[str, Array]) -> dict[str, Array]:
     """Return the drives that move, about their middle and over half their range."""
     spans = {axis: (float(u.min()), float(u.max())) for axis, u in others_V.items()}
     return {
