@@ -228,7 +228,7 @@ def fit(folder: Path) -> tuple[int, float, str]:
 
 
 def _limit_resources() -> None:
-    resource.setrlimit(resource.RLIMIT_CPU, (TIME_LIMIT_s, TIME_LIMIT_s))
+    resource.setrlimit(resource.RLIMIT_CPU, (TIME_LIMIT_s, TIME_LIMIT_s + 30))
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_LIMIT_bytes, MEMORY_LIMIT_bytes))
 
 

@@ -48,8 +48,8 @@ class CreepLadder(Extension):
     def response(self, moved: Array, where: Where) -> Array:
         """Return the displacement with what crept."""
         rungs = [first_order(time_s, where.rate_Hz) for time_s in self.time_s]
-        columns = moved.reshape(len(moved), -1)
-        crept = np.column_stack([ladder(column, rungs, self.share) for column in columns.T])
+        columns = np.atleast_2d(moved.T)
+        crept = np.column_stack([ladder(column, rungs, self.share) for column in columns])
         return np.asarray(moved + crept.reshape(moved.shape))
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002

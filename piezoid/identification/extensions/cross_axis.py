@@ -56,7 +56,7 @@ class CrossAxis(Extension):
             return None
         v = np.ascontiguousarray(where.others_V[self.axis] - self.centre_V)
         threshold = np.array(self.play_threshold_V)
-        plays, _ = play_columns(v, threshold, np.full(len(threshold), v[0]))
+        plays, _ = play_columns(v, threshold, np.full(len(threshold), v[:1].sum()))
         return np.column_stack([v, v**2, plays])
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002

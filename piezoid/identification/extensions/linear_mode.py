@@ -92,7 +92,7 @@ def rung(moved: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> A
     moved  (samples,) or (samples, columns)
     """
     fraction, start = _mode(frequency_Hz, quality, rate_Hz), moved[:1]
-    changes = (moved - start).reshape(len(moved), -1).T
+    changes = np.atleast_2d((moved - start).T)
     rung_up = [recursive_filter(*fraction, change) for change in changes]
     return np.asarray(np.stack(rung_up, axis=-1).reshape(moved.shape) + start)
 
