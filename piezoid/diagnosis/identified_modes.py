@@ -38,6 +38,7 @@ MAX_RISE = 6.0
 # Of the part of the motion that a mode would add: tones to 120 Hz into a mode of 160 Hz leave 0.76
 # of it on a Dahl stage and 0.79 on plays, and 0.01 at most without the mode.
 MIN_SHARE = 0.4
+LINES = 3.0  # times the line that white noise makes: more is no chance
 RISING_P = 1e-3  # four standard deviations of the largest of some hundred lines
 
 
@@ -145,9 +146,12 @@ def _with_rising_gain(
 def unexplained_share(view: View, frequency_Hz: float) -> float:
     """Return the part of the motion at a frequency that the widest class of hysteresis misses.
 
-        |sum_k e_k exp(-i w t_k)| / rows  over  |sum_n y_n exp(-i w t_n)| / samples
+        |sum_k e_k exp(-i w t_k)| / rows - 3 s / sqrt(rows)
 
-    of the recording that moves most there; e residual, y displacement.
+    over |sum_n y_n exp(-i w t_n)| / samples
+
+    of the recording that moves most there; e residual of rms s, y displacement. White noise alone
+    leaves s / sqrt(rows), and is all the motion there is where no tone was driven.
     """
     shares = []
     edges = pairwise(view.nuisance.edges)
@@ -155,7 +159,8 @@ def unexplained_share(view: View, frequency_Hz: float) -> float:
         wave = np.exp(-2j * np.pi * frequency_Hz * track.time_s)
         motion = float(abs(np.mean((track.response - track.response.mean()) * wave)))
         residual = view.null.residual[first:last]
-        missing = float(abs(np.mean(residual * wave[track.place])))
+        chance = LINES * float(np.sqrt(np.mean(residual**2) / len(residual)))
+        missing = max(float(abs(np.mean(residual * wave[track.place]))) - chance, 0.0)
         if track.rate_Hz > 2.0 * frequency_Hz:
             shares.append((motion, missing / max(motion, 1e-300)))
     return max(shares, default=(0.0, 0.0))[1]

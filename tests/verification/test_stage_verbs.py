@@ -134,7 +134,7 @@ def test_without_a_controller_that_ships_there_is_no_target(folder):
     (folder / "lab.toml").write_text("[verification]\n" + TIGHT)
     done = called("export", folder, "--target", "fmu")
     assert done.exit_code == 1
-    assert "no target is written" in done.output
+    assert "no target was written" in done.output
     assert not (folder / "fmu").exists()
     assert not (folder / "bundle").exists()
 
