@@ -192,7 +192,9 @@ def with_report(
     collection  recordings, for the figures of the report; None if they are larger than memory
     """
     controllers = calibration.controllers
-    recorded = collection or Collection(recordings=(), sweeps=(), responses=())
+    recorded = collection
+    if recorded is None:  # not "or": a collection of sweeps alone is empty of recordings
+        recorded = Collection(recordings=(), sweeps=(), responses=())
     page = Page(
         model=calibration.model,
         recordings=recorded.recordings,

@@ -106,7 +106,7 @@ def test_what_the_stamps_tell_is_a_timestamp_fault_of_so_many_samples():
         confounded={},
         screened={},
     )
-    assert with_ingested(found, [whole], STROKE_m) is found
+    assert with_ingested(found, [whole], STROKE_m).faults == found.faults
     told = [whole, replace(whole, name="b", statements=statements)]
     fault = with_ingested(found, told, STROKE_m).faults["timestamp_fault"]
     assert fault.value == 48.0
