@@ -12,7 +12,6 @@ import numpy as np
 from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.verification.closed_loop import run_axis
-from piezoid.verification.criteria import Verdict
 from piezoid.verification.scenario_runner import ScenarioRunner
 from piezoid.verification.start_position import approach_path
 from piezoid.verification.verification import CouplingRow
@@ -31,7 +30,8 @@ def coupling_rows(runner: ScenarioRunner, coupled: CoupledStage | None) -> tuple
     if coupled is None or decoupled is None or set(decoupled.axes) - set(runner.lateral):
         return ()
     axes, D = decoupled.axes, decoupled.matrix
-    samples = _samples(runner)  # responses are on the lines of twice the record: no wrap-around
+    samples = round(_PERIODS * runner.rate_Hz / runner.limits.judged_Hz)
+    # Responses are on the lines of twice the record: no wrap-around.
     f = np.asarray(np.arange(samples + 1) * runner.rate_Hz / (2 * samples))
     level_V = float(np.sqrt(coupled.levels_V[0] * coupled.levels_V[-1]))
     G = coupled.response(np.clip(f, *coupled.band_Hz), level_V)
@@ -56,21 +56,6 @@ def coupling_rows(runner: ScenarioRunner, coupled: CoupledStage | None) -> tuple
     return tuple(rows)
 
 
-def coupling_verdict(rows: tuple[CouplingRow, ...], limit_percent: float) -> Verdict:
-    """Judge the largest motion of an axis due to another one."""
-    return Verdict(
-        name="motion of an axis while another one moves",
-        scenario="coupled axes",
-        value=max(row.percent for row in rows),
-        limit=limit_percent,
-        unit="% of the motion",
-    )
-
-
-def _samples(runner: ScenarioRunner) -> int:
-    return round(_PERIODS * runner.rate_Hz / runner.limits.judged_Hz)
-
-
 def _transmission(response: ComplexArray) -> ComplexArray:
     """Return T, (lines, axes, axes), 0 on the diagonal."""
     direct = np.einsum("fjj->fj", response)
@@ -83,7 +68,7 @@ def _amplitudes(
     runner: ScenarioRunner, axes: tuple[str, ...], moved: int, D: Array, T: ComplexArray
 ) -> Array | None:
     """Return the amplitude of every axis in percent of the moved one, None if it diverges."""
-    samples = _samples(runner)
+    samples = len(T) - 1
     time_s = np.arange(samples) / runner.rate_Hz
     sine = np.sin(2.0 * np.pi * runner.limits.judged_Hz * time_s)
     amplitude_m = runner.radius_m / float(np.abs(D[:, moved]).max())

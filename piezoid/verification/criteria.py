@@ -6,10 +6,8 @@ from dataclasses import dataclass, fields, replace
 from reprlib import repr as short
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezoid.errors import LabFileError
-from piezoid.export.parameter_file import AxisParameters
 from piezoid.formatting import significant, with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Status
@@ -102,40 +100,22 @@ def describe_failure(verdict: Verdict) -> str:
     return f"{verdict.name} ({verdict.scenario}): {value}, allowed {limit}"
 
 
+def verdict(name: str, scenario: str, value: float, limit: float, unit: str) -> Verdict:
+    """Return the verdict of a value and its limit."""
+    return Verdict(name=name, scenario=scenario, value=value, limit=limit, unit=unit)
+
+
+def none_of(name: str, scenario: str, count: int) -> Verdict:
+    """Return the verdict of a number of events none of which is allowed."""
+    return verdict(name, scenario, float(count), 0.0, "1")
+
+
 def shape_verdict(
     scenario: str, tracking: Tracking, radius_m: float, limit_percent: float
 ) -> Verdict:
     """Judge the error that remains after the best common delay."""
     error_percent = 100.0 * tracking.aligned_rms_m / (2.0 * radius_m)
-    return _verdict(SHAPE_ERROR, scenario, error_percent, limit_percent, "% of the diameter")
-
-
-def improvement_verdict(scenario: str, shipped: Tracking, none: Tracking) -> Verdict:
-    """Judge what ships against a static gain without feedback."""
-    ratio = shipped.aligned_rms_m / none.aligned_rms_m
-    return _verdict("shape error, against no compensation", scenario, ratio, 1.0, "1")
-
-
-def voltage_range_verdict(
-    records: Mapping[str, Sequence[LoopRecord]], axes: Mapping[str, AxisParameters]
-) -> Verdict:
-    """Judge that every voltage of every run is finite and inside the converter's limits."""
-    outside = 0
-    for axis, runs in records.items():
-        values = axes[axis].values
-        low, high = (float(values[f"voltage_{end}_V"]) for end in ("minimum", "maximum"))
-        for run in runs:
-            is_valid = (
-                np.isfinite(run.voltage_V) & (run.voltage_V >= low) & (run.voltage_V <= high)
-            )
-            outside += int(np.sum(~is_valid))
-    return _count("voltages not finite or outside the limits", "all", outside)
-
-
-def saturation_verdict(scenario: str, records: Sequence[LoopRecord]) -> Verdict:
-    """Judge that the drive never met its limits."""
-    limited = sum(int(np.sum((r.status & Status.VOLTAGE_LIMITED) != 0)) for r in records)
-    return _count("samples at a voltage limit", scenario, limited)
+    return verdict(SHAPE_ERROR, scenario, error_percent, limit_percent, "% of the diameter")
 
 
 def step_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Verdict, Verdict]:
@@ -153,10 +133,10 @@ def step_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Ve
     outside = np.flatnonzero(np.abs(progress - 1.0) > _SETTLED)
     settled_s = (int(outside[-1]) + 1 if len(outside) else 0) / record.sampling_rate_Hz
     overshoot = max(100.0 * (float(progress.max()) - 1.0), 0.0)
-    axis, allowed = record.axis, limits.overshoot_percent
+    names = f"overshoot of axis {record.axis}", f"settling of axis {record.axis} to 2 %"
     return (
-        _verdict(f"overshoot of axis {axis}", scenario, overshoot, allowed, "% of the step"),
-        _verdict(f"settling of axis {axis} to 2 %", scenario, settled_s, limits.settling_s, "s"),
+        verdict(names[0], scenario, overshoot, limits.overshoot_percent, "% of the step"),
+        verdict(names[1], scenario, settled_s, limits.settling_s, "s"),
     )
 
 
@@ -173,15 +153,9 @@ def fault_verdicts(
     ratio = float(error_m[-int(_AFTERWARDS * len(error_m)) :].max()) / usual_m
     name, allowed = "furthest from the path", limits.fault_percent
     return (
-        _verdict(name, scenario, largest_percent, allowed, "% of the diameter"),
-        _verdict("largest error after the fault, against none", scenario, ratio, 1.5, "1"),
+        verdict(name, scenario, largest_percent, allowed, "% of the diameter"),
+        verdict("largest error after the fault, against none", scenario, ratio, 1.5, "1"),
     )
-
-
-def fault_reported_verdict(scenario: str, records: Sequence[LoopRecord], flag: Status) -> Verdict:
-    """Judge that every axis reported in its status what happened to its sensor."""
-    silent = [r for r in records if not bool(np.any(r.status & np.uint32(flag)))]
-    return _count("axes whose status did not say so", scenario, len(silent))
 
 
 def current_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Verdict, Verdict]:
@@ -189,8 +163,8 @@ def current_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple
     deviation = float(np.std(np.log(record.position)))
     retracted = int(np.sum((record.status & Status.RETRACTED) != 0))
     return (
-        _verdict("standard deviation of ln i", scenario, deviation, limits.ln_current, "1"),
-        _count("samples with the tip retracted", scenario, retracted),
+        verdict("standard deviation of ln i", scenario, deviation, limits.ln_current, "1"),
+        none_of("samples with the tip retracted", scenario, retracted),
     )
 
 
@@ -205,15 +179,9 @@ def hold_verdicts(
     )
     blind_s = (at - lost_at) / record.sampling_rate_Hz
     return (
-        _verdict("without a sensor until held", scenario, blind_s, limits.blind_s, "s"),
-        _count("samples that moved while held", scenario, changes),
+        verdict("without a sensor until held", scenario, blind_s, limits.blind_s, "s"),
+        none_of("samples that moved while held", scenario, changes),
     )
-
-
-def tip_distance_verdict(scenario: str, beyond_m: float, limits: Limits) -> Verdict:
-    """Judge how close a tip came to the surface."""
-    name = "closer to the surface than the set point"
-    return _verdict(name, scenario, max(beyond_m, 0.0), limits.closest_m, "m")
 
 
 def recovery_verdict(
@@ -226,22 +194,7 @@ def recovery_verdict(
     off = np.flatnonzero(np.abs(nepers) > _RECOVERED)
     recovery_s = (int(off[-1]) + 1 if len(off) else 0) / rate_Hz
     name = "until the current is back" + (" from far away" if far else "")
-    return _verdict(name, scenario, recovery_s, allowed_s, "s")
-
-
-def latch_verdict(scenario: str, status: NDArray[np.uint32], cause: Status) -> Verdict:
-    """Judge that a tip waits for an operator and states why, (samples,) of its status."""
-    expected = np.uint32(Status.LATCHED | Status.RETRACTED | cause)
-    silent = int(np.sum((status & expected) != expected))
-    return _count("samples not latched with their cause", scenario, silent)
-
-
-def _count(name: str, scenario: str, count: int) -> Verdict:
-    return _verdict(name, scenario, float(count), 0.0, "1")
-
-
-def _verdict(name: str, scenario: str, value: float, limit: float, unit: str) -> Verdict:
-    return Verdict(name=name, scenario=scenario, value=value, limit=limit, unit=unit)
+    return verdict(name, scenario, recovery_s, allowed_s, "s")
 
 
 def limits_from_toml(text: str, source: str = "limits.toml") -> Limits:

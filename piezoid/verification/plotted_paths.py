@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from piezoid.numerics.arrays import Array
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.scenarios import Path
-from piezoid.verification.tracking import Tracking, shape_error
+from piezoid.verification.tracking import shape_error
 
 MOTION_POINTS = 1000  # of 0.8 s of steps: a loop of 350 Hz settles within three of them
 MOTION_KINDS = ("raster", "steps")  # of scenarios plotted over time
@@ -59,10 +59,10 @@ class SpiralTrace:
 
 def spiral_trace(
     method: str,
-    tracking: Tracking,
     records: Mapping[str, LoopRecord],
     *,
     path: Path,
+    delay_s: float,
     centre_m: Mapping[str, float],
     radius_m: float,
     frequency_Hz: float,
@@ -73,7 +73,7 @@ def spiral_trace(
         for name in ("reference", "position")
     )
     rate_Hz = next(iter(records.values())).sampling_rate_Hz
-    error_m = shape_error(reference, position, rate_Hz, tracking.delay_s)
+    error_m = shape_error(reference, position, rate_Hz, delay_s)
     starts = _evenly(len(error_m), SPIRAL_POINTS)
     second = position[1] if len(records) > 1 else radius_m * path.y
     return SpiralTrace(
@@ -92,31 +92,20 @@ def rms_from(starts: NDArray[np.intp], values: Array) -> Array:
     return np.asarray(np.sqrt(np.add.reduceat(values**2, starts) / counts))
 
 
-def motions_of(
-    scenario: str,
-    shipped: Mapping[str, LoopRecord],
-    uncompensated: Mapping[str, LoopRecord],
-    centre_m: Mapping[str, float],
-) -> tuple[Motion, ...]:
-    """Thin the runs of one scenario, by axis, to ``MOTION_POINTS`` positions."""
-    motions = []
-    for axis, record in shipped.items():
-        count, centre = len(record.reference), centre_m[axis]
-        at = _evenly(count, MOTION_POINTS)
-        baseline = uncompensated.get(axis)
-        motions.append(
-            Motion(
-                scenario=scenario,
-                axis=axis,
-                duration_s=count / record.sampling_rate_Hz,
-                reference_m=_rounded(record.reference[at] - centre),
-                shipped_m=_rounded(record.position[at] - centre),
-                uncompensated_m=()
-                if baseline is None
-                else _rounded(baseline.position[at] - centre),
-            )
-        )
-    return tuple(motions)
+def motion_of(
+    scenario: str, shipped: LoopRecord, uncompensated: LoopRecord | None, centre_m: float
+) -> Motion:
+    """Thin the runs of one axis in one scenario to ``MOTION_POINTS`` positions."""
+    at = _evenly(len(shipped.reference), MOTION_POINTS)
+    compared = () if uncompensated is None else _rounded(uncompensated.position[at] - centre_m)
+    return Motion(
+        scenario=scenario,
+        axis=shipped.axis,
+        duration_s=len(shipped.reference) / shipped.sampling_rate_Hz,
+        reference_m=_rounded(shipped.reference[at] - centre_m),
+        shipped_m=_rounded(shipped.position[at] - centre_m),
+        uncompensated_m=compared,
+    )
 
 
 def _evenly(count: int, points: int) -> NDArray[np.intp]:

@@ -8,7 +8,7 @@ import numpy as np
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.executor import SERIAL, Executor
+from piezoid.numerics.executor import Executor
 from piezoid.verification.closed_loop import LoopRecord, run_axis
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.plant import AxisPlant, Junction, with_histories
@@ -35,36 +35,53 @@ class AxisRun:
 class ScenarioRunner:
     """Parameters and plants by axis, and the results so far.
 
+    plants               identified, by axis
+    run_count            runs so far; it numbers the noise
+    outside_voltages     samples of all runs whose voltage was not finite or outside the limits
     lateral, tunnelling  names of the axes that follow a displacement, and that regulate a current
     centre_m, radius_m   of the paths
-    run_count            runs so far; it numbers the noise
-    records              all runs by axis
-    single_runs          by scenario, runs of what ships that are not compared, for plots
+
+    Raises ``ParameterFileError`` for an axis without a plant.
     """
 
     file: ParameterFile
     plants: Mapping[str, AxisPlant]
     limits: Limits
     seed: int
-    rate_Hz: float
-    lateral: tuple[str, ...]
-    tunnelling: tuple[str, ...]
-    centre_m: Mapping[str, float]
-    radius_m: float
-    executor: Executor = SERIAL
+    executor: Executor
     run_count: int = 0
-    records: dict[str, list[LoopRecord]] = field(default_factory=dict)
+    outside_voltages: int = 0
     comparison: list[ComparisonRow] = field(default_factory=list)
     spirals: list[SpiralRow] = field(default_factory=list)
     currents: list[CurrentRow] = field(default_factory=list)
     traces: list[SpiralTrace] = field(default_factory=list)
     verdicts: list[Verdict] = field(default_factory=list)
-    single_runs: dict[str, dict[str, LoopRecord]] = field(default_factory=dict)
+    rate_Hz: float = field(init=False)
+    lateral: tuple[str, ...] = field(init=False)
+    tunnelling: tuple[str, ...] = field(init=False)
+    centre_m: Mapping[str, float] = field(init=False)
+    radius_m: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        axes = [axis.axis for axis in self.file.axes]
+        for axis in axes:
+            if axis not in self.plants:
+                raise ParameterFileError(
+                    f"axis {axis} has parameters and no plant",
+                    needed="an identified plant for every axis that ships",
+                    remedy="Identify that axis, or leave it out of the parameter file.",
+                )
+        self.rate_Hz = self.plants[axes[0]].sampling_rate_Hz
+        self.tunnelling = tuple(a for a in axes if isinstance(self.plants[a].response, Junction))
+        self.lateral = tuple(a for a in axes if a not in self.tunnelling)
+        ranges = {name: reference_range(self.file.axis(name)) for name in self.lateral}
+        self.centre_m = {name: span.centre_m for name, span in ranges.items()}
+        self.radius_m = min((span.radius_m for span in ranges.values()), default=0.0)
 
     def methods(self) -> tuple[str, ...]:
         """Return the methods that every lateral axis has; the first one ships."""
-        axes = [self.file.axis(name) for name in self.lateral]
-        return tuple(m for m in axes[0].methods if all(m in axis.methods for axis in axes))
+        first, *others = [self.file.axis(name).methods for name in self.lateral]
+        return tuple(m for m in first if all(m in methods for methods in others))
 
     def histories(self) -> list[dict[str, AxisPlant]]:
         """Return all plants by axis with each possible history of the drive."""
@@ -76,12 +93,14 @@ class ScenarioRunner:
         ]
 
     def run(self, runs: Sequence[AxisRun]) -> dict[str, LoopRecord]:
-        """Run axes that move at the same time, each with its own noise, and store the records."""
+        """Run axes that move at the same time, each with its own noise; records by axis."""
         numbered = list(enumerate(runs, self.run_count + 1))
         self.run_count += len(runs)
         records = self.executor.map(self._run, numbered)
-        for record in records:
-            self.records.setdefault(record.axis, []).append(record)
+        for run, record in zip(runs, records, strict=True):
+            low_V, high_V = (run.axis.values[f"voltage_{end}_V"] for end in ("minimum", "maximum"))
+            is_inside = (record.voltage_V >= float(low_V)) & (record.voltage_V <= float(high_V))
+            self.outside_voltages += int(np.sum(~(np.isfinite(record.voltage_V) & is_inside)))
         return {record.axis: record for record in records}
 
     def run_path(
@@ -99,19 +118,16 @@ class ScenarioRunner:
             plants: by axis; None: the identified ones
             fault: of the sensors, (samples,)
         """
-        signals = (path.x, path.y)
-        runs = []
+        signals, runs = (path.x, path.y), []
         for index, name in enumerate(self.lateral):
             axis, plant = self.file.axis(name), (plants or self.plants)[name]
-            motion_m = None
-            if plant.motions:  # some of which follow the other axis
-                motion_m = plant.motion_m(len(path.x), signals[(index + 1) % 2])
+            crosstalk = plant.motion_m(len(path.x), signals[(index + 1) % 2])
             runs.append(
                 AxisRun(
                     axis=axis if method is None else axis.for_method(method),
                     plant=plant,
                     reference=self.centre_m[name] + self.radius_m * signals[index % 2],
-                    disturbance=motion_m,
+                    disturbance=crosstalk if plant.motions else None,
                     fault=fault,
                 )
             )
@@ -133,55 +149,14 @@ class ScenarioRunner:
         approach = np.empty(0)
         if run.axis.axis in self.lateral:
             approach = approach_path(run.plant, float(run.reference[0]))
-        lead = len(approach)
-        disturbance, fault = run.disturbance, run.fault
-        if disturbance is not None:
-            disturbance = np.concatenate([np.full(lead, disturbance[0]), disturbance])
-        if fault is not None:
-            fault = np.concatenate([np.zeros(lead), fault])
+        lead, disturbance, fault = len(approach), run.disturbance, run.fault
         record = run_axis(
             run.plant,
             run.axis,
             np.concatenate([approach, run.reference]),
             rng=np.random.default_rng([self.seed, number]),
-            disturbance=disturbance,
-            fault=fault,
+            disturbance=None if disturbance is None else np.pad(disturbance, (lead, 0), "edge"),
+            fault=None if fault is None else np.pad(fault, (lead, 0)),
             reset_at=None if run.reset_at is None else lead + run.reset_at,
         )
         return record.after(lead)
-
-
-def scenario_runner(
-    file: ParameterFile,
-    plants: Sequence[AxisPlant],
-    limits: Limits,
-    seed: int,
-    executor: Executor = SERIAL,
-) -> ScenarioRunner:
-    """Pair every axis with its plant, and choose the radius of all paths.
-
-    Raises ``ParameterFileError`` for an axis without a plant.
-    """
-    by_axis = {plant.axis: plant for plant in plants}
-    for axis in file.axes:
-        if axis.axis not in by_axis:
-            raise ParameterFileError(
-                f"axis {axis.axis} has parameters and no plant",
-                needed="an identified plant for every axis that ships",
-                remedy="Identify that axis, or leave it out of the parameter file.",
-            )
-    tips = tuple(a.axis for a in file.axes if isinstance(by_axis[a.axis].response, Junction))
-    lateral = tuple(a.axis for a in file.axes if a.axis not in tips)
-    ranges = {name: reference_range(file.axis(name)) for name in lateral}
-    return ScenarioRunner(
-        file=file,
-        plants=by_axis,
-        limits=limits,
-        seed=seed,
-        executor=executor,
-        rate_Hz=by_axis[file.axes[0].axis].sampling_rate_Hz,
-        lateral=lateral,
-        tunnelling=tips,
-        centre_m={name: span.centre_m for name, span in ranges.items()},
-        radius_m=min((span.radius_m for span in ranges.values()), default=0.0),
-    )

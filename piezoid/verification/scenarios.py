@@ -1,8 +1,9 @@
-"""What is run: the tuple SCENARIOS. To run another, write it there."""
+"""Scenarios that every verification runs: the tuple SCENARIOS. Add further ones there."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -19,10 +20,10 @@ _FAULT_s = 0.02
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Path:
-    """Where to be, sample by sample; the radius is 1.
+    """Reference in the plane, sample by sample, of radius 1.
 
     x, y   (samples,)
-    turns  how many turns a spiral has, 0 for anything else: its pitch is 1 / turns
+    turns  number of turns of a spiral of pitch 1 / turns; 0 for any other path
     """
 
     x: Array
@@ -99,17 +100,17 @@ def steps(rate_Hz: float, hold_s: float) -> Path:
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """One thing the stage is made to do.
+    """One motion of the stage and how it is judged.
 
     name          as in tables
-    kind          ``spiral``, ``raster``, ``steps``: how it is judged
+    kind          ``spiral``, ``raster`` or ``steps``
     frequency_Hz  of turns or lines
     path          makes the path at a sampling rate
-    is_compared   run with every method the file holds, for the table
-    is_varied     run with every plant the uncertainty allows instead of the identified one
-    fault         None, or what the sensor reads from the middle on: NaN, or 1 for the same as
-                  before
-    fault_s       for how long; infinite: for good
+    is_compared   run with every method of the file, for the table
+    is_varied     run with the plants that the uncertainty allows, not with the identified one
+    fault         reading of the sensor from the middle on: NaN, or 1 for the last reading; None:
+                  no fault
+    fault_s       duration of the fault; infinite: permanent
     """
 
     name: str
@@ -132,28 +133,20 @@ class Scenario:
 
 
 def spiral_speed_m_per_s(frequency_Hz: float, radius_m: float) -> float:
-    """Return how fast a compared spiral is at its rim, where it is fastest.
+    """Return the speed of a compared spiral at its rim, where it is fastest.
 
     v = R f sqrt((2 pi)^2 + 1/turns^2),   along and across the turns
     """
     return float(radius_m * frequency_Hz * np.hypot(2.0 * np.pi, 1.0 / _TURNS))
 
 
-def _constant_angular(f: float) -> Callable[[float], Path]:
-    return partial(constant_angular_velocity, frequency_Hz=f, turns=_TURNS)
+def _spiral_scenario(name: str, frequency_Hz: float, **options: Any) -> Scenario:
+    path = partial(constant_angular_velocity, frequency_Hz=frequency_Hz, turns=_TURNS)
+    return Scenario(name=name, kind="spiral", frequency_Hz=frequency_Hz, path=path, **options)
 
 
 SCENARIOS: tuple[Scenario, ...] = (
-    *(
-        Scenario(
-            name=f"spiral, {f:g} Hz",
-            kind="spiral",
-            frequency_Hz=f,
-            path=_constant_angular(f),
-            is_compared=True,
-        )
-        for f in COMPARED_Hz
-    ),
+    *(_spiral_scenario(f"spiral, {f:g} Hz", f, is_compared=True) for f in COMPARED_Hz),
     Scenario(
         name="spiral of constant speed, 10 Hz at its rim",
         kind="spiral",
@@ -167,36 +160,9 @@ SCENARIOS: tuple[Scenario, ...] = (
         path=partial(raster, frequency_Hz=5.0, lines=10.0),
     ),
     Scenario(name="steps", kind="steps", frequency_Hz=10.0, path=partial(steps, hold_s=0.1)),
-    Scenario(
-        name="spiral, 10 Hz, plants the recordings allow",
-        kind="spiral",
-        frequency_Hz=10.0,
-        path=_constant_angular(10.0),
-        is_varied=True,
-    ),
-    Scenario(
-        name="spiral, 10 Hz, sensor lost for 20 ms",
-        kind="spiral",
-        frequency_Hz=10.0,
-        path=_constant_angular(10.0),
-        fault=np.nan,
-    ),
-    Scenario(
-        name="spiral, 10 Hz, sensor frozen for 20 ms",
-        kind="spiral",
-        frequency_Hz=10.0,
-        path=_constant_angular(10.0),
-        fault=1.0,
-    ),
-    *(
-        Scenario(
-            name=f"spiral, 10 Hz, sensor {how} for good",
-            kind="spiral",
-            frequency_Hz=10.0,
-            path=_constant_angular(10.0),
-            fault=fault,
-            fault_s=np.inf,
-        )
-        for how, fault in (("lost", np.nan), ("frozen", 1.0))
-    ),
+    _spiral_scenario("spiral, 10 Hz, plants the recordings allow", 10.0, is_varied=True),
+    _spiral_scenario("spiral, 10 Hz, sensor lost for 20 ms", 10.0, fault=np.nan),
+    _spiral_scenario("spiral, 10 Hz, sensor frozen for 20 ms", 10.0, fault=1.0),
+    _spiral_scenario("spiral, 10 Hz, sensor lost for good", 10.0, fault=np.nan, fault_s=np.inf),
+    _spiral_scenario("spiral, 10 Hz, sensor frozen for good", 10.0, fault=1.0, fault_s=np.inf),
 )

@@ -19,7 +19,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
 from piezoid.verification.closed_loop import Fault, LoopRecord
-from piezoid.verification.criteria import Verdict
+from piezoid.verification.criteria import Verdict, none_of, verdict
 from piezoid.verification.plant import AxisPlant, Junction
 from piezoid.verification.scenario_runner import AxisRun, ScenarioRunner
 from piezoid.verification.scenarios import Path, Scenario
@@ -69,18 +69,18 @@ def judge_tips(
     """Judge every tip while the stage moves it over a rough surface."""
     for name, record in run_tips(runner, path, records, runner.plants).items():
         junction = _junction(runner.plants[name])
-        verdicts = criteria.current_verdicts(scenario.name, record, runner.limits)
+        deviation, retracted = criteria.current_verdicts(scenario.name, record, runner.limits)
         runner.currents.append(
             CurrentRow(
                 scenario=scenario.name,
-                ln_current_std=verdicts[0].value,
-                height_rms_m=verdicts[0].value / junction.decay_per_m,
+                ln_current_std=deviation.value,
+                height_rms_m=deviation.value / junction.decay_per_m,
                 largest_ratio=float(record.position.max()) / junction.current_A,
-                retracted_samples=int(verdicts[1].value),
+                retracted_samples=int(retracted.value),
             )
         )
         if scenario.frequency_Hz <= runner.limits.judged_Hz:
-            runner.verdicts.extend(verdicts)
+            runner.verdicts += [deviation, retracted]
 
 
 def run_tips(
@@ -95,32 +95,32 @@ def run_tips(
     ideal_m = [radius_m * path.x, radius_m * path.y]
     surface = RoughSurface(rms_m=_ROUGHNESS_m, shortest_m=_WAVELENGTH * radius_m)
     height_m = surface.height(*(*positions_m, *ideal_m[len(positions_m) :])[:2])
-    runs = []
-    for name in runner.tunnelling:
-        junction = _junction(plants[name])
-        runs.append(
+    junctions = {name: _junction(plants[name]) for name in runner.tunnelling}
+    return runner.run(
+        [
             AxisRun(
                 axis=runner.file.axis(name),
                 plant=plants[name],
                 reference=np.full(len(height_m), junction.current_A),
                 disturbance=junction.decay_per_m * height_m,
             )
-        )
-    return runner.run(runs)
+            for name, junction in junctions.items()
+        ]
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class TipTrial:
-    """One thing that happens to a tip at its set point, or on the way there.
+    """One event at a tip at its set point, or during its approach.
 
     name       as in tables
-    steps_m    the surface steps by each of these at once, a run for each; > 0 towards the tip
+    steps_m    sudden steps of the surface, one run for each; > 0 towards the tip
     fault      what the sensor shows from then on: a ``Fault``, or NaN
-    fault_s    for how long; infinite: for good
+    fault_s    duration of the fault; infinite: permanent
     drift_m_per_s   of the surface, all the time
-    away_m     so much farther from the surface than its set point the tip begins
-    gain       the junction's, against the one identified
-    cause      the status that must be latched with; None: the tip comes back by itself
+    away_m     initial distance from the surface, beyond that of the set point
+    gain       of the junction, relative to the identified gain
+    cause      status with which the tip must latch; None: the tip recovers by itself
     """
 
     name: str
@@ -146,28 +146,15 @@ TIP_TRIALS: tuple[TipTrial, ...] = (
         name="reading frozen for 20 ms", steps_m=_A_LITTLE_m, fault=Fault.FROZEN, fault_s=0.02
     ),
     TipTrial(name="amplifier full for 20 ms", fault=Fault.FULL, fault_s=0.02),
-    TipTrial(
-        name="reading NaN for good",
-        fault=math.nan,
-        fault_s=math.inf,
-        cause=Status.BAD_MEASUREMENT,
-    ),
-    TipTrial(
-        name="reading frozen for good",
-        steps_m=_A_LITTLE_m,
-        fault=Fault.FROZEN,
-        fault_s=math.inf,
-        cause=Status.STUCK_SENSOR,
-    ),
-    TipTrial(name="amplifier dead", fault=Fault.DEAD, fault_s=math.inf, cause=Status.NO_CURRENT),
-    TipTrial(
-        name="amplifier full for good",
-        fault=Fault.FULL,
-        fault_s=math.inf,
-        cause=Status.MEASUREMENT_LIMITED,
-    ),
-    TipTrial(
-        name="bias reversed", fault=Fault.REVERSED, fault_s=math.inf, cause=Status.WRONG_SIGN
+    *(
+        TipTrial(name=name, steps_m=steps_m, fault=fault, fault_s=math.inf, cause=cause)
+        for name, steps_m, fault, cause in (
+            ("reading NaN for good", (0.0,), math.nan, Status.BAD_MEASUREMENT),
+            ("reading frozen for good", _A_LITTLE_m, Fault.FROZEN, Status.STUCK_SENSOR),
+            ("amplifier dead", (0.0,), Fault.DEAD, Status.NO_CURRENT),
+            ("amplifier full for good", (0.0,), Fault.FULL, Status.MEASUREMENT_LIMITED),
+            ("bias reversed", (0.0,), Fault.REVERSED, Status.WRONG_SIGN),
+        )
     ),
     TipTrial(name="drift towards the tip, 1 nm/s", drift_m_per_s=1e-9),
     TipTrial(name="drift away from the tip, 1 nm/s", drift_m_per_s=-1e-9),
@@ -181,9 +168,9 @@ def judge_trials(runner: ScenarioRunner, trials: Sequence[TipTrial]) -> None:
     for name in runner.tunnelling:
         for trial in trials:
             verdicts = [
-                verdict
+                trial_verdict
                 for step_m in trial.steps_m
-                for verdict in _trial_verdicts(runner, name, trial, step_m)
+                for trial_verdict in _trial_verdicts(runner, name, trial, step_m)
             ]
             runner.verdicts.extend(criteria.worst_by_name(verdicts))
 
@@ -215,11 +202,14 @@ def _trial_verdicts(
     record = runner.run([run])[name]
     extension_m = record.driven / junction.decay_per_m
     closer_m = float(np.max(extension_m - extension_m[0] + height_m)) - max(step_m, 0.0)
-    verdicts = [criteria.tip_distance_verdict(trial.name, closer_m, limits)]
+    distance = "closer to the surface than the set point"
+    verdicts = [verdict(distance, trial.name, max(closer_m, 0.0), limits.closest_m, "m")]
     if cause:
         at_s = duration_s if reset_s is None else reset_s
-        last = slice(round((at_s - 0.1) * rate_Hz), round(at_s * rate_Hz) - 1)
-        verdicts.append(criteria.latch_verdict(trial.name, record.status[last], cause))
+        last = record.status[round((at_s - 0.1) * rate_Hz) : round(at_s * rate_Hz) - 1]
+        expected = np.uint32(Status.LATCHED | Status.RETRACTED | cause)
+        silent = int(np.sum((last & expected) != expected))
+        verdicts.append(none_of("samples not latched with their cause", trial.name, silent))
     if not trial.cause and trial.gain == 1.0:
         nepers = np.log(record.position[round(recovers_from_s * rate_Hz) :] / junction.current_A)
         verdicts.append(

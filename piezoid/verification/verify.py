@@ -1,6 +1,7 @@
 """Verify a parameter file: run every scenario on the plants, and judge the results."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 
 import numpy as np
 
@@ -11,8 +12,8 @@ from piezoid.numerics.executor import Executor
 from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
 from piezoid.verification.closed_loop import LoopRecord
-from piezoid.verification.coupled_loop import coupling_rows, coupling_verdict
-from piezoid.verification.criteria import Limits, Verdict
+from piezoid.verification.coupled_loop import coupling_rows
+from piezoid.verification.criteria import Limits, Verdict, none_of, verdict
 from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.plant import AxisPlant
 from piezoid.verification.plotted_paths import (
@@ -20,11 +21,11 @@ from piezoid.verification.plotted_paths import (
     UNCOMPENSATED,
     Motion,
     SPIRALS_Hz,
-    motions_of,
+    motion_of,
     spiral_trace,
 )
 from piezoid.verification.rebuild import Proof
-from piezoid.verification.scenario_runner import ScenarioRunner, scenario_runner
+from piezoid.verification.scenario_runner import ScenarioRunner
 from piezoid.verification.scenarios import SCENARIOS, Path, Scenario
 from piezoid.verification.tip_trials import (
     TIP_TRIALS,
@@ -35,6 +36,10 @@ from piezoid.verification.tip_trials import (
 )
 from piezoid.verification.tracking import Tracking
 from piezoid.verification.verification import ComparisonRow, SpiralRow, Verification
+
+_FEEDBACK_METHODS = ("dob", "mpi_dob", "rst")
+
+Records = Mapping[str, LoopRecord]
 
 
 def verify(
@@ -71,21 +76,34 @@ def verify(
     Raises:
         ParameterFileError: an axis has no plant
     """
-    runner = scenario_runner(file, plants, limits or Limits(), seed, Executor(threads=threads))
+    runner = ScenarioRunner(
+        file=file,
+        plants={plant.axis: plant for plant in plants},
+        limits=limits or Limits(),
+        seed=seed,
+        executor=Executor(threads=threads),
+    )
+    plotted: list[tuple[Scenario, Records]] = []
     for scenario in scenarios:
         path = scenario.path(runner.rate_Hz)
         if scenario.is_varied:
-            _run_variations(runner, scenario, path, variations)
+            _judge_variations(runner, scenario, path, variations)
         elif scenario.fault is not None:
-            _run_fault(runner, scenario, path)
+            _judge_fault(runner, scenario, path, scenario.fault)
         else:
-            _run_scenario(runner, scenario, path)
+            records = _judge_scenario(runner, scenario, path)
+            if scenario.kind in MOTION_KINDS and records:
+                plotted.append((scenario, records))
+            if scenario.kind == "spiral":
+                judge_tips(runner, scenario, path, records)
     judge_trials(runner, trials)
     coupling = coupling_rows(runner, coupled)
     if coupling:
-        runner.verdicts.append(coupling_verdict(coupling, runner.limits.coupling_percent))
-    axes = {axis.axis: axis for axis in file.axes}
-    voltage_range = criteria.voltage_range_verdict(runner.records, axes)
+        largest_percent = max(row.percent for row in coupling)
+        limit_percent, unit = runner.limits.coupling_percent, "% of the motion"
+        name = "motion of an axis while another one moves"
+        runner.verdicts.append(verdict(name, "coupled axes", largest_percent, limit_percent, unit))
+    outside = none_of("voltages not finite or outside the limits", "all", runner.outside_voltages)
     varied = [plant for plants_of_set in variations for plant in plants_of_set]
     return Verification(
         name=file.name,
@@ -95,8 +113,8 @@ def verify(
         spirals=tuple(runner.spirals),
         currents=tuple(runner.currents),
         traces=tuple(runner.traces),
-        motions=_motions(runner, scenarios),
-        verdicts=(voltage_range, *runner.verdicts),
+        motions=_motions(runner, plotted),
+        verdicts=(outside, *runner.verdicts),
         proofs=tuple(proofs),
         limit_proofs=tuple(limit_proofs),
         plants=tuple(f"{plant.label}, axis {plant.axis}" for plant in (*plants, *varied)),
@@ -107,86 +125,61 @@ def verify(
     )
 
 
-def _run_scenario(runner: ScenarioRunner, scenario: Scenario, path: Path) -> None:
-    """Run the lateral axes, all methods where they are compared, and the tip above a surface."""
-    records: dict[str, LoopRecord] = {}
-    if scenario.is_compared and runner.lateral:
-        records = _compare_methods(runner, scenario, path)
-    elif runner.lateral:
+def _judge_scenario(runner: ScenarioRunner, scenario: Scenario, path: Path) -> Records:
+    """Judge what ships, and every method where they are compared; return the runs of what ships.
+
+    Methods are compared from every history of the drive, by the worst of them.
+    """
+    if not scenario.is_compared or not runner.lateral:
         records = runner.run_path(path)
-        runner.single_runs[scenario.name] = records
-        _judge(runner, scenario, records, runner.track(scenario, path, records))
-    if scenario.kind == "spiral":
-        judge_tips(runner, scenario, path, records)
-
-
-def _compare_methods(
-    runner: ScenarioRunner, scenario: Scenario, path: Path
-) -> dict[str, LoopRecord]:
-    """Run every method from every history and judge the worst; return the runs of what ships."""
-    shipped_method, *_ = runner.methods()
-    shipped: dict[str, LoopRecord] = {}
-    worst: dict[str, Tracking] = {}
-    for method in runner.methods():
+        if records:
+            _judge(runner, scenario, records, runner.track(scenario, path, records))
+        return records
+    methods = runner.methods()
+    shipped = methods[0]
+    worst: dict[str, tuple[Tracking, Records]] = {}
+    for method in methods:
         runs = [runner.run_path(path, method, plants) for plants in runner.histories()]
-        tracked = [runner.track(scenario, path, records) for records in runs]
-        index = max(range(len(runs)), key=lambda k: tracked[k].rms_m)
-        worst[method] = tracked[index]
-        if scenario.frequency_Hz in SPIRALS_Hz and method in (shipped_method, UNCOMPENSATED):
-            runner.traces.append(
-                spiral_trace(
-                    method,
-                    tracked[index],
-                    runs[index],
-                    path=path,
-                    centre_m=runner.centre_m,
-                    radius_m=runner.radius_m,
-                    frequency_Hz=scenario.frequency_Hz,
-                )
-            )
-        if method == shipped_method:
-            shipped = runs[index]
-            _judge(runner, scenario, shipped, tracked[index])
-    for method, tracking in worst.items():
-        runner.comparison.append(
-            ComparisonRow(
-                method=method,
-                frequency_Hz=scenario.frequency_Hz,
-                rms_m=tracking.rms_m,
-                rms_percent=tracking.rms_percent,
-                max_m=tracking.max_m,
-                aligned_rms_m=tracking.aligned_rms_m,
+        tracked = [(runner.track(scenario, path, records), records) for records in runs]
+        tracking, records = worst[method] = max(tracked, key=lambda run: run[0].rms_m)
+        if method == shipped:
+            _judge(runner, scenario, records, tracking)
+        if scenario.frequency_Hz in SPIRALS_Hz and method in (shipped, UNCOMPENSATED):
+            trace = spiral_trace(
+                method,
+                records,
+                path=path,
                 delay_s=tracking.delay_s,
-            )
-        )
-        runner.spirals.append(
-            SpiralRow(
-                method=method,
+                centre_m=runner.centre_m,
+                radius_m=runner.radius_m,
                 frequency_Hz=scenario.frequency_Hz,
-                radial_rms_m=tracking.radial_rms_m,
-                pitch_error=tracking.pitch_error,
             )
+            runner.traces.append(trace)
+        figures = {"method": method, "frequency_Hz": scenario.frequency_Hz, **asdict(tracking)}
+        across = {name: figures.pop(name) for name in ("radial_rms_m", "pitch_error")}
+        runner.comparison.append(ComparisonRow(**figures))
+        runner.spirals.append(
+            SpiralRow(method=method, frequency_Hz=scenario.frequency_Hz, **across)
         )
-    if UNCOMPENSATED in worst and shipped_method != UNCOMPENSATED:
-        improvement = criteria.improvement_verdict(
-            scenario.name, worst[shipped_method], worst[UNCOMPENSATED]
-        )
-        runner.verdicts.append(improvement)
-    return shipped
+    if UNCOMPENSATED in methods[1:]:
+        errors_m = [worst[method][0].aligned_rms_m for method in (shipped, UNCOMPENSATED)]
+        name = "shape error, against no compensation"
+        runner.verdicts.append(verdict(name, scenario.name, errors_m[0] / errors_m[1], 1.0, "1"))
+    return worst[shipped][1]
 
 
 def _judge(
-    runner: ScenarioRunner,
-    scenario: Scenario,
-    records: Mapping[str, LoopRecord],
-    tracking: Tracking,
+    runner: ScenarioRunner, scenario: Scenario, records: Records, tracking: Tracking
 ) -> None:
     limits = runner.limits
     if scenario.kind == "steps":  # which may use the whole range of the drive
         for record in records.values():
             runner.verdicts.extend(criteria.step_verdicts(scenario.name, record, limits))
         return
-    runner.verdicts.append(criteria.saturation_verdict(scenario.name, list(records.values())))
+    limited = sum(
+        int(np.sum((record.status & Status.VOLTAGE_LIMITED) != 0)) for record in records.values()
+    )
+    runner.verdicts.append(none_of("samples at a voltage limit", scenario.name, limited))
     if scenario.frequency_Hz <= limits.judged_Hz:
         runner.verdicts.append(
             criteria.shape_verdict(
@@ -195,68 +188,68 @@ def _judge(
         )
 
 
-def _run_variations(
+def _judge_variations(
     runner: ScenarioRunner,
     scenario: Scenario,
     path: Path,
     variations: Sequence[Sequence[AxisPlant]],
 ) -> None:
     """Judge the worst of the plants that the uncertainty allows."""
-    verdicts: list[Verdict] = []
+    name, limits, verdicts = scenario.name, runner.limits, list[Verdict]()
     for varied in variations:
         plants = {**runner.plants, **{plant.axis: plant for plant in varied}}
         records = runner.run_path(path, plants=plants)
         if records:
             tracking = runner.track(scenario, path, records)
-            limit = runner.limits.varied_percent
             verdicts.append(
-                criteria.shape_verdict(scenario.name, tracking, runner.radius_m, limit)
+                criteria.shape_verdict(name, tracking, runner.radius_m, limits.varied_percent)
             )
         for record in run_tips(runner, path, records, plants).values():
-            verdicts.extend(criteria.current_verdicts(scenario.name, record, runner.limits))
+            verdicts.extend(criteria.current_verdicts(name, record, limits))
     runner.verdicts.extend(criteria.worst_by_name(verdicts))
 
 
-def _run_fault(runner: ScenarioRunner, scenario: Scenario, path: Path) -> None:
-    """Judge the axes while their sensors fail, for a time or for good."""
+def _judge_fault(runner: ScenarioRunner, scenario: Scenario, path: Path, reading: float) -> None:
+    """Judge the lateral axes while their sensors fail, for a time or for good."""
     if not runner.lateral:
         return
-    name, fault = scenario.name, scenario.fault_of(len(path.x), runner.rate_Hz)
-    if np.isinf(scenario.fault_s):
-        records = runner.run_path(path, fault=fault)
+    name, limits = scenario.name, runner.limits
+    is_permanent = np.isinf(scenario.fault_s)
+    healthy = None if is_permanent else runner.track(scenario, path, runner.run_path(path))
+    records = runner.run_path(path, fault=scenario.fault_of(len(path.x), runner.rate_Hz))
+    with_feedback = [
+        record
+        for record in records.values()
+        if runner.file.axis(record.axis).method in _FEEDBACK_METHODS
+    ]
+    if healthy is None:
         verdicts = [
-            verdict
-            for record in _with_feedback(runner, records)
-            for verdict in criteria.hold_verdicts(name, record, len(path.x) // 2, runner.limits)
+            hold_verdict
+            for record in with_feedback
+            for hold_verdict in criteria.hold_verdicts(name, record, len(path.x) // 2, limits)
         ]
         runner.verdicts.extend(criteria.worst_by_name(verdicts))
         return
-    healthy = runner.track(scenario, path, runner.run_path(path))
-    records = runner.run_path(path, fault=fault)
     error_m = np.sqrt(sum((r.position - r.reference) ** 2 for r in records.values()))
     runner.verdicts.extend(
-        criteria.fault_verdicts(name, error_m, healthy, runner.radius_m, runner.limits)
+        criteria.fault_verdicts(name, error_m, healthy, runner.radius_m, limits)
     )
-    is_lost = scenario.fault is not None and np.isnan(scenario.fault)
-    flag = Status.BAD_MEASUREMENT if is_lost else Status.STUCK_SENSOR
-    watching = _with_feedback(runner, records)
-    runner.verdicts.append(criteria.fault_reported_verdict(name, watching, flag))
+    flag = np.uint32(Status.BAD_MEASUREMENT if np.isnan(reading) else Status.STUCK_SENSOR)
+    silent = sum(not np.any(record.status & flag) for record in with_feedback)
+    runner.verdicts.append(none_of("axes whose status did not say so", name, silent))
 
 
-def _with_feedback(runner: ScenarioRunner, records: Mapping[str, LoopRecord]) -> list[LoopRecord]:
-    methods = ("dob", "mpi_dob", "rst")
-    return [r for r in records.values() if runner.file.axis(r.axis).method in methods]
-
-
-def _motions(runner: ScenarioRunner, scenarios: Sequence[Scenario]) -> tuple[Motion, ...]:
+def _motions(
+    runner: ScenarioRunner, plotted: Sequence[tuple[Scenario, Records]]
+) -> tuple[Motion, ...]:
     """Return the motions that are plotted; the static gain is simulated for comparison only."""
-    motions: list[Motion] = []
-    for scenario in scenarios:
-        if scenario.kind not in MOTION_KINDS or scenario.name not in runner.single_runs:
-            continue
-        uncompensated = {}
+    motions = []
+    for scenario, shipped in plotted:
+        baseline: Records = {}
         if UNCOMPENSATED in runner.methods()[1:]:
-            uncompensated = runner.run_path(scenario.path(runner.rate_Hz), UNCOMPENSATED)
-        shipped = runner.single_runs[scenario.name]
-        motions += motions_of(scenario.name, shipped, uncompensated, runner.centre_m)
+            baseline = runner.run_path(scenario.path(runner.rate_Hz), UNCOMPENSATED)
+        motions += [
+            motion_of(scenario.name, record, baseline.get(axis), runner.centre_m[axis])
+            for axis, record in shipped.items()
+        ]
     return tuple(motions)
