@@ -206,9 +206,9 @@ def _trial_verdicts(
     verdicts = [verdict(distance, trial.name, max(closer_m, 0.0), limits.closest_m, "m")]
     if cause:
         at_s = duration_s if reset_s is None else reset_s
-        last = record.status[round((at_s - 0.1) * rate_Hz) : round(at_s * rate_Hz) - 1]
+        final_status = record.status[round((at_s - 0.1) * rate_Hz) : round(at_s * rate_Hz) - 1]
         expected = np.uint32(Status.LATCHED | Status.RETRACTED | cause)
-        silent = int(np.sum((last & expected) != expected))
+        silent = int(np.sum((final_status & expected) != expected))
         verdicts.append(none_of("samples not latched with their cause", trial.name, silent))
     if not trial.cause and trial.gain == 1.0:
         nepers = np.log(record.position[round(recovers_from_s * rate_Hz) :] / junction.current_A)
@@ -260,9 +260,9 @@ def _height(
 
 def _fault(trial: TipTrial, samples: int, rate_Hz: float) -> Array:
     fault = np.zeros(samples)
-    begins = round((_EVENT_s + (_SEEN_s if any(trial.steps_m) else 0.0)) * rate_Hz)
+    start = round((_EVENT_s + (_SEEN_s if any(trial.steps_m) else 0.0)) * rate_Hz)
     lasts = samples if math.isinf(trial.fault_s) else round(trial.fault_s * rate_Hz)
-    fault[begins : begins + lasts] = trial.fault
+    fault[start : start + lasts] = trial.fault
     return fault
 
 
