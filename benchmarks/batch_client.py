@@ -11,7 +11,7 @@ a controller, fitted and reported as `piezoid batch` does.
 import argparse
 import resource
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,9 +20,9 @@ from time import monotonic, process_time
 import numpy as np
 
 from benchmarks.fleet_summary import stage_of
-from piezoid_cli.batch import done_by, write_summary
-from piezoid_cli.batch_cluster import stages_of, workers
-from piezoid_cli.stage_task import Outcome, StageTask, work_off
+from piezoid_cli.batch import calibrate_stages, write_summary
+from piezoid_cli.batch_cluster import cluster_client, find_stages
+from piezoid_cli.batch_stage import StageTask, run_task
 from piezoid_reports.fleet.records import Fleet, FleetStage, StagesOnDisk
 
 PAGE = {"report.html": b"x" * 10_000}
@@ -65,18 +65,18 @@ def measure(
     what: str,
     write: Callable[[Path, int], None],
     count: int,
-    work: Callable[[Sequence[StageTask]], Sequence[Outcome]],
+    work: Callable[[StageTask], bytes],
 ) -> None:
     """Do a batch of so many stages, and print what it cost."""
     with TemporaryDirectory() as held, StagesOnDisk() as stages:
         write(Path(held) / "night", count)
         out = str(Path(held) / "results")
         begun, at = process_time(), monotonic()
-        tasks = stages_of(Path(held) / "night", out)
+        tasks = find_stages(Path(held) / "night", out)
         found = process_time()
-        with workers("", 2) as client:
+        with cluster_client("", 2) as client:
             started = process_time()
-            done_by(client, tasks, stages, work=work)
+            calibrate_stages(client, tasks, stages, work=work)
             ended = process_time()
         packed = stages.size / count
         write_summary(out, Fleet(name="night", stages=stages))
@@ -101,9 +101,9 @@ def main() -> None:
     parser.add_argument("--real", type=int, default=200)
     asked = parser.parse_args()
     if asked.stubbed:
-        measure("stubbed", write_stubs, asked.stubbed, partial(work_off, run=stub))
+        measure("stubbed", write_stubs, asked.stubbed, partial(run_task, calibrate=stub))
     if asked.real:
-        measure("real", write_real, asked.real, work_off)
+        measure("real", write_real, asked.real, run_task)
     sys.stdout.flush()
 
 

@@ -2,24 +2,23 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 
 import typer
 
-from piezoid_cli.progress import shown
+from piezoid_cli.progress import EVERYTHING, shown
 from piezoid_cli.terminal import JsonFile, Quiet, doing, hand_over, one_line, plain, table
 
 if TYPE_CHECKING:
     from distributed import Client
 
-    from piezoid_cli.stage_task import Outcome, StageTask
+    from piezoid_cli.batch_stage import StageTask
     from piezoid_reports.fleet.records import Fleet, FleetStage, StagesOnDisk
 
-TOGETHER = 5000  # stages that are rows in memory at one time
-MOST_REASONS = 200  # stages that did not pass and are named in the terminal
+ROW_GROUP = 5000  # stages whose rows are in memory at one time
+MAX_REASONS = 200  # stages that did not pass and are named in the terminal
 
 
 def batch(
@@ -66,88 +65,74 @@ def batch(
 
     piezoid batch night/ --out s3://night/results --scheduler tcp://10.0.0.5:8786
     """
-    from piezoid_cli.batch_cluster import stages_of
-    from piezoid_cli.batch_cluster import workers as cluster
-    from piezoid_cli.results_place import results_place
+    from piezoid_cli.batch_cluster import cluster_client, find_stages
+    from piezoid_cli.result_store import result_store
     from piezoid_reports.fleet.records import Fleet, StagesOnDisk
 
-    tasks = stages_of(folder, out)
-    results_place(out, force=force).check()
+    tasks = find_stages(folder, out, force=force)
+    result_store(out, force=force).check()
     with StagesOnDisk() as stages:
         with (
-            cluster(scheduler, workers) as client,
-            _bar(len(tasks), quiet=quiet or json) as (before, ended),
+            cluster_client(scheduler, workers) as client,
+            _progress(len(tasks), quiet=quiet or json) as progress,
         ):
-            done = done_by(client, tasks, stages, retries, force=force, before=before, ended=ended)
+            n_earlier = calibrate_stages(client, tasks, stages, retries, progress)
         fleet = Fleet(name=folder.resolve().name, stages=stages)
         write_summary(out, fleet, printed=json, force=force)
         if not (quiet or json):
-            _show(fleet, done, out)
+            _show(fleet, n_earlier, out)
         if not fleet.passed:
             raise typer.Exit(1)
 
 
-def done_by(
+def calibrate_stages(
     client: "Client",
     tasks: "Sequence[StageTask]",
     stages: "StagesOnDisk",
     retries: int = 2,
+    progress: Callable[[int, str], None] = lambda _count, _name: None,
     *,
-    force: bool = False,
-    before: Callable[[int], None] = lambda _: None,
-    ended: Callable[[str], None] = lambda _: None,
-    work: "Callable[[Sequence[StageTask]], Sequence[Outcome]] | None" = None,
+    work: "Callable[[StageTask], bytes] | None" = None,
 ) -> int:
-    """Let workers do what is to be done, each stage written by the worker that did it.
+    """Let workers do the stages that are not finished; each stage is written by its worker.
 
-    stages  where the record of every stage goes, those that are finished among them
-    before  told how many are finished already
-    ended   told the name of every other one
-    work    what workers do of some tasks; ``work_off`` if not given
+    stages    receives the record of every stage
+    progress  called with the number of finished stages and the name of the last one
+    work      of one stage on a worker; default: ``run_task``
 
-    Returns how many were finished before.
+    Returns how many stages were finished by an earlier run.
     """
-    from dataclasses import replace
-    from functools import partial
-
     from piezoid.errors import OutputFolderError
-    from piezoid_cli.batch_cluster import answers, waiting_of
-    from piezoid_cli.results_place import RECORD, results_place
-    from piezoid_cli.stage_task import Known, Outcome, StageTask, broken, known_of, work_off
+    from piezoid_cli.batch_cluster import pending_stages, run_on_workers
+    from piezoid_cli.batch_stage import broken, run_task
+    from piezoid_cli.result_store import RECORD, result_store
     from piezoid_reports.fleet.records import CRASHED
 
-    place, tasks = results_place(tasks[0].results), [replace(t, force=force) for t in tasks]
-    unknown = lambda task, _: Known(task.name, None, False)  # noqa: E731
-    waiting = waiting_of(
-        tasks,
-        partial(answers, client, known_of, retries=retries, broken_off=unknown),
-        force=force,
-        finished=stages.add,
-    )
-    finished = len(stages)
-    before(finished)
-    place.begin()
-
-    def broken_off(task: StageTask, reason: str) -> Outcome:
-        record = broken(task, CRASHED, reason)
-        with suppress(OutputFolderError):  # somebody put a file there meanwhile
-            place.write(task.name, {RECORD: record.to_json()})
-        return Outcome(task.name, record.packed())
-
-    for name, packed in answers(client, work or work_off, waiting, retries, broken_off):
-        stages.add(name, packed)
-        ended(name)
-    place.tidy(task.name for task in tasks)
-    return finished
+    store = result_store(tasks[0].results)
+    pending = pending_stages(tasks, stages)
+    n_earlier = len(stages)
+    progress(n_earlier, "")
+    store.create()
+    for task, packed, failure in run_on_workers(client, work or run_task, pending, retries):
+        record = packed
+        if failure:
+            crashed = broken(task, CRASHED, failure)
+            record = crashed.packed()
+            with suppress(OutputFolderError):  # another file may be there meanwhile
+                store.write_stage(task.name, {RECORD: crashed.to_json()})
+        stages.add(task.name, record)
+        progress(len(stages), task.name)
+    store.remove_unfinished(task.name for task in tasks)
+    return n_earlier
 
 
 def write_summary(out: str, fleet: "Fleet", *, printed: bool = False, force: bool = False) -> None:
-    """Write what is said of all stages, the batch's own record last.
+    """Write the files about all stages, batch.json last.
 
-    printed  whether that record is printed as well
+    printed  whether batch.json is printed as well
     force    replace a summary although it was edited
     """
-    from piezoid_cli.results_place import SUMMARY, results_place
+    from piezoid_cli.result_store import SUMMARY, result_store
     from piezoid_reports.fleet.chapters import render_fleet
 
     def write_record(stream: BinaryIO) -> None:
@@ -157,56 +142,37 @@ def write_summary(out: str, fleet: "Fleet", *, printed: bool = False, force: boo
             for line in stream:
                 hand_over(line)
 
-    place = results_place(out, force=force)
-    page, table, record = SUMMARY
-    place.put(page, lambda to: to.write(render_fleet(fleet).encode()))
-    place.put(table, lambda to: write_table(fleet, to))
-    place.put(record, write_record)
+    store = result_store(out, force=force)
+    page, parameters, record = SUMMARY
+    store.write_file(page, lambda stream: stream.write(render_fleet(fleet).encode()))
+    store.write_file(parameters, lambda stream: write_table(fleet, stream))
+    store.write_file(record, write_record)
 
 
 @contextmanager
-def _bar(
-    total: int, *, quiet: bool
-) -> Iterator[tuple[Callable[[int], None], Callable[[str], None]]]:
-    """Give what is told how many stages are finished already, and what is told of each other."""
+def _progress(total: int, *, quiet: bool) -> Iterator[Callable[[int, str], None]]:
+    """Give a function that shows the number of finished stages and the name of the last one."""
     from rich import progress as bar
     from rich.console import Console
 
-    console = Console(stderr=True, quiet=quiet)
-    columns = (
-        *(doing(), bar.BarColumn(), bar.MofNCompleteColumn()),
-        *(bar.TimeElapsedColumn(), bar.TimeRemainingColumn()),
-    )
-    n_done = 0
-
-    def set_finished(finished: int) -> None:
-        nonlocal n_done
-        n_done = finished
-        progress.update(task, completed=finished)
-
-    def line(name: str) -> None:
-        nonlocal n_done
-        n_done += 1
-        report(f"{n_done} of {total} stages done: {name}")
-
-    is_visible = console.is_terminal and not quiet
-    with bar.Progress(
-        *columns, console=console, transient=True, disable=not is_visible
-    ) as progress:
-        task = progress.add_task("stages", total=total)
-        if is_visible:
-            advance = partial(progress.update, task, advance=1)
-            yield set_finished, lambda name: advance(description=one_line(name))
-            return
+    console = Console(stderr=True)
+    if quiet or EVERYTHING.get() or not console.is_terminal:
         with shown(quiet=quiet) as report:
-            yield set_finished, line
+            yield lambda count, name: report(f"{count} of {total} stages done: {name}")
+        return
+    columns = (doing(), bar.BarColumn(), bar.MofNCompleteColumn())
+    times = (bar.TimeElapsedColumn(), bar.TimeRemainingColumn())
+    with bar.Progress(*columns, *times, console=console, transient=True) as progress:
+        task = progress.add_task("stages", total=total)
+        yield lambda count, name: progress.update(
+            task, completed=count, description=one_line(name) or "stages"
+        )
 
 
-def _show(fleet: "Fleet", n_finished: int, out: str) -> None:
-    from itertools import islice
-
+def _show(fleet: "Fleet", n_earlier: int, out: str) -> None:
     from rich.console import Console
 
+    from piezoid_cli.result_store import SUMMARY
     from piezoid_reports.fleet.records import PASSED, STATES
 
     console, count = Console(), fleet.counts
@@ -217,46 +183,48 @@ def _show(fleet: "Fleet", n_finished: int, out: str) -> None:
     ]
     title = f"batch {fleet.name}: {len(fleet.stages)} stages"
     console.print(table(title, ("stages", "state", "meaning"), rows, left=3))
-    if n_finished:
-        console.print(f"{n_finished} were finished before and were not done again")
+    if n_earlier:
+        console.print(f"{n_earlier} were finished before and were not done again")
     if n_uncontrolled := fleet.without_controller:
         console.print(
             f"{n_uncontrolled} passed without a controller: their reports say what is missing"
         )
-    for stage in islice((stage for stage in fleet.stages if stage.reason), MOST_REASONS):
+    for stage in islice((stage for stage in fleet.stages if stage.reason), MAX_REASONS):
         console.print(plain(f"{stage.name}: {stage.state}: {stage.reason}", style="dim"))
-    beyond = len(fleet.stages) - fleet.counts.get(PASSED, 0) - MOST_REASONS
-    if beyond > 0:
-        console.print(f"and {beyond} more, with their reasons in parameters.parquet")
-    console.print(plain(f"summary: {_in(out, 'summary.html')}, {_in(out, 'parameters.parquet')}"))
-
-
-def _in(out: str, name: str) -> str:
-    return f"{out.rstrip('/')}/{name}" if "://" in out else str(Path(out) / name)
+    n_omitted = len(fleet.stages) - count.get(PASSED, 0) - MAX_REASONS
+    if n_omitted > 0:
+        console.print(f"and {n_omitted} more, with their reasons in parameters.parquet")
+    paths = [f"{out.rstrip('/')}/{name}" for name in SUMMARY[:2]]
+    console.print(plain(f"summary: {', '.join(paths)}"))
 
 
 def write_table(fleet: "Fleet", stream: BinaryIO) -> None:
-    """Write the table; a stage that was refused is a row without an axis."""
+    """Write a row for each axis as Parquet; a stage that was refused is a row without an axis."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     from piezoid_reports.fleet.quantities import QUANTITIES
 
-    named = _parameter_names(fleet)
-    columns = [
-        *(pa.field(name, pa.string()) for name in ("stage", "state", "reason", "axis")),
-        pa.field("serial", pa.int64()),
-        pa.field("applies", pa.bool_()),
-        *(pa.field(quantity.name, pa.float64()) for quantity in QUANTITIES),
-        *(pa.field(name, pa.float64()) for name, of in named.items() if of is float),
-        *(pa.field(name, pa.list_(pa.float64())) for name, of in named.items() if of is list),
-        pa.field("model_digest", pa.string()),
-    ]
-    schema = pa.schema(columns)
+    types = {float: pa.float64(), list: pa.list_(pa.float64())}
+    parameters: dict[str, type] = {}
+    for stage in fleet.stages:
+        for axis in stage.axes:
+            if not axis.parameters.keys() <= parameters.keys():
+                parameters |= {n: type(v) for n, v in axis.parameters.items()}
+    schema = pa.schema(
+        [
+            *((name, pa.string()) for name in ("stage", "state", "reason", "axis")),
+            ("serial", pa.int64()),
+            ("applies", pa.bool_()),
+            *((quantity.name, pa.float64()) for quantity in QUANTITIES),
+            *((n, types[kind]) for kind in types for n, k in parameters.items() if k is kind),
+            ("model_digest", pa.string()),
+        ]
+    )
     with pq.ParquetWriter(stream, schema, compression="zstd") as table:
         stages = iter(fleet.stages)
-        while part := list(islice(stages, TOGETHER)):
-            rows = [row for stage in part for row in _rows(stage)]
+        while group := list(islice(stages, ROW_GROUP)):
+            rows = [row for stage in group for row in _rows(stage)]
             table.write_table(pa.Table.from_pylist(rows, schema=schema))
 
 
@@ -269,22 +237,6 @@ def _rows(stage: "FleetStage") -> list[dict[str, Any]]:
         "model_digest": stage.outputs.get("model.json"),
     }
     return [
-        {
-            **about,
-            "axis": axis.axis,
-            "applies": axis.applies,
-            **axis.values,
-            **axis.parameters,
-        }
-        for axis in stage.axes
+        {**about, "axis": a.axis, "applies": a.applies, **a.values, **a.parameters}
+        for a in stage.axes
     ] or [about]
-
-
-def _parameter_names(fleet: "Fleet") -> dict[str, type]:
-    """Return the kind of every parameter, in the order in which they are first seen."""
-    kinds: dict[str, type] = {}
-    for stage in fleet.stages:
-        for axis in stage.axes:
-            if not axis.parameters.keys() <= kinds.keys():
-                kinds |= {n: type(v) for n, v in axis.parameters.items() if n not in kinds}
-    return kinds

@@ -10,9 +10,9 @@ import pytest
 from distributed import Client, LocalCluster
 
 from piezoid.digests import digest_of_bytes, unseal
-from piezoid_cli.batch import done_by, write_summary
-from piezoid_cli.batch_cluster import bundle_size, stages_of
-from piezoid_cli.stage_task import SPELL_s, StageTask, work_off
+from piezoid_cli.batch import calibrate_stages, write_summary
+from piezoid_cli.batch_cluster import find_stages
+from piezoid_cli.batch_stage import StageTask, run_task
 from piezoid_reports.fleet.records import (
     CRASHED,
     PASSED,
@@ -22,7 +22,7 @@ from piezoid_reports.fleet.records import (
     StagesOnDisk,
 )
 
-COUNT, MANY = 9, 40
+COUNT = 9
 BAD = "unit-4"
 
 
@@ -40,23 +40,12 @@ def client() -> Iterator[Client]:
 
 @pytest.fixture
 def night(tmp_path: Path) -> Path:
-    return written(tmp_path / "night", COUNT)
-
-
-@pytest.fixture
-def long_night(tmp_path: Path) -> Path:
-    """So many stages that two workers are given several of them at once."""
-    assert bundle_size(MANY, 2) > 1
-    return written(tmp_path / "night", MANY)
-
-
-def written(folder: Path, count: int) -> Path:
-    for number in range(count):
-        place = folder / f"unit-{number}"
-        place.mkdir(parents=True)
-        (place / "lab.toml").write_text(f"# {number}\n")
-        (place / "sweep.csv").write_text("1,2\n")
-    return folder
+    for number in range(COUNT):
+        folder = tmp_path / "night" / f"unit-{number}"
+        folder.mkdir(parents=True)
+        (folder / "lab.toml").write_text(f"# {number}\n")
+        (folder / "sweep.csv").write_text("1,2\n")
+    return tmp_path / "night"
 
 
 @pytest.fixture(params=["folder", "memory"])
@@ -76,24 +65,19 @@ def named(
 
 
 def run(
-    client: Client,
-    tasks: Sequence[StageTask],
-    work: Callable[..., object],
-    *,
-    force: bool = False,
-    spell_s: float = SPELL_s,
+    client: Client, tasks: Sequence[StageTask], work: Callable[..., object]
 ) -> tuple[int, dict[str, str]]:
-    """Return how many were finished before, and how every stage ended."""
+    """Return how many stages were finished before, and how every stage ended."""
     with StagesOnDisk() as stages:
-        doing = partial(work_off, run=work, spell_s=spell_s)  # type: ignore[arg-type]
-        before = done_by(client, tasks, stages, 1, force=force, work=doing)
-        return before, {stage.name: stage.state for stage in stages}
+        doing = partial(run_task, calibrate=work)  # type: ignore[arg-type]
+        earlier = calibrate_stages(client, tasks, stages, 1, work=doing)
+        return earlier, {stage.name: stage.state for stage in stages}
 
 
 def test_workers_write_every_stage_and_a_second_start_does_what_lost_its_record(
     client: Client, night: Path, results: str, tmp_path: Path
 ) -> None:
-    tasks, log = stages_of(night, results), tmp_path / "log"
+    tasks, log = find_stages(night, results), tmp_path / "log"
     work = partial(named, log=log)
     assert run(client, tasks, work) == (0, {f"unit-{k}": PASSED for k in range(COUNT)})
     files, root = fsspec.core.url_to_fs(results)
@@ -113,7 +97,7 @@ def test_workers_write_every_stage_and_a_second_start_does_what_lost_its_record(
 def test_what_would_be_replaced_is_refused_before_anything_is_done(
     client: Client, night: Path, results: str, tmp_path: Path
 ) -> None:
-    tasks, log = stages_of(night, results), tmp_path / "log"
+    tasks, log = find_stages(night, results), tmp_path / "log"
     work = partial(named, log=log)
     run(client, tasks, work)
     (night / BAD / "sweep.csv").write_text("1,3\n")
@@ -121,39 +105,29 @@ def test_what_would_be_replaced_is_refused_before_anything_is_done(
     with pytest.raises(Exception, match=f"1 stages were done from other files.*{BAD}"):
         run(client, tasks, work)
     assert not log.read_text()
-    assert run(client, tasks, work, force=True)[0] == COUNT - 1
+    forced = find_stages(night, results, force=True)
+    assert run(client, forced, work)[0] == COUNT - 1
     assert log.read_text() == f"{BAD}\n"
 
 
-def test_of_stages_given_together_only_the_one_that_fails_again_breaks_off(
-    client: Client, long_night: Path, results: str
+def test_only_the_stage_that_fails_again_breaks_off(
+    client: Client, night: Path, results: str
 ) -> None:
     def failing(task: StageTask, inputs: Mapping[str, str]) -> object:
-        if task == third:
+        if task.name == BAD:
             raise OSError("the disk is away")
         return named(task, inputs)
 
-    tasks = stages_of(long_night, results)
-    third = tasks[2]  # of the first bundle
-    _, ended = run(client, tasks, failing)
-    assert ended.pop(third.name) == CRASHED
+    _, ended = run(client, find_stages(night, results), failing)
+    assert ended.pop(BAD) == CRASHED
     assert set(ended.values()) == {PASSED}
-    assert len(ended) == MANY - 1
-
-
-def test_what_takes_long_is_handed_back_and_done_all_the_same(
-    client: Client, long_night: Path, results: str
-) -> None:
-    tasks = stages_of(long_night, results)
-    _, ended = run(client, tasks, named, spell_s=-1.0)
-    assert len(ended) == MANY
-    assert len(work_off(tasks[:3], named, spell_s=-1.0)) == 1
+    assert len(ended) == COUNT - 1
 
 
 def test_a_worker_that_does_not_see_the_results_says_so(tmp_path: Path, night: Path) -> None:
-    (task, *_) = stages_of(night, str(tmp_path / "elsewhere"))
+    (task, *_) = find_stages(night, str(tmp_path / "elsewhere"))
     with pytest.raises(OSError, match=r"does not see .*elsewhere.*s3://"):
-        work_off([task], named)
+        run_task(task, named)
 
 
 def test_the_summary_is_the_same_bytes_in_whatever_order_stages_end(
@@ -163,7 +137,7 @@ def test_the_summary_is_the_same_bytes_in_whatever_order_stages_end(
     made = []
     for order in (1, -1):
         with StagesOnDisk() as stages:
-            for task in stages_of(night, results)[::order]:
+            for task in find_stages(night, results)[::order]:
                 stage, _ = named(task, {})
                 stages.add(stage.name, stage.packed())
             write_summary(results, Fleet(name="night", stages=stages))

@@ -15,7 +15,7 @@ import pytest
 
 from piezoid.errors import TemplateError
 from piezoid.numerics.arrays import Array
-from piezoid_cli.batch_cluster import workers as batch_workers
+from piezoid_cli.batch_cluster import cluster_client
 from piezoid_cli.workers import map_jobs, worker_pool
 
 HERE = os.getpid()
@@ -167,7 +167,7 @@ def _blocked_signals(*_: object) -> set[int]:
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no masks of signals here")
 def test_ctrl_c_in_a_terminal_does_not_reach_the_workers_of_a_batch() -> None:
-    with batch_workers("", 1) as client:
+    with cluster_client("", 1) as client:
         assert signal.SIGINT not in _blocked_signals()
         (blocked,) = client.run(_blocked_signals).values()
     assert signal.SIGINT in blocked

@@ -12,7 +12,7 @@ import piezoid
 from piezoid.identification.parameters import parameters_of
 from piezoid.identification.store import read_model
 from piezoid.raw_counts import in_counts
-from piezoid_cli.stage_task import StageTask, run_stage
+from piezoid_cli.batch_stage import StageTask, calibrate_stage
 from tests.journeys.test_strangers import piezoid as run
 from tests.laws import RATE_Hz, swept_um
 
@@ -87,7 +87,7 @@ def test_counts_and_metres_of_one_stage_give_the_same_model(tmp_path: Path) -> N
     lab.write_text("")
     (lab.parent / "sweep.csv").write_bytes(sweep.read_bytes())
     task = StageTask(name="a", folder=str(lab.parent), results=str(tmp_path), version="")
-    stage, files = run_stage(task, {"sweep.csv": "", "lab.toml": ""})
+    stage, files = calibrate_stage(task, {"sweep.csv": "", "lab.toml": ""})
     raw = read_model(files["model.json"])["x"]
     # Stages are compared in units: what is in counts is left out there.
     assert {"lag_s", "held_out_rms_percent"} <= set(stage.axes[0].values)

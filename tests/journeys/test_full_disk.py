@@ -14,7 +14,7 @@ import piezoid_cli
 from piezoid.identification.store import write_model
 from piezoid.manifest import MANIFEST
 from piezoid.output_folder import write_folder
-from piezoid_cli.results_place import results_place
+from piezoid_cli.result_store import result_store
 from tests.reports.known_stage import axis_model, stage_model
 
 ROWS = "".join(f"{k / 100},{k % 9},{2 * (k % 9)}\n" for k in range(60))
@@ -104,15 +104,15 @@ def test_a_verb_that_may_not_write_says_so_once_and_before_the_work(
 
 
 def test_a_batch_whose_disk_is_full_keeps_no_half_of_a_stage(place: Path) -> None:
-    results = results_place(str(place / "results"))
-    results.begin()
+    results = result_store(str(place / "results"))
+    results.create()
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
     try:
         with pytest.raises(OSError, match="too large"):
-            results.write("unit", {"batch.json": b"{}", "model.json": bytes(2000)})
+            results.write_stage("unit", {"batch.json": b"{}", "model.json": bytes(2000)})
         with pytest.raises(OSError, match="too large"):
-            results.put("parameters.parquet", lambda stream: stream.write(bytes(2000)))
+            results.write_file("parameters.parquet", lambda stream: stream.write(bytes(2000)))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert {Path(name).name for name in held(place / "results")} == {MANIFEST}

@@ -1,13 +1,11 @@
-"""One stage of a batch, as it is done on any worker: names in, files written, a record back."""
+"""One stage of a batch: its files, its earlier result and its calibration, on any worker."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from time import monotonic
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from piezoid.errors import OutputFolderError
-from piezoid_cli.results_place import RECORD, results_place
+from piezoid_cli.result_store import RECORD, result_store
 from piezoid_reports.fleet.records import (
     CRASHED,
     FAILED,
@@ -24,15 +22,14 @@ if TYPE_CHECKING:
 
 LAB = "lab.toml"
 NO_RECORDING = {".toml", ".md", ".json", ".html"}
-SPELL_s = 20.0  # after which a worker hands back what it has not begun, so that others help
 
 
 @dataclass(frozen=True, kw_only=True)
 class StageTask:
-    """What a worker is told.
+    """A stage to calibrate.
 
     name     of the stage
-    folder   where its files lie, as every worker sees it
+    folder   of its files, as every worker sees it
     results  folder or URL of the results, as every worker sees it
     version  of piezoid
     force    replace results of this stage although they were edited
@@ -45,66 +42,35 @@ class StageTask:
     force: bool = False
 
 
-class Outcome(NamedTuple):
-    """What the client is told: whose it is, and the packed record; the files are written."""
-
-    name: str
-    packed: bytes
+Calibrate = Callable[[StageTask, Mapping[str, str]], tuple[FleetStage, Mapping[str, bytes]]]
 
 
-class Known(NamedTuple):
-    """What is kept of a stage before anything is done.
+def earlier_result(task: StageTask) -> tuple[FleetStage | None, bool]:
+    """Return the record of an earlier run, and whether it is of the present files and version.
 
-    packed   the record, where it is of the same inputs and version; None: the stage is to be done
-    changed  whether results of other inputs or of another version would be replaced
-    refusal  why its results may not be written
+    Raises ``OutputFolderError`` if the stage must be done and its results may not be written.
     """
-
-    name: str
-    packed: bytes | None
-    changed: bool
-    refusal: OutputFolderError | None = None
-
-
-def known_of(tasks: Sequence[StageTask]) -> list[Known]:
-    """Compare what is kept of stages with the files they would be made from."""
-    results = []
-    for task in tasks:
-        record, refusal = _record_of(task), None
-        if record is not None and _is_of(record, task, inputs_of(task)):
-            results.append(Known(task.name, record.packed(), False))
-            continue
-        try:
-            results_place(task.results, force=task.force).check_stage(task.name)
-        except OutputFolderError as error:
-            refusal = error
-        results.append(Known(task.name, None, record is not None, refusal))
-    return results
+    record = _read_record(task)
+    is_current = record is not None and _is_current(record, task, inputs_of(task))
+    if not is_current:
+        result_store(task.results, force=task.force).check_stage(task.name)
+    return record, is_current
 
 
-def work_off(
-    tasks: Sequence[StageTask], run: "Run | None" = None, *, spell_s: float = SPELL_s
-) -> list[Outcome]:
-    """Do stages one after the other, those that are done already left as they are.
+def run_task(task: StageTask, calibrate: Calibrate | None = None) -> bytes:
+    """Calibrate a stage, write its files, and return its packed record.
 
-    run      what is done of one; ``run_stage`` if not given
-    spell_s  after so long, what is not begun is left to others
+    calibrate  default: ``calibrate_stage``, whose errors are raised
 
-    Returns the outcomes of the first, and of the second and so on while less than ``spell_s`` have
-    passed. Raises what ``run_stage`` raises.
+    A stage that another worker has finished meanwhile is not calibrated again.
     """
-    start_s, outcomes = monotonic(), list[Outcome]()
-    for task in tasks:
-        store, inputs = results_place(task.results, force=task.force), inputs_of(task)
-        store.check_seen()
-        stage = _record_of(task)
-        if stage is None or not _is_of(stage, task, inputs):
-            stage, files = (run or run_stage)(task, inputs)
-            store.write(task.name, {**files, RECORD: stage.to_json()})
-        outcomes.append(Outcome(task.name, stage.packed()))
-        if monotonic() - start_s > spell_s:
-            break
-    return outcomes
+    store, inputs = result_store(task.results, force=task.force), inputs_of(task)
+    store.check_visible()
+    record = _read_record(task)
+    if record is None or not _is_current(record, task, inputs):
+        record, files = (calibrate or calibrate_stage)(task, inputs)
+        store.write_stage(task.name, {**files, RECORD: record.to_json()})
+    return record.packed()
 
 
 def inputs_of(task: StageTask) -> dict[str, str]:
@@ -132,29 +98,29 @@ def _recordings(folder: Path) -> Sequence[str]:
     )
 
 
-def _record_of(task: StageTask) -> FleetStage | None:
+def _read_record(task: StageTask) -> FleetStage | None:
     """Return the record of a stage; None without a usable one, or if its work broke off."""
     from piezoid.errors import PiezoidError
 
     try:
-        content = results_place(task.results).record_of(task.name)
+        content = result_store(task.results).read_record(task.name)
         stage = stage_from_json(content, f"{task.name}/{RECORD}")
     except (OSError, PiezoidError):
         return None
     return None if stage.state == CRASHED else stage
 
 
-def _is_of(stage: FleetStage, task: StageTask, inputs: Mapping[str, str]) -> bool:
-    return dict(stage.inputs) == dict(inputs) and stage.version == task.version
+def _is_current(record: FleetStage, task: StageTask, inputs: Mapping[str, str]) -> bool:
+    return dict(record.inputs) == dict(inputs) and record.version == task.version
 
 
-def run_stage(
+def calibrate_stage(
     task: StageTask, inputs: Mapping[str, str]
 ) -> tuple[FleetStage, Mapping[str, bytes]]:
     """Calibrate one stage; data that cannot be used is an outcome, and so is an internal error.
 
-    Returns the record, and the files of the stage's folder. Raises only what may be gone the next
-    time: a file that cannot be read, memory that is full.
+    Returns the record, and the files of the stage's folder. Raises only errors that may be gone at
+    the next try: a file that cannot be read, memory that is full.
     """
     from piezoid.errors import PiezoidError
     from piezoid_cli.calibration import calibrate
@@ -173,13 +139,10 @@ def run_stage(
         return broken(task, CRASHED, reason, inputs), {}
 
 
-Run = Callable[[StageTask, Mapping[str, str]], tuple[FleetStage, Mapping[str, bytes]]]
-
-
 def broken(
     task: StageTask, state: str, reason: str, inputs: Mapping[str, str] | None = None
 ) -> FleetStage:
-    """Return the record of a stage of which there are no results."""
+    """Return the record of a stage without results."""
     return FleetStage(
         name=task.name, state=state, reason=reason, version=task.version, inputs=inputs or {}
     )
