@@ -20,8 +20,8 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.columns import Assignment, assign_columns
 from piezoid.records.ingest import ingest_table, parts_of
 from piezoid.records.lab import Lab, RecordingEntry
-from piezoid.records.readers import READERS
-from piezoid.records.readers.source import Source, open_source, unreadable
+from piezoid.records.readers import read_table_in_chunks
+from piezoid.records.readers.source import Source, open_source
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid.records.table import RawTable
 from piezoid.records.thinning import MAX_ROWS, ThinnedRows, Thinning
@@ -79,7 +79,7 @@ def _read_one(
     join = _Join(source=source, lab=lab, entry=entry)
     thinnings: dict[str, Thinning] = {}
     pieces = 0
-    for stretch in join.stretches(_tables(source, chunk_rows)):
+    for stretch in join.stretches(read_table_in_chunks(source, max(chunk_rows, _MIN_CHUNK_ROWS))):
         pieces += stretch.begins
         _refuse_many_pieces(source, pieces)
         for axis in _driven_axes(stretch.channels):
@@ -145,28 +145,6 @@ def _driven_axes(channels: dict[tuple[Quantity, str], Array]) -> list[str]:
         for quantity, axis in channels
         if quantity is Quantity.VOLTAGE and (Quantity.DISPLACEMENT, axis) in channels
     ]
-
-
-def _tables(source: Source, chunk_rows: int) -> Iterator[RawTable]:
-    """Read the chunks of a file, or refuse a format that is only read whole."""
-    reader = next((reader for reader in READERS if reader.recognises(source)), None)
-    if reader is None or reader.read_chunks is None:
-        formats = ", ".join(r.name for r in READERS if r.read_chunks is not None)
-        raise unreadable(
-            source.name,
-            f"it is {'of no known format' if reader is None else reader.name}",
-            needed=f"one of {formats}, to be read in chunks",
-            remedy="Export the recording in one of these formats, or cut it into files that fit "
-            "into memory.",
-        )
-    if source.packed and not reader.reads_gzip:
-        raise unreadable(
-            source.name,
-            f"it is {reader.name} packed by gzip, which can only be read from front to back",
-            needed="the file itself, to be read in chunks",
-            remedy="Unpack it with gunzip; or read it whole where it fits into memory.",
-        )
-    return reader.read_chunks(source, max(chunk_rows, _MIN_CHUNK_ROWS))
 
 
 def _refuse_many_pieces(source: Source, pieces: int) -> None:

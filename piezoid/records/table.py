@@ -71,12 +71,12 @@ class Column:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RawTable:
-    """A file's one table.
+    """A file's one table; ``read_table`` adds name, digest and format to what a reader returns.
 
+    columns           all of the same length
     name              the file's name without its folder
     digest            of the file's bytes
     format            a name for people: ``Nanonis``, ``text table``, ...
-    columns           all of the same length
     sampling_rate_Hz  where the format states a clock instead of a time column
     sampling_start_s  the time of the first row on that clock
     independent       label of the column everything else is a function of, for formats that sweep
@@ -86,13 +86,13 @@ class RawTable:
     first_row         rows of the file in front of these, where the table is a part of it
     is_reversed       whether the rows stand the other way round than in the file
     metadata          what the file says beside its table
-    statements          what the reader met
+    statements        what the reader met
     """
 
-    name: str
-    digest: str
-    format: str
     columns: tuple[Column, ...]
+    name: str = ""
+    digest: str = ""
+    format: str = ""
     sampling_rate_Hz: float | None = None
     sampling_start_s: float = 0.0
     independent: str = ""

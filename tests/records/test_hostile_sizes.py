@@ -13,7 +13,7 @@ import pytest
 from piezoid.errors import PiezoidError, UnreadableFileError
 from piezoid.records.inspection import inspect_file
 from piezoid.records.readers import read_table, source
-from piezoid.records.readers.optional_readers import reading
+from piezoid.records.readers.reader import reading
 from piezoid.records.readers.source import open_source, text_of
 from tests.records.tables import said
 

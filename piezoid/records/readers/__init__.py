@@ -3,6 +3,7 @@
 A new format is one file here and one line in `READERS`.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,8 +25,8 @@ from piezoid.records.readers import (
     tektronix,
     text_table,
 )
-from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import TextFormat, open_source, unreadable
+from piezoid.records.readers.reader import Reader, reading
+from piezoid.records.readers.source import Source, TextFormat, open_source, unreadable
 from piezoid.records.table import RawTable
 from piezoid.records.units import Dimension
 
@@ -61,29 +62,60 @@ def read_table(path: Path, text: TextFormat | None = None) -> RawTable:
     ``LabFileError`` where something is said of the writing of a file that is no text.
     """
     source = replace(open_source(path), text=text or TextFormat())
-    for reader in READERS:
-        if reader.recognises(source):
-            if source.text.keys and not reader.is_written:
-                raise LabFileError(
-                    f"lab.toml: {', '.join(source.text.keys)} of {source.name} is declared, which "
-                    f"is {reader.name}",
-                    needed="a text table: every other format says itself how it is written",
-                    remedy="Leave it out.",
-                )
-            return _with_swept_height(reader.read(source))
-    raise unreadable(
-        source.name,
-        f"no known format starts with the bytes {source.head[:8].hex(' ')}",
-        needed=f"one of {', '.join(reader.name for reader in READERS)}",
-        remedy="Export the recording as CSV.",
-    )
+    reader = next((reader for reader in READERS if reader.recognises(source)), None)
+    if reader is None:
+        raise unreadable(
+            source.name,
+            f"no known format starts with the bytes {source.head[:8].hex(' ')}",
+            needed=f"one of {', '.join(reader.name for reader in READERS)}",
+            remedy="Export the recording as CSV.",
+        )
+    if source.text.keys and not reader.is_written:
+        raise LabFileError(
+            f"lab.toml: {', '.join(source.text.keys)} of {source.name} is declared, which is "
+            f"{reader.name}",
+            needed="a text table: every other format says itself how it is written",
+            remedy="Leave it out.",
+        )
+    if reader.library:
+        with reading(source, reader.name, reader.extra):
+            table = reader.read(source)
+    else:
+        table = reader.read(source)
+    table = _of_file(table, source, reader)
+    is_swept = not table.independent and is_approach_curve(table)
+    return replace(table, independent=table.columns[0].label) if is_swept else table
 
 
-def _with_swept_height(table: RawTable) -> RawTable:
-    """Name the height as what an approach curve is a function of."""
-    if table.independent or not is_approach_curve(table):
-        return table
-    return replace(table, independent=table.columns[0].label)
+def read_table_in_chunks(source: Source, rows: int) -> Iterator[RawTable]:
+    """Yield the chunks of a file, or refuse a format that is only read whole.
+
+    rows  of a chunk, about
+    """
+    reader = next((reader for reader in READERS if reader.recognises(source)), None)
+    if reader is None or reader.read_chunks is None:
+        formats = ", ".join(r.name for r in READERS if r.read_chunks is not None)
+        raise unreadable(
+            source.name,
+            f"it is {'of no known format' if reader is None else reader.name}",
+            needed=f"one of {formats}, to be read in chunks",
+            remedy="Export the recording in one of these formats, or cut it into files that fit "
+            "into memory.",
+        )
+    if source.packed and not reader.reads_gzip:
+        raise unreadable(
+            source.name,
+            f"it is {reader.name} packed by gzip, which can only be read from front to back",
+            needed="the file itself, to be read in chunks",
+            remedy="Unpack it with gunzip; or read it whole where it fits into memory.",
+        )
+    with reading(source, reader.name, reader.extra):
+        for table in reader.read_chunks(source, rows):
+            yield _of_file(table, source, reader)
+
+
+def _of_file(table: RawTable, source: Source, reader: Reader) -> RawTable:
+    return replace(table, name=source.name, digest=source.digest, format=reader.name)
 
 
 def is_approach_curve(table: RawTable) -> bool:

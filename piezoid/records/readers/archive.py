@@ -4,11 +4,10 @@ import re
 import zipfile
 
 from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, unreadable
+from piezoid.records.readers.source import Source, check_growth, unreadable
 from piezoid.records.table import RawTable
 
 ZIP = b"PK\x03\x04"
-_OLE = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
 _EXPORT = "Export the recording as CSV."
 _AFM = (
     "Export it as text from the microscope's program, the drive in volts beside the measured "
@@ -23,6 +22,8 @@ _OTHER_FORMATS: tuple[tuple[re.Pattern[bytes], str, str, str], ...] = (
      "it is a page of HTML or XML, whatever its suffix", _EXPORT),
     (re.compile(rb"%PDF-"), "", "it is a PDF", "Ask for the numbers behind the plot."),
     (re.compile(rb"\{\\rtf"), "", "it is a text with formats (RTF)", "Save it as plain text."),
+    (re.compile(rb"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"), "", "it is a workbook of Excel 97 (.xls), "
+     "or another container of that age", "Save it as .xlsx or CSV."),
     (re.compile(rb"SQLite format 3\x00"), "", "it is an SQLite data base", _EXPORT),
     (re.compile(rb"\x01\xb0\x93\xff"), "", "it is an image or curve of NT-MDT", _AFM),
     (re.compile(rb".", re.DOTALL), ".wfm", "it is a waveform as an oscilloscope stores it",
@@ -42,9 +43,15 @@ def members(source: Source) -> tuple[str, ...]:
         return (source.head[30 : 30 + length].decode("utf-8", "replace"),)
 
 
+def check_unpacked_size(source: Source) -> None:
+    """Refuse a zip archive whose parts grow beyond any measurement, by the sizes it declares."""
+    with source.open() as stream, zipfile.ZipFile(stream) as archive:
+        check_growth(source, sum(item.file_size for item in archive.infolist()))
+
+
 def recognises(source: Source) -> bool:
     """Take zip archives that no other reader has taken, and whatever else is known by sight."""
-    return source.head.startswith((ZIP, _OLE)) or _other_format(source) is not None
+    return source.head.startswith(ZIP) or _other_format(source) is not None
 
 
 def _other_format(source: Source) -> tuple[str, str] | None:
@@ -57,27 +64,13 @@ def _other_format(source: Source) -> tuple[str, str] | None:
 
 def read(source: Source) -> RawTable:
     """Refuse with the name of what it is."""
-    other = _other_format(source)
-    if other is not None:
-        kind, remedy = other
-        raise unreadable(
-            source.name, kind, needed="a table with a row for each sample", remedy=remedy
-        )
-    if source.head.startswith(_OLE):
-        raise unreadable(
-            source.name,
-            "it is a workbook of Excel 97 (.xls), or another container of that age",
-            needed="an .xlsx workbook or a text table",
-            remedy="Save it as .xlsx or CSV.",
-        )
     names = members(source)
     shown = ", ".join(map(repr, names[:_MAX_NAMES])) + (", ..." if len(names) > _MAX_NAMES else "")
-    raise unreadable(
-        source.name,
+    kind, remedy = _other_format(source) or (
         f"it is a zip archive that holds {shown or 'nothing'}",
-        needed="the recording itself",
-        remedy="Unpack it and name the files inside. " + _EXPORT,
+        f"Unpack it and name the files inside. {_EXPORT}",
     )
+    raise unreadable(source.name, kind, needed="a table with a row for each sample", remedy=remedy)
 
 
 READER = Reader(name="zip archive", suffixes=(".zip",), recognises=recognises, read=read)

@@ -6,14 +6,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from piezoid.errors import UnreadableFileError
-from piezoid.records.readers.archive import members
-from piezoid.records.readers.optional_readers import reading
+from piezoid.records.readers.archive import check_unpacked_size, members
 from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, check_growth, unreadable
+from piezoid.records.readers.source import Source, unreadable
 from piezoid.records.readers.text_layout import HEAD_LINES, find_table
 from piezoid.records.readers.text_table import read_text
 from piezoid.records.table import RawTable
-from piezoid.statement import Statement, finding
+from piezoid.statement import finding
 
 _LOOKED_AT = 100  # rows in which a formula is looked for
 
@@ -29,35 +28,9 @@ def recognises(source: Source) -> bool:
 
 def read(source: Source) -> RawTable:
     """Read the first sheet that holds rows of numbers, and name the others that do."""
-    with reading(source, "Excel"):
-        import openpyxl  # noqa: F401 -- pandas reads with it, and says less where it is missing
-        import pandas as pd
+    import openpyxl  # noqa: F401 -- pandas reads with it, and says less where it is missing
+    import pandas as pd
 
-        _refuse_damaged(source)
-        with source.open() as stream:
-            with zipfile.ZipFile(stream) as archive:
-                check_growth(source, sum(item.file_size for item in archive.infolist()))
-            stream.seek(0)
-            sheets = pd.read_excel(
-                stream, sheet_name=None, header=None, dtype=object, engine="openpyxl"
-            )
-    texts = {str(name): _text(frame) for name, frame in sheets.items() if frame.size}
-    if not texts:
-        raise unreadable(
-            source.name,
-            f"its {len(sheets)} sheets are empty",
-            needed="a sheet with headings and rows of numbers",
-            remedy="Save the workbook again, or export the recording as CSV.",
-        )
-    held = [name for name, text in texts.items() if _has_rows(source, text)]
-    sheet = held[0] if held else next(iter(texts))
-    with reading(source, "Excel"):
-        _refuse_formulas(source, sheet, sheets[sheet])
-    table = read_text(source, texts[sheet], "Excel")
-    return replace(table, statements=(*_unread(held), *table.statements))
-
-
-def _refuse_damaged(source: Source) -> None:
     with source.open() as stream:
         if not zipfile.is_zipfile(stream):
             raise unreadable(
@@ -66,11 +39,33 @@ def _refuse_damaged(source: Source) -> None:
                 needed="a whole workbook",
                 remedy="Copy the file again from where it was written, or export it as CSV.",
             )
+        check_unpacked_size(source)
+        sheets = pd.read_excel(
+            stream, sheet_name=None, header=None, dtype=object, engine="openpyxl"
+        )
+    texts = {str(name): _text(frame) for name, frame in sheets.items() if frame.size}
+    if not texts:
+        raise unreadable(
+            source.name,
+            f"its {len(sheets)} sheets are empty",
+            needed="a sheet with headings and rows of numbers",
+            remedy="Save the workbook again, or export the recording as CSV.",
+        )
+    with_rows = [name for name, text in texts.items() if _has_rows(source, text)]
+    sheet = next(iter(with_rows or texts))
+    _refuse_formulas(source, sheet, sheets[sheet])
+    table = read_text(source, texts[sheet])
+    if len(with_rows) < 2:
+        return table
+    names = ", ".join(map(repr, with_rows[1:]))
+    text = f"sheet {sheet!r} is read; {names} hold rows of numbers as well and are not read"
+    statement = finding(quantity="other_sheets", place=f"sheet {sheet!r}", text=text)
+    return replace(table, statements=(statement, *table.statements))
 
 
 def _refuse_formulas(source: Source, sheet: str, frame: "DataFrame") -> None:
     """Refuse a column of formulas that a program wrote and nobody computed: it reads as empty."""
-    empty = [k for k, held in enumerate(frame.notna().sum()) if held <= 1]
+    empty = [k for k, count in enumerate(frame.notna().sum()) if count <= 1]
     if not empty:
         return
     import openpyxl
@@ -89,14 +84,6 @@ def _refuse_formulas(source: Source, sheet: str, frame: "DataFrame") -> None:
             needed="numbers in the cells",
             remedy="Open the workbook in Excel or LibreOffice, save it, and read it again.",
         )
-
-
-def _unread(held: list[str]) -> tuple[Statement, ...]:
-    if len(held) < 2:
-        return ()
-    names = ", ".join(map(repr, held[1:]))
-    text = f"sheet {held[0]!r} is read; {names} hold rows of numbers as well and are not read"
-    return (finding(quantity="other_sheets", place=f"sheet {held[0]!r}", text=text),)
 
 
 def _has_rows(source: Source, text: str) -> bool:
@@ -129,6 +116,7 @@ READER = Reader(
     suffixes=(".xlsx",),
     recognises=recognises,
     read=read,
-    is_written=True,
+    library=True,
     extra="io",
+    is_written=True,
 )

@@ -5,12 +5,11 @@ first kind name their neighbours; the library follows these names without counti
 code that nothing interrupts, and never returns from a damaged file whose node names itself.
 """
 
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any, BinaryIO
 
-from piezoid.records.readers.optional_readers import chunk_tables, reading, table_of
-from piezoid.records.readers.reader import Arrays, Reader, overlapping_chunks
+from piezoid.records.readers.named_arrays import commonest_length, table_of, tables_of_pieces
+from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import MOST_COLUMNS, Source, check_growth
 from piezoid.records.table import RawTable
 
@@ -25,54 +24,39 @@ _PIECE = 1 << 20
 
 def read(source: Source) -> RawTable:
     """Read every numeric dataset; a name that two groups share has its group in front."""
-    with reading(source, "HDF5"):
-        check_datasets(source)
-        with source.open() as stream:
-            datasets = _named_datasets(stream)
-            arrays = {name: dataset[()] for name, dataset in datasets.items()}
-            units = {name: _unit_of(dataset) for name, dataset in datasets.items()}
-    return table_of(source, "HDF5", arrays, units=units)
+    with source.open() as stream:
+        datasets = checked_datasets(source, stream)
+        arrays = {name: dataset[()] for name, dataset in datasets.items()}
+        return table_of(source, arrays, units=_units_of(datasets))
 
 
 def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
     """Yield the numeric datasets of the commonest length, slice by slice."""
-    with reading(source, "HDF5"), source.open() as stream:
-        check_trees(stream)
-        datasets = _named_datasets(stream)
-        lengths = Counter(max(d.shape, default=0) for d in datasets.values() if d.size > 1)
-        length = max(sorted(lengths), key=lengths.__getitem__, default=0)
-        columns = {name: d for name, d in datasets.items() if d.shape[:1] == (length,)}
-        check_growth(source, 8 * sum(d.size for d in columns.values()), whole=False)
-        units = {name: _unit_of(dataset) for name, dataset in columns.items()}
-        chunks = overlapping_chunks(_slices(columns, length, rows), rows)
-        yield from chunk_tables(source, "HDF5", chunks, units=units)
-
-
-def _slices(columns: Mapping[str, Any], length: int, rows: int) -> Iterator[Arrays]:
-    for first in range(0, length, rows):
-        yield {name: dataset[first : first + rows] for name, dataset in columns.items()}
-
-
-def check_datasets(source: Source) -> None:
-    """Refuse a file without end, or too large for the memory, before any of it is read."""
     with source.open() as stream:
         check_trees(stream)
-        check_growth(source, 8 * sum(dataset.size for dataset in _datasets(stream).values()))
+        datasets = _named_datasets(stream)
+        length = commonest_length(max(d.shape, default=0) for d in datasets.values() if d.size > 1)
+        columns = {name: d for name, d in datasets.items() if d.shape[:1] == (length,)}
+        check_growth(source, 8 * sum(d.size for d in columns.values()), whole=False)
+        pieces = (
+            {name: dataset[first : first + rows] for name, dataset in columns.items()}
+            for first in range(0, length, rows)
+        )
+        yield from tables_of_pieces(source, pieces, rows, units=_units_of(columns))
+
+
+def checked_datasets(source: Source, stream: BinaryIO) -> dict[str, Any]:
+    """Return the datasets; refuse a file without end, or too large, before any of it is read."""
+    check_trees(stream)
+    datasets = _named_datasets(stream)
+    check_growth(source, 8 * sum(dataset.size for dataset in datasets.values()))
+    return datasets
 
 
 def _named_datasets(stream: object) -> dict[str, Any]:
-    datasets = _datasets(stream)
-    short = [path.rsplit("/", 1)[-1] for path in datasets]
-    return {
-        name if short.count(name) == 1 else path: dataset
-        for name, (path, dataset) in zip(short, datasets.items(), strict=True)
-    }
-
-
-def _datasets(stream: object) -> dict[str, Any]:
     import h5py
 
-    numeric: dict[str, Any] = {}
+    datasets: dict[str, Any] = {}
 
     def keep(path: str, item: Any) -> None:
         if path.count("/") > _MAX_DEPTH:
@@ -82,20 +66,25 @@ def _datasets(stream: object) -> dict[str, Any]:
         # No digest of this file would change with them, and a pipe among them never ends.
         if item.external or item.is_virtual:
             raise ValueError(f"the numbers of {path} lie in other files")
-        if len(numeric) == MOST_COLUMNS:
+        if len(datasets) == MOST_COLUMNS:
             raise ValueError(f"it holds more than {MOST_COLUMNS} datasets")
-        numeric[path] = item
+        datasets[path] = item
 
     h5py.File(stream, "r").visititems(keep)
-    return numeric
+    short = [path.rsplit("/", 1)[-1] for path in datasets]
+    return {
+        name if short.count(name) == 1 else path: dataset
+        for name, (path, dataset) in zip(short, datasets.items(), strict=True)
+    }
 
 
-def _unit_of(dataset: Any) -> str:
-    for key in _UNIT_ATTRIBUTES:
-        if key in dataset.attrs:
-            value = dataset.attrs[key]
-            return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
-    return ""
+def _units_of(datasets: Mapping[str, Any]) -> dict[str, str]:
+    units: dict[str, str] = {}
+    for name, dataset in datasets.items():
+        key = next((key for key in _UNIT_ATTRIBUTES if key in dataset.attrs), None)
+        unit = "" if key is None else dataset.attrs[key]
+        units[name] = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else str(unit)
+    return units
 
 
 def check_trees(stream: BinaryIO) -> None:
@@ -161,5 +150,6 @@ READER = Reader(
     recognises=lambda source: source.head.startswith(SIGNATURE),
     read=read,
     read_chunks=read_chunks,
+    library=True,
     extra="io",
 )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from piezoid.records.readers.optional_readers import reading, table_of
+from piezoid.records.readers.named_arrays import table_of
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, check_columns, unreadable
 from piezoid.records.table import RawTable, rate_of
@@ -28,37 +28,35 @@ def recognises(source: Source) -> bool:
 
 def read(source: Source) -> RawTable:
     """Read the columns of a wave, with its unit and its clock."""
-    with reading(source, "Igor", extra="afm"), source.open() as stream:
-        from igor2 import binarywave
+    from igor2 import binarywave
 
+    with source.open() as stream:
         wave = binarywave.load(stream)["wave"]
-        values = np.asarray(wave["wData"])
-        if values.ndim != 2 or values.dtype.kind not in "iuf":
-            raise unreadable(
-                source.name,
-                f"it is a wave {_text(wave['wave_header']['bname'])!r} of shape {values.shape}: "
-                "one quantity, an image or text",
-                needed="a wave of two dimensions: a row for each sample, and a column for each of "
-                "drive and displacement",
-                remedy="Put the waves of the recording side by side with Concatenate, or save "
-                "them together as delimited text.",
-            )
-        check_columns(source.name, values.shape[1])
-        names = _column_names(wave, values.shape[1])
-        unit = _text(wave["wave_header"]["dataUnits"])
-        rate_Hz = _rate_Hz(wave)
-    arrays = {name: values[:, k] for k, name in enumerate(names)}
-    return table_of(
-        source, "Igor", arrays, units=dict.fromkeys(arrays, unit), sampling_rate_Hz=rate_Hz
-    )
+    values = np.asarray(wave["wData"])
+    if values.ndim != 2 or values.dtype.kind not in "iuf":
+        raise unreadable(
+            source.name,
+            f"it is a wave {_text(wave['wave_header']['bname'])!r} of shape {values.shape}: one "
+            "quantity, an image or text",
+            needed="a wave of two dimensions: a row for each sample, and a column for each of "
+            "drive and displacement",
+            remedy="Put the waves of the recording side by side with Concatenate, or save them "
+            "together as delimited text.",
+        )
+    check_columns(source.name, values.shape[1])
+    arrays = dict(zip(_column_names(wave, values.shape[1]), values.T, strict=True))
+    units = dict.fromkeys(arrays, _text(wave["wave_header"]["dataUnits"]))
+    return table_of(source, arrays, units=units, sampling_rate_Hz=_rate_Hz(wave))
 
 
 def _column_names(wave: Any, count: int) -> list[str]:
     """Return the labels of the columns; the first of the dimension is that of all."""
     labels = [_text(label) for label in (wave["labels"][1] if wave["labels"] else [])]
-    own = labels[-count:] if len(labels) >= count else []
-    own = [label or f"column {k + 1}" for k, label in enumerate(own)]
-    return own if len(set(own)) == count else [f"column {k + 1}" for k in range(count)]
+    numbered = [f"column {k + 1}" for k in range(count)]
+    if len(labels) < count:
+        return numbered
+    names = [label or number for label, number in zip(labels[-count:], numbered, strict=True)]
+    return names if len(set(names)) == count else numbered
 
 
 def _rate_Hz(wave: Any) -> float | None:
@@ -71,16 +69,12 @@ def _rate_Hz(wave: Any) -> float | None:
     return None if noted is None else rate_of(1.0 / max(float(noted[1]), 1e-30))
 
 
-def _text(held: Any) -> str:
+def _text(field: Any) -> str:
     """Return a text of the file: Igor writes bytes, padded with zeros."""
-    content = held if isinstance(held, bytes) else np.asarray(held).tobytes()
+    content = field if isinstance(field, bytes) else np.asarray(field).tobytes()
     return content.split(b"\0", 1)[0].decode("utf-8", "replace").strip()
 
 
 READER = Reader(
-    name="Igor",
-    suffixes=(".ibw",),
-    recognises=recognises,
-    read=read,
-    extra="afm",
+    name="Igor", suffixes=(".ibw",), recognises=recognises, read=read, library=True, extra="afm"
 )

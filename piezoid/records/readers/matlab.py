@@ -9,8 +9,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from piezoid.records.readers.hdf5 import SIGNATURE, check_datasets
-from piezoid.records.readers.optional_readers import reading, table_of
+from piezoid.records.readers.hdf5 import SIGNATURE, checked_datasets
+from piezoid.records.readers.named_arrays import table_of
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, check_growth, unreadable
 from piezoid.records.table import RawTable
@@ -38,6 +38,8 @@ def recognises(source: Source) -> bool:
 
 def read(source: Source) -> RawTable:
     """Read every numeric vector, by the name of its variable or ``structure.field``."""
+    from pymatreader import read_mat
+
     if source.unpacked is not None:
         raise unreadable(
             source.name,
@@ -45,15 +47,17 @@ def read(source: Source) -> RawTable:
             needed="the .mat file itself",
             remedy="Run: gunzip " + source.name,
         )
-    with reading(source, "MATLAB"):
-        from pymatreader import read_mat
-
+    opaque: dict[str, str] = {}
+    if source.head.startswith(b"MATLAB 5"):
         _check_sizes(source)
-        opaque = {} if source.head.startswith(b"MATLAB 5") else _objects_of_hdf5(source)
         variables = dict(_flattened("", read_mat(str(source.path)), opaque))
-        if not source.head.startswith(b"MATLAB 5"):  # of HDF5 they come in the order of a set
-            variables = dict(sorted(variables.items()))
-        arrays = {name: value for name, value in variables.items() if name not in opaque}
+    else:
+        with source.open() as stream:
+            checked_datasets(source, stream)
+            opaque = _objects_of_hdf5(stream)
+        # Of HDF5 the variables come in the order of a set.
+        variables = dict(sorted(_flattened("", read_mat(str(source.path)), opaque)))
+    arrays = {name: value for name, value in variables.items() if name not in opaque}
     objects = ", ".join(f"{name!r} ({kind})" for name, kind in opaque.items())
     if opaque and not any(value.size > 1 for value in arrays.values()):
         raise unreadable(
@@ -62,7 +66,7 @@ def read(source: Source) -> RawTable:
             needed="vectors of numbers, alone or in a structure",
             remedy=SAVING_ADVICE,
         )
-    table = table_of(source, "MATLAB", arrays)
+    table = table_of(source, arrays)
     if not opaque:
         return table
     text = f"{objects} are objects that only MATLAB can open, and are not read. {SAVING_ADVICE}"
@@ -71,21 +75,13 @@ def read(source: Source) -> RawTable:
 
 
 def _check_sizes(source: Source) -> None:
-    """Refuse what would not fit into memory by the sizes declared, before anything is read."""
-    if source.head.startswith(b"MATLAB 5"):
-        from scipy.io import whosmat
+    """Refuse variables, those in structures too, that grow beyond any measurement."""
+    from scipy.io import whosmat
 
-        # SciPy fails on objects, which have no size; _check_elements counts what they hold.
-        with suppress(TypeError):
-            variables = whosmat(str(source.path))
-            check_growth(source, 8 * sum(int(np.prod(s, dtype=object)) for _, s, _ in variables))
-        _check_elements(source)
-    else:
-        check_datasets(source)
-
-
-def _check_elements(source: Source) -> None:
-    """Refuse a file whose variables, those in structures too, grow beyond any measurement."""
+    # SciPy fails on objects, which have no size; their elements are counted all the same.
+    with suppress(TypeError):
+        variables = whosmat(str(source.path))
+        check_growth(source, 8 * sum(int(np.prod(s, dtype=object)) for _, s, _ in variables))
     total = 0
     with source.open() as stream:
         for size in _decompressed_sizes(stream):
@@ -110,7 +106,7 @@ def _decompressed_sizes(stream: BinaryIO) -> Iterator[int]:
                 content = inflate.unconsumed_tail
 
 
-def _objects_of_hdf5(source: Source) -> dict[str, str]:
+def _objects_of_hdf5(stream: BinaryIO) -> dict[str, str]:
     """Return the class of every object, by its path."""
     import h5py
 
@@ -122,8 +118,7 @@ def _objects_of_hdf5(source: Source) -> dict[str, str]:
         if "MATLAB_object_decode" in item.attrs and kind not in PLAIN_CLASSES and path[0] != "#":
             classes[path.replace("/", ".")] = kind or "object"
 
-    with source.open() as stream:
-        h5py.File(stream, "r").visititems(keep)
+    h5py.File(stream, "r").visititems(keep)
     return classes
 
 
@@ -156,5 +151,6 @@ READER = Reader(
     suffixes=(".mat",),
     recognises=recognises,
     read=read,
+    library=True,
     extra="io",
 )

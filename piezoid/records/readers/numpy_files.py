@@ -1,13 +1,11 @@
 """NumPy ``.npy`` and ``.npz``. Pickled objects are never loaded: they can run code."""
 
-import zipfile
-
 import numpy as np
 
-from piezoid.records.readers.archive import ZIP, members
-from piezoid.records.readers.optional_readers import reading, table_of
+from piezoid.records.readers.archive import ZIP, check_unpacked_size, members
+from piezoid.records.readers.named_arrays import table_of
 from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, check_columns, check_growth, unreadable
+from piezoid.records.readers.source import Source, check_columns, unreadable
 from piezoid.records.table import RawTable
 
 
@@ -16,13 +14,10 @@ def read_npy(source: Source) -> RawTable:
 
     Only fields have names, which may carry units (``displacement_um``).
     """
-    with reading(source, "npy"), source.open() as stream:
-        version = np.lib.format.read_magic(stream)
-        header = (
-            np.lib.format.read_array_header_1_0
-            if version == (1, 0)
-            else np.lib.format.read_array_header_2_0
-        )
+    with source.open() as stream:
+        is_first = np.lib.format.read_magic(stream) == (1, 0)
+        formats = np.lib.format
+        header = formats.read_array_header_1_0 if is_first else formats.read_array_header_2_0
         shape, _, dtype = header(stream)
         # The header decides how much is allocated: believe it only as far as the file goes.
         declared = int(np.prod(shape, dtype=object)) * dtype.itemsize
@@ -35,13 +30,6 @@ def read_npy(source: Source) -> RawTable:
             )
         stream.seek(0)
         array = np.load(stream, allow_pickle=False)
-    _check_axes(source, array)
-    if array.dtype.names is not None:
-        return table_of(source, "npy", {name: array[name] for name in array.dtype.names})
-    return table_of(source, "npy", {"": array})
-
-
-def _check_axes(source: Source, array: np.ndarray) -> None:
     if array.ndim > 2:
         raise unreadable(
             source.name,
@@ -51,25 +39,22 @@ def _check_axes(source: Source, array: np.ndarray) -> None:
             "columns by number in lab.toml.",
             shape=array.shape,
         )
+    fields = array.dtype.names
+    return table_of(source, {name: array[name] for name in fields} if fields else {"": array})
 
 
 def read_npz(source: Source) -> RawTable:
     """Read an archive of named vectors; the names may carry units (``displacement_um``)."""
-    with reading(source, "npz"), source.open() as stream:
-        with zipfile.ZipFile(stream) as archive:
-            check_columns(source.name, len(archive.infolist()))
-            check_growth(source, sum(item.file_size for item in archive.infolist()))
-        stream.seek(0)
-        with np.load(stream, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    return table_of(source, "npz", arrays)
+    check_unpacked_size(source)
+    with source.open() as stream, np.load(stream, allow_pickle=False) as archive:
+        check_columns(source.name, len(archive.files))
+        return table_of(source, {name: archive[name] for name in archive.files})
 
 
 def _is_npz(source: Source) -> bool:
     """Tell an archive of arrays by its names, a damaged or empty one by its suffix."""
-    names = members(source)
-    is_npz = source.suffix == ".npz" and source.head.startswith((ZIP, b"PK\x05\x06"))
-    return is_npz or any(name.endswith(".npy") for name in names)
+    is_zip = source.suffix == ".npz" and source.head.startswith((ZIP, b"PK\x05\x06"))
+    return is_zip or any(name.endswith(".npy") for name in members(source))
 
 
 NPY = Reader(
@@ -77,10 +62,6 @@ NPY = Reader(
     suffixes=(".npy",),
     recognises=lambda source: source.head.startswith(b"\x93NUMPY"),
     read=read_npy,
+    library=True,
 )
-NPZ = Reader(
-    name="npz",
-    suffixes=(".npz",),
-    recognises=_is_npz,
-    read=read_npz,
-)
+NPZ = Reader(name="npz", suffixes=(".npz",), recognises=_is_npz, read=read_npz, library=True)

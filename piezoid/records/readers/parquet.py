@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from typing import Any
 
-from piezoid.records.readers.optional_readers import chunk_tables, reading, table_of
-from piezoid.records.readers.reader import Arrays, Reader, overlapping_chunks
+from piezoid.records.readers.named_arrays import table_of, tables_of_pieces
+from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, check_columns, check_growth
 from piezoid.records.table import RawTable
 
@@ -13,39 +13,34 @@ _BUFFER = 1 << 20  # bytes of a column chunk held while reading in chunks; 0 wou
 
 def read(source: Source) -> RawTable:
     """Read every column of numbers or times."""
-    with reading(source, "Parquet"), source.open() as stream:
-        import pyarrow.types as types
-        from pyarrow.parquet import ParquetFile
+    import pyarrow.types as types
+    from pyarrow.parquet import ParquetFile
 
+    with source.open() as stream:
         file = ParquetFile(stream)
-        fields = [
-            field
-            for field in file.schema_arrow
-            if _is_number(field.type)
-            or types.is_timestamp(field.type)
-            or types.is_duration(field.type)
-        ]
-        _check_footer(source, file.metadata, len(fields))
+        kinds = (_is_number, types.is_timestamp, types.is_duration)
+        units = _units_of(file, lambda kind: any(is_kind(kind) for is_kind in kinds))
+        _check_footer(source, file.metadata, len(units))
         # Only these: a text of a megabyte that every row repeats is a small file as well.
-        table = file.read(columns=[field.name for field in fields])
-        arrays = {
-            field.name: table.column(field.name).combine_chunks().to_numpy(zero_copy_only=False)
-            for field in fields
-        }
-    return table_of(source, "Parquet", arrays, units=_units(fields))
+        table = file.read(columns=list(units))
+    columns = {name: table.column(name).combine_chunks() for name in units}
+    arrays = {name: column.to_numpy(zero_copy_only=False) for name, column in columns.items()}
+    return table_of(source, arrays, units=units)
 
 
 def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
     """Yield the columns of numbers batch by batch, never more of a row group than needed."""
-    with reading(source, "Parquet"), source.open() as stream:
-        from pyarrow.parquet import ParquetFile
+    from pyarrow.parquet import ParquetFile
 
+    with source.open() as stream:
         file = ParquetFile(stream, buffer_size=_BUFFER, pre_buffer=False)
-        fields = [field for field in file.schema_arrow if _is_number(field.type)]
-        _check_footer(source, file.metadata, len(fields), whole=False)
-        units = _units(fields)
-        chunks = overlapping_chunks(_batches(file, list(units), rows), rows)
-        yield from chunk_tables(source, "Parquet", chunks, units=units)
+        units = _units_of(file, _is_number)
+        _check_footer(source, file.metadata, len(units), whole=False)
+        pieces = (
+            {name: batch.column(name).to_numpy(zero_copy_only=False) for name in units}
+            for batch in file.iter_batches(batch_size=rows, columns=list(units), use_threads=False)
+        )
+        yield from tables_of_pieces(source, pieces, rows, units=units)
 
 
 def _is_number(kind: Any) -> bool:
@@ -54,13 +49,13 @@ def _is_number(kind: Any) -> bool:
     return bool(types.is_floating(kind) or types.is_integer(kind))
 
 
-def _units(fields: list[Any]) -> dict[str, str]:
-    return {f.name: (f.metadata or {}).get(b"unit", b"").decode("utf-8") for f in fields}
-
-
-def _batches(file: Any, names: list[str], rows: int) -> Iterator[Arrays]:
-    for batch in file.iter_batches(batch_size=rows, columns=names, use_threads=False):
-        yield {name: batch.column(name).to_numpy(zero_copy_only=False) for name in names}
+def _units_of(file: Any, is_read: Any) -> dict[str, str]:
+    """Return the units of the columns of some types, by name; empty where none is stated."""
+    return {
+        field.name: (field.metadata or {}).get(b"unit", b"").decode("utf-8")
+        for field in file.schema_arrow
+        if is_read(field.type)
+    }
 
 
 def _check_footer(source: Source, metadata: Any, columns: int, *, whole: bool = True) -> None:
@@ -77,5 +72,6 @@ READER = Reader(
     recognises=lambda source: source.head.startswith(b"PAR1"),
     read=read,
     read_chunks=read_chunks,
+    library=True,
     extra="io",
 )

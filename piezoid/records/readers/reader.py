@@ -1,16 +1,13 @@
-"""Reader: the protocol of one file format, and how rows are cut into chunks."""
+"""Reader: the protocol of one file format, and the errors of the libraries that read it."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from piezoid.records.readers.source import Source
+from piezoid.errors import PiezoidError
+from piezoid.records.readers.source import Source, unreadable
 from piezoid.records.table import RawTable
-
-Arrays = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,13 +18,15 @@ class Reader:
     suffixes     the usual endings of its files, for the documentation and for messages
     recognises   tells from the first bytes (between similar formats, the suffix) whether a file
                  has this format
-    read         reads the file; anything wrong with it is an ``UnreadableFileError``
+    read         returns the table, without the file's name, digest and format; anything wrong
+                 with the file is an ``UnreadableFileError``
     read_chunks  yields the table in chunks of about the given number of rows, None where the
                  format is only read whole. Every chunk begins with the last row of the chunk
                  before, so that a gap between two chunks lies inside one of them.
     reads_gzip   whether chunks are also read from a file that gzip compressed: from front to
                  back, without seeking
-    extra        the extra of the installation that the reader needs, empty for none
+    library      whether a library reads it, each of whose errors is one of the file
+    extra        the extra of the installation that the library comes with, empty for none
     is_written   whether ``separator``, ``decimal`` and ``heading_row`` of lab.toml apply
     """
 
@@ -37,35 +36,36 @@ class Reader:
     read: Callable[[Source], RawTable]
     read_chunks: Callable[[Source, int], Iterator[RawTable]] | None = None
     reads_gzip: bool = False
+    library: bool = False
     extra: str = ""
     is_written: bool = False
 
 
-def overlapping_chunks(pieces: Iterable[Arrays], rows: int) -> Iterator[tuple[int, Arrays]]:
-    """Cut arrays that arrive in pieces of any length into chunks of ``rows`` to ``2 rows`` rows.
+@contextmanager
+def reading(source: Source, format_name: str, extra: str = "") -> Iterator[None]:
+    """Turn whatever a library raises on a damaged file into ``UnreadableFileError``.
 
-    Yields the number of the chunk's first row, and the chunk; each chunk after the first begins
-    with the last row of the chunk before. ``rows`` is at least 2.
+    These libraries document no exceptions for damaged input (KeyError, struct.error, zlib.error,
+    MemoryError and others were seen), so every kind is taken.
     """
-    pending: Arrays = {}
-    first, repeats = 0, False
-    for piece in pieces:
-        pending = _concatenated(pending, piece) if pending else piece
-        while _length(pending) >= 2 * rows:
-            yield first, _rows(pending, slice(0, rows))
-            pending = _rows(pending, slice(rows - 1, None))
-            first, repeats = first + rows - 1, True
-    if _length(pending) > int(repeats):
-        yield first, pending
-
-
-def _length(arrays: Arrays) -> int:
-    return max((len(values) for values in arrays.values()), default=0)
-
-
-def _concatenated(before: Arrays, after: Arrays) -> Arrays:
-    return {name: np.concatenate([before[name], after[name]]) for name in before}
-
-
-def _rows(arrays: Arrays, rows: slice) -> Arrays:
-    return {name: values[rows] for name, values in arrays.items()}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except PiezoidError:
+        raise
+    except ModuleNotFoundError as error:
+        raise unreadable(
+            source.name,
+            f"reading {format_name} needs the missing Python package {error.name!r}",
+            needed=f"the readers of the extra {extra!r}",
+            remedy=f"Run: pip install 'piezoid[{extra}]'",
+        ) from error
+    except (Exception, MemoryError) as error:
+        reason = f": {str(error)[:200]}" if str(error) else ""  # short of memory, it says nothing
+        raise unreadable(
+            source.name,
+            f"the {format_name} reader stopped with {type(error).__name__}{reason}",
+            needed=f"a whole {format_name} file",
+            remedy="Copy the file again from where it was written, or export it as CSV.",
+        ) from error

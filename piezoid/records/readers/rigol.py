@@ -1,10 +1,12 @@
 """Rigol oscilloscope CSV: a time column called X, or a sequence with a start and an increment."""
 
-from piezoid.numerics.arrays import Array
+from dataclasses import replace
+
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
-from piezoid.records.readers.text_numbers import Layout, number_of, parse_numbers, split
-from piezoid.records.table import Column, RawTable, rate_of
+from piezoid.records.readers.text_numbers import Layout, number_of, split
+from piezoid.records.readers.text_table import table_under
+from piezoid.records.table import RawTable, rate_of
 
 
 def recognises(source: Source) -> bool:
@@ -22,8 +24,8 @@ def read(source: Source) -> RawTable:
     """
     lines = text_of(source).rstrip().split("\n")
     labels = [label for label in split(lines[0], ",") if label]
-    second = split(lines[1], ",") if len(lines) > 1 else []
-    has_units = bool(second) and number_of(second[0], ".") is None
+    units = split(lines[1], ",") if len(lines) > 1 else []
+    has_units = bool(units) and number_of(units[0], ".") is None
     skipped = 2 if has_units else 1
     if len(lines) <= skipped:
         raise unreadable(
@@ -33,57 +35,35 @@ def read(source: Source) -> RawTable:
             remedy="Save the waveform again.",
             line=skipped,
         )
-    clocked = "Increment" in labels and has_units
     channels = [label for label in labels if label not in ("Start", "Increment")]
-    body = "\n".join(lines[skipped:])
+    unit_of = dict(enumerate(units if has_units else []))
+    headings = [
+        ("time (X)", "s"),
+        *((label, unit_of.get(k, "")) for k, label in enumerate(channels[1:], start=1)),
+    ]
     fields = max(len(channels), len(split(lines[skipped], ",")))
-    block = parse_numbers(
-        body, Layout(separator=",", decimal=".", fields=fields), source.name, skipped + 1
+    layout = Layout(separator=",", decimal=".", fields=fields)
+    table = table_under(source, headings, "\n".join(lines[skipped:]), layout, skipped + 1)
+    if not has_units or "Increment" not in labels:
+        return table
+    place = labels.index("Increment")
+    start_s, increment_s = (
+        number_of(units[k], ".") if k < len(units) else None for k in (place - 1, place)
     )
-    increment_s, start_s = _clock(source, labels, second) if clocked else (None, 0.0)
-    return RawTable(
-        name=source.name,
-        digest=source.digest,
-        format="Rigol oscilloscope",
-        columns=_columns(channels, second if has_units else [], block.columns, clocked),
-        sampling_rate_Hz=rate_of(increment_s),
-        sampling_start_s=start_s,
-        first_line=skipped + 1,
-        statements=block.statements,
-    )
-
-
-def _clock(source: Source, labels: list[str], second: list[str]) -> tuple[float, float]:
-    at = labels.index("Increment")
-    increment_s = number_of(second[at], ".") if at < len(second) else None
-    start_s = number_of(second[at - 1], ".") if at < len(second) else None
     if increment_s is None or start_s is None or not increment_s > 0:
         raise unreadable(
             source.name,
-            f"line 2 gives no positive time increment: {','.join(second)!r}",
+            f"line 2 gives no positive time increment: {','.join(units)!r}",
             needed="a start and an increment in seconds",
             remedy="Save the waveform again.",
             line=2,
         )
-    return increment_s, start_s
-
-
-def _columns(
-    channels: list[str], units: list[str], values: tuple[Array, ...], clocked: bool
-) -> tuple[Column, ...]:
-    columns = []
-    for k, label in enumerate(channels):
-        if k == 0 and clocked:
-            continue
-        columns.append(
-            Column(
-                number=k + 1,
-                label="time (X)" if k == 0 else label,
-                declared_unit="s" if k == 0 else (units[k] if k < len(units) else ""),
-                values=values[k],
-            )
-        )
-    return tuple(columns)
+    return replace(
+        table,
+        columns=table.columns[1:],
+        sampling_rate_Hz=rate_of(increment_s),
+        sampling_start_s=start_s,
+    )
 
 
 READER = Reader(name="Rigol oscilloscope", suffixes=(".csv",), recognises=recognises, read=read)

@@ -12,9 +12,9 @@ import numpy as np
 from piezoid.records.readers import text_table
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
-from piezoid.records.readers.text_numbers import Layout, number_of, parse_numbers, split
-from piezoid.records.table import Column, RawTable
-from piezoid.statement import Statement, finding
+from piezoid.records.readers.text_numbers import Layout, number_of, split
+from piezoid.records.table import RawTable
+from piezoid.statement import finding
 
 _SETTING_LINES = 60
 
@@ -26,95 +26,72 @@ def recognises(source: Source) -> bool:
 
 def read(source: Source) -> RawTable:
     """Read all channels; their clocks must be one and the same."""
-    lines = text_of(source).rstrip().split("\n")
-    rows = [split(line, ",") for line in lines[:_SETTING_LINES]]
-    width = len(rows[0])
+    rows = [split(line, ",") for line in text_of(source).rstrip().split("\n")]
     starts = [k for k, cell in enumerate(rows[0]) if cell == "Record Length"]
-    pairs = [
-        _samples_of(rows[0], begin, end)
-        for begin, end in zip(starts, [*starts[1:], width], strict=True)
-    ]
-    if any(pair is None for pair in pairs):
-        raise unreadable(
-            source.name,
-            f"line 1 holds no time and value beside the record length: {lines[0][:60]!r}",
-            needed="a time and a sample in every row",
-            remedy="Save the waveform as CSV again.",
-            line=1,
-        )
-    settings = [_settings(rows, begin) for begin in starts]
-    columns = _columns(source, lines, [pair for pair in pairs if pair is not None], settings)
-    return RawTable(
-        name=source.name,
-        digest=source.digest,
-        format="Tektronix oscilloscope",
-        columns=columns,
-        first_line=1,
-        metadata=settings[0],
-        statements=_missing(settings[0], len(columns[0].values)),
-    )
-
-
-def _samples_of(row: list[str], begin: int, end: int) -> tuple[int, int] | None:
-    """Return the fields of time and value: the first two numbers behind key and value."""
-    numbers = [k for k in range(begin + 2, end) if row[k] and number_of(row[k], ".") is not None]
-    return (numbers[0], numbers[1]) if len(numbers) >= 2 else None
-
-
-def _settings(rows: list[list[str]], begin: int) -> dict[str, str]:
-    return {row[begin]: row[begin + 1] for row in rows if len(row) > begin + 1 and row[begin]}
-
-
-def _columns(
-    source: Source, lines: list[str], pairs: list[tuple[int, int]], settings: list[dict[str, str]]
-) -> tuple[Column, ...]:
-    wanted = [field for pair in pairs for field in pair]
-    body = "\n".join(
-        ",".join(cells[k] if k < len(cells) else "" for k in wanted)
-        for cells in (split(line, ",") for line in lines)
-    )
-    layout = Layout(separator=",", decimal=".", fields=len(wanted))
-    values = parse_numbers(body, layout, source.name, 1).columns
-    for k in range(2, len(wanted), 2):
-        if not np.array_equal(values[k], values[0], equal_nan=True):
+    fields: list[int] = []  # of the time and the value of each channel
+    headings: list[tuple[str, str]] = []
+    for channel, (start, stop) in enumerate(
+        zip(starts, [*starts[1:], len(rows[0])], strict=True), start=1
+    ):
+        # The first two numbers behind key and value.
+        numbers = [k for k in range(start + 2, stop) if _is_number(rows[0][k])]
+        if len(numbers) < 2:
+            raise unreadable(
+                source.name,
+                f"line 1 holds no time and value beside the record length: {','.join(rows[0])!r}",
+                needed="a time and a sample in every row",
+                remedy="Save the waveform as CSV again.",
+                line=1,
+            )
+        fields += numbers[:2]
+        settings = _settings(rows, start)
+        headings += [
+            ("time", settings.get("Horizontal Units", "").lower()),
+            (settings.get("Source") or f"channel {channel}", settings.get("Vertical Units", "")),
+        ]
+    body = "\n".join(",".join(row[k] if k < len(row) else "" for k in fields) for row in rows)
+    layout = Layout(separator=",", decimal=".", fields=len(fields))
+    table = text_table.table_under(source, headings, body, layout, 1)
+    columns = [replace(column, number=fields[column.number - 1] + 1) for column in table.columns]
+    for k in range(2, len(columns), 2):
+        if not np.array_equal(columns[k].values, columns[0].values, equal_nan=True):
             raise unreadable(
                 source.name,
                 f"the times of channel {k // 2 + 1} differ from those of channel 1",
                 needed="one clock for all channels",
                 remedy="Save each channel into a file of its own.",
             )
-    columns = [
-        Column(
-            number=pairs[0][0] + 1,
-            label="time",
-            declared_unit=settings[0].get("Horizontal Units", "").lower(),
-            values=values[0],
-        )
-    ]
-    for k, (pair, setting) in enumerate(zip(pairs, settings, strict=True)):
-        columns.append(
-            Column(
-                number=pair[1] + 1,
-                label=setting.get("Source") or f"channel {k + 1}",
-                declared_unit=setting.get("Vertical Units", ""),
-                values=values[2 * k + 1],
-            )
-        )
-    return tuple(columns)
-
-
-def _missing(settings: dict[str, str], held: int) -> tuple[Statement, ...]:
+    settings = _settings(rows, starts[0])
     declared = number_of(settings.get("Record Length", ""), ".") or 0.0
-    if not declared > held:
-        return ()
-    text = f"the settings declare {declared:.0f} samples, the file holds {held}"
-    return (finding(quantity="truncated", place="line 1", text=text),)
+    truncated = []
+    if declared > table.rows:
+        text = f"the settings declare {declared:.0f} samples, the file holds {table.rows}"
+        truncated = [finding(quantity="truncated", place="line 1", text=text)]
+    return replace(
+        table,
+        columns=(columns[0], *columns[1::2]),
+        metadata=settings,
+        statements=(*truncated, *table.statements),
+    )
+
+
+def _is_number(cell: str) -> bool:
+    return bool(cell) and number_of(cell, ".") is not None
+
+
+def _settings(rows: list[list[str]], start: int) -> dict[str, str]:
+    """Return the settings that stand in two columns beside the first samples."""
+    return {
+        row[start]: row[start + 1]
+        for row in rows[:_SETTING_LINES]
+        if len(row) > start + 1 and row[start]
+    }
 
 
 def recognises_above(source: Source) -> bool:
     """Tell the later form, settings above the samples, by its unit lines and its heading."""
-    wanted = (rb"^Horizontal Units,", rb"^Vertical Units,", rb"^TIME,")
-    return all(re.search(line, source.head, re.MULTILINE) for line in wanted)
+    lines = (rb"^Horizontal Units,", rb"^Vertical Units,", rb"^TIME,")
+    return all(re.search(line, source.head, re.MULTILINE) for line in lines)
 
 
 def read_above(source: Source) -> RawTable:
@@ -125,12 +102,10 @@ def read_above(source: Source) -> RawTable:
         *table.metadata.get("Vertical Units", "").split(","),
     ]
     columns = tuple(
-        replace(column, declared_unit=units[column.number - 1])
-        if column.number <= len(units)
-        else column
-        for column in table.columns
+        replace(c, declared_unit=units[c.number - 1]) if c.number <= len(units) else c
+        for c in table.columns
     )
-    return replace(table, columns=columns, format="Tektronix oscilloscope, settings above")
+    return replace(table, columns=columns)
 
 
 ABOVE = Reader(

@@ -2,16 +2,13 @@
 
 import gzip
 import io
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import BinaryIO
 
 import numpy as np
 
-from piezoid.numerics.arrays import Array
 from piezoid.records.readers.complex_cells import join_complex_columns, real_and_imaginary_text
-from piezoid.records.readers.optional_readers import reading
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import (
     Source,
@@ -31,6 +28,7 @@ from piezoid.records.readers.text_layout import (
     unit_cell,
 )
 from piezoid.records.readers.text_numbers import (
+    Layout,
     NumberTable,
     lines_are_rows,
     parse_numbers,
@@ -50,47 +48,126 @@ MAX_HEAD = 1 << 24
 
 def read(source: Source) -> RawTable:
     """Read a text table without its columns of text; the others keep their numbers."""
-    return read_text(source, text_of(source), "text table")
+    return read_text(source, text_of(source))
 
 
-def read_text(source: Source, text: str, format_name: str) -> RawTable:
+def read_text(source: Source, text: str) -> RawTable:
     """Read the text of a table, whatever file it came in."""
     parts = real_and_imaginary_text(text)
     if parts is None:
-        return _read_numbers(source, text, format_name)
-    return join_complex_columns(*(_read_numbers(source, part, format_name) for part in parts))
+        return _read_numbers(source, text)
+    return join_complex_columns(*(_read_numbers(source, part) for part in parts))
 
 
-def _read_numbers(source: Source, text: str, format_name: str) -> RawTable:
+def _read_numbers(source: Source, text: str) -> RawTable:
     """Read a table of real numbers."""
     start = find_table(text.split("\n", HEAD_LINES)[:HEAD_LINES], source.name, source.text)
     body = text.split("\n", start.row)[-1] if start.row else text
-    block, segment_starts, remarks = parse_rows(body, start, source.name, start.row + 1)
+    line = start.row + 1
+    block, segment_starts, statements = parse_rows(body, start, source.name, line)
     start = _with_row_number_headings(start, block)
+    table = _table(start, body, line, block, segment_starts)
+    return replace(
+        table, statements=(*statements, *block.statements, *_statements_of_file(start, block))
+    )
+
+
+def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
+    """Yield a text table in chunks; layout and headings are those of the file's beginning.
+
+    Columns that hold text at the beginning are left out throughout; other columns are NaN in
+    chunks where they hold only text.
+    """
+    with source.path.open("rb") as raw:
+        packed = io.BufferedReader(_BoundedGzip(source, raw)) if source.packed else raw
+        # Decoded as ``text_of`` decodes it, as far as the file's beginning tells.
+        stream = io.TextIOWrapper(packed, encoding=encoding_of(source.head), errors="replace")
+        start = _start_in_stream(stream, source)
+        textual: frozenset[int] | None = None
+        line, first_row = start.row + 1, 0
+        for text in _line_chunks(stream, rows, source):
+            block, segment_starts, statements = parse_rows(text, start, source.name, line)
+            _refuse_dates(block, source.name, line)
+            if textual is None:
+                start, textual = _with_row_number_headings(start, block), block.textual
+                statements = (*statements, *_statements_of_file(start, block))
+            block = replace(
+                block,
+                textual=textual,
+                columns=tuple(
+                    np.full_like(values, np.nan) if k in block.textual else values
+                    for k, values in enumerate(block.columns)
+                ),
+            )
+            table = _table(start, text, line, block, segment_starts)
+            statements = (*statements, *block.statements)
+            yield replace(table, first_row=first_row, statements=statements)
+            line += text.rstrip("\n").count("\n")
+            first_row += len(block.columns[0]) - 1
+
+
+def table_under(
+    source: Source, headings: Sequence[tuple[str, str]], body: str, layout: Layout, line: int
+) -> RawTable:
+    """Read rows whose headings an instrument's format gives.
+
+    headings  label and unit of the first columns; the others are not read
+    line      of the first row
+    """
+    block = parse_numbers(body, layout, source.name, line)
+    columns = tuple(
+        Column(number=k + 1, label=label, declared_unit=unit, values=values)
+        for k, ((label, unit), values) in enumerate(zip(headings, block.columns, strict=False))
+    )
+    return RawTable(columns=columns, first_line=line, statements=block.statements)
+
+
+def _table(
+    start: TableStart, body: str, line: int, block: NumberTable, segment_starts: tuple[int, ...]
+) -> RawTable:
+    """Return the columns of numbers, each under its heading."""
+    columns = tuple(
+        Column(
+            number=k + 1,
+            label=start.labels[k],
+            declared_unit="s" if k in block.stamped else unit_cell(start.units[k]),
+            values=values,
+        )
+        for k, values in enumerate(block.columns)
+        if k not in block.textual
+    )
     return RawTable(
-        name=source.name,
-        digest=source.digest,
-        format=format_name,
-        columns=columns_of(start, block),
+        columns=columns,
         # With other lines between the rows a row's line is not known; its number still is.
-        first_line=start.row + 1 if lines_are_rows(body) and not segment_starts else 0,
+        first_line=line if lines_are_rows(body) and not segment_starts else 0,
         segment_starts=segment_starts,
         metadata=metadata_of(start.above),
-        statements=(
-            *stray_row_statements(start),
-            *remarks,
-            *block.statements,
-            *text_column_statements(start, block),
-        ),
     )
 
 
 def _with_row_number_headings(start: TableStart, block: NumberTable) -> TableStart:
     """Return the start with its headings if only a column of row numbers has none."""
     labels = headings_beside_row_numbers(start)
-    if labels is None or not are_row_numbers(block.columns[0]):
+    numbers = block.columns[0]
+    if labels is None or numbers[0] not in (0, 1) or not (np.diff(numbers) == 1).all():
         return start
     return replace(start, labels=labels, above=start.above[:-1])
+
+
+def _statements_of_file(start: TableStart, block: NumberTable) -> list[Statement]:
+    """Name the lines of numbers above the table, and its columns of text."""
+    statements = []
+    if start.strays:
+        text = (
+            f"{len(start.strays)} lines above the table hold numbers, but not "
+            f"{start.layout.fields} of them; they are not read"
+        )
+        place = f"line {start.strays[0]}"
+        statements.append(finding(quantity="rows_above", place=place, text=text))
+    for k in sorted(block.textual):
+        text = f"column {k + 1} {start.labels[k]!r} holds text and is not read"
+        statements.append(finding(quantity="text_column", place=f"column {k + 1}", text=text))
+    return statements
 
 
 def parse_rows(
@@ -122,51 +199,7 @@ def parse_rows(
     return parse_numbers(rows, start.layout, name, line), segment_starts, (*remarks, statement)
 
 
-def columns_of(start: TableStart, block: NumberTable) -> tuple[Column, ...]:
-    """Return the columns of numbers, each under its heading."""
-    return tuple(
-        Column(
-            number=k + 1,
-            label=label,
-            declared_unit="s" if k in block.stamped else unit_cell(unit),
-            values=values,
-        )
-        for k, (label, unit, values) in enumerate(
-            zip(start.labels, start.units, block.columns, strict=True)
-        )
-        if k not in block.textual
-    )
-
-
-def are_row_numbers(values: Array) -> bool:
-    """Tell whether a column counts the rows."""
-    return bool(values[0] in (0, 1) and (np.diff(values) == 1).all())
-
-
-def stray_row_statements(start: TableStart) -> tuple[Statement, ...]:
-    """Return what is odd about the lines above the table."""
-    if not start.strays:
-        return ()
-    text = (
-        f"{len(start.strays)} lines above the table hold numbers, but not "
-        f"{start.layout.fields} of them; they are not read"
-    )
-    return (finding(quantity="rows_above", place=f"line {start.strays[0]}", text=text),)
-
-
-def text_column_statements(start: TableStart, block: NumberTable) -> tuple[Statement, ...]:
-    """Name the columns of text."""
-    return tuple(
-        finding(
-            quantity="text_column",
-            place=f"column {k + 1}",
-            text=f"column {k + 1} {start.labels[k]!r} holds text and is not read",
-        )
-        for k in sorted(block.textual)
-    )
-
-
-def metadata_of(lines: tuple[str, ...]) -> dict[str, str]:
+def metadata_of(lines: Sequence[str]) -> dict[str, str]:
     """Return ``key: value``, ``key = value`` or ``key, value`` lines as pairs."""
     metadata = {}
     for line in lines:
@@ -177,50 +210,6 @@ def metadata_of(lines: tuple[str, ...]) -> dict[str, str]:
                 metadata[key.strip().strip('"')] = value.strip().strip('"')
                 break
     return metadata
-
-
-def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
-    """Yield a text table in chunks; layout and headings are those of the file's beginning.
-
-    Columns that hold text at the beginning are left out throughout; other columns are NaN in
-    chunks where they hold only text.
-    """
-    with _decoded(source) as stream:
-        start = _start_in_stream(stream, source)
-        first: NumberTable | None = None
-        line, first_row = start.row + 1, 0
-        for text in _line_chunks(stream, rows, source):
-            block, segment_starts, statements = parse_rows(text, start, source.name, line)
-            _refuse_dates(block, source.name, line)
-            if first is None:
-                start = _with_row_number_headings(start, block)
-                first = block
-                statements = (
-                    *stray_row_statements(start),
-                    *text_column_statements(start, block),
-                    *statements,
-                )
-            yield RawTable(
-                name=source.name,
-                digest=source.digest,
-                format="text table",
-                columns=columns_of(start, _with_columns_of(first, block)),
-                first_line=line if lines_are_rows(text) and not segment_starts else 0,
-                segment_starts=segment_starts,
-                first_row=first_row,
-                metadata=metadata_of(start.above),
-                statements=(*statements, *block.statements),
-            )
-            line += text.rstrip("\n").count("\n")
-            first_row += len(block.columns[0]) - 1
-
-
-@contextmanager
-def _decoded(source: Source) -> Iterator[io.TextIOWrapper]:
-    """Open the text as ``text_of`` decodes it, as far as the file's beginning tells."""
-    with reading(source, "text"), source.path.open("rb") as raw:
-        stream = io.BufferedReader(_BoundedGzip(source, raw)) if source.packed else raw
-        yield io.TextIOWrapper(stream, encoding=encoding_of(source.head), errors="replace")
 
 
 class _BoundedGzip(gzip.GzipFile):
@@ -283,15 +272,6 @@ def _whole_lines(stream: io.TextIOWrapper, characters: int, source: Source) -> s
             remedy="Export the recording as CSV.",
         )
     return with_hyphens(text + end_of_line)
-
-
-def _with_columns_of(first: NumberTable, block: NumberTable) -> NumberTable:
-    """Return a block whose columns of text are those of the first block."""
-    columns = tuple(
-        np.full_like(values, np.nan) if k in block.textual else values
-        for k, values in enumerate(block.columns)
-    )
-    return replace(block, columns=columns, textual=first.textual)
 
 
 def _refuse_dates(block: NumberTable, name: str, line: int) -> None:

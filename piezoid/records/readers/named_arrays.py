@@ -1,0 +1,197 @@
+"""Tables of named arrays, as the libraries return them that read binary formats."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.records.readers.source import Source, check_columns, check_growth, unreadable
+from piezoid.records.table import Column, RawTable
+from piezoid.statement import Statement, finding
+
+# Columns over rows of a matrix above which its rows are the channels: recorders have some dozen
+# channels, recordings thousands of samples.
+MIN_TRANSPOSED_RATIO = 50
+MAX_AXES = 3  # of a stage: outputs and inputs of its response
+
+Arrays = Mapping[str, NDArray[Any]]
+
+
+def table_of(
+    source: Source,
+    arrays: Mapping[str, object],
+    *,
+    units: Mapping[str, str] | None = None,
+    sampling_rate_Hz: float | None = None,
+) -> RawTable:
+    """Make a table of named arrays: vectors are columns, matrices of few columns are several.
+
+    Arrays of another length than most are left out and named in a statement; scalars and text
+    become metadata. Dates and durations become seconds, dates from the first of them.
+    """
+    units = dict(units or {})
+    vectors: list[tuple[str, str, NDArray[Any]]] = []  # label, name of the array, values
+    metadata: dict[str, str] = {}
+    statements: list[Statement] = []
+    shapes = {name: np.asarray(value).shape for name, value in arrays.items()}
+    for name, value in arrays.items():
+        array = np.asarray(value)
+        if array.dtype.kind in "mM" and array.size:
+            array, units[name] = _seconds_of(array), "s"
+        if array.dtype.kind not in "biufc" or array.size <= 1:
+            metadata[name] = str(value)[:200]
+            continue
+        columns, further = _columns_of(source, name, array, shapes)
+        vectors += [(label, name, values) for label, values in columns]
+        statements += further
+    if not vectors:
+        raise unreadable(
+            source.name,
+            f"no columns of numbers among {', '.join(map(repr, list(arrays)[:8])) or 'nothing'}",
+            needed="vectors of equal length, or one matrix with a column for each channel",
+            remedy="Save time, voltage and displacement as vectors with names and units.",
+        )
+    check_columns(source.name, len(vectors))
+    check_growth(source, 8 * sum(len(values) for _, _, values in vectors))
+    rows = commonest_length(len(values) for _, _, values in vectors)
+    for label, _, values in vectors:
+        if len(values) != rows:
+            text = f"{label!r} has {len(values)} values, most columns {rows}; it is not read"
+            statements.append(finding(quantity="other_length", place=label, text=text))
+    return RawTable(
+        columns=tuple(
+            Column(number=k + 1, label=label, declared_unit=units.get(name, ""), values=values)
+            for k, (label, name, values) in enumerate(v for v in vectors if len(v[2]) == rows)
+        ),
+        sampling_rate_Hz=sampling_rate_Hz,
+        metadata=metadata,
+        statements=tuple(statements),
+    )
+
+
+def tables_of_pieces(
+    source: Source,
+    pieces: Iterable[Arrays],
+    rows: int,
+    *,
+    units: Mapping[str, str],
+    sampling_rate_Hz: float | None = None,
+) -> Iterator[RawTable]:
+    """Yield tables of ``rows`` to ``2 rows`` rows from arrays in pieces of any length.
+
+    Each table after the first begins with the last row of the table before. ``rows`` is at least
+    2.
+    """
+    table = partial(table_of, source, units=units, sampling_rate_Hz=sampling_rate_Hz)
+    pending: Arrays = {}
+    first = 0
+    for piece in pieces:
+        pending = {
+            name: np.concatenate([pending[name], values]) if pending else values
+            for name, values in piece.items()
+        }
+        while _length(pending) >= 2 * rows:
+            chunk = {name: values[:rows] for name, values in pending.items()}
+            yield replace(table(chunk), first_row=first)
+            pending = {name: values[rows - 1 :] for name, values in pending.items()}
+            first += rows - 1
+    if _length(pending) > int(first > 0):
+        yield replace(table(pending), first_row=first)
+
+
+def commonest_length(lengths: Iterable[int]) -> int:
+    """Return the length that most arrays have, of several the shortest; 0 without any."""
+    counts = Counter(lengths)
+    return max(sorted(counts), key=counts.__getitem__, default=0)
+
+
+def _length(arrays: Arrays) -> int:
+    return max((len(values) for values in arrays.values()), default=0)
+
+
+def _seconds_of(array: NDArray[Any]) -> NDArray[Any]:
+    """Return dates, from the first of them, or durations in seconds."""
+    if array.dtype.kind == "M":
+        array = array - array.reshape(-1)[0]
+    # Nanoseconds at most are stamped; more digits are the noise of the product.
+    seconds = (array / np.timedelta64(1, "ns") * 1e-9).round(9)
+    return np.where(np.isnat(array), np.nan, seconds)
+
+
+def _columns_of(
+    source: Source, name: str, array: NDArray[Any], shapes: Mapping[str, tuple[int, ...]]
+) -> tuple[list[tuple[str, NDArray[Any]]], list[Statement]]:
+    """Return the columns of one array of numbers under their labels, and what is odd about it.
+
+    shapes  of all arrays of the file
+    """
+    paths = _response_paths(name, array)
+    if array.dtype.kind == "c":
+        text = (
+            f"{name!r} holds complex numbers: real and imaginary part are the columns of a "
+            "frequency response, and of no recording over time"
+        )
+        columns = [
+            (f"{part}({label})", getattr(path, part))
+            for label, path in paths or [(name, array.reshape(-1))]
+            for part in ("real", "imag")
+        ]
+        return columns, [finding(quantity="complex", place=name, text=text)]
+    if paths or max(array.shape) == array.size:
+        return paths or [(name, array.reshape(-1))], []
+    if array.ndim > 2:
+        text = f"{name!r} has {array.ndim} axes {array.shape}: which is time, which channel?"
+        return [], [finding(quantity="axes", place=name, text=text)]
+    statements = []
+    rows, columns_count = array.shape
+    if _is_transposed(source, name, array, shapes):
+        array = array.T
+        text = (
+            f"{name or 'the array'} has {rows} rows and {columns_count} columns: read as {rows} "
+            f"channels of {columns_count} samples"
+        )
+        place = name or "the array"
+        statements.append(finding(quantity="transposed", place=place, text=text))
+    labels = [f"{name}(:,{k + 1})" if name else "" for k in range(array.shape[1])]
+    return list(zip(labels, array.T, strict=True)), statements
+
+
+def _response_paths(name: str, array: NDArray[Any]) -> list[tuple[str, NDArray[Any]]]:
+    """Return each path of a response of several outputs and inputs; empty for other arrays.
+
+    MATLAB has (outputs, inputs, lines), NumPy's habit is (lines, outputs, inputs).
+    """
+    if array.ndim == 3:
+        for by_path in (array, np.moveaxis(array, 0, -1)):
+            size, inputs, lines = by_path.shape
+            if 1 < size == inputs <= MAX_AXES and lines > size:
+                pairs = [(i, j) for i in range(size) for j in range(size)]
+                return [(f"{name}({i + 1},{j + 1})", by_path[i, j]) for i, j in pairs]
+    return []
+
+
+def _is_transposed(
+    source: Source, name: str, array: NDArray[Any], shapes: Mapping[str, tuple[int, ...]]
+) -> bool:
+    """Tell whether the rows of a matrix are its channels, by the vectors beside it or its shape.
+
+    Raises ``UnreadableFileError`` where nothing tells.
+    """
+    rows, columns = array.shape
+    lengths = {max(s) for k, s in shapes.items() if k != name and s and max(s) == np.prod(s) > 1}
+    if rows > columns and not (columns in lengths and rows not in lengths):
+        return False
+    if columns in lengths - {rows} or columns >= MIN_TRANSPOSED_RATIO * rows:
+        return True
+    if rows in lengths - {columns}:
+        return False
+    raise unreadable(
+        source.name,
+        f"{name or 'the array'} has {rows} rows and {columns} columns",
+        needed="a row for each sample and a column for each channel, so more rows",
+        remedy="Transpose the array before saving it.",
+    )
