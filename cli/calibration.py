@@ -21,21 +21,28 @@ def calibrate(
     calibration without one.
     """
     progress("reading recordings")
-    from piezoid.calibration.stage_jobs import estimated_cost, jobs_of, preload, run_job
     from piezoid_cli.workers import map_jobs, worker_pool
 
     # A worker loads while the recordings are read: a single file is one axis and needs none.
-    with worker_pool(processes - 1 if len(files) > 1 else 0, preload) as pool:
+    with worker_pool(processes - 1 if len(files) > 1 else 0, _preload) as pool:
         from piezoid.records.collection import collect
         from piezoid.records.lab import read_lab
 
         declared = None if lab is None else read_lab(lab)
         collection = collect(files, declared)
-        empty_stage, jobs = jobs_of(collection, declared, processes, progress)
+        from piezoid.calibration.axis_jobs import estimated_cost, jobs_of, run_job
+
+        stage, jobs = jobs_of(collection, declared, processes, progress)
         results = map_jobs(run_job, jobs, progress, pool=pool, cost=estimated_cost)
-    from piezoid.calibration.calibrate import finished, stage_of
+    from piezoid.calibration.calibrate import finish, with_results
     from piezoid_reports.render import with_report
 
-    calibration = finished(stage_of(empty_stage, results), declared, progress, processes)
+    model = with_results(stage, results)
+    calibration = finish(model, results, declared, progress, processes)
     progress("writing the report")
     return with_report(calibration, collection, declared)
+
+
+def _preload() -> None:
+    """Load the modules that a job needs."""
+    import piezoid.calibration.axis_jobs  # noqa: F401

@@ -48,9 +48,7 @@ def export(
 
     piezoid export stage42/ --json | jq .methods
     """
-    from piezoid.calibration.controllers import REFUSED, failed_files, failed_of, shipped
-    from piezoid.export.bundle import bundle
-    from piezoid.export.parameter_file import to_json
+    from piezoid.calibration.controllers import REFUSED, export_and_verify, shipping_files
     from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.targets.controller_hardware import ControllerHardware, read_hardware
     from piezoid.targets.targets import FOLDERS, check_targets, target_files
@@ -64,7 +62,7 @@ def export(
     design, model = folder.design, folder.model
     check_folder(stage, force=force, names=("params.json", "verification.json"))
     with shown(quiet=quiet or json) as progress:
-        release = shipped(
+        shipping = export_and_verify(
             model,
             design,
             design_digest=digest_in(content_of(stage / "design.json")),
@@ -72,17 +70,14 @@ def export(
             progress=progress,
             threads=usable_cores(),
         )
-    contents = failed_files(failed_of(release))
-    file, notes = release.parameters, tuple[str, ...]()
+    contents, notes = shipping_files(shipping), tuple[str, ...]()
+    file = shipping.parameters
     if file is not None:
         generated = target_files(_target_inputs(file, folder, hardware), targets)
         notes = generated.notes
         contents |= generated.files
-        contents |= {f"bundle/{name}": text for name, text in bundle(file).files.items()}
-        contents["params.json"] = to_json(file)
-    contents["verification.json"] = release.verification.to_json()
     add_to_folder(stage, contents, gone=("params.json", *FOLDERS, REFUSED), force=force)
-    axes, unshipped = ((), release.reasons) if file is None else (file.axes, file.unshipped)
+    axes, unshipped = ((), shipping.reasons) if file is None else (file.axes, file.unshipped)
     if json:
         hand_over_record(
             "exported",

@@ -286,7 +286,8 @@ def calibrate_streamed(
     """
     from dataclasses import replace
 
-    from piezoid.calibration.calibrate import FittedStage, finished
+    from piezoid.calibration.axis_jobs import JobResult, try_design
+    from piezoid.calibration.calibrate import finish
     from piezoid.records.chunked_reader import read_thinned
     from piezoid.records.lab import read_lab
     from piezoid.verbs import fit as fit_stage
@@ -297,7 +298,8 @@ def calibrate_streamed(
     model = fit_stage(recordings, lab=declared, progress=progress)
     notes = dict.fromkeys(f"{r.name}: {s.text}" for r in recordings for s in r.statements)
     model = replace(model, remarks=(*notes, *model.remarks))
-    fitted = FittedStage(model=model, undiagnosed=(UNDIAGNOSED,))
-    calibration = finished(fitted, declared, progress, processes)
+    outcomes, fault = try_design(model, declared, progress)
+    result = JobResult(undiagnosed=UNDIAGNOSED, outcomes=outcomes, fault=fault)
+    calibration = finish(model, [result], declared, progress, processes)
     progress("writing the report")
     return with_report(calibration, None, declared)

@@ -4,7 +4,7 @@
 whenever a new step begins.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -14,7 +14,11 @@ from numpy.typing import ArrayLike
 
 from piezoid.calibration import calibrate as pipeline
 from piezoid.calibration.calibrate import Calibration
-from piezoid.calibration.controllers import shipped
+from piezoid.calibration.controllers import (
+    Controllers,
+    export_and_verify,
+    verified_controllers,
+)
 from piezoid.design.design import Design
 from piezoid.design.design_stage import SpecificationText, controller_rate_Hz, design_stage
 from piezoid.diagnosis import diagnose as engine
@@ -257,7 +261,7 @@ def export(
             needed="the model from which the design was made",
             remedy="Design controllers for this model, or load the model of the design.",
         )
-    return shipped(
+    return export_and_verify(
         model,
         design,
         design_digest=digest_of(design),
@@ -410,33 +414,25 @@ def report(
     >>> page.startswith("<!DOCTYPE html>")
     True
     """
-    collection = collection_of(recordings)
-    unshipped: Mapping[str, str] = {} if design is None else design.refused
-    verification = parameters = None
+    missing = "no design was passed to the report." if design is None else ""
+    controllers = Controllers(design=design, reason=missing)
     if shipping is not None:
-        verification, parameters = shipping.verification, shipping.parameters
-        unshipped = shipping.reasons if parameters is None else parameters.unshipped
+        controllers = verified_controllers(design, shipping)
     records = {
         "model.json": model,
         "diagnosis.json": tuple(diagnoses) or None,
         "design.json": design,
-        "verification.json": verification,
-        "params.json": parameters,
+        "verification.json": controllers.verification,
+        "params.json": controllers.parameters,
     }
-    page = _reports().Page(
-        model=model,
-        recordings=collection.recordings,
-        sweeps=collection.sweeps,
-        responses=collection.responses,
-        design=design,
-        undesigned="" if design is not None else "no design was passed to the report.",
+    text: str = _reports().report_of(
+        model,
+        collection_of(recordings),
+        controllers,
         diagnoses=diagnoses,
-        verification=verification,
-        unshipped=unshipped,
         files={name: sealed(record) for name, record in records.items() if record is not None},
         lab=_lab(lab),
     )
-    text: str = _reports().render(page)
     return text
 
 

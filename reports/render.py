@@ -3,7 +3,7 @@
 import base64
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files as files_of
 
@@ -11,6 +11,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from piezoid.calibration.calibrate import Calibration
+from piezoid.calibration.controllers import Controllers
 from piezoid.calibration.stage_statements import stage_statements
 from piezoid.design.design import Design
 from piezoid.design.design_statements import design_statements
@@ -184,29 +185,54 @@ def _environment(counted: Sequence[str]) -> Environment:
     )
 
 
+def report_of(
+    model: ActuatorModel,
+    collection: Collection,
+    controllers: Controllers,
+    *,
+    diagnoses: Sequence[Diagnosis],
+    undiagnosed: Sequence[str] = (),
+    files: Mapping[str, bytes],
+    lab: Lab | None,
+) -> str:
+    """Return report.html of a stage from the records of its calibration.
+
+    collection  recordings of the fit, for the figures
+    files       sealed files, for the chain of digests
+    """
+    page = Page(
+        model=model,
+        recordings=collection.recordings,
+        sweeps=collection.sweeps,
+        responses=collection.responses,
+        design=controllers.design,
+        undesigned=controllers.reason,
+        diagnoses=diagnoses,
+        undiagnosed=undiagnosed,
+        verification=controllers.verification,
+        unshipped=controllers.unshipped,
+        files=files,
+        lab=lab,
+    )
+    return render(page)
+
+
 def with_report(
     calibration: Calibration, collection: Collection | None, lab: Lab | None
 ) -> Calibration:
-    """Return a calibration with report.html behind its files.
+    """Return a calibration with report.html among its files.
 
     collection  recordings, for the figures of the report; None if they are larger than memory
     """
-    controllers = calibration.controllers
-    recorded = collection
-    if recorded is None:  # not "or": a collection of sweeps alone is empty of recordings
-        recorded = Collection(recordings=(), sweeps=(), responses=())
-    page = Page(
-        model=calibration.model,
-        recordings=recorded.recordings,
-        sweeps=recorded.sweeps,
-        responses=recorded.responses,
-        design=controllers.design,
-        undesigned=controllers.reason,
+    if collection is None:  # a collection of sweeps alone is false as well
+        collection = Collection(recordings=(), sweeps=(), responses=())
+    page = report_of(
+        calibration.model,
+        collection,
+        calibration.controllers,
         diagnoses=calibration.diagnoses,
         undiagnosed=calibration.undiagnosed,
-        verification=controllers.verification,
-        unshipped=controllers.unshipped,
         files=calibration.files,
         lab=lab,
     )
-    return replace(calibration, files={**calibration.files, "report.html": render(page).encode()})
+    return replace(calibration, files={**calibration.files, "report.html": page.encode()})

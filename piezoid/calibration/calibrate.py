@@ -1,11 +1,11 @@
-"""From recordings to every sealed file of a stage's folder; what is drawn is added upstairs."""
+"""Calibrate a stage: from recordings to the sealed files of its folder, without the report."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from piezoid.calibration.controllers import Controllers, controllers_of, files_of
-from piezoid.calibration.stage_jobs import AxisResult, Designed, TipResult, jobs_of, run_job
+from piezoid.calibration.axis_jobs import JobResult, jobs_of, run_job
+from piezoid.calibration.controllers import Controllers, controllers_of
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.identification.actuator_model import ActuatorModel
@@ -21,12 +21,11 @@ Progress = Callable[[str], None]
 class Calibration:
     """One stage, from its recordings to the verdict on what ships.
 
-    diagnoses    of every axis that could be diagnosed, the first one in front
+    diagnoses    of the axes that could be diagnosed, the first one in front
     undiagnosed  why the others could not, a sentence each
-    controllers  what was designed and ships, or why nothing does
-    stumbled     a fault of ours ended a diagnosis or the way to the controller; the reasons say
-                 which
-    files        name and bytes of everything that belongs into the folder
+    controllers  design, parameters and verification, or why there are none
+    stumbled     whether an internal error ended a diagnosis or the design
+    files        names and contents of the files of the folder
     """
 
     model: ActuatorModel
@@ -59,20 +58,6 @@ class Calibration:
         add_to_folder(folder, self.files)
 
 
-@dataclass(frozen=True, kw_only=True)
-class FittedStage:
-    """What was found of all axes.
-
-    designed  what came of designing them, in their order, a tip behind; None: not tried yet
-    """
-
-    model: ActuatorModel
-    diagnoses: tuple[Diagnosis, ...] = ()
-    undiagnosed: tuple[str, ...] = ()
-    stumbled: bool = False
-    designed: tuple[Designed, ...] | None = None
-
-
 def calibrate(
     collection: Collection,
     lab: Lab | None,
@@ -82,63 +67,60 @@ def calibrate(
 ) -> Calibration:
     """Fit, diagnose, design, export and verify one stage, one axis after the other.
 
-    threads  so many diagnose and verify; what they find does not depend on it
+    threads  of diagnosis and verification; the results do not depend on them
 
     Raises what fitting raises; a stage for which no controller can be designed is a calibration
     without one.
     """
-    blank, jobs = jobs_of(collection, lab, threads, progress)
-    return finished(
-        stage_of(blank, [run_job(job, progress) for job in jobs]), lab, progress, threads
+    stage, jobs = jobs_of(collection, lab, threads, progress)
+    results = [run_job(job, progress) for job in jobs]
+    return finish(with_results(stage, results), results, lab, progress, threads)
+
+
+def with_results(stage: ActuatorModel, results: Sequence[JobResult]) -> ActuatorModel:
+    """Return a stage with the models of its axes and of its tip."""
+    models = [result.model for result in results if result.model is not None]
+    tips = [result.tunnelling for result in results if result.tunnelling is not None]
+    return replace(
+        stage,
+        axes={model.axis: model for model in models},
+        tunnelling=tips[0] if tips else None,
     )
 
 
-def stage_of(blank: ActuatorModel, results: Sequence[AxisResult | TipResult]) -> FittedStage:
-    """Put together what came of the jobs of a stage.
-
-    blank  the stage before any fit
-    """
-    axes = [result for result in results if isinstance(result, AxisResult)]
-    tips = [result for result in results if isinstance(result, TipResult)]
-    return FittedStage(
-        model=replace(
-            blank,
-            axes={result.model.axis: result.model for result in axes},
-            tunnelling=tips[0].tunnelling if tips else None,
-        ),
-        diagnoses=tuple(result.diagnosis for result in axes if result.diagnosis is not None),
-        undiagnosed=tuple(result.undiagnosed for result in axes if result.undiagnosed),
-        stumbled=any(result.stumbled for result in axes),
-        designed=(*(result.designed for result in axes), *(result.designed for result in tips)),
-    )
-
-
-def finished(
-    stage: FittedStage, lab: Lab | None, progress: Progress, threads: int = 1
+def finish(
+    model: ActuatorModel,
+    results: Sequence[JobResult],
+    lab: Lab | None,
+    progress: Progress,
+    threads: int = 1,
 ) -> Calibration:
-    """Design, export and verify a stage that is fitted.
+    """Export and verify a stage whose axes are fitted and designed.
 
-    threads  so many verify; the files are the same bytes
+    results  of the jobs: diagnoses and designs
+    threads  of the verification; its result does not depend on them
     """
-    model_file = write_model(stage.model)
-    files = {"model.json": model_file}
-    if stage.diagnoses:
-        files["diagnosis.json"] = write_diagnosis(stage.diagnoses[0], others=stage.diagnoses[1:])
+    diagnoses = tuple(r.diagnosis for r in results if r.diagnosis is not None)
+    axes_first = sorted(results, key=lambda result: result.model is None)
+    files = {"model.json": write_model(model)}
+    if diagnoses:
+        files["diagnosis.json"] = write_diagnosis(diagnoses[0], others=diagnoses[1:])
     if lab is not None and lab.digest:  # later verbs read what the laboratory declared
         files["lab.toml"] = (lab.folder / lab.place).read_bytes()
     controllers = controllers_of(
-        stage.model,
-        model_file,
+        model,
+        files["model.json"],
         lab,
         progress,
-        designed=stage.designed,
+        outcomes=[outcome for result in axes_first for outcome in result.outcomes],
+        fault=next((r.fault for r in axes_first if r.fault is not None), None),
         threads=threads,
     )
     return Calibration(
-        model=stage.model,
-        diagnoses=stage.diagnoses,
-        undiagnosed=stage.undiagnosed,
+        model=model,
+        diagnoses=diagnoses,
+        undiagnosed=tuple(r.undiagnosed for r in results if r.undiagnosed),
         controllers=controllers,
-        stumbled=stage.stumbled or controllers.stumbled,
-        files=files | files_of(controllers),
+        stumbled=controllers.stumbled or any(r.stumbled for r in results),
+        files=files | controllers.files,
     )

@@ -3,18 +3,11 @@
 from dataclasses import replace
 from json import loads
 
-from piezoid.calibration.controllers import Controllers, failed_of, files_of
+from piezoid.calibration.controllers import shipping_files
 from piezoid.export.parameter_file import from_json
 from piezoid.verification.release import release
 from tests.verification.known_fit import junction_model, shipped
 from tests.verification.rig import stage
-
-
-def files_for(found):
-    made = Controllers(
-        parameters=found.parameters, verification=found.verification, failed=failed_of(found)
-    )
-    return files_of(made)
 
 
 def test_what_passes_ships_and_nothing_is_refused():
@@ -22,7 +15,7 @@ def test_what_passes_ships_and_nothing_is_refused():
     assert found.parameters is not None
     assert found.verification.passed
     assert not found.reasons
-    files = files_for(found)
+    files = shipping_files(found)
     assert {"params.json", "bundle/piezoid_runtime.c", "verification.json"} <= set(files)
     assert not any(name.startswith("refused/") for name in files)
 
@@ -33,7 +26,7 @@ def test_what_fails_leaves_neither_parameters_nor_a_bundle_but_its_figures():
     assert found.parameters is None
     assert "verdicts" in found.reasons["z"]
     assert "plants the recordings allow" in found.reasons["z"]
-    files = files_for(found)
+    files = shipping_files(found)
     assert set(files) == {"verification.json", "refused/params.json", "refused/verification.json"}
     assert loads(files["verification.json"])["passed"] is False
     assert [axis.axis for axis in from_json(files["refused/params.json"], "p").axes] == ["z"]
