@@ -71,9 +71,9 @@ class Statement:
 
 
 def finding(
-    *,
     quantity: str,
     text: str,
+    *,
     axis: str = "",
     place: str = "",
     recording: str = "",

@@ -296,11 +296,7 @@ def _statement(steps: Sequence[BaselineStep], recording: Recording, axis: str) -
         "are fitted with separate zeros."
     )
     return finding(
-        quantity="zero_jump",
-        axis=axis,
-        text=text,
-        value=max(abs(step.size) for step in steps),
-        unit="m",
+        "zero_jump", text, axis=axis, value=max(abs(step.size) for step in steps), unit="m"
     )
 
 

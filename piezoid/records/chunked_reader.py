@@ -117,7 +117,7 @@ def _recording(
                 f"; they cover {100 * thinned.share:.0f} % of it, in {len(thinned.starts)} "
                 "stretches, because its drive turns too often for fewer samples"
             )
-        statements = (*statements, finding(quantity="thinned", place=first.name, text=text))
+        statements = (*statements, finding("thinned", text, place=first.name))
     return Recording(
         name=first.name,
         digest=first.digest,

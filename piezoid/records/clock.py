@@ -3,7 +3,7 @@
 import itertools
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -166,6 +166,29 @@ def _has_rare_jumps(time_s: Array, resolution_s: float) -> bool:
     return len(jumps) < 3 or bool(np.ptp(np.diff(jumps)) > 1)
 
 
+@dataclass(frozen=True, eq=False)
+class _Fault:
+    """Stamps with one fault: their rows, and how many samples it lost, added or set back."""
+
+    quantity: str
+    sentence: str
+    rows: Stamps
+    samples: int
+
+    def statement(self, time_s: Array, place: PlaceOf, addition: str = "") -> Statement:
+        """State how often it happens, and the first places."""
+        first = [
+            f"{place(k)}, t = {time_s[k]:.6g} s (step {time_s[k] - time_s[k - 1]:.6g} s)"
+            for k in self.rows[:_MAX_PLACES].tolist()
+        ]
+        unlisted = len(self.rows) - _MAX_PLACES
+        further = f" and {unlisted} more" if unlisted > 0 else ""
+        places = f"{len(self.rows)} places: {'; '.join(first)}{further}"
+        text, row = f"{self.sentence} at {places}{addition}", int(self.rows[0])
+        samples = float(self.samples)
+        return finding(self.quantity, text, place=place(row), value=samples, unit="samples")
+
+
 def _faulty_clock(time_s: Array, resolution_s: float, name: str, place: PlaceOf) -> Clock:
     """Return a clock with the faults of its stamps, or refuse stamps that share no interval."""
     steps = np.diff(time_s)
@@ -186,14 +209,44 @@ def _faulty_clock(time_s: Array, resolution_s: float, name: str, place: PlaceOf)
     gaps, missing = _gaps(time_s, interval_s, max_excess_s)
     repeated = _repeated(steps, interval_s, resolution_s)
     backward = np.flatnonzero(steps < -max_excess_s) + 1
-    stepped = np.round(np.minimum(1.0 - steps[backward - 1] / interval_s, MAX_LOST)).astype(int)
-    lost, returned = int(missing.sum()), int(stepped.sum())
-    # The steps must sum up to the span of the stamps. A repeated stamp may be one sample too many,
-    # or be made up for when the clock catches up.
+    returned = np.round(np.minimum(1.0 - steps[backward - 1] / interval_s, MAX_LOST)).astype(int)
+    faults = [
+        _Fault("gap", "time is missing", gaps, int(missing.sum())),
+        _Fault("duplicate_time", "the time stamp is repeated", repeated, len(repeated)),
+        _Fault("time_reversed", "the clock steps back", backward, int(returned.sum())),
+    ]
+    _refuse_unaccounted_time(time_s, interval_s, faults, name, place)
+    jitter_s, jitter = _jitter(steps, interval_s, max_excess_s, resolution_s)
+    single = int(np.sum(missing == 1))
+    bridged = f"; {single} of single samples, bridged by straight lines" if single else ""
+    return Clock(
+        sampling_rate_Hz=plain_rate_Hz(1 / interval_s, (resolution_s + jitter_s) / np.ptp(time_s)),
+        jitter_rms_s=jitter_s,
+        breaks=tuple(sorted({*gaps[missing > 1].tolist(), *backward.tolist()})),
+        bridged=tuple(gaps[missing == 1].tolist()),
+        statements=(
+            *(
+                fault.statement(time_s, place, bridged if fault.quantity == "gap" else "")
+                for fault in faults
+                if len(fault.rows)
+            ),
+            *jitter,
+        ),
+    )
+
+
+def _refuse_unaccounted_time(
+    time_s: Array, interval_s: float, faults: Sequence[_Fault], name: str, place: PlaceOf
+) -> None:
+    """Refuse stamps whose steps do not sum up to their span.
+
+    A repeated stamp may be one sample too many, or be made up for when the clock catches up.
+    """
+    lost, repeated, returned = (fault.samples for fault in faults)
     span, expected = (time_s[-1] - time_s[0]) / interval_s, len(time_s) - 1 + lost - returned
     tolerance = MAX_UNACCOUNTED * max(abs(span), expected) + SPARE_STEPS
-    if not expected - len(repeated) - tolerance <= span <= expected + tolerance:
-        first = int(np.argmax(np.abs(steps - interval_s) > 0.25 * interval_s)) + 1
+    if not expected - repeated - tolerance <= span <= expected + tolerance:
+        first = int(np.argmax(np.abs(np.diff(time_s) - interval_s) > 0.25 * interval_s)) + 1
         raise _no_clock(
             name,
             f"most time steps are {interval_s:.6g} s, of which {expected} make "
@@ -201,67 +254,22 @@ def _faulty_clock(time_s: Array, resolution_s: float, name: str, place: PlaceOf)
             f"{time_s[-1] - time_s[0]:.6g} s; the first other step is at {place(first)}",
             "samples at a uniform rate, or long stretches of one rate",
         )
+
+
+def _jitter(
+    steps: Array, interval_s: float, max_excess_s: float, resolution_s: float
+) -> tuple[float, list[Statement]]:
+    """Return the jitter of stamps without faults, s rms, and a statement where it is not small."""
     # Two independent stamps make one step, hence the root of two.
     errors_s = (steps - interval_s)[np.abs(steps - interval_s) < max_excess_s]
     jitter_s = float(np.sqrt(np.mean(errors_s**2) / 2)) if len(errors_s) else 0.0
-    single = int(np.sum(missing == 1))
-    bridged = f"; {single} of single samples, bridged by straight lines" if single else ""
-    statements = [
-        *_fault_statement("gap", "time is missing", gaps, lost, time_s, place, bridged),
-        *_fault_statement(
-            "duplicate_time", "the time stamp is repeated", repeated, len(repeated), time_s, place
-        ),
-        *_fault_statement(
-            "time_reversed", "the clock steps back", backward, returned, time_s, place
-        ),
-    ]
-    if jitter_s > MIN_JITTER * interval_s and jitter_s > 0.51 * resolution_s:
-        text = (
-            f"The time stamps jitter by {jitter_s:.3g} s rms about a uniform clock, "
-            f"{100 * jitter_s / interval_s:.2g} % of the sampling interval."
-        )
-        statements.append(
-            finding(
-                quantity="jitter", place="the time column", text=text, value=jitter_s, unit="s"
-            )
-        )
-    return Clock(
-        sampling_rate_Hz=plain_rate_Hz(1 / interval_s, (resolution_s + jitter_s) / np.ptp(time_s)),
-        jitter_rms_s=jitter_s,
-        breaks=tuple(sorted({*gaps[missing > 1].tolist(), *backward.tolist()})),
-        bridged=tuple(gaps[missing == 1].tolist()),
-        statements=tuple(statements),
+    if not (jitter_s > MIN_JITTER * interval_s and jitter_s > 0.51 * resolution_s):
+        return jitter_s, []
+    text = (
+        f"The time stamps jitter by {jitter_s:.3g} s rms about a uniform clock, "
+        f"{100 * jitter_s / interval_s:.2g} % of the sampling interval."
     )
-
-
-def _fault_statement(
-    quantity: str,
-    sentence: str,
-    rows: Stamps,
-    samples: int,
-    time_s: Array,
-    place: PlaceOf,
-    addition: str = "",
-) -> list[Statement]:
-    """State a fault of the stamps: how often, and the first places; nothing without rows."""
-    if not len(rows):
-        return []
-    first = [
-        f"{place(k)}, t = {time_s[k]:.6g} s (step {time_s[k] - time_s[k - 1]:.6g} s)"
-        for k in rows[:_MAX_PLACES].tolist()
-    ]
-    unlisted = len(rows) - _MAX_PLACES
-    further = f" and {unlisted} more" if unlisted > 0 else ""
-    text = f"{sentence} at {len(rows)} places: {'; '.join(first)}{further}{addition}"
-    return [
-        finding(
-            quantity=quantity,
-            place=place(int(rows[0])),
-            text=text,
-            value=float(samples),
-            unit="samples",
-        )
-    ]
+    return jitter_s, [finding("jitter", text, place="the time column", value=jitter_s, unit="s")]
 
 
 def _interval_s(time_s: Array) -> float:

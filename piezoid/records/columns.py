@@ -129,7 +129,7 @@ def _unwrapped(
                     f"The clock is a {bits}-bit counter that overflows {len(rows)} times, first "
                     f"at {place}."
                 )
-                statements.append(finding(quantity="wrapped_clock", place=place, text=text))
+                statements.append(finding("wrapped_clock", text, place=place))
                 return replace(time, values=time.values + np.cumsum(overflows_s))
     return time
 
@@ -276,7 +276,7 @@ def _converted(
     elif unit is None and quantity is Quantity.VOLTAGE and entry.columns:
         unit = Unit(symbol="V", dimension=Dimension.VOLTAGE)
         text = f"{column.place} has no unit; the voltage that lab.toml names is read as volts."
-        statements.append(finding(quantity="unit_assumed", place=column.place, text=text))
+        statements.append(finding("unit_assumed", text, place=column.place))
     if unit is None:
         raise ambiguous_columns(table, f"{column.place} is a {name} without a unit")
     values = column.values * unit.factor + unit.offset
@@ -369,7 +369,7 @@ def _in_counts(
         f"is exported. To change this, write scale = {{ {name} = {size} }}, {quantity.value} per "
         f"count, into its [[recording]] of lab.toml{source}."
     )
-    return finding(quantity="counts", place=column.place, text=text)
+    return finding("counts", text, place=column.place)
 
 
 def _count_size(lab: Lab, quantity: Quantity, axis: str) -> tuple[str, str]:

@@ -144,12 +144,11 @@ def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[P
         f"{table.place_of_row(row)} (t = {stamps_s[stretch.start]:.6g} s)"
         for row, stretch in zip(starts, stretches, strict=True)
     )
-    statement = finding(
-        quantity="several_rates",
-        place=table.place_of_row(starts[1]),
-        text=f"The sampling rate changes: {len(stretches)} stretches begin at {places}; each is "
-        "read as a recording.",
+    text = (
+        f"The sampling rate changes: {len(stretches)} stretches begin at {places}; each is read "
+        "as a recording."
     )
+    statement = finding("several_rates", text, place=table.place_of_row(starts[1]))
     parts: list[Part] = []
     edges = pairwise((*starts, table.rows))
     for k, (stretch, (start, stop)) in enumerate(zip(stretches, edges, strict=True), 1):
@@ -337,7 +336,7 @@ def _select_axis(
         f"Contains the axes {', '.join(sorted(ranges))}; read as {axis}, whose drive moves the "
         "most. Set axis in its [[recording]] of lab.toml to change this."
     )
-    return axis, [finding(quantity="several_axes", place="columns", text=text)]
+    return axis, [finding("several_axes", text, place="columns")]
 
 
 def _clock(

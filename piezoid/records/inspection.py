@@ -210,7 +210,7 @@ def _inspect_table(
             f"a table over the height {table.independent!r}, without a time: fit takes its "
             "currents for approach curves of the tunnelling junction"
         )
-        curve = finding(quantity="approach_curve", place=table.independent, text=text)
+        curve = finding("approach_curve", text, place=table.independent)
         return replace(refused, refusal=None, statements=(curve, *refused.statements)), None
     reversals, levels_V = _turns_of_drive(recording)
     headings = [meaning_of(channel.column.heading) for channel in assignment.channels]

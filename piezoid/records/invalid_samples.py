@@ -367,12 +367,10 @@ def invalid_statement(
         labels = [f"{place_of(a)} to {place_of(b - 1)}" for a, b in _runs_of(mask)]
     further = f" and {len(labels) - MAX_PLACES} more" if len(labels) > MAX_PLACES else ""
     deviation = np.abs(values - interpolated(values, invalid))[samples]
-    return finding(
-        quantity="saturated" if readings.kind == "clipped" else "lost_readings",
-        place=place,
-        text=f"{place} {appearance}, {len(samples)} times "
-        f"({100 * len(samples) / total:.2g} % of the samples), at "
-        f"{', '.join(labels[:MAX_PLACES])}{further}: left out as invalid.",
-        value=float(deviation.max()) * abs(unit.factor),
-        unit="m",
+    text = (
+        f"{place} {appearance}, {len(samples)} times ({100 * len(samples) / total:.2g} % of the "
+        f"samples), at {', '.join(labels[:MAX_PLACES])}{further}: left out as invalid."
     )
+    quantity = "saturated" if readings.kind == "clipped" else "lost_readings"
+    value = float(deviation.max()) * abs(unit.factor)
+    return finding(quantity, text, place=place, value=value, unit="m")

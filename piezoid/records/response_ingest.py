@@ -69,7 +69,7 @@ def ingest_response(
     )
     if columns.by_number:
         text = "axes are numbered: 1, 2, 3 are read as x, y, z, the one that moves first"
-        statements.append(finding(quantity="numbered_axes", place="its headings", text=text))
+        statements.append(finding("numbered_axes", text, place="its headings"))
     return FrequencyResponseRecord(
         name=table.name,
         digest=table.digest,
@@ -102,7 +102,7 @@ def _frequency_Hz(
     if (np.diff(f) < 0).all() and len(f) > 1:
         rows = rows[::-1]
         text = "frequencies fall from row to row; they are read from the last row on"
-        statements.append(finding(quantity="downward", place=column.place, text=text))
+        statements.append(finding("downward", text, place=column.place))
     steps = np.diff(f[rows])
     if (steps <= 0).any():
         row = int(np.argmax(steps <= 0)) + 1
@@ -117,7 +117,7 @@ def _frequency_Hz(
     if not f[rows[0]] > 0:
         rows = rows[1:]
         text = "the line at 0 Hz is left out: it holds the offset, not a response"
-        statements.append(finding(quantity="zero_frequency", place=column.place, text=text))
+        statements.append(finding("zero_frequency", text, place=column.place))
     if len(rows) < FEWEST_LINES:
         raise RecordingError(
             f"{table.name}: {len(rows)} frequencies",
@@ -151,7 +151,7 @@ class _Path:
             response = self._amplitude("real") + 1j * self._amplitude("imaginary")
             if "magnitude" in self.parts:
                 text = "real and imaginary part are read; magnitude and phase say the same again"
-                statements.append(finding(quantity="said_twice", place=column.place, text=text))
+                statements.append(finding("said_twice", text, place=column.place))
         else:
             column = self.parts["magnitude"]
             size = self._amplitude("magnitude")

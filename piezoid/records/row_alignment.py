@@ -104,7 +104,7 @@ def on_common_rows(
             segment_starts=tuple(max(0, -(-(s - first) // step)) for s in table.segment_starts),
             first_line=0,
         ),
-        (finding(quantity="slower_channel", place=labels[0], text=text),),
+        (finding("slower_channel", text, place=labels[0]),),
     )
 
 
@@ -147,7 +147,7 @@ def unique_rows(table: RawTable, assignment: Assignment) -> tuple[Rows, list[Sta
         f"{len(repeated)} rows are repeated (same stamp, same numbers) and read once. The first "
         f"is {place}, t = {time_s[repeated[0]]:.6g} s."
     )
-    return every_row[~is_repeated], [finding(quantity="repeated_rows", place=place, text=text)]
+    return every_row[~is_repeated], [finding("repeated_rows", text, place=place)]
 
 
 def complete_rows(
@@ -190,7 +190,7 @@ def complete_rows(
         f"inside, bridged by straight lines, {len(incomplete) - at_ends - len(single)} in "
         f"{len(several)} gaps; the first is {place}, {' and '.join(empty)}"
     )
-    return complete, single, several, [finding(quantity="missing_values", place=place, text=text)]
+    return complete, single, several, [finding("missing_values", text, place=place)]
 
 
 def positions_in(complete: Rows, rows: Rows) -> tuple[int, ...]:

@@ -88,4 +88,4 @@ def overflows(values: Array, drives: Sequence[Array]) -> Array:
 
 
 def _statement(quantity: str, column: Column, text: str) -> Statement:
-    return finding(quantity=quantity, place=column.place, text=f"{column.place} {text}")
+    return finding(quantity, f"{column.place} {text}", place=column.place)

@@ -39,7 +39,7 @@ def check_command_range(recording: Recording, lab: Lab) -> list[Statement]:
                 f"{amplifier_scale(lab, axis)} into its [[recording]]; else correct input_range_V "
                 "or [amplifier]."
             )
-            statements.append(finding(quantity="beyond_the_controller", axis=axis, text=text))
+            statements.append(finding("beyond_the_controller", text, axis=axis))
     return statements
 
 

@@ -32,7 +32,7 @@ def check_commanded_displacement(recording: Recording, _lab: Lab) -> list[Statem
                 f"{with_unit(gain_m_per_V, 'm')}/V times the drive, rising and falling: it is a "
                 "command or was computed from the drive, and nothing was measured."
             )
-            statements.append(finding(quantity="not_measured", axis=axis, text=text))
+            statements.append(finding("not_measured", text, axis=axis))
     return statements
 
 

@@ -229,12 +229,7 @@ def inconsistency(
         f"Likely cause: {cause}."
     )
     statement = finding(
-        quantity="does_not_fit",
-        axis=axis,
-        recording=gain.name,
-        text=text,
-        value=ratio,
-        unit="1",
+        "does_not_fit", text, axis=axis, recording=gain.name, value=ratio, unit="1"
     )
     return statement, line
 

@@ -38,11 +38,7 @@ class SharedRows:
 def check_copies(recordings: Sequence[Recording]) -> list[Statement]:
     """Report each recording that is a copy or a part of another one."""
     return [
-        finding(
-            quantity="copy",
-            recording=copy,
-            text=f"{copy} holds samples of {original} and is left out.",
-        )
+        finding("copy", f"{copy} holds samples of {original} and is left out.", recording=copy)
         for copy, original in copies(recordings).items()
     ]
 

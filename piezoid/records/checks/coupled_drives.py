@@ -56,15 +56,7 @@ def check_coupled_drives(recording: Recording, lab: Lab) -> list[Statement]:
         f"Several drives move one displacement: {pairs}. A model of each axis by itself cannot "
         f"hold. Write into lab.toml: [coupled] axes = [{names}]"
     )
-    return [
-        finding(
-            quantity="coupled_drives",
-            axis=coupled[0],
-            text=text,
-            value=max(shares.values()),
-            unit="1",
-        )
-    ]
+    return [finding("coupled_drives", text, axis=coupled[0], value=max(shares.values()), unit="1")]
 
 
 def drive_shares(drives: Mapping[str, Array], displacement: Array, axis: str) -> dict[str, float]:

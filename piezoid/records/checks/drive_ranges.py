@@ -30,12 +30,7 @@ def check_drive_ranges(recordings: Sequence[Recording]) -> list[Statement]:
                 )
                 statements.append(
                     finding(
-                        quantity="drive_range",
-                        axis=axis,
-                        recording=name,
-                        text=text,
-                        value=range_V,
-                        unit="V",
+                        "drive_range", text, axis=axis, recording=name, value=range_V, unit="V"
                     )
                 )
     return statements

@@ -76,9 +76,7 @@ def check_early_turns(recording: Recording, _lab: Lab) -> list[Statement]:
             )
         else:
             continue
-        statements.append(
-            finding(quantity=quantity, axis=axis, text=text, value=early_s, unit="s")
-        )
+        statements.append(finding(quantity, text, axis=axis, value=early_s, unit="s"))
     return statements
 
 

@@ -40,9 +40,7 @@ def check_feedback(recording: Recording, _lab: Lab) -> list[Statement]:
             f"{with_unit(range_m, 'm')} while the drive moves by {with_unit(range_V, 'V')}: "
             "recorded under feedback, or the sensor does not see the motion."
         )
-        statements.append(
-            finding(quantity="closed_loop", axis=axis, text=text, value=range_V, unit="V")
-        )
+        statements.append(finding("closed_loop", text, axis=axis, value=range_V, unit="V"))
     return statements
 
 
@@ -52,17 +50,13 @@ def check_feedback_of_set(recordings: Sequence[Recording]) -> list[Statement]:
     for axis in sorted({r.axis for r in recordings}):
         of_axis = [r for r in recordings if r.axis == axis and axis in r.complete_axes]
         held = [r.name for r in of_axis if is_held_throughout(r, axis)]
-        statements += [
-            finding(
-                quantity="held_throughout",
-                axis=axis,
-                recording=name,
-                text=f"{name}: the sensor of axis {axis} stands still while the drive moves "
-                "(feedback, or a sensor that does not see the motion). It is used to find creep, "
-                "not to fit loops.",
+        for name in held if len(held) < len(of_axis) else ():
+            text = (
+                f"{name}: the sensor of axis {axis} stands still while the drive moves (feedback, "
+                "or a sensor that does not see the motion). It is used to find creep, not to fit "
+                "loops."
             )
-            for name in (held if len(held) < len(of_axis) else ())
-        ]
+            statements.append(finding("held_throughout", text, axis=axis, recording=name))
     return statements
 
 

@@ -35,12 +35,6 @@ def check_gain(recording: Recording, _lab: Lab) -> list[Statement]:
                 "volt. Check the units, and whether the drive is the output of a monitor."
             )
             statements.append(
-                finding(
-                    quantity="implausible_gain",
-                    axis=axis,
-                    text=text,
-                    value=gain_m_per_V,
-                    unit="m/V",
-                )
+                finding("implausible_gain", text, axis=axis, value=gain_m_per_V, unit="m/V")
             )
     return statements

@@ -39,7 +39,7 @@ def check_loop_direction(recording: Recording, _lab: Lab) -> list[Statement]:
             f"{{ voltage = {response}, displacement = {drive}, ... }} into lab.toml; else check "
             "whether the drive is sampled late."
         )
-        statements.append(finding(quantity="leads", axis=axis, text=text, value=area, unit="1"))
+        statements.append(finding("leads", text, axis=axis, value=area, unit="1"))
     return statements
 
 

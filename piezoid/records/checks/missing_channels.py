@@ -17,9 +17,9 @@ def check_missing_channels(recording: Recording, _lab: Lab) -> list[Statement]:
         return []
     return [
         finding(
-            quantity="incomplete",
+            "incomplete",
+            f"No {quantity.name.lower()} is recorded; this recording cannot be fitted alone.",
             place="columns",
-            text=f"No {quantity.name.lower()} is recorded; this recording cannot be fitted alone.",
         )
         for quantity in (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
         if quantity not in recorded

@@ -16,14 +16,11 @@ def check_mixed_units(recordings: Sequence[Recording]) -> list[Statement]:
         in_si = sorted({name for name, channel in channels if not channel.is_counted})
         in_counts = dict.fromkeys(name for name, channel in channels if channel.is_counted)
         kind, si = quantity.name.lower(), quantity.value
-        statements += [
-            finding(
-                quantity="mixed_units",
-                recording=name,
-                text=f"The {kind} of {name} is in counts, that of "
-                f"{', '.join(in_si[:_MAX_NAMES])} in {si}: they cannot be compared. Write scale = "
-                f"{{ {kind} = ... }}, {si} per count, into its [[recording]].",
+        for name in in_counts if in_si else ():
+            text = (
+                f"The {kind} of {name} is in counts, that of {', '.join(in_si[:_MAX_NAMES])} in "
+                f"{si}: they cannot be compared. Write scale = {{ {kind} = ... }}, {si} per "
+                "count, into its [[recording]]."
             )
-            for name in (in_counts if in_si else ())
-        ]
+            statements.append(finding("mixed_units", text, recording=name))
     return statements

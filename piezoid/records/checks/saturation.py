@@ -68,9 +68,7 @@ def check_saturation(recording: Recording, _lab: Lab) -> list[Statement]:
                     f"stage. Stay {'below' if sign > 0 else 'above'} {stop_V:.4g} V, or leave "
                     "these cycles out."
                 )
-                statements.append(
-                    finding(quantity="stands", axis=axis, text=text, value=stop_V, unit="V")
-                )
+                statements.append(finding("stands", text, axis=axis, value=stop_V, unit="V"))
     return statements
 
 

@@ -65,5 +65,5 @@ def join_complex_columns(real: RawTable, imaginary: RawTable) -> RawTable:
         f"{places}{more} holds complex numbers: real and imaginary part are the columns of a "
         "frequency response, and of no recording over time"
     )
-    statement = finding(quantity="complex", place=complex_columns[0].place, text=text)
+    statement = finding("complex", text, place=complex_columns[0].place)
     return replace(real, columns=tuple(columns), statements=(*real.statements, statement))

@@ -59,7 +59,7 @@ def read(source: Source) -> RawTable:
         return table
     names = ", ".join(map(repr, with_rows[1:]))
     text = f"sheet {sheet!r} is read; {names} hold rows of numbers as well and are not read"
-    statement = finding(quantity="other_sheets", place=f"sheet {sheet!r}", text=text)
+    statement = finding("other_sheets", text, place=f"sheet {sheet!r}")
     return replace(table, statements=(statement, *table.statements))
 
 

@@ -144,9 +144,9 @@ def _joined(name: str, header: dict[str, str], segments: Sequence[_Segment]) -> 
     decimal = header.get("Decimal_Separator", ".")
     truncated = [
         finding(
-            quantity="truncated",
+            "truncated",
+            f"the header declares {s.declared_rows} samples, the file holds {s.rows}",
             place=f"line {s.line}",
-            text=f"the header declares {s.declared_rows} samples, the file holds {s.rows}",
         )
         for s in segments
         if s.declared_rows > max(s.rows, 1)

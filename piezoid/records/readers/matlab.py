@@ -70,7 +70,7 @@ def read(source: Source) -> RawTable:
     if not opaque:
         return table
     text = f"{objects} are objects that only MATLAB can open, and are not read. {SAVING_ADVICE}"
-    statement = finding(quantity="opaque", place=next(iter(opaque)), text=text)
+    statement = finding("opaque", text, place=next(iter(opaque)))
     return replace(table, statements=(statement, *table.statements))
 
 

@@ -61,7 +61,7 @@ def table_of(
     for label, _, values in vectors:
         if len(values) != rows:
             text = f"{label!r} has {len(values)} values, most columns {rows}; it is not read"
-            statements.append(finding(quantity="other_length", place=label, text=text))
+            statements.append(finding("other_length", text, place=label))
     return RawTable(
         columns=tuple(
             Column(number=k + 1, label=label, declared_unit=units.get(name, ""), values=values)
@@ -140,12 +140,12 @@ def _columns_of(
             for label, path in paths or [(name, array.reshape(-1))]
             for part in ("real", "imag")
         ]
-        return columns, [finding(quantity="complex", place=name, text=text)]
+        return columns, [finding("complex", text, place=name)]
     if paths or max(array.shape) == array.size:
         return paths or [(name, array.reshape(-1))], []
     if array.ndim > 2:
         text = f"{name!r} has {array.ndim} axes {array.shape}: which is time, which channel?"
-        return [], [finding(quantity="axes", place=name, text=text)]
+        return [], [finding("axes", text, place=name)]
     statements = []
     rows, columns_count = array.shape
     if _is_transposed(source, name, array, shapes):
@@ -155,7 +155,7 @@ def _columns_of(
             f"channels of {columns_count} samples"
         )
         place = name or "the array"
-        statements.append(finding(quantity="transposed", place=place, text=text))
+        statements.append(finding("transposed", text, place=place))
     labels = [f"{name}(:,{k + 1})" if name else "" for k in range(array.shape[1])]
     return list(zip(labels, array.T, strict=True)), statements
 

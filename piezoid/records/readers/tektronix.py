@@ -66,7 +66,7 @@ def read(source: Source) -> RawTable:
     truncated = []
     if declared > table.rows:
         text = f"the settings declare {declared:.0f} samples, the file holds {table.rows}"
-        truncated = [finding(quantity="truncated", place="line 1", text=text)]
+        truncated = [finding("truncated", text, place="line 1")]
     return replace(
         table,
         columns=(columns[0], *columns[1::2]),

@@ -176,7 +176,7 @@ def without_comments(text: str, first_line: int) -> tuple[str, tuple[Statement, 
     if not at:
         return text, ()
     text = f"{len(at)} comments between the rows are not read; the first is {lines[at[0]][:60]!r}"
-    statement = finding(quantity="comment_lines", place=f"line {first_line + at[0]}", text=text)
+    statement = finding("comment_lines", text, place=f"line {first_line + at[0]}")
     return "\n".join(line for line in lines if not _COMMENT.match(line)), (statement,)
 
 
@@ -200,9 +200,9 @@ def _parse_cells(text: str, layout: Layout, name: str, first_line: int) -> Numbe
     textual = frozenset(np.flatnonzero(2 * counts > len(numbers)).tolist())
     statements = [
         finding(
-            quantity="not_a_number",
+            "not_a_number",
+            f"{counts[k]} fields of column {k + 1} hold text instead of a number",
             place=f"line {lines[is_text[:, k].argmax()]}, column {k + 1}",
-            text=f"{counts[k]} fields of column {k + 1} hold text instead of a number",
         )
         for k in np.flatnonzero(counts).tolist()
         if k not in textual
@@ -215,7 +215,7 @@ def _parse_cells(text: str, layout: Layout, name: str, first_line: int) -> Numbe
             f"{layout.fields})"
         )
         place = f"line {lines[wide[0]]}"
-        statements.append(finding(quantity="field_count", place=place, text=text))
+        statements.append(finding("field_count", text, place=place))
     others = [count for k, count in enumerate(counts.tolist()) if k not in textual]
     damaged = len(wide) + max(others, default=0)
     if not others or 4 * damaged > len(numbers):

@@ -163,10 +163,10 @@ def _statements_of_file(start: TableStart, block: NumberTable) -> list[Statement
             f"{start.layout.fields} of them; they are not read"
         )
         place = f"line {start.strays[0]}"
-        statements.append(finding(quantity="rows_above", place=place, text=text))
+        statements.append(finding("rows_above", text, place=place))
     for k in sorted(block.textual):
         text = f"column {k + 1} {start.labels[k]!r} holds text and is not read"
-        statements.append(finding(quantity="text_column", place=f"column {k + 1}", text=text))
+        statements.append(finding("text_column", text, place=f"column {k + 1}"))
     return statements
 
 
@@ -195,7 +195,7 @@ def parse_rows(
         f"the headings stand again at {len(heading_lines)} places, as where runs were put into "
         "one file: each begins with a memory of its own"
     )
-    statement = finding(quantity="repeated_heading", place=f"line {heading_lines[0]}", text=text)
+    statement = finding("repeated_heading", text, place=f"line {heading_lines[0]}")
     return parse_numbers(rows, start.layout, name, line), segment_starts, (*remarks, statement)
 
 

@@ -1,0 +1,235 @@
+"""Text tables in odd characters: encodings, line ends, separators, decimal and thousands marks."""
+
+import gzip
+
+from tests.records.messy.writers import (
+    EVERY,
+    NAMES,
+    VOLTAGE_V,
+    Messy,
+    POSITION_um,
+    TIME_s,
+    columns,
+    grouped,
+    lines,
+    text,
+    with_rows,
+)
+
+
+def whole_volts(k: int) -> str:
+    """Return 950 or 1,234: no decimals, thousands marked off."""
+    return f"{round(1e3 * VOLTAGE_V[k] / 40):,}"
+
+
+def _prefixed(line: str) -> str:
+    """Write a displacement below 5 um as thousandths with a prefix."""
+    *cells, displacement = line.split(",")
+    value = float(displacement)
+    return ",".join([*cells, f"{1e3 * value:.3f}m" if abs(value) < 5 else displacement])
+
+
+def _with_zeros(content: bytes, at: int, count: int) -> bytes:
+    return content[:at] + bytes(count) + content[at + count :]
+
+
+FILES: tuple[Messy, ...] = (
+    Messy("bom.csv", "a byte mark in front", text(lines(), encoding="utf-8-sig")),
+    Messy("utf16.csv", "UTF-16 with its mark", text(lines(), encoding="utf-16")),
+    Messy("utf16le.csv", "UTF-16 without its mark", text(lines(), encoding="utf-16-le")),
+    Messy(
+        "utf16be.txt", "UTF-16, the other order, no mark", text(lines("\t"), encoding="utf-16-be")
+    ),
+    Messy(
+        "latin1.csv",
+        "`µm` in Western European bytes",
+        text(lines(names=(*NAMES[:2], "Position [µm]")), encoding="latin-1"),
+    ),
+    Messy("greek.csv", "`μm` with a Greek mu", text(lines(names=(*NAMES[:2], "Position (μm)")))),
+    Messy("crlf.csv", "line ends of Windows", text(lines(), end="\r\n")),
+    Messy("mac.csv", "line ends of an old Mac", text(lines(), end="\r")),
+    Messy(
+        "mixed_ends.csv",
+        "three kinds of line end in one file",
+        with_rows(lambda rows: [row + ("\r" if k % 3 else "") for k, row in enumerate(rows)]),
+    ),
+    Messy("blank_lines.csv", "an empty line between all rows", text(lines(), end="\n\n")),
+    Messy(
+        "packed.csv.gz",
+        "compressed",
+        lambda path: (
+            path.write_bytes(gzip.compress("\n".join(lines()).encode(), mtime=0)) and None
+        ),
+    ),
+    Messy("semicolons.csv", "semicolons and decimal commas", text(lines(";", ","))),
+    Messy("tabs.dat", "tabs and decimal commas", text(lines("\t", ","))),
+    Messy("bars.txt", "`|` between the fields", text(lines(" | "))),
+    Messy(
+        "framed.txt",
+        "`|` around each row as well",
+        with_rows(lambda rows: [f"| {row} |" for row in rows], separator=" | "),
+        problems=frozenset({"empty"}),
+    ),
+    Messy(
+        "blanks.txt",
+        "columns set with blanks",
+        with_rows(
+            lambda rows: ["   ".join(f"{cell:>12}" for cell in row.split(",")) for row in rows]
+        ),
+    ),
+    Messy(
+        "trailing.csv",
+        "a separator at the end of every row, none behind the headings",
+        with_rows(lambda rows: [rows[0], *(row + "," for row in rows[1:])]),
+        problems=frozenset({"empty"}),
+    ),
+    Messy(
+        "quoted.csv",
+        "decimal commas in quotes, commas between",
+        with_rows(
+            lambda rows: [
+                rows[0].replace(";", ","),
+                *(",".join(f'"{cell}"' for cell in row.split(";")) for row in rows[1:]),
+            ],
+            separator=";",
+            decimal=",",
+        ),
+    ),
+    Messy(
+        "all_commas.csv",
+        "commas between the numbers and inside them",
+        with_rows(
+            lambda rows: [rows[0], *(row.replace(";", ",") for row in rows[1:])],
+            separator=",",
+            decimal=",",
+        ),
+        refused="line 1 heads 3 columns, and the rows from line 2 on have 6 fields",
+        lines='separator = ","\ndecimal = ","\n',
+    ),
+    Messy(
+        "thousands.txt",
+        "`1,234.50`: commas mark thousands",
+        text(
+            lines(
+                ";",
+                table=columns() * [1, 1e3, 1e3],
+                names=("time [s]", "voltage [mV]", "position [nm]"),
+                written=lambda v: f"{v:,.3f}",
+            )
+        ),
+    ),
+    Messy(
+        "tausender.csv",
+        "`1.234,50`: points mark thousands",
+        with_rows(
+            lambda rows: [
+                rows[0],
+                *(
+                    ";".join(
+                        (
+                            f"{TIME_s[k]:.3f}".replace(".", ","),
+                            grouped(1e3 * VOLTAGE_V[k], ".", ","),
+                            grouped(1e3 * POSITION_um[k], ".", ","),
+                        )
+                    )
+                    for k in EVERY
+                ),
+            ],
+            separator=";",
+            names=("time [s]", "voltage [mV]", "position [nm]"),
+        ),
+    ),
+    Messy(
+        "swiss.csv",
+        "`1'234.50`: apostrophes mark thousands",
+        with_rows(
+            lambda rows: [
+                rows[0],
+                *(
+                    ";".join(
+                        (
+                            f"{TIME_s[k]:.3f}",
+                            grouped(1e3 * VOLTAGE_V[k], "'", "."),
+                            grouped(1e3 * POSITION_um[k], "'", "."),
+                        )
+                    )
+                    for k in EVERY
+                ),
+            ],
+            separator=";",
+            names=("time [s]", "voltage [mV]", "position [nm]"),
+        ),
+    ),
+    Messy(
+        "either.csv",
+        "`1,234` beside `950`: decimals or thousands?",
+        text(
+            [
+                "time [ms];voltage [mV];position [um]",
+                *(f"{k};{whole_volts(k)};{k % 7},{k % 5}" for k in EVERY),
+            ]
+        ),
+        refused="does the comma mark decimals or thousands?",
+    ),
+    Messy(
+        "true_minus.csv",
+        "the minus of typesetters, `1.0e\u22123`",
+        text(lines(written=lambda value: f"{value:.6e}".replace("-", "\u2212"))),
+    ),
+    Messy(
+        "en_dash.csv",
+        "an en dash for the minus, as word processors set it",
+        text(lines(written=lambda value: f"{value:.6e}".replace("-", "\u2013"))),
+    ),
+    Messy(
+        "fortran.txt",
+        "exponents with D",
+        text(lines("  ", written=lambda v: f"{v:.8E}".replace("E", "D"))),
+    ),
+    Messy(
+        "strange_mark.csv",
+        "`~` between the fields",
+        text(lines("~")),
+        refused="hold no row of numbers",
+        lines='separator = "~"\n',
+    ),
+    Messy(
+        "zeros.csv",
+        "zero bytes in its middle, of a computer that stopped",
+        lambda path: (
+            path.write_bytes(_with_zeros("\n".join(lines()).encode(), 3000, 256)) and None
+        ),
+        refused="line 132 holds a zero byte",
+    ),
+    Messy(
+        "prefixes.csv",
+        "prefixes in the cells of small displacements",
+        text([*lines()[:1], *map(_prefixed, lines()[1:])]),
+        refused=r"line \d+, column 3 holds '[\d.]+m', a number with a prefix or unit",
+    ),
+    Messy(
+        "comma_in_time.csv",
+        "decimal commas in the time alone, behind commas as separators",
+        text([*lines()[:1], *(line.replace(".", ",", 1) for line in lines()[1:])]),
+        refused="line 1 heads 3 columns, and the rows from line 2 on have 4 fields",
+    ),
+    Messy(
+        "units_in_cells.csv",
+        "a unit in every cell",
+        with_rows(
+            lambda rows: [rows[0], *(" V,".join(row.split(",")) + " um" for row in rows[1:])]
+        ),
+        refused="hold no row of numbers",
+    ),
+    Messy(
+        "sep_line.csv",
+        "`sep=;` in front, as Excel writes it, and decimal commas",
+        text(["sep=;", *lines(";", ",")]),
+    ),
+    Messy(
+        "hexadecimal.csv",
+        "counts in hexadecimal",
+        text(["time [s],drive [counts]", *(f"{t:.3f},0x{k:04X}" for k, t in enumerate(TIME_s))]),
+        refused="'0x0000' is a hexadecimal number",
+    ),
+)
