@@ -24,7 +24,7 @@ import numpy as np
 from scipy.signal import bilinear, fftconvolve
 
 from piezoid.design.chain import Section
-from piezoid.design.design import AxisDesign, members_of
+from piezoid.design.design import AxisDesign
 from piezoid.design.family_grid import FamilyGrid, family_grid, judge
 from piezoid.design.feasibility import unmet
 from piezoid.design.feedforward import fit_reference_path
@@ -223,7 +223,7 @@ def _tuned(
     choices: Callable[[float], Choices],
     build: Callable[[dict[str, float]], tuple[Array, Array, DisturbanceObserver | None]],
 ) -> TunedLoop:
-    members = members_of(family)
+    members = family.members
     for bandwidth_Hz in _downwards(asked.bandwidth_Hz):
         specification = replace(asked, bandwidth_Hz=bandwidth_Hz)
         grid, chosen = family_grid(family, specification), choices(bandwidth_Hz)

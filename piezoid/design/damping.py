@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.design.design import AxisDesign, LoopDesign, members_of
+from piezoid.design.design import AxisDesign, LoopDesign
 from piezoid.design.feasibility import rounded_down, unmet
 from piezoid.design.observer import linear_controller
 from piezoid.design.plant import Fraction, PlantFamily
@@ -81,9 +81,7 @@ def describe_delay(plant: Fraction, mode: Mode) -> str:
 
     The phase delay at rest of the whole plant, without the mode's own 2 z / w0.
     """
-    weighed = [float(p @ np.arange(len(p)) / p.sum()) for p in (plant.B, plant.A)]
-    late_s = (weighed[0] - weighed[1]) / plant.sampling_rate_Hz
-    late_s -= mode.damping / (np.pi * mode.frequency_Hz)
+    late_s = plant.rest_delay_s - mode.damping / (np.pi * mode.frequency_Hz)
     return (
         f"hold, converters and filters, {1e6 * late_s:.3g} us, turn it by "
         f"{360.0 * mode.frequency_Hz * late_s:.3g} degrees"
@@ -187,14 +185,13 @@ def _largest_Hz(
     form: str,
 ) -> float | None:
     """Return the largest bandwidth, to three digits, that a loop meets which damps the mode."""
-    members = members_of(family)
 
     def meets(bandwidth_Hz: float) -> bool:
         specification = asked(bandwidth_Hz)
         for method in (DAMPED, *METHODS):
             tuned = tune_observer(family, specification, form=form, method=method, until_met=True)
             controller = linear_controller(tuned.observer)
-            if not unmet(members, controller.R, controller.S, specification):
+            if not unmet(family.members, controller.R, controller.S, specification):
                 return True
         return False
 

@@ -9,7 +9,7 @@ from piezoid.design.certificate import Certificate
 from piezoid.design.decoupling import Decoupling
 from piezoid.design.feedforward import ReferencePath
 from piezoid.design.observer import DisturbanceObserver
-from piezoid.design.plant import PlantFamily
+from piezoid.design.plant import Fraction
 from piezoid.design.sensitivity import Margins, closed_loop_polynomial, margins, sensitivities
 from piezoid.design.specification import Specification
 from piezoid.digests import seal
@@ -28,26 +28,6 @@ PARTS = ("controller", "prefilter", "plant", "sensitivity", "closed_loop")
 SCHEMA = "piezoid.design/1"
 METHODS = ("dob", "mpi_dob", "rst")
 REPORTED_Hz = (1.0, 10.0, 100.0)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Member:
-    """One plant of the family as a fraction in q^-1, enough to recompute every margin.
-
-    B, A        from the command to the reading
-    B_position  to the position in front of the sensor, over A; empty: that is B
-    """
-
-    label: str
-    sampling_rate_Hz: float
-    B: Array
-    A: Array
-    B_position: Array = field(default_factory=lambda: np.zeros(0))
-
-    def __post_init__(self) -> None:
-        if not len(self.B_position):
-            object.__setattr__(self, "B_position", self.B)
-        freeze(self, "B", "A", "B_position")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +98,7 @@ class LoopDesign:
     rejections: tuple[Rejection, ...]
     certificate: Certificate | None
     candidates: tuple[Candidate, ...]
-    members: tuple[Member, ...]
+    members: tuple[Fraction, ...]
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -298,27 +278,13 @@ def design_from_json(content: bytes, source: str = "design.json") -> Design:
     return read_sealed(Design, content, SCHEMA, source, remedy=remedy)
 
 
-def members_of(family: PlantFamily) -> tuple[Member, ...]:
-    """Return the family as fractions."""
-    return tuple(
-        Member(
-            label=m.label,
-            sampling_rate_Hz=m.sampling_rate_Hz,
-            B=m.B,
-            A=m.A,
-            B_position=m.B_position,
-        )
-        for m in family.members
-    )
-
-
-def reached_margins(members: tuple[Member, ...], R: Array, S: Array) -> tuple[Margins, ...]:
+def reached_margins(members: tuple[Fraction, ...], R: Array, S: Array) -> tuple[Margins, ...]:
     """Return the margins of every member, recomputed from R and S."""
     return tuple(margins(member, R, S) for member in members)
 
 
 def rejections(
-    members: tuple[Member, ...], R: Array, S: Array, frequency_Hz: tuple[float, ...]
+    members: tuple[Fraction, ...], R: Array, S: Array, frequency_Hz: tuple[float, ...]
 ) -> tuple[Rejection, ...]:
     """Return |Syp| at frequencies, nominal and worst of the family."""
     grid = np.array(frequency_Hz)

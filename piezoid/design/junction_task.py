@@ -9,7 +9,7 @@ voltages, set point and the reading's noise are the laboratory's to say.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NoReturn
+from functools import partial
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from piezoid.design.design import (
     Candidate,
     LoopDesign,
     REPORTED_Hz,
-    members_of,
     reached_margins,
     rejections,
 )
@@ -257,23 +256,32 @@ def _chain(plant: JunctionPlant, index: int) -> Chain:
 def design_vertical(
     axis: str, family: PlantFamily, specification: Specification, *, taps: int = 10
 ) -> AxisDesign:
-    """Design R, S, T of the tunnelling axis by both ways and choose the better one.
+    """Design R, S, T of the tunnelling axis by band-stops and by convex steps, and choose one.
 
     family  for example the range of barrier heights: the loop gain goes with their square root
-    taps    free coefficients of R' and of S' in the convex way
+    taps    free coefficients of R' and of S' of the convex problem
 
-    Better means: meets the specification, then rejects more over the whole family. Raises
-    ``TemplateError`` where neither meets it.
+    The controller that meets the specification and rejects more over the whole family is chosen.
+    Raises ``TemplateError`` where neither meets it.
     """
-    stopped = shape(family, specification)
-    convex = optimise(family, specification, stopped.controller, taps=taps)
-    candidates = _candidates(family, specification, stopped, convex)
-    feasible = [candidate for candidate in candidates if candidate.is_feasible]
+    shaped = shape(family, specification)
+    convex = optimise(family, specification, shaped.controller, taps=taps)
+    solutions: dict[str, ShapedController | ConvexController] = {
+        "band-stop": shaped,
+        "convex": convex,
+    }
+    missed = {
+        name: unmet(family.members, solution.controller.R, solution.controller.S, specification)
+        for name, solution in solutions.items()
+    }
+    feasible = [name for name in solutions if not missed[name]]
     if not feasible:
-        _refuse(axis, family, specification, taps, candidates)
-    chosen = min(feasible, key=lambda candidate: candidate.figure)
-    members, R, S = members_of(family), chosen.R, chosen.S
-    T = np.array([R.sum()])
+        least_missed = min(missed.values(), key=severity)
+        nearest = nearest_feasible(specification, least_missed, partial(_attempt, family, taps))
+        refuse(axis, specification, least_missed, nearest)
+    chosen = min(feasible, key=lambda name: solutions[name].rejection)
+    members, best = family.fractions, solutions[chosen].controller
+    R, S, T = best.R, best.S, np.array([best.R.sum()])
     loop = LoopDesign(
         method="rst",
         observer=None,
@@ -286,7 +294,19 @@ def design_vertical(
         margins=reached_margins(members, R, S),
         rejections=rejections(members, R, S, (*REPORTED_Hz, specification.bandwidth_Hz)),
         certificate=None,
-        candidates=tuple(replace(c, is_chosen=c is chosen) for c in candidates),
+        candidates=tuple(
+            Candidate(
+                name=name,
+                is_chosen=name == chosen,
+                is_feasible=not missed[name],
+                figure=solution.rejection,
+                figure_name=_FIGURE,
+                parameters=solution.parameters,
+                R=solution.controller.R,
+                S=solution.controller.S,
+            )
+            for name, solution in solutions.items()
+        ),
         members=members,
     )
     return AxisDesign(
@@ -297,53 +317,14 @@ def design_vertical(
     )
 
 
-def _candidates(
-    family: PlantFamily,
-    specification: Specification,
-    stopped: ShapedController,
-    convex: ConvexController,
-) -> tuple[Candidate, ...]:
-    stopped_parameters = {
-        "dominant_Hz": stopped.dominant.frequency_Hz,
-        "dominant_damping": float(stopped.dominant.damping or 0.0),
-        "auxiliary_root": stopped.auxiliary_root,
-        **{f"stop_{k}_Hz": stop.frequency_Hz for k, stop in enumerate(stopped.band_stops)},
-    }
-    convex_parameters = {"taps": float(convex.taps), "iterations": float(convex.iterations)}
-    return tuple(
-        Candidate(
-            name=name,
-            is_chosen=False,
-            is_feasible=not unmet(family.members, rst.R, rst.S, specification),
-            figure=rejection,
-            figure_name=_FIGURE,
-            parameters=parameters,
-            R=rst.R,
-            S=rst.S,
-        )
-        for name, rst, rejection, parameters in (
-            ("band-stop", stopped.controller, stopped.rejection, stopped_parameters),
-            ("convex", convex.controller, convex.rejection, convex_parameters),
-        )
-    )
-
-
-def _refuse(
-    axis: str,
-    family: PlantFamily,
-    specification: Specification,
-    taps: int,
-    found: tuple[Candidate, ...],
-) -> NoReturn:
-    """Refuse with the least violated candidate and the nearest bandwidth either way reaches."""
-
-    def attempt(asked: Specification) -> tuple[Violation, ...]:
-        start = shape(family, asked).controller
-        missed = unmet(family.members, start.R, start.S, asked)
-        if not missed:
-            return ()
-        c = optimise(family, asked, start, taps=taps, most_iterations=_ATTEMPTED).controller
-        return min(missed, unmet(family.members, c.R, c.S, asked), key=severity)
-
-    best = min((unmet(family.members, c.R, c.S, specification) for c in found), key=severity)
-    refuse(axis, specification, best, nearest_feasible(specification, best, attempt))
+def _attempt(
+    family: PlantFamily, taps: int, specification: Specification
+) -> tuple[Violation, ...]:
+    """Return the limits that a few convex steps miss, none where band-stops meet them all."""
+    start = shape(family, specification).controller
+    missed = unmet(family.members, start.R, start.S, specification)
+    if not missed:
+        return ()
+    steps = optimise(family, specification, start, taps=taps, most_iterations=_ATTEMPTED)
+    c = steps.controller
+    return min(missed, unmet(family.members, c.R, c.S, specification), key=severity)

@@ -1,9 +1,7 @@
-"""X and Y: a disturbance observer in both forms, chosen among its tunings."""
+"""Design X and Y: a disturbance observer in both forms, chosen among its tunings."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import NoReturn
 
 import numpy as np
 
@@ -13,9 +11,7 @@ from piezoid.design.design import (
     AxisDesign,
     Candidate,
     LoopDesign,
-    Member,
     REPORTED_Hz,
-    members_of,
     reached_margins,
     rejections,
 )
@@ -28,8 +24,9 @@ from piezoid.design.feasibility import (
 )
 from piezoid.design.feedforward import ReferencePath, fit_reference_path
 from piezoid.design.hysteresis_bounds import HysteresisBounds
-from piezoid.design.observer import LinearController, linear_controller
+from piezoid.design.observer import linear_controller
 from piezoid.design.plant import Plant, PlantFamily
+from piezoid.design.rst import RstController
 from piezoid.design.specification import Specification
 from piezoid.design.templates import Violation
 from piezoid.design.tuning import DAMPED, METHODS, TunedObserver, tune_observer
@@ -39,6 +36,7 @@ from piezoid.runtime.schema import MAX_ORDER
 NO_DISTURBANCES = Disturbances()
 SLEW_SHARE = 0.5  # of what the amplifier follows: the rest is the feedback's
 _LOOP_OF_FORM = {"inverse": "mpi_dob", "affine": "dob"}
+_FIGURE = "predicted tracking error with noise, rms, worst member"
 
 
 def design_lateral(
@@ -48,7 +46,6 @@ def design_lateral(
     *,
     model: Plant | None = None,
     bounds: Mapping[str, HysteresisBounds] | None = None,
-    reference_slew_m_per_s: float | None = None,
     disturbances: Disturbances = NO_DISTURBANCES,
 ) -> AxisDesign:
     """Design the disturbance observer of one lateral axis, in every form asked for.
@@ -59,32 +56,27 @@ def design_lateral(
     model     what the observer computes with; by default a nominal member, a delay for which the
               runtime has no states as a pole (``Plant.with_late_pole``)
     bounds    by form, for the certificate; a form without has none
-    reference_slew_m_per_s  of the fastest reference; by default a sine at the scan frequency
-              whose amplitude uses the drive for which the bounds hold, or what the
-              amplifier follows, if that is less
     disturbances  what recordings showed beside drive and noise, for the certificate
 
     Raises ``TemplateError`` where the first form (the inverse one, if asked for) cannot meet the
     specification. A further form that cannot is designed at its nearest feasible bandwidth, for
     comparison, and left out where there is none.
     """
-    forms = [form for form in _LOOP_OF_FORM if form in families]
     loops: list[LoopDesign] = []
-    for form in forms:
-        request = _Request(
+    for form in (form for form in _LOOP_OF_FORM if form in families):
+        designer = _LoopDesigner(
             axis=axis,
             form=form,
             family=families[form],
             model=model or _with_room(axis, families[form].nominal, specification),
             bounds=(bounds or {}).get(form),
-            reference_slew_m_per_s=reference_slew_m_per_s,
             disturbances=disturbances,
         )
         if not loops:
-            loops.append(_lateral_loop(request, specification))
+            loops.append(designer.design(specification))
             continue
         try:
-            loops.append(at_feasible_bandwidth(partial(_lateral_loop, request), specification))
+            loops.append(at_feasible_bandwidth(designer.design, specification))
         except TemplateError:
             continue
     return AxisDesign(
@@ -127,147 +119,126 @@ def _with_room(axis: str, plant: Plant, specification: Specification) -> Plant:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Request:
+class _Tuning:
+    """One tuning of the observer, and the limits that it does not meet, worst first."""
+
+    observer: TunedObserver
+    controller: RstController
+    missed: tuple[Violation, ...]
+
+    @property
+    def error(self) -> float:
+        """Predicted, of the worst member."""
+        return self.observer.judgement.predicted_error
+
+
+@dataclass(frozen=True, kw_only=True)
+class _LoopDesigner:
+    """Designs the loop of one axis in one form, for any specification."""
+
     axis: str
     form: str
     family: PlantFamily
-    model: Plant | None
+    model: Plant
     bounds: HysteresisBounds | None
-    reference_slew_m_per_s: float | None
     disturbances: Disturbances
 
-
-def _lateral_loop(request: _Request, specification: Specification) -> LoopDesign:
-    members = members_of(request.family)
-    tuned = [_tuned(request, specification, method) for method in _methods(request, specification)]
-    missed = [_missed(members, t, specification) for t in tuned]
-    if all(missed):
-        _refuse(request, members, specification, min(missed, key=severity))
-    best = min(
-        (k for k in range(len(tuned)) if not missed[k]),
-        key=lambda k: tuned[k].judgement.predicted_error,
-    )
-    controller = linear_controller(tuned[best].observer)
-    R, S, T = controller.R, controller.S, controller.T
-    path = fit_reference_path(members, R, S, T, band_Hz=specification.bandwidth_Hz)
-    return LoopDesign(
-        method=_LOOP_OF_FORM[request.form],
-        observer=tuned[best].observer,
-        bandwidth_Hz=specification.bandwidth_Hz,
-        R=R,
-        S=S,
-        T=T,
-        A_0=np.ones(1),
-        reference=path,
-        margins=reached_margins(members, R, S),
-        rejections=rejections(members, R, S, (*REPORTED_Hz, specification.bandwidth_Hz)),
-        certificate=_certified(request, controller, path, specification),
-        candidates=tuple(
-            _candidate(t, is_chosen=k == best, is_feasible=not missed[k])
-            for k, t in enumerate(tuned)
-        ),
-        members=members,
-    )
-
-
-def _methods(request: _Request, specification: Specification) -> tuple[str, ...]:
-    if must_damp(request.family.nominal, specification.bandwidth_Hz):
-        return (*METHODS, DAMPED)
-    return METHODS
-
-
-def _tuned(
-    request: _Request, specification: Specification, method: str, *, until_met: bool = False
-) -> TunedObserver:
-    return tune_observer(
-        request.family,
-        specification,
-        model=request.model,
-        form=request.form,
-        method=method,
-        until_met=until_met,
-    )
-
-
-def _refuse(
-    request: _Request,
-    members: tuple[Member, ...],
-    specification: Specification,
-    best: tuple[Violation, ...],
-) -> NoReturn:
-    def attempt(asked: Specification) -> tuple[Violation, ...]:
-        tries = (
-            _missed(members, _tuned(request, asked, method, until_met=True), asked)
-            for method in reversed(_methods(request, asked))
+    def design(self, specification: Specification) -> LoopDesign:
+        tunings = [self._tuned(specification, m) for m in self._methods(specification)]
+        feasible = [tuning for tuning in tunings if not tuning.missed]
+        if not feasible:
+            missed = min((tuning.missed for tuning in tunings), key=severity)
+            refuse(
+                self.axis,
+                specification,
+                missed,
+                nearest_feasible(specification, missed, self._least_missed),
+                because=describe_obstacle(self.family, specification.bandwidth_Hz),
+            )
+        best = min(feasible, key=lambda tuning: tuning.error)
+        members = self.family.fractions
+        R, S, T = best.controller.R, best.controller.S, best.controller.T
+        path = fit_reference_path(members, R, S, T, band_Hz=specification.bandwidth_Hz)
+        return LoopDesign(
+            method=_LOOP_OF_FORM[self.form],
+            observer=best.observer.observer,
+            bandwidth_Hz=specification.bandwidth_Hz,
+            R=R,
+            S=S,
+            T=T,
+            A_0=np.ones(1),
+            reference=path,
+            margins=reached_margins(members, R, S),
+            rejections=rejections(members, R, S, (*REPORTED_Hz, specification.bandwidth_Hz)),
+            certificate=self._certificate(best.controller, path, specification),
+            candidates=tuple(
+                Candidate(
+                    name=tuning.observer.method,
+                    is_chosen=tuning is best,
+                    is_feasible=not tuning.missed,
+                    figure=tuning.error,
+                    figure_name=_FIGURE,
+                    parameters=tuning.observer.parameters,
+                    R=tuning.controller.R,
+                    S=tuning.controller.S,
+                )
+                for tuning in tunings
+            ),
+            members=members,
         )
-        return min(_until_empty(tries), key=severity)
 
-    refuse(
-        request.axis,
-        specification,
-        best,
-        nearest_feasible(specification, best, attempt),
-        because=describe_obstacle(request.family, specification.bandwidth_Hz),
-    )
+    def _methods(self, specification: Specification) -> tuple[str, ...]:
+        damps = must_damp(self.family.nominal, specification.bandwidth_Hz)
+        return (*METHODS, DAMPED) if damps else METHODS
 
+    def _tuned(
+        self, specification: Specification, method: str, *, until_met: bool = False
+    ) -> _Tuning:
+        observer = tune_observer(
+            self.family,
+            specification,
+            model=self.model,
+            form=self.form,
+            method=method,
+            until_met=until_met,
+        )
+        controller = linear_controller(observer.observer)
+        missed = unmet(self.family.members, controller.R, controller.S, specification)
+        return _Tuning(observer=observer, controller=controller, missed=missed)
 
-def _until_empty(
-    tries: Iterable[tuple[Violation, ...]],
-) -> Iterator[tuple[Violation, ...]]:
-    """Yield tries up to and including the first that misses nothing."""
-    for missed in tries:
-        yield missed
-        if not missed:
-            return
+    def _least_missed(self, specification: Specification) -> tuple[Violation, ...]:
+        """Return the limits that the best tuning misses, none as soon as one meets them all."""
+        violations = []
+        for method in reversed(self._methods(specification)):
+            violations.append(self._tuned(specification, method, until_met=True).missed)
+            if not violations[-1]:
+                break
+        return min(violations, key=severity)
 
-
-def _missed(
-    members: tuple[Member, ...], tuned: TunedObserver, specification: Specification
-) -> tuple[Violation, ...]:
-    controller = linear_controller(tuned.observer)
-    return unmet(members, controller.R, controller.S, specification)
-
-
-def _candidate(tuned: TunedObserver, *, is_chosen: bool, is_feasible: bool) -> Candidate:
-    controller = linear_controller(tuned.observer)
-    return Candidate(
-        name=tuned.method,
-        is_chosen=is_chosen,
-        is_feasible=is_feasible,
-        figure=tuned.judgement.predicted_error,
-        figure_name="predicted tracking error with noise, rms, worst member",
-        parameters=tuned.parameters,
-        R=controller.R,
-        S=controller.S,
-    )
-
-
-def _certified(
-    request: _Request,
-    controller: LinearController,
-    path: ReferencePath,
-    specification: Specification,
-) -> Certificate | None:
-    if request.bounds is None:
-        return None
-    half_V = 0.5 * (specification.voltage_max_V - specification.voltage_min_V)
-    span_V = min(half_V, request.bounds.reach_V)
-    amplitude_m = span_V * abs(request.family.nominal.gain)
-    fastest_m_per_s = 2.0 * np.pi * specification.scan_frequency_Hz * amplitude_m
-    if specification.voltage_slew_V_per_s is not None:
-        followed_m_per_s = specification.voltage_slew_V_per_s * abs(request.family.nominal.gain)
-        fastest_m_per_s = min(fastest_m_per_s, SLEW_SHARE * followed_m_per_s)
-    return certify(
-        request.family.members,
-        controller.R,
-        controller.S,
-        controller.T,
-        path=path,
-        bounds=request.bounds,
-        operation=Operation(
-            reference_slew_m_per_s=request.reference_slew_m_per_s or float(fastest_m_per_s),
-            voltage_step_V=specification.voltage_step_V,
-            sensor_noise_rms_m=specification.sensor_noise_rms,
-            disturbances=request.disturbances,
-        ),
-    )
+    def _certificate(
+        self, controller: RstController, path: ReferencePath, specification: Specification
+    ) -> Certificate | None:
+        """Certify for a sine at the scan frequency that uses the drive, as far as the amplifier
+        follows it.
+        """
+        if self.bounds is None:
+            return None
+        gain = abs(self.family.nominal.gain)
+        half_V = 0.5 * (specification.voltage_max_V - specification.voltage_min_V)
+        amplitude_m = min(half_V, self.bounds.reach_V) * gain
+        fastest_m_per_s = 2.0 * np.pi * specification.scan_frequency_Hz * amplitude_m
+        if specification.voltage_slew_V_per_s is not None:
+            followed_m_per_s = specification.voltage_slew_V_per_s * gain
+            fastest_m_per_s = min(fastest_m_per_s, SLEW_SHARE * followed_m_per_s)
+        return certify(
+            self.family.members,
+            *(controller.R, controller.S, controller.T),
+            path=path,
+            bounds=self.bounds,
+            operation=Operation(
+                reference_slew_m_per_s=float(fastest_m_per_s),
+                voltage_step_V=specification.voltage_step_V,
+                sensor_noise_rms_m=specification.sensor_noise_rms,
+                disturbances=self.disturbances,
+            ),
+        )

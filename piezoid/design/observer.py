@@ -15,24 +15,9 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, hessenberg, matrix_balance
 
 from piezoid.design.plant import Plant
+from piezoid.design.rst import RstController
 from piezoid.errors import DesignError
 from piezoid.numerics.arrays import Array, freeze
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LinearController:
-    """An observer written as S u = T r - R y, for margins that trust nobody.
-
-    R, S, T    coefficients in q^-1, S monic; S(1) = 0 for a constant disturbance model
-    """
-
-    R: Array
-    S: Array
-    T: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "R", "S", "T")
-
 
 _UNREACHABLE = 1e-12
 
@@ -287,7 +272,7 @@ def _past_outputs(disturbance: DisturbanceModel, count: int) -> Array:
     return np.array(rows).reshape(count, len(disturbance.output))
 
 
-def linear_controller(observer: DisturbanceObserver) -> LinearController:
+def linear_controller(observer: DisturbanceObserver) -> RstController:
     """Write the whole observer with its feedback as S u = T r - R y.
 
     With M = I - L C_e the state matrix is (A_e - B_e K_e) M and
@@ -297,7 +282,7 @@ def linear_controller(observer: DisturbanceObserver) -> LinearController:
     A_e, _, C_e, L, _ = _stacked(observer)
     correct = np.eye(len(A_e)) - np.outer(L, C_e)
     T = observer.reference_gain * _characteristic(A_e @ correct)
-    return LinearController(R=R, S=S, T=T)
+    return RstController(R=R, S=S, T=T)
 
 
 def feedback_polynomials(observer: DisturbanceObserver) -> tuple[Array, Array]:

@@ -1,62 +1,27 @@
-"""What is controlled: a sampled linear plant, and the family it may really be."""
+"""Sampled linear plants, and the family of plants that recordings allow."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
 from piezoid.numerics.arrays import Array, freeze
-from piezoid.numerics.polynomial import Roots, roots_of, spectral_radius
+from piezoid.numerics.polynomial import Roots, roots_of
 from piezoid.numerics.zero_order_hold import SampledSystem, realised
 
 
-class Fraction(Protocol):
-    """What a margin is computed from: B/A in q^-1 at a rate, and a name."""
-
-    @property
-    def label(self) -> str:
-        """The member's name in tables."""
-
-    @property
-    def sampling_rate_Hz(self) -> float:
-        """Samples per second."""
-
-    @property
-    def B(self) -> Array:
-        """Numerator, the delay as leading zeros."""
-
-    @property
-    def A(self) -> Array:
-        """Denominator, monic."""
-
-    @property
-    def B_position(self) -> Array:
-        """Numerator to where the stage is, in front of the sensor; B where that is not known."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Plant:
-    """A sampled plant in state space and as B/A, both of the same thing.
-
-        x[k+1] = A x[k] + sum_j taps[:, j] u[k-j],  y = C x;     A(q^-1) y = B(q^-1) u
+class Fraction:
+    """A sampled plant as B/A in q^-1, enough to compute every margin.
 
     label             the member's name in tables
     sampling_rate_Hz  > 0
-    output_unit       ``m`` or ``1``; the input is in volts
-    state_matrix      (n, n)
-    input_taps        (n, m)  the newest input first; leading zero columns are whole delays
-    output_vector     (n,)
-    B, A              coefficients in q^-1; A monic, b_0 = 0, the delay stands in B
+    B, A              from the command to the reading; A monic, b_0 = 0, the delay stands in B
     B_position        likewise to the position in front of the sensor; empty: that is B
     """
 
     label: str
     sampling_rate_Hz: float
-    output_unit: str
-    state_matrix: Array
-    input_taps: Array
-    output_vector: Array
     B: Array
     A: Array
     B_position: Array = field(default_factory=lambda: np.zeros(0))
@@ -64,9 +29,36 @@ class Plant:
     def __post_init__(self) -> None:
         if not len(self.B_position):
             object.__setattr__(self, "B_position", self.B)
+        freeze(self, "B", "A", "B_position")
+
+    @property
+    def rest_delay_s(self) -> float:
+        """Phase delay as the frequency goes to zero, B'(1)/B(1) - A'(1)/A(1)."""
+        delays = [float(p @ np.arange(len(p)) / p.sum()) for p in (self.B, self.A)]
+        return (delays[0] - delays[1]) * (1.0 / self.sampling_rate_Hz)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plant(Fraction):
+    """A sampled plant in state space and as B/A, both of the same thing.
+
+        x[k+1] = A x[k] + sum_j taps[:, j] u[k-j],  y = C x;     A(q^-1) y = B(q^-1) u
+
+    output_unit       ``m`` or ``1``; the input is in volts
+    state_matrix      (n, n)
+    input_taps        (n, m)  the newest input first; leading zero columns are whole delays
+    output_vector     (n,)
+    """
+
+    output_unit: str
+    state_matrix: Array
+    input_taps: Array
+    output_vector: Array
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         freeze(self, "state_matrix", "input_taps", ndim=2)
         freeze(self, "output_vector")
-        freeze(self, "B", "A", "B_position")
         if not self.sampling_rate_Hz > 0:
             raise ValueError(f"sampling_rate_Hz is {self.sampling_rate_Hz}, expected > 0")
         if self.B[0] != 0.0 or self.A[0] != 1.0:
@@ -80,25 +72,10 @@ class Plant:
         """Output per volt at rest, B(1)/A(1)."""
         return float(self.B.sum() / self.A.sum())
 
-    @property
-    def period_s(self) -> float:
-        """The sampling period."""
-        return 1.0 / self.sampling_rate_Hz
-
     @cached_property
     def poles(self) -> Roots:
         """Values of z where A vanishes, without those at z = 0."""
         return roots_of(self.A)
-
-    @property
-    def system(self) -> SampledSystem:
-        """The state space with its taps."""
-        return SampledSystem(A=self.state_matrix, taps=self.input_taps, C=self.output_vector)
-
-    @property
-    def is_stable(self) -> bool:
-        """Whether every pole is inside the unit circle."""
-        return spectral_radius(self.A) < 1.0
 
     @property
     def delay_samples(self) -> int:
@@ -135,7 +112,8 @@ class Plant:
 
     def realised(self) -> tuple[Array, Array, Array]:
         """Return A, B, C in which past inputs are states."""
-        return realised(self.system)
+        system = SampledSystem(A=self.state_matrix, taps=self.input_taps, C=self.output_vector)
+        return realised(system)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,3 +134,11 @@ class PlantFamily:
     def nominal(self) -> Plant:
         """The member the controller is computed from."""
         return self.members[0]
+
+    @property
+    def fractions(self) -> tuple[Fraction, ...]:
+        """The members without their state space."""
+        names = [entry.name for entry in fields(Fraction)]
+        return tuple(
+            Fraction(**{name: getattr(member, name) for name in names}) for member in self.members
+        )

@@ -19,24 +19,6 @@ _WELL_DAMPED = 0.7
 LIGHT = 0.5  # of critical damping: a pair below it rings
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PoleChoice:
-    """The free parameters of an observer design; everything else follows from the plant.
-
-    feedback           the pair (or single lag) that replaces the plant's slowest one
-    observer           likewise for the estimation error
-    disturbance_Hz     of the disturbance estimate
-    mode_damping       least damping that the feedback gives further modes; 0: they stay
-    mode_observer_damping  likewise for the estimation error
-    """
-
-    feedback: Section
-    observer: Section
-    disturbance_Hz: float
-    mode_damping: float = 0.0
-    mode_observer_damping: float = 0.0
-
-
 INTEGRATOR = np.array([1.0, -1.0])
 OPEN_AT_NYQUIST = np.array([1.0, 1.0])
 _RESIDUAL = 1e-10
@@ -44,29 +26,35 @@ _RESIDUAL = 1e-10
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RstController:
-    """S u = T r - R y, coefficients in q^-1.
-
-    R, S, T   S monic
-    H_R, H_S  the fixed parts contained in R and S
-    P         the closed-loop polynomial that was placed on the nominal plant
-    residual  of the Bezout equation, relative
-    """
+    """A controller S u = T r - R y, coefficients in q^-1, S monic."""
 
     R: Array
     S: Array
     T: Array
-    H_R: Array
-    H_S: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "R", "S", "T")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlacedController(RstController):
+    """A controller by pole placement.
+
+    P         the closed-loop polynomial that was placed on the nominal plant
+    residual  of the Bezout equation, relative
+    """
+
     P: Array
     residual: float
 
     def __post_init__(self) -> None:
-        freeze(self, "R", "S", "T", "H_R", "H_S", "P")
+        super().__post_init__()
+        freeze(self, "P")
 
 
 def place_poles(
     plant: Plant, P: ArrayLike, *, H_R: ArrayLike = (1.0,), H_S: ArrayLike = (1.0, -1.0)
-) -> RstController:
+) -> PlacedController:
     """Place the closed-loop polynomial P with fixed parts in R and S.
 
         A H_S S' + B H_R R' = P,   S = H_S S',   R = H_R R',   T = R(1)
@@ -95,15 +83,8 @@ def place_poles(
             condition=solution.condition,
         )
     R, S = product(H_R, solution.R), product(H_S, solution.S)
-    return RstController(
-        R=R,
-        S=S / S[0],
-        T=np.array([R.sum()]),
-        H_R=np.asarray(H_R),
-        H_S=np.asarray(H_S),
-        P=np.asarray(P),
-        residual=solution.residual,
-    )
+    T = np.array([R.sum()])
+    return PlacedController(R=R, S=S / S[0], T=T, P=np.asarray(P), residual=solution.residual)
 
 
 def section_poles(section: Section, sampling_rate_Hz: float) -> Roots:
@@ -151,32 +132,45 @@ def slowest_damping(plant: Plant) -> float:
     return float(_damping(slow).min())
 
 
-def feedback_poles(plant: Plant, choice: PoleChoice) -> Poles:
-    """Return the plant's poles with the slowest replaced and further modes damped.
+def feedback_poles(plant: Plant, slowest: Section, *, mode_damping: float = 0.0) -> Poles:
+    """Return the plant's poles with the slowest lag or pair replaced and further modes damped.
 
-    returned  (n,)
+    mode_damping  smallest damping that further modes are given; 0: they stay
+    returned      (n,)
     """
     slow, fast = slow_and_fast(plant)
-    replaced = _replacement(choice.feedback, len(slow), plant.sampling_rate_Hz)
-    return np.concatenate([replaced, _at_least(fast, choice.mode_damping)])
+    replaced = _replacement(slowest, len(slow), plant.sampling_rate_Hz)
+    return np.concatenate([replaced, _at_least(fast, mode_damping)])
 
 
-def observer_poles(plant: Plant, choice: PoleChoice, oscillation_Hz: tuple[float, ...]) -> Poles:
-    """Return poles for plant and disturbance states: chosen slow ones, fast ones led by 5 %,
-    one for the constant disturbance, a damped pair for each oscillator.
+def observer_poles(
+    plant: Plant,
+    slowest: Section,
+    disturbance_Hz: float,
+    oscillation_Hz: tuple[float, ...],
+    *,
+    mode_damping: float = 0.0,
+) -> Poles:
+    """Return poles of the estimation error, for plant and disturbance states.
 
-    returned  (n + w,)
+    The slowest lag or pair is replaced, fast poles are led by 5 %; one pole belongs to the
+    constant disturbance, a damped pair to each oscillator.
+
+    mode_damping  smallest damping that further modes are given; 0: they stay
+    returned      (n + w,)
     """
     rate_Hz = plant.sampling_rate_Hz
     slow, fast = slow_and_fast(plant)
-    parts = [
-        _replacement(choice.observer, len(slow), rate_Hz),
-        _at_least(fast, choice.mode_observer_damping) * np.abs(fast) ** (_OBSERVER_LEAD - 1.0),
-        np.array([np.exp(-2.0 * np.pi * choice.disturbance_Hz / rate_Hz)]),
-    ]
-    for f in oscillation_Hz:
-        pair = Section(frequency_Hz=f, damping=_WELL_DAMPED)
-        parts.append(section_poles(pair, rate_Hz))
+    pairs = (
+        section_poles(Section(frequency_Hz=f, damping=_WELL_DAMPED), rate_Hz)
+        for f in oscillation_Hz
+    )
+    parts = (
+        _replacement(slowest, len(slow), rate_Hz),
+        _at_least(fast, mode_damping) * np.abs(fast) ** (_OBSERVER_LEAD - 1.0),
+        np.array([np.exp(-2.0 * np.pi * disturbance_Hz / rate_Hz)]),
+        *pairs,
+    )
     return np.concatenate(parts).astype(np.complex128)
 
 

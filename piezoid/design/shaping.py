@@ -14,12 +14,12 @@ from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.rst import (
     INTEGRATOR,
     OPEN_AT_NYQUIST,
-    RstController,
+    PlacedController,
     closed_loop_target,
     place_poles,
 )
 from piezoid.design.search import search
-from piezoid.design.specification import Specification, rest_delay_s
+from piezoid.design.specification import Specification
 from piezoid.errors import DesignError
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import product
@@ -88,12 +88,22 @@ class ShapedController:
     excess_dB       <= 0: every member meets every limit on the search's grid
     """
 
-    controller: RstController
+    controller: PlacedController
     dominant: Section
     auxiliary_root: float
     band_stops: tuple[BandStop, ...]
     rejection: float
     excess_dB: float
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The numbers that the search chose, by name."""
+        return {
+            "dominant_Hz": self.dominant.frequency_Hz,
+            "dominant_damping": float(self.dominant.damping or 0.0),
+            "auxiliary_root": self.auxiliary_root,
+            **{f"stop_{k}_Hz": stop.frequency_Hz for k, stop in enumerate(self.band_stops)},
+        }
 
 
 def place_band_stops(
@@ -101,7 +111,7 @@ def place_band_stops(
     dominant: Section,
     auxiliary_root: float,
     band_stops: tuple[BandStop, ...] = (),
-) -> RstController:
+) -> PlacedController:
     """Place P_D P_F with an integrator, no gain at Nyquist, and the given band-stops."""
     part_r, part_s, denominators = OPEN_AT_NYQUIST, INTEGRATOR, np.ones(1)
     for stop in band_stops:
@@ -157,43 +167,36 @@ def _is_worth_its_order(extended: ShapedController, best: ShapedController) -> b
 def _best_placement(
     plant: Plant, grid: FamilyGrid, band_stops: tuple[BandStop, ...]
 ) -> ShapedController:
-    """Search the dominant pair and the auxiliary root for fixed band-stops."""
-    lower, upper, starts = _bounds(plant)
+    """Search log f0 and zeta of the dominant pair and the auxiliary root for fixed band-stops.
 
-    def build(x: Array) -> RstController:
-        dominant = Section(frequency_Hz=float(np.exp(x[0])), damping=float(x[1]))
-        return place_band_stops(plant, dominant, float(x[2]), band_stops)
-
-    def cost(x: Array) -> tuple[float, float]:
-        try:
-            controller = build(x)
-        except DesignError:
-            return _HOPELESS
-        worst = worst_place(grid, controller.R, controller.S)
-        return float(np.log(worst.rejection)), worst.excess_dB
-
-    result = search(cost, lower, upper, starts)
-    controller = build(result.parameters)
-    worst = worst_place(grid, controller.R, controller.S)
-    return ShapedController(
-        controller=controller,
-        dominant=Section(
-            frequency_Hz=float(np.exp(result.parameters[0])), damping=float(result.parameters[1])
-        ),
-        auxiliary_root=float(result.parameters[2]),
-        band_stops=band_stops,
-        rejection=worst.rejection,
-        excess_dB=worst.excess_dB,
-    )
-
-
-def _bounds(plant: Plant) -> tuple[Array, Array, list[Array]]:
-    """Return the box of (log f0, zeta, alpha): f0 around the reach the plant's delay allows."""
-    reach_Hz = min(0.1 / rest_delay_s(plant), 0.2 * plant.sampling_rate_Hz)
+    f0 lies around the reach that the plant's delay allows.
+    """
+    reach_Hz = min(0.1 / plant.rest_delay_s, 0.2 * plant.sampling_rate_Hz)
     lower = np.array([np.log(0.02 * reach_Hz), 0.5, 0.02])
     upper = np.array([np.log(min(5.0 * reach_Hz, 0.3 * plant.sampling_rate_Hz)), 1.5, 0.8])
     starts = [
         np.array([np.log(share * reach_Hz), 0.9, root])
         for share, root in ((1.0, 0.2), (0.3, 0.2), (0.1, 0.4))
     ]
-    return lower, upper, starts
+
+    def build(x: Array) -> ShapedController:
+        dominant = Section(frequency_Hz=float(np.exp(x[0])), damping=float(x[1]))
+        controller = place_band_stops(plant, dominant, float(x[2]), band_stops)
+        worst = worst_place(grid, controller.R, controller.S)
+        return ShapedController(
+            controller=controller,
+            dominant=dominant,
+            auxiliary_root=float(x[2]),
+            band_stops=band_stops,
+            rejection=worst.rejection,
+            excess_dB=worst.excess_dB,
+        )
+
+    def cost(x: Array) -> tuple[float, float]:
+        try:
+            shaped = build(x)
+        except DesignError:
+            return _HOPELESS
+        return float(np.log(shaped.rejection)), shaped.excess_dB
+
+    return build(search(cost, lower, upper, starts).parameters)

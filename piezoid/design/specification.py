@@ -112,7 +112,7 @@ def default_specification(
     scan               a tenth of the bandwidth
     """
     plant = family.nominal
-    late_s = rest_delay_s(plant)
+    late_s = plant.rest_delay_s
     bandwidth_Hz = MODE_SHARE * slowest_Hz(plant)
     if late_s > 0.0:  # a zero slower than every pole leads at rest
         bandwidth_Hz = min(bandwidth_Hz, _DELAY_SHARE / late_s)
@@ -127,7 +127,7 @@ def default_specification(
     )
     return Specification(
         bandwidth_Hz=bandwidth_Hz,
-        delay_margin_s=plant.period_s,
+        delay_margin_s=1.0 / plant.sampling_rate_Hz,
         templates=(control,),
         voltage_min_V=voltage_min_V,
         voltage_max_V=voltage_max_V,
@@ -142,12 +142,6 @@ def slowest_Hz(plant: Plant) -> float:
     """Return the smallest natural frequency of the plant's poles, |ln z| fs / 2 pi."""
     poles = roots_of(plant.A)
     return float(np.abs(np.log(poles)).min() * plant.sampling_rate_Hz / (2.0 * np.pi))
-
-
-def rest_delay_s(plant: Plant) -> float:
-    """Return the phase delay as the frequency goes to zero, B'(1)/B(1) - A'(1)/A(1)."""
-    delays = [float(p @ np.arange(len(p)) / p.sum()) for p in (plant.B, plant.A)]
-    return (delays[0] - delays[1]) * plant.period_s
 
 
 def specifications_from_toml(

@@ -6,17 +6,15 @@ becomes a condition around reference polynomials: with P_d,i stable,
 
     Re{P_i conj(P_d,i)} > 0 for all w   implies   P_i stable (it cannot wind around zero)
 
-so that limits on |A_i S| / |P_i| are implied by second-order cones. P_d,i are the polynomials of
-the design so far, and the problem is solved again until it stops gaining. Each step keeps every
-member stable and every limit met.      [Landau & Zito 2006; Karimi & Galdos 2010, for the family]
+P_d,i are the polynomials of the design so far, and the problem is solved again until it stops
+gaining. Each step keeps every member stable and every limit met.        [Landau & Zito 2006]
 
-One convex problem around a closed loop: second-order cones, solved on the rows that decide.
-
-With P_d,i the closed-loop polynomials of the loop it is set up around,
+One convex problem is set up around a closed loop, P_d,i its polynomials,
 
     |A_i S| <= limit Re{P_i conj(P_d,i)} / |P_d,i|   implies   |A_i S| / |P_i| <= limit
 
-and the left side asks for a cone in the free coefficients of R and S.    [Karimi & Galdos 2010]
+and the left side asks for a cone in the free coefficients of R and S. It is solved on the rows
+that decide.                                                       [Karimi & Galdos 2010]
 """
 
 from dataclasses import dataclass
@@ -31,7 +29,7 @@ from piezoid.design.rst import INTEGRATOR, OPEN_AT_NYQUIST, RstController
 from piezoid.design.specification import Specification
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import Response, polynomial_response
-from piezoid.numerics.polynomial import product, total
+from piezoid.numerics.polynomial import product
 
 _LEAST_REAL = 0.05
 _SLACK_PRICE = 100.0
@@ -70,11 +68,9 @@ class Cones:
 
     def at(self, rows: NDArray[np.bool_]) -> "Cones":
         """Return the problem on some rows only."""
+        pairs = ("A_S", "A_R", "B_R", "real")
         return Cones(
-            A_S=(self.A_S[0][rows], self.A_S[1][rows]),
-            A_R=(self.A_R[0][rows], self.A_R[1][rows]),
-            B_R=(self.B_R[0][rows], self.B_R[1][rows]),
-            real=(self.real[0][rows], self.real[1][rows]),
+            **{name: tuple(part[rows] for part in getattr(self, name)) for name in pairs},
             reference=self.reference[rows],
             limits=self.limits[:, rows],
             slope=self.slope[rows],
@@ -220,20 +216,23 @@ def _solved(cones: Cones, count: int, reserve: float) -> Reached | None:
 class ConvexController:
     """A controller by convex optimisation over a family.
 
-    controller   R, S, T; its P is the nominal closed-loop polynomial that resulted
+    controller   R, S, T
     taps         free coefficients of R' and of S'
     rejection    max over members and f <= bandwidth of |Syp| bandwidth / f, on the fine grid
     excess_dB    <= 0: every member meets every limit on the fine grid
-    iterations   convex problems solved
-    history      (iterations + 1,)  the rejection after each
+    history      (iterations + 1,)  the rejection at the start and after each convex problem
     """
 
     controller: RstController
     taps: int
     rejection: float
     excess_dB: float
-    iterations: int
     history: tuple[float, ...]
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The size of the problem and of its solution, by name."""
+        return {"taps": float(self.taps), "iterations": float(len(self.history) - 1)}
 
 
 def optimise(
@@ -275,19 +274,10 @@ def optimise(
         (R, S), best = step, reached
         history.append(reached.rejection)
     return ConvexController(
-        controller=RstController(
-            R=R,
-            S=S,
-            T=np.array([R.sum()]),
-            H_R=OPEN_AT_NYQUIST,
-            H_S=INTEGRATOR,
-            P=total(product(family.nominal.A, S), product(family.nominal.B, R)),
-            residual=start.residual,
-        ),
+        controller=RstController(R=R, S=S, T=np.array([R.sum()])),
         taps=count,
         rejection=best.rejection,
         excess_dB=best.excess_dB,
-        iterations=len(history) - 1,
         history=tuple(history),
     )
 

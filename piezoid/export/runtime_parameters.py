@@ -13,9 +13,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezoid.design.design import AxisDesign, LoopDesign, Member
+from piezoid.design.design import AxisDesign, LoopDesign
 from piezoid.design.feedforward import ReferencePath, filter_sections
 from piezoid.design.observer import DisturbanceObserver, with_oscillators_as_states
+from piezoid.design.plant import Fraction
 from piezoid.design.rst import LIGHT
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters
@@ -212,7 +213,7 @@ def _range(model: AxisModel, design: AxisDesign) -> Given:
     }
 
 
-def _ramp_s(member: Member) -> float:
+def _ramp_s(member: Fraction) -> float:
     """Return the shortest time in which a reference may cross the range of this plant."""
     s = np.log(roots_of(member.A)) * member.sampling_rate_Hz
     light = s[-s.real < LIGHT * np.abs(s)]

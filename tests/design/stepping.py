@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from piezoid.design.observer import DisturbanceObserver, LinearController
+from piezoid.design.observer import DisturbanceObserver
 from piezoid.design.plant import Plant
 from piezoid.design.rst import RstController
 from piezoid.numerics.arrays import Array
@@ -27,7 +27,7 @@ def with_observer(
 
 
 def with_polynomials(
-    plant: Plant, c: LinearController | RstController, reference: Array, d_V: Array, d_y: Array
+    plant: Plant, c: RstController, reference: Array, d_V: Array, d_y: Array
 ) -> Array:
     """Step S u = T r - R y and A (y - d_y) = B (u + d_V); return outputs."""
     n = len(reference)

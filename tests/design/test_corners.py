@@ -7,7 +7,6 @@ import pytest
 
 from piezoid.design.lateral_task import lateral_task
 from piezoid.design.plant import Plant
-from piezoid.design.specification import rest_delay_s
 from piezoid.identification.extensions import CreepLadder, LinearMode, RateDependence
 from piezoid.identification.loop_model import at_corner, lag_half_s, loop_model
 from piezoid.identification.model import AxisModel, Lag
@@ -86,7 +85,7 @@ def test_a_delay_moves_by_the_interval_of_the_lag_and_never_ahead(
         assert time_constants_s(corner) == pytest.approx(DECLARED_s * (1.0 + 0.1 * way_of(label)))
         delay_s = max(time_s + way_of(label) * lag_half_s(axis), 0.0)
         poles_s = 0.1 * way_of(label) * DECLARED_s.sum()
-        assert rest_delay_s(corner) - rest_delay_s(nominal) == pytest.approx(
+        assert corner.rest_delay_s - nominal.rest_delay_s == pytest.approx(
             delay_s - time_s + poles_s, abs=HELD_s
         )
 

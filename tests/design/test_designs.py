@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezoid.design.certificate import Operation, certify
-from piezoid.design.design import AxisDesign, Design, design_from_json, members_of
+from piezoid.design.design import AxisDesign, Design, design_from_json
 from piezoid.design.feasibility import unmet
 from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.junction_task import design_vertical
@@ -203,5 +203,5 @@ def test_a_changed_design_file_is_refused(vertical):
 
 
 def test_members_of_a_family_keep_order_and_labels():
-    labels = [member.label for member in members_of(vertical_family())]
+    labels = [member.label for member in vertical_family().fractions]
     assert labels == ["1 eV", "0.25 eV", "0.5 eV", "2 eV", "4 eV"]

@@ -48,23 +48,20 @@ def test_the_kalman_gain_solves_its_riccati_equation(input_variance):
         variance = C_e @ P @ C_e + 1e-2
         L = P @ C_e / variance
         P = A_e @ (P - np.outer(L, C_e @ P)) @ A_e.T + Q
-    np.testing.assert_allclose(found.gain, L, rtol=1e-7)
-    assert found.innovation_variance == pytest.approx(variance, rel=1e-7)
+    np.testing.assert_allclose(found, L, rtol=1e-7)
 
 
-def test_innovations_of_a_kalman_observer_are_white_with_the_promised_variance(rng):
+def test_innovations_of_a_kalman_observer_are_white(rng):
     plant, model = plant_from_chain(lateral_chain()), disturbance_model(RATE_Hz)
-    found = kalman_gain(
+    gain = kalman_gain(
         plant, model, input_variance=1e-12, drift_variance=1e-3, sensor_variance=1e-2
     )
     frame = ObserverFrame(plant=plant, disturbance=model, form="affine")
-    observer = frame.with_gain(found.gain, feedback_poles=printed_observer_poles()[0])
+    observer = frame.with_gain(gain, feedback_poles=printed_observer_poles()[0])
     n = 40_000
     d_V = np.cumsum(np.sqrt(1e-3) * rng.normal(size=n))
     _, nu = with_observer(plant, observer, np.zeros(n), d_V, 0.1 * rng.normal(size=n))
     nu = nu[1000:]
-    spread = 4.0 * np.sqrt(2.0 / len(nu))  # four standard deviations of a variance
-    assert nu.var() == pytest.approx(found.innovation_variance, rel=spread)
     lagged = np.array([(nu[k:] * nu[:-k]).mean() for k in (1, 2, 5)]) / nu.var()
     assert np.abs(lagged).max() <= 4.0 / np.sqrt(len(nu))
 

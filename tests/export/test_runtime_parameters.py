@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.design.certificate import Certificate
-from piezoid.design.design import AxisDesign, LoopDesign, members_of, reached_margins
+from piezoid.design.design import AxisDesign, LoopDesign, reached_margins
 from piezoid.design.feedforward import ReferencePath
 from piezoid.design.observer import disturbance_model, linear_controller
 from piezoid.design.plant import Plant, PlantFamily
@@ -134,7 +134,7 @@ def path():
 
 
 def loop_design(method, R, S, T, *, gain=GAIN_m_per_V, observer=None, certificate=None):
-    members = members_of(PlantFamily(members=(design_plant(gain),)))
+    members = PlantFamily(members=(design_plant(gain),)).fractions
     return LoopDesign(
         method=method,
         observer=observer,
