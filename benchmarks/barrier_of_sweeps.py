@@ -21,12 +21,12 @@ def row(name: str, fit: BarrierFit) -> str:
     """Return one line of the table."""
     low, high = (1e-9 * end for end in fit.decay_interval_per_m)
     shallow, steep = fit.barrier_interval_eV
-    reasons = "; ".join(reason.text for reason in fit.reasons)
+    reasons = "; ".join(fit.reasons)
     return (
         f"{name:<28} {1e-9 * fit.decay_per_m:7.3f} [{low:6.3f}, {high:6.3f}]  "
         f"{fit.barrier_eV:6.3f} [{shallow:6.3f}, {steep:6.3f}]  "
         f"{1e12 * fit.offset_A:+8.4f} +- {1e12 * fit.offset_standard_A:6.4f}  "
-        f"{1e12 * fit.noise.floor_A:6.4f}  {1e12 * fit.gap_jitter_m:5.2f}  "
+        f"{1e12 * fit.floor_A:6.4f}  {1e12 * fit.gap_jitter_m:5.2f}  "
         f"{fit.confidence.value} {reasons}"
     )
 

@@ -17,8 +17,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from piezoid.identification.tunnelling.barrier_fit import GapLaw
 from piezoid.identification.tunnelling.junction import fit_sweeps_of_tip
-from piezoid.identification.tunnelling.model import GapLaw
 from piezoid.numerics.arrays import Array
 from piezoid.operators.tunnelling import decay_of_barrier
 from piezoid.records.readers import read_table

@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.identification.tunnelling.joint_barrier import JointBarrier
 from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig, is_loop, read_loop
 from piezoid.identification.tunnelling.loop_model import LoopPlant, LoopSummary
 from piezoid.identification.tunnelling.loop_noise import gap_motion, power_density
-from piezoid.identification.tunnelling.model import TunnellingModel
+from piezoid.identification.tunnelling.model import JointBarrier, TunnellingModel
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, decades_over
 from piezoid_reports.page import Page

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.identification.tunnelling.approach import ApproachCurve, Direction
+from piezoid.identification.tunnelling.barrier_fit import GapLaw
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.junction import curves_of
-from piezoid.identification.tunnelling.model import GapLaw, TunnellingModel
+from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.page import Page

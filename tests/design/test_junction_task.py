@@ -11,8 +11,9 @@ from piezoid.design.design_stage import design_stage
 from piezoid.design.junction_task import reading_noise_A, vertical_task
 from piezoid.errors import DesignError, LabFileError
 from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.tunnelling.barrier_fit import GapLaw
 from piezoid.identification.tunnelling.confidence import Confidence
-from piezoid.identification.tunnelling.model import GapLaw, TunnellingModel
+from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.records.lab import Acquisition, Amplifier, Lab, Tunnelling
 from tests.design.junction_lab import LAB, loop_plant
 from tests.design.rig import RATE_Hz

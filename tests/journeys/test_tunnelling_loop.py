@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 from piezoid.errors import ExcitationError, LabFileError
 from piezoid.identification.store import read_model, write_model
 from piezoid.identification.tunnelling.closed_loop import identify_closed_loop
-from piezoid.identification.tunnelling.joint_barrier import join_barriers
 from piezoid.identification.tunnelling.loop_files import loops_of, period_of, rig_of_loop
+from piezoid.identification.tunnelling.model import join_barriers
 from piezoid.records.ingest import ingest
 from piezoid.records.inspection import inspect_file
 from piezoid.records.lab import Lab, read_lab

@@ -1,4 +1,4 @@
-"""BarrierFit: the decay and apparent barrier of a junction, with interval and confidence.
+"""fit_barrier: sweeps of one direction -> decay and apparent barrier, interval and confidence.
 
 Neighbouring points of a sweep share drift, creep and vibration; an interval that counts them as
 independent is far too narrow. Blocks of neighbours, each holding an equal share of the information
@@ -8,31 +8,61 @@ quite fit (jackknife form of the clustered sandwich; Bell & McCaffrey 2002).
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from piezoid.identification.tunnelling.approach import ApproachCurve
 from piezoid.identification.tunnelling.confidence import Confidence, Reason, lowest_grade
-from piezoid.identification.tunnelling.current_noise import CurrentChain, CurrentNoise
+from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.weighted_fit import (
     CLEAR_OF_FLOOR,
     OUTLIER,
     TipJump,
     WeightedFit,
-    fit_exponential,
     fit_sweeps,
-    profile_interval,
 )
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.robust import NORMAL_95, student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
+from piezoid.record_json import Interval
 
 # Few enough that neighbours in different blocks are nearly independent: under a gap with 1/f
 # unrest of 2 pm, ten blocks held 83 % of 60 truths, five 98 %, a third wider.
 BLOCKS = 8
 MIN_POINTS = 20  # clear of the noise, to compare the slopes of both halves of a sweep
 TINY = 1e-300
+
+
+@dataclass(frozen=True, kw_only=True)
+class GapLaw:
+    """From sweeps: i = polarity I_0 exp(-k z) + offset, z growing when the tip retracts.
+
+    polarity                  +1 or -1
+    decay_per_m               k, and its 95 % interval; an upper end may be infinite
+    barrier_eV                (k / 10.246 nm^-1)^2, apparent, and its 95 % interval
+    current_at_zero_height_A  I_0 > 0, geometric mean over the sweeps, before any tip jump
+    offset_A                  of the amplifier, with its sign, and its standard deviation
+    floor_A                   rms noise without current
+    gap_jitter_m              relative noise / k: what the noise in proportion to the current
+                              amounts to
+    sweep_decay_per_m         k of each sweep alone; in a common law of each to and fro
+    confidence, reasons       how far to trust it, and every criterion it does not meet
+    """
+
+    polarity: float
+    decay_per_m: float
+    decay_interval_per_m: Interval
+    barrier_eV: float
+    barrier_interval_eV: Interval
+    current_at_zero_height_A: float
+    offset_A: float
+    floor_A: float
+    gap_jitter_m: float
+    sweep_decay_per_m: tuple[float, ...]
+    confidence: Confidence
+    reasons: tuple[str, ...]
+    offset_standard_A: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,47 +96,27 @@ class SweepEvidence:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class BarrierFit:
-    """The gap law fitted to one or more sweeps: i = polarity (I_0 exp(-k z)) + offset.
+class BarrierFit(GapLaw):
+    """The gap law of sweeps of one direction, with what it was judged from.
 
-    labels                    of the sweeps
-    polarity                  +1 or -1
-    decay_per_m               k
-    decay_interval_per_m      95 %; 0 or infinity where the data exclude nothing
-    barrier_eV                (k / 10.246 nm^-1)^2
-    barrier_interval_eV       the same map of the interval's ends
-    current_at_zero_height_A  I_0 > 0, geometric mean over the sweeps, before any tip jump
-    covariance                (2, 2) of k and ln I_0, correlated residuals allowed for
-    offset_A                  of the amplifier, with its sign
-    offset_standard_A         its standard deviation
-    noise                     floor and relative noise, estimated
-    gap_jitter_m              relative noise / k: what a jittering gap would amount to
-    sweep_decay_per_m         k of each sweep alone
-    jumps                     tip jumps found and allowed for
-    evidence                  what the confidence was judged from
-    confidence, reasons       the grade, and every rule broken
+    labels      of the sweeps
+    covariance  (2, 2) of k and ln I_0, correlated residuals allowed for
+    jumps       tip jumps that were allowed for
+    evidence    what the confidence was judged from
     """
 
     labels: tuple[str, ...]
-    polarity: float
-    decay_per_m: float
-    decay_interval_per_m: tuple[float, float]
-    barrier_eV: float
-    barrier_interval_eV: tuple[float, float]
-    current_at_zero_height_A: float
     covariance: Array
-    offset_A: float
-    offset_standard_A: float
-    noise: CurrentNoise
-    gap_jitter_m: float
-    sweep_decay_per_m: tuple[float, ...]
     jumps: tuple[TipJump, ...]
     evidence: SweepEvidence
-    confidence: Confidence
-    reasons: tuple[Reason, ...]
 
     def __post_init__(self) -> None:
         freeze(self, "covariance", ndim=2)
+
+    @property
+    def law(self) -> GapLaw:
+        """The gap law alone, as a model keeps it."""
+        return GapLaw(**{field.name: getattr(self, field.name) for field in fields(GapLaw)})
 
 
 def fit_barrier(
@@ -130,189 +140,156 @@ def fit_barrier(
     the plain one, so that correlated residuals and misfit count. A weak or unstable sweep has a
     wide interval, low confidence and reasons; it is not refused.
     """
-    state = fit_sweeps(curves, chain or CurrentChain())
-    sweeps, decay = len(curves), state.fit.decay_per_m
-    root = np.sqrt(state.points.weight)
-    jacobian, residual = state.fit.jacobian(state.points) * root[:, None], state.residual_A * root
-    height_m = state.points.height_m
-    by_parameter, blocks = _block_covariance(jacobian, residual, height_m, 0)
-    offset, _ = _block_covariance(jacobian, residual, height_m, by_parameter.shape[0] - 1)
+    fit = fit_sweeps(curves, chain or CurrentChain())
+    sweeps, decay = len(curves), fit.decay_per_m
+    root = np.sqrt(fit.weight)
+    jacobian, residual = fit.jacobian * root[:, None], fit.residual_A * root
+    by_decay, blocks = _block_covariance(jacobian, residual, fit.height_m, 0)
+    by_offset, _ = _block_covariance(jacobian, residual, fit.height_m, len(by_decay) - 1)
     # ln I_0 = mean over sweeps of ln A + k z_0, with z_0 the lowest height.
-    to_pair = np.zeros((2, by_parameter.shape[0]))
-    to_pair[:, 0] = (1.0, state.lowest_m)
-    for sweep in range(sweeps):
-        to_pair[1, 1 + state.first_piece(sweep)] += 1.0 / sweeps
-    covariance = to_pair @ by_parameter @ to_pair.T
-    decays = _decay_of_each_sweep(state, sweeps)
+    pieces = [fit.lowest_piece(sweep) for sweep in range(sweeps)]
+    to_pair = np.zeros((2, len(by_decay)))
+    to_pair[:, 0] = (1.0, fit.lowest_m)
+    for piece in pieces:
+        to_pair[1, 1 + piece] += 1.0 / sweeps
+    covariance = to_pair @ by_decay @ to_pair.T
+    decays = _decay_of_each_sweep(fit, sweeps)
     independent = 1.0 / max(float(_information(jacobian, 0).sum()), TINY)
     between = float(np.var(decays, ddof=1)) / sweeps if sweeps > 2 else 0.0
     inflation = max(float(covariance[0, 0]) / independent, between / independent, 1.0)
     quantile = float(student_quantile(0.975, max(blocks - 1, 1)))
-    low, high = profile_interval(state.points, state.fit, quantile**2 * inflation)
+    low, high = fit.decay_interval(quantile**2 * inflation)
     calibration = NORMAL_95 * height_relative_uncertainty * decay
     interval = (
         max(decay - math.hypot(decay - low, calibration), 0.0),
         decay + math.hypot(high - decay, calibration),
     )
-    evidence = _evidence(state, curves)
+    evidence = _evidence(fit, curves)
     confidence, reasons = lowest_grade(barrier_reasons(evidence, decay, interval))
-    amplitude_A = [state.fit.amplitude_A[state.first_piece(n)] for n in range(sweeps)]
-    log_current = float(np.mean(np.log(np.maximum(amplitude_A, TINY)))) + decay * state.lowest_m
+    log_current = float(np.mean(np.log(np.maximum(fit.amplitude_A[pieces], TINY))))
     return BarrierFit(
         labels=tuple(curve.label for curve in curves),
-        polarity=state.polarity,
+        polarity=fit.polarity,
         decay_per_m=decay,
         decay_interval_per_m=interval,
         barrier_eV=barrier_of_decay(decay),
         barrier_interval_eV=(barrier_of_decay(interval[0]), barrier_of_decay(interval[1])),
-        current_at_zero_height_A=math.exp(min(log_current, 700.0)),
+        current_at_zero_height_A=math.exp(min(log_current + decay * fit.lowest_m, 700.0)),
         covariance=covariance,
-        offset_A=state.polarity * state.fit.offset_A,
-        offset_standard_A=math.sqrt(max(float(offset[-1, -1]), 0.0)),
-        noise=state.noise,
-        gap_jitter_m=state.noise.relative / decay,
+        offset_A=fit.polarity * fit.offset_A,
+        offset_standard_A=math.sqrt(max(float(by_offset[-1, -1]), 0.0)),
+        floor_A=fit.noise.floor_A,
+        gap_jitter_m=fit.noise.relative / decay,
         sweep_decay_per_m=decays,
-        jumps=state.jumps,
+        jumps=fit.jumps,
         evidence=evidence,
         confidence=confidence,
         reasons=reasons,
     )
 
 
-def _decay_of_each_sweep(state: WeightedFit, sweeps: int) -> tuple[float, ...]:
+def _decay_of_each_sweep(fit: WeightedFit, sweeps: int) -> tuple[float, ...]:
+    """Fit each sweep alone, with the weights of the common fit."""
     if sweeps == 1:
-        return (state.fit.decay_per_m,)
-    decays, points = [], state.points
-    for sweep in range(sweeps):
-        of_sweep = state.sweep_of_point == sweep
-        part = replace(
-            points,
-            height_m=points.height_m[of_sweep],
-            current_A=points.current_A[of_sweep],
-            piece=np.unique(points.piece[of_sweep], return_inverse=True)[1],
-            weight=points.weight[of_sweep],
+        return (fit.decay_per_m,)
+    decays = []
+    for rows in (fit.sweep == sweep for sweep in range(sweeps)):
+        sweep_fit = replace(
+            fit,
+            height_m=fit.height_m[rows],
+            current_A=fit.current_A[rows],
+            piece=np.unique(fit.piece[rows], return_inverse=True)[1],
+            weight=fit.weight[rows],
         )
-        decays.append(fit_exponential(part).decay_per_m)
+        decays.append(sweep_fit.at_best_decay().decay_per_m)
     return tuple(decays)
 
 
-def _evidence(state: WeightedFit, curves: Sequence[ApproachCurve]) -> SweepEvidence:
-    mean_A, floor_A = state.mean_A, state.noise.floor_A
-    deviation = np.sqrt(state.noise.variance(mean_A))
+def _evidence(fit: WeightedFit, curves: Sequence[ApproachCurve]) -> SweepEvidence:
+    mean_A = fit.mean_A
+    deviation = np.sqrt(fit.noise.variance(mean_A))
     return SweepEvidence(
         points=sum(curve.points for curve in curves),
         rows=sum(curve.rows for curve in curves),
         saturated=sum(curve.saturated for curve in curves),
         peak_A=float(mean_A.max()),
-        floor_A=floor_A,
-        relative_noise=state.noise.relative,
-        jumps=len(state.jumps),
-        largest_jump=max((jump.nepers for jump in state.jumps), key=abs, default=0.0),
-        reaches_floor=bool(mean_A.min() < floor_A),
-        slope_change=_slope_change(state),
-        outliers=float(np.mean(np.abs(state.residual_A) > OUTLIER * deviation)),
+        floor_A=fit.noise.floor_A,
+        relative_noise=fit.noise.relative,
+        jumps=len(fit.jumps),
+        largest_jump=max((jump.nepers for jump in fit.jumps), key=abs, default=0.0),
+        reaches_floor=bool(mean_A.min() < fit.noise.floor_A),
+        slope_change=_slope_change(fit),
+        outliers=float(np.mean(np.abs(fit.residual_A) > OUTLIER * deviation)),
     )
 
 
+def _slope_change(fit: WeightedFit) -> float:
+    """Return the relative difference of the decay of the far half to that of the near half."""
+    clear, height_m = fit.is_clear, fit.height_m
+    if clear.sum() < MIN_POINTS:
+        return 0.0
+    middle = 0.5 * (height_m[clear].min() + height_m[clear].max())
+    halves = [clear & (height_m <= middle), clear & (height_m > middle)]
+    if min(half.sum() for half in halves) < 5:
+        return 0.0
+    root = np.sqrt(fit.weight) * fit.mean_A
+    near_decay, far_decay = (
+        fit.decay_per_m - np.polyfit(height_m[half], fit.log_residual[half], 1, w=root[half])[0]
+        for half in halves
+    )
+    return float(far_decay / near_decay - 1.0)
+
+
 def barrier_reasons(
-    evidence: SweepEvidence, decay_per_m: float, interval_per_m: tuple[float, float]
+    evidence: SweepEvidence, decay_per_m: float, interval_per_m: Interval
 ) -> tuple[Reason, ...]:
     """Return what speaks against a barrier, in the order of these rules.
 
     decay_per_m, interval_per_m  k and its 95 % interval, of these sweeps or of all of a tip
     """
-    points, rows, saturated = evidence.points, evidence.rows, evidence.saturated
-    peak_A, floor_A = evidence.peak_A, evidence.floor_A
-    decades = math.log10(max(peak_A, 1e-30) / (CLEAR_OF_FLOOR * floor_A))
+    e, rows = evidence, evidence.rows
+    missing = f"{rows - e.points - e.saturated} of {rows} rows hold no number"
+    decades = math.log10(max(e.peak_A, 1e-30) / (CLEAR_OF_FLOOR * e.floor_A))
     barrier_eV = barrier_of_decay(decay_per_m)
     low_eV, high_eV = (barrier_of_decay(end) for end in interval_per_m)
-    jump, slope = evidence.largest_jump, evidence.slope_change
+    clipped = f"{e.saturated} of {rows} rows lie at the amplifier's limit"
+    span = (
+        f"the current spans {decades:.2g} decades above three times its noise: {e.peak_A:.3g} A "
+        f"at most, noise {e.floor_A:.3g} A"
+    )
+    width = f"the 95 % interval runs from {low_eV:.3g} to {high_eV:.3g} eV"
+    unstable = f"the current fluctuates by {100 * e.relative_noise:.2g} % of itself: unstable tip"
+    jumps = f"{e.jumps} tip jump(s), the largest of {e.largest_jump:.2g} nepers"
+    floor = (
+        f"the sweep ends above the noise of {e.floor_A:.3g} A: the offset rests on the fitted law"
+    )
+    bend = (
+        f"the decay of the weaker half differs by {100 * e.slope_change:.2g} % from that of the "
+        "stronger: creep of the height, or not one exponential"
+    )
+    implausible = (
+        f"a barrier of {barrier_eV:.3g} eV lies outside 0.05 to 7 eV: is the height in metres, "
+        "and is its calibration right?"
+    )
     rules = (  # quantity; above it medium, above it low confidence; sentence
-        (saturated / rows, 0.0, 0.5, f"{saturated} of {rows} rows lie at the amplifier's limit"),
-        (
-            1.0 - (points + saturated) / rows,
-            0.1,
-            0.5,
-            f"{rows - points - saturated} of {rows} rows hold no number",
-        ),
-        (-points, -40, -20, f"only {points} points"),
-        (
-            -decades,
-            -2.5,
-            -1.5,
-            f"the current spans {decades:.2g} decades above three times its noise: "
-            f"{peak_A:.3g} A at most, noise {floor_A:.3g} A",
-        ),
-        (
-            (high_eV - low_eV) / barrier_eV,
-            0.2,
-            0.5,
-            f"the 95 % interval runs from {low_eV:.3g} to {high_eV:.3g} eV",
-        ),
-        (
-            evidence.relative_noise,
-            0.1,
-            0.3,
-            f"the current fluctuates by {100 * evidence.relative_noise:.2g} % of itself: "
-            "unstable tip",
-        ),
-        (
-            evidence.jumps,
-            0,
-            1,
-            f"{evidence.jumps} tip jump(s), the largest of {jump:.2g} nepers",
-        ),
-        (abs(jump), 0.3, 1.0, f"a tip jump of {jump:.2g} nepers"),
-        (
-            float(not evidence.reaches_floor),
-            0.5,
-            np.inf,
-            f"the sweep ends above the noise of {floor_A:.3g} A: the offset rests on the fitted "
-            "law",
-        ),
-        (
-            abs(slope),
-            0.1,
-            0.3,
-            f"the decay of the weaker half differs by {100 * slope:.2g} % from that of the "
-            "stronger: creep of the height, or not one exponential",
-        ),
-        (
-            evidence.outliers,
-            0.05,
-            0.2,
-            f"{100 * evidence.outliers:.2g} % of the points are outliers",
-        ),
-        (
-            max(barrier_eV / 7.0, 0.05 / barrier_eV),
-            1.0,
-            2.0,
-            f"a barrier of {barrier_eV:.3g} eV lies outside 0.05 to 7 eV: is the height in "
-            "metres, and is its calibration right?",
-        ),
+        (e.saturated / rows, 0.0, 0.5, clipped),
+        (1.0 - (e.points + e.saturated) / rows, 0.1, 0.5, missing),
+        (-e.points, -40, -20, f"only {e.points} points"),
+        (-decades, -2.5, -1.5, span),
+        ((high_eV - low_eV) / barrier_eV, 0.2, 0.5, width),
+        (e.relative_noise, 0.1, 0.3, unstable),
+        (e.jumps, 0, 1, jumps),
+        (abs(e.largest_jump), 0.3, 1.0, f"a tip jump of {e.largest_jump:.2g} nepers"),
+        (float(not e.reaches_floor), 0.5, np.inf, floor),
+        (abs(e.slope_change), 0.1, 0.3, bend),
+        (e.outliers, 0.05, 0.2, f"{100 * e.outliers:.2g} % of the points are outliers"),
+        (max(barrier_eV / 7.0, 0.05 / barrier_eV), 1.0, 2.0, implausible),
     )
     return tuple(
-        Reason(grade=Confidence.MEDIUM if quantity <= low else Confidence.LOW, text=text)
+        (Confidence.MEDIUM if quantity <= low else Confidence.LOW, text)
         for quantity, medium, low, text in rules
         if not quantity <= medium
     )
-
-
-def _slope_change(state: WeightedFit) -> float:
-    """Return the relative difference of the decay of the far half to that of the near half."""
-    clear = state.is_clear
-    if clear.sum() < MIN_POINTS:
-        return 0.0
-    height_m = state.points.height_m
-    middle = 0.5 * (height_m[clear].min() + height_m[clear].max())
-    root = np.sqrt(state.points.weight) * state.mean_A
-    slopes = []
-    for half in (clear & (height_m <= middle), clear & (height_m > middle)):
-        if half.sum() < 5:
-            return 0.0
-        slopes.append(np.polyfit(height_m[half], state.log_residual[half], 1, w=root[half])[0])
-    near_decay, far_decay = (state.fit.decay_per_m - slope for slope in slopes)
-    return float(far_decay / near_decay - 1.0)
 
 
 def _information(jacobian: Array, column: int) -> Array:

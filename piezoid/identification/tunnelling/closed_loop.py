@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.tunnelling.confidence import Confidence, Reason, lowest_grade
+from piezoid.identification.tunnelling.confidence import Confidence, lowest_grade
 from piezoid.identification.tunnelling.instrument_fit import (
     HIGHEST_POLE_SHARE,
     MISFIT,
@@ -90,7 +90,7 @@ class ClosedLoopFit:
     naive_reason: str
     dither_share: float
     confidence: Confidence
-    reasons: tuple[Reason, ...]
+    reasons: tuple[str, ...]
     declared_pole_Hz: float | None = None
     mode: ModeEstimate | None = None
 
@@ -243,28 +243,28 @@ def pole_interval(
 
 def _judge(
     fit: InstrumentFit, half: float, rate_Hz: float, *, declared: bool
-) -> tuple[Confidence, tuple[Reason, ...]]:
+) -> tuple[Confidence, tuple[str, ...]]:
     reasons = []
     width = 2.0 * half
     if width > _WIDE:
         grade = Confidence.LOW if width > _VERY_WIDE else Confidence.MEDIUM
         text = f"the gain's 95 % interval is {100.0 * width:.2g} % wide: more dither, or longer"
-        reasons.append(Reason(grade=grade, text=text))
+        reasons.append((grade, text))
     if fit.misfit > MISFIT:
         text = (
             f"the plant of two poles and a delay leaves {fit.misfit:.2g} times the noise power: "
             "is the amplifier's pole right, does the current saturate?"
         )
-        reasons.append(Reason(grade=Confidence.MEDIUM, text=text))
+        reasons.append((Confidence.MEDIUM, text))
     if fit.mode is not None:
         text = (
             f"the drive shows a mode at {1e-3 * fit.mode.mode.frequency_Hz:.3g} kHz that carries "
             f"{100.0 * fit.mode.mode.share:.2g} % of the extension; the loop stays well below it"
         )
-        reasons.append(Reason(grade=Confidence.MEDIUM, text=text))
+        reasons.append((Confidence.MEDIUM, text))
     pole_Hz = fit.plant.sensor_pole_Hz
     highest_Hz = HIGHEST_POLE_SHARE * rate_Hz
     if not declared and not 1.01 * MIN_POLE_Hz < pole_Hz < 0.99 * highest_Hz:
         text = f"the sensor pole, {1e-3 * pole_Hz:.3g} kHz, lies at the limit of the search"
-        reasons.append(Reason(grade=Confidence.MEDIUM, text=text))
+        reasons.append((Confidence.MEDIUM, text))
     return lowest_grade(reasons)

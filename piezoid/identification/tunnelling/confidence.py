@@ -1,7 +1,6 @@
-"""How far a result of the tunnelling junction may be trusted, and what speaks against it."""
+"""Confidence in a result of the tunnelling junction, and the criteria it does not meet."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from enum import Enum
 
 
@@ -13,20 +12,11 @@ class Confidence(Enum):
     LOW = "low"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Reason:
-    """Why a result deserves less than full confidence.
-
-    grade  highest confidence that the result can have despite it
-    text   one sentence with the number and the limit it exceeds
-    """
-
-    grade: Confidence
-    text: str
+Reason = tuple[Confidence, str]  # highest confidence despite it, and a sentence with its numbers
 
 
-def lowest_grade(reasons: Iterable[Reason]) -> tuple[Confidence, tuple[Reason, ...]]:
-    """Return the lowest grade of the reasons, high without any, and the reasons, worst first."""
-    worst_first = sorted(reasons, key=lambda reason: reason.grade is not Confidence.LOW)
-    grade = worst_first[0].grade if worst_first else Confidence.HIGH
-    return grade, tuple(worst_first)
+def lowest_grade(reasons: Iterable[Reason]) -> tuple[Confidence, tuple[str, ...]]:
+    """Return the lowest grade of the reasons, high without any, and their texts, worst first."""
+    by_grade = sorted(reasons, key=lambda reason: reason[0] is not Confidence.LOW)
+    grade = by_grade[0][0] if by_grade else Confidence.HIGH
+    return grade, tuple(text for _, text in by_grade)

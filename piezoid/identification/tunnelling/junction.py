@@ -16,7 +16,6 @@ from piezoid.identification.tunnelling.closed_loop import (
     identify_closed_loop,
 )
 from piezoid.identification.tunnelling.instrument_fit import ModeEstimate
-from piezoid.identification.tunnelling.joint_barrier import join_barriers
 from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig, is_loop, loops_of
 from piezoid.identification.tunnelling.loop_model import (
     LoopPlant,
@@ -24,8 +23,8 @@ from piezoid.identification.tunnelling.loop_model import (
     summarise_record,
 )
 from piezoid.identification.tunnelling.loop_noise import measure_loop_noise
-from piezoid.identification.tunnelling.model import TunnellingModel, common_law, describe_gap_law
-from piezoid.identification.tunnelling.sweep_pairs import compare_directions, decay_without_drift
+from piezoid.identification.tunnelling.model import TunnellingModel, join_barriers
+from piezoid.identification.tunnelling.sweep_pairs import common_law, compare_directions
 from piezoid.operators.tunnelling import decay_of_barrier
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
@@ -74,7 +73,7 @@ def fit_sweeps_of_tip(sweeps: Sequence[RawTable]) -> TunnellingModel:
         for direction in Direction
         if (same_direction := [curve for curve in curves if curve.direction is direction])
     }
-    gap_law = common_law(fits, decay_without_drift(curves))
+    gap_law = common_law(curves, fits)
     if len(fits) < len(Direction):
         return TunnellingModel(gap_law=gap_law, loop_plant=None)
     forward, backward = fits.values()
@@ -85,8 +84,8 @@ def fit_sweeps_of_tip(sweeps: Sequence[RawTable]) -> TunnellingModel:
     return TunnellingModel(
         gap_law=gap_law,
         loop_plant=None,
-        forward=describe_gap_law(forward),
-        backward=describe_gap_law(backward),
+        forward=forward.law,
+        backward=backward.law,
         shift=shift,
     )
 

@@ -116,7 +116,7 @@ def describe_loop_plant(
         family_records=len(fits),
         confidence=min((fit.confidence for fit in fits), key=_GRADES.index),
         reasons=tuple(
-            reason.text if len(fits) == 1 else f"{fit.label}: {reason.text}"
+            reason if len(fits) == 1 else f"{fit.label}: {reason}"
             for fit in fits
             for reason in fit.reasons
         ),

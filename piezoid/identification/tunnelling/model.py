@@ -1,54 +1,90 @@
-"""TunnellingModel: what leaves this folder, in plain numbers that come back exactly."""
+"""TunnellingModel: the junction from sweeps, from closed loops, and from both together.
+
+Sweeps measure k over the height they were given, the loop over the extension per volt it was
+given. Their ratio is free of the barrier:
+
+    k_loop / k_sweep = (true extension per volt) / (declared one)    if the sweep's height is true
+
+so that a disagreement says that one of the two calibrations, or the spot, is another.
+"""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
-from piezoid.identification.tunnelling.approach import Direction
-from piezoid.identification.tunnelling.barrier_fit import BarrierFit
-from piezoid.identification.tunnelling.confidence import Confidence
-from piezoid.identification.tunnelling.joint_barrier import JointBarrier
+from piezoid.identification.tunnelling.barrier_fit import GapLaw
 from piezoid.identification.tunnelling.loop_model import LoopPlant
-from piezoid.identification.tunnelling.sweep_pairs import (
-    DirectionShift,
-    DriftFreeDecay,
-    judge_together,
-)
+from piezoid.identification.tunnelling.sweep_pairs import DirectionShift
+from piezoid.numerics.robust import NORMAL_95
 from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid.record_json import Interval
 
-__all__ = ["GapLaw", "LoopPlant", "TunnellingModel", "common_law", "describe_gap_law"]
-
 
 @dataclass(frozen=True, kw_only=True)
-class GapLaw:
-    """From sweeps: i = polarity I_0 exp(-k z) + offset, z growing when the tip retracts.
+class JointBarrier:
+    """Decay and barrier of sweeps and loop together.
 
-    decay_per_m               k, and its 95 % interval; an upper end may be infinite
-    barrier_eV                apparent, and its 95 % interval
-    current_at_zero_height_A  I_0 > 0
-    offset_A                  of the amplifier, with its sign, and its standard deviation
-    floor_A                   rms noise without current
-    gap_jitter_m              what the noise in proportion to the current amounts to
-    sweep_decay_per_m         k of each sweep alone; in a common law of each to and fro
-    confidence, reasons       how far to trust it
+    ratio           k of the loop over k of the sweeps, and its 95 % interval
+    agree           whether that interval holds 1
+    decay_per_m     weighted mean of both; None where they disagree
+    decay_interval_per_m  95 % of it; where they disagree, from the lower end of the lower to the
+                    upper end of the higher
+    barrier_eV, barrier_interval_eV  of the decay
     """
 
-    polarity: float
-    decay_per_m: float
+    ratio: float
+    ratio_interval: Interval
+    agree: bool
+    decay_per_m: float | None
     decay_interval_per_m: Interval
-    barrier_eV: float
+    barrier_eV: float | None
     barrier_interval_eV: Interval
-    current_at_zero_height_A: float
-    offset_A: float
-    floor_A: float
-    gap_jitter_m: float
-    sweep_decay_per_m: tuple[float, ...]
-    confidence: Confidence
-    reasons: tuple[str, ...]
-    offset_standard_A: float = 0.0
+
+
+def join_barriers(sweeps: tuple[float, Interval], loop: tuple[float, Interval]) -> JointBarrier:
+    """Combine two decays with their 95 % intervals, in the logarithm, by inverse variance.
+
+    sweeps, loop  decay and interval, 1/m; an interval without an end counts as no information
+
+    Decays that differ by more than their standard deviations widen the mean by that much
+    (Birge's ratio).
+    """
+    variances = [_log_variance(interval) for _, interval in (sweeps, loop)]
+    log_ratio = math.log(loop[0]) - math.log(sweeps[0])
+    half = NORMAL_95 * math.sqrt(sum(variances))
+    agree = abs(log_ratio) <= half
+    decay = None
+    interval = min(sweeps[1][0], loop[1][0]), max(sweeps[1][1], loop[1][1])
+    if agree:
+        weights = [1.0 / max(variance, 1e-30) for variance in variances]
+        total = sum(weights)
+        share = weights[1] / total if total > 0.0 else 0.5
+        mean = math.log(sweeps[0]) + share * log_ratio
+        excess = weights[0] * share * log_ratio**2 if total > 0.0 else 0.0
+        spread = math.sqrt(max(excess, 1.0) / total) if total > 0.0 else math.inf
+        decay, interval = math.exp(mean), _around(mean, NORMAL_95 * spread)
+    return JointBarrier(
+        ratio=math.exp(log_ratio),
+        ratio_interval=_around(log_ratio, half),
+        agree=agree,
+        decay_per_m=decay,
+        decay_interval_per_m=interval,
+        barrier_eV=None if decay is None else barrier_of_decay(decay),
+        barrier_interval_eV=(barrier_of_decay(interval[0]), barrier_of_decay(interval[1])),
+    )
+
+
+def _log_variance(interval: Interval) -> float:
+    low, high = interval
+    if not (low > 0.0 and math.isfinite(high)):
+        return math.inf
+    return (math.log(high / low) / (2.0 * NORMAL_95)) ** 2
+
+
+def _around(center: float, half: float) -> Interval:
+    """Return exp(center -+ half); everything positive where half is infinite."""
+    if not math.isfinite(half):
+        return 0.0, math.inf
+    return math.exp(center - half), math.exp(center + half)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,54 +109,3 @@ class TunnellingModel:
     def __post_init__(self) -> None:
         if self.gap_law is None and self.loop_plant is None:
             raise ValueError("a TunnellingModel needs a gap law or a loop plant")
-
-
-def describe_gap_law(fit: BarrierFit) -> GapLaw:
-    """Take from a fit of sweeps what a model carries on."""
-    return GapLaw(
-        polarity=fit.polarity,
-        decay_per_m=fit.decay_per_m,
-        decay_interval_per_m=fit.decay_interval_per_m,
-        barrier_eV=fit.barrier_eV,
-        barrier_interval_eV=fit.barrier_interval_eV,
-        current_at_zero_height_A=fit.current_at_zero_height_A,
-        offset_A=fit.offset_A,
-        offset_standard_A=fit.offset_standard_A,
-        floor_A=fit.noise.floor_A,
-        gap_jitter_m=fit.gap_jitter_m,
-        sweep_decay_per_m=fit.sweep_decay_per_m,
-        confidence=fit.confidence,
-        reasons=tuple(reason.text for reason in fit.reasons),
-    )
-
-
-def common_law(fits: Mapping[Direction, BarrierFit], common: DriftFreeDecay) -> GapLaw:
-    """Return the law of all sweeps together: their common decay, the mean of the rest.
-
-    fits  of the directions there are, at least one, as ``fit_barrier`` gives them
-    """
-    laws = [describe_gap_law(fit) for fit in fits.values()]
-    peak_A = min(fit.evidence.peak_A for fit in fits.values())
-    # Where that current flows is seen by every direction; its mean height is what drift leaves.
-    height_m = np.mean(
-        [math.log(law.current_at_zero_height_A / peak_A) / law.decay_per_m for law in laws]
-    )
-    log_current = math.log(peak_A) + common.decay_per_m * float(height_m)
-    shares = [1.0 / max(law.offset_standard_A, 1e-30) ** 2 for law in laws]
-    confidence, reasons = judge_together(fits, common)
-    low, high = common.interval_per_m
-    return GapLaw(
-        polarity=laws[0].polarity,
-        decay_per_m=common.decay_per_m,
-        decay_interval_per_m=common.interval_per_m,
-        barrier_eV=barrier_of_decay(common.decay_per_m),
-        barrier_interval_eV=(barrier_of_decay(low), barrier_of_decay(high)),
-        current_at_zero_height_A=math.exp(min(log_current, 700.0)),
-        offset_A=float(np.average([law.offset_A for law in laws], weights=shares)),
-        offset_standard_A=float(1.0 / np.sqrt(np.sum(shares))),
-        floor_A=float(np.mean([law.floor_A for law in laws])),
-        gap_jitter_m=float(np.mean([law.gap_jitter_m for law in laws])),
-        sweep_decay_per_m=tuple(estimate.decay_per_m for estimate in common.estimates),
-        confidence=confidence,
-        reasons=tuple(reason.text for reason in reasons),
-    )

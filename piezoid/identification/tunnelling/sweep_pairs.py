@@ -1,4 +1,4 @@
-"""The decay behind sweeps of a height that drifts: both ways together, or as wide as drift allows.
+"""The gap law of sweeps of a height that drifts: both ways together, or as wide as drift allows.
 
 A gap that opens at v while the height is swept at s, away from the surface and back, has
 
@@ -25,12 +25,14 @@ from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.approach import ApproachCurve, Direction
 from piezoid.identification.tunnelling.barrier_fit import (
     BarrierFit,
+    GapLaw,
     barrier_reasons,
     fit_barrier,
 )
 from piezoid.identification.tunnelling.confidence import Confidence, Reason, lowest_grade
 from piezoid.identification.tunnelling.weighted_fit import CLEAR_OF_FLOOR
 from piezoid.numerics.robust import NORMAL_95, student_quantile
+from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid.record_json import Interval
 
 _DRIFT_m_per_s = 50e-12  # standard deviation: 1 to 100 pm/s in the laboratories we know of
@@ -80,8 +82,9 @@ def compare_directions(forward: BarrierFit, backward: BarrierFit) -> DirectionSh
     decay and height are nearly uncorrelated. Intervals by the delta method from the block
     covariances, the directions taken as independent.
     """
-    peak_A = min(forward.evidence.peak_A, backward.evidence.peak_A)
-    floor_A = 3.0 * max(forward.noise.floor_A, backward.noise.floor_A)
+    fits = (forward, backward)
+    peak_A = min(fit.evidence.peak_A for fit in fits)
+    floor_A = 3.0 * max(fit.floor_A for fit in fits)
     if peak_A <= floor_A:
         raise ExcitationError(
             f"{forward.labels[0]}, {backward.labels[0]}: at most {peak_A:.3g} A over a noise of "
@@ -90,11 +93,16 @@ def compare_directions(forward: BarrierFit, backward: BarrierFit) -> DirectionSh
             remedy="Approach closer, or average longer.",
         )
     reference_A = math.sqrt(peak_A * floor_A)
-    heights = [_height_of(fit, reference_A) for fit in (forward, backward)]
-    spread_m = NORMAL_95 * math.hypot(heights[0][1], heights[1][1])
-    shift_m = heights[1][0] - heights[0][0]
+    heights_m, deviations_m = [], []
+    for fit in fits:
+        height_m = math.log(fit.current_at_zero_height_A / reference_A) / fit.decay_per_m
+        gradient = np.array([-height_m, 1.0]) / fit.decay_per_m
+        heights_m.append(height_m)
+        deviations_m.append(math.sqrt(float(gradient @ fit.covariance @ gradient)))
+    shift_m = heights_m[1] - heights_m[0]
+    spread_m = NORMAL_95 * math.hypot(*deviations_m)
     change = backward.decay_per_m / forward.decay_per_m - 1.0
-    relative = [math.sqrt(f.covariance[0, 0]) / f.decay_per_m for f in (forward, backward)]
+    relative = [math.sqrt(fit.covariance[0, 0]) / fit.decay_per_m for fit in fits]
     spread = NORMAL_95 * math.hypot(*relative) * (1.0 + change)
     return DirectionShift(
         reference_current_A=reference_A,
@@ -105,16 +113,9 @@ def compare_directions(forward: BarrierFit, backward: BarrierFit) -> DirectionSh
     )
 
 
-def _height_of(fit: BarrierFit, current_A: float) -> tuple[float, float]:
-    """Height of a current and its standard deviation, m."""
-    height_m = math.log(fit.current_at_zero_height_A / current_A) / fit.decay_per_m
-    gradient = np.array([-height_m, 1.0]) / fit.decay_per_m
-    return height_m, math.sqrt(float(gradient @ fit.covariance @ gradient))
-
-
 @dataclass(frozen=True, kw_only=True)
 class DecayEstimate:
-    """What one sweep, or one to and fro, says of the decay.
+    """The decay of one sweep, or of one to and fro.
 
     decay_per_m     k
     below, above    distance of the ends of its 95 % interval, relative; infinite where open
@@ -128,45 +129,44 @@ class DecayEstimate:
     drift: float | None
     unseen: tuple[float, float] = (0.0, 0.0)
 
-    @property
-    def variance(self) -> float:
-        """Of ln k, from the mean of both sides."""
-        return (0.5 * (self.below + self.above) / NORMAL_95) ** 2
 
-
-@dataclass(frozen=True, kw_only=True)
-class DriftFreeDecay:
-    """The decay of all sweeps of a tip, drift taken out or allowed for.
-
-    decay_per_m    k
-    interval_per_m 95 %
-    estimates      one for each to and fro, one for each sweep without a way back
-    """
-
-    decay_per_m: float
-    interval_per_m: Interval
-    estimates: tuple[DecayEstimate, ...]
-
-
-def decay_without_drift(curves: Sequence[ApproachCurve]) -> DriftFreeDecay:
-    """Return the decay common to sweeps, free of the drift where they go to and fro.
+def common_law(curves: Sequence[ApproachCurve], fits: Mapping[Direction, BarrierFit]) -> GapLaw:
+    """Return the law of all sweeps together: their decay free of drift, the mean of the rest.
 
     curves  at least one, of one junction; those of one ``pair`` and both directions tell the drift
+    fits    of the directions there are, as ``fit_barrier`` gives them
 
     Every pair is one estimate, and so is every sweep that has no way back, with the drift it may
-    have had in its variance. Their mean and interval are those of random effects [DerSimonian &
-    Laird 1986], what differs from pair to pair at Student's quantile of their number.
+    have had in its variance.
     """
-    estimates = tuple(_estimate(pair) for pair in _by_pair(curves))
-    if len(estimates) == 1:
-        decay, below, above = estimates[0].decay_per_m, estimates[0].below, estimates[0].above
-        interval = (decay * max(1.0 - below, 0.0), decay * (1.0 + above))
-    else:
-        mean, half = _random_effects(estimates)
-        decay, interval = math.exp(mean), (0.0, math.inf)
-        if half < 50.0:
-            interval = (math.exp(mean - half), math.exp(mean + half))
-    return DriftFreeDecay(decay_per_m=decay, interval_per_m=interval, estimates=estimates)
+    estimates = [_estimate(pair) for pair in _by_pair(curves)]
+    decay, interval = _combine(estimates)
+    laws = tuple(fits.values())
+    peak_A = min(fit.evidence.peak_A for fit in laws)
+    # Where that current flows is seen by every direction; its mean height is what drift leaves.
+    height_m = np.mean(
+        [math.log(law.current_at_zero_height_A / peak_A) / law.decay_per_m for law in laws]
+    )
+    log_current = math.log(peak_A) + decay * float(height_m)
+    shares = [1.0 / max(law.offset_standard_A, 1e-30) ** 2 for law in laws]
+    confidence, reasons = lowest_grade(
+        [*_reasons_of_directions(fits, decay, interval), *_drift_reasons(estimates)]
+    )
+    return GapLaw(
+        polarity=laws[0].polarity,
+        decay_per_m=decay,
+        decay_interval_per_m=interval,
+        barrier_eV=barrier_of_decay(decay),
+        barrier_interval_eV=(barrier_of_decay(interval[0]), barrier_of_decay(interval[1])),
+        current_at_zero_height_A=math.exp(min(log_current, 700.0)),
+        offset_A=float(np.average([law.offset_A for law in laws], weights=shares)),
+        offset_standard_A=float(1.0 / np.sqrt(np.sum(shares))),
+        floor_A=float(np.mean([law.floor_A for law in laws])),
+        gap_jitter_m=float(np.mean([law.gap_jitter_m for law in laws])),
+        sweep_decay_per_m=tuple(estimate.decay_per_m for estimate in estimates),
+        confidence=confidence,
+        reasons=reasons,
+    )
 
 
 def _by_pair(curves: Sequence[ApproachCurve]) -> list[list[ApproachCurve]]:
@@ -213,7 +213,7 @@ def _closure_error(curves: Sequence[ApproachCurve], fits: Sequence[BarrierFit]) 
     lowest_m = min(float(curve.height_m.min()) for curve in curves)
     turn_m = max(float(curve.height_m.max()) for curve in curves)
     # In the middle of the clear range, the estimates of decay and shift are independent.
-    clear = first.evidence.peak_A / (CLEAR_OF_FLOOR * first.noise.floor_A)
+    clear = first.evidence.peak_A / (CLEAR_OF_FLOOR * first.floor_A)
     middle_m = lowest_m + 0.5 * math.log(max(clear, 1.0)) / first.decay_per_m
     below_turn_m = turn_m - min(middle_m, 0.5 * (lowest_m + turn_m))
     log_ratio = math.log(first.current_at_zero_height_A / second.current_at_zero_height_A)
@@ -222,70 +222,70 @@ def _closure_error(curves: Sequence[ApproachCurve], fits: Sequence[BarrierFit]) 
     return 0.5 * (decay_difference - shift / below_turn_m)
 
 
-def _random_effects(estimates: Sequence[DecayEstimate]) -> tuple[float, float]:
-    """Return the mean of ln k and half its 95 % interval."""
-    bounded = [estimate for estimate in estimates if math.isfinite(estimate.variance)]
-    if not bounded:
-        return float(np.mean(np.log([e.decay_per_m for e in estimates]))), math.inf
-    logs = np.log([estimate.decay_per_m for estimate in bounded])
-    within = np.maximum([estimate.variance for estimate in bounded], 1e-16)
+def _combine(estimates: Sequence[DecayEstimate]) -> tuple[float, Interval]:
+    """Return the common decay and its 95 % interval, by random effects of ln k.
+
+    What differs between estimates counts at Student's quantile of their number [DerSimonian &
+    Laird 1986].
+    """
+    if len(estimates) == 1:
+        decay, below, above = estimates[0].decay_per_m, estimates[0].below, estimates[0].above
+        return decay, (decay * max(1.0 - below, 0.0), decay * (1.0 + above))
+    logs = np.log([estimate.decay_per_m for estimate in estimates])
+    within = np.array([(0.5 * (e.below + e.above) / NORMAL_95) ** 2 for e in estimates])
+    is_bounded = np.isfinite(within)
+    if not is_bounded.any():
+        return math.exp(float(np.mean(logs))), (0.0, math.inf)
+    logs, within = logs[is_bounded], np.maximum(within[is_bounded], 1e-16)
     weight = 1.0 / within
     between, quantile = 0.0, NORMAL_95
-    if len(bounded) > 1:
+    if len(logs) > 1:
         excess = float(np.sum(weight * (logs - np.average(logs, weights=weight)) ** 2))
         spread = weight.sum() - np.sum(weight**2) / weight.sum()
-        between = max((excess - len(bounded) + 1) / spread, 0.0)
-        quantile = float(student_quantile(0.975, len(bounded) - 1))
+        between = max((excess - len(logs) + 1) / spread, 0.0)
+        quantile = float(student_quantile(0.975, len(logs) - 1))
     share = 1.0 / (within + between)
     share /= share.sum()
+    mean = float(share @ logs)
     variance = NORMAL_95**2 * within + quantile**2 * between
-    return float(share @ logs), math.sqrt(float(np.sum(share**2 * variance)))
+    half = math.sqrt(float(np.sum(share**2 * variance)))
+    if half >= 50.0:
+        return math.exp(mean), (0.0, math.inf)
+    return math.exp(mean), (math.exp(mean - half), math.exp(mean + half))
 
 
-def judge_together(
-    fits: Mapping[Direction, BarrierFit], common: DriftFreeDecay
-) -> tuple[Confidence, tuple[Reason, ...]]:
-    """Return how far the common barrier may be trusted: each direction's rules, then the drift's.
-
-    Widths are those of the common interval; a reason that all directions share is given once.
-    """
-    reasons_by_direction = {
-        direction: barrier_reasons(fit.evidence, common.decay_per_m, common.interval_per_m)
+def _reasons_of_directions(
+    fits: Mapping[Direction, BarrierFit], decay_per_m: float, interval_per_m: Interval
+) -> list[Reason]:
+    """Return the criteria each direction does not meet; what all have in common is given once."""
+    by_direction = {
+        direction: barrier_reasons(fit.evidence, decay_per_m, interval_per_m)
         for direction, fit in fits.items()
     }
-    shared = set.intersection(
-        *({reason.text for reason in reasons} for reasons in reasons_by_direction.values())
-    )
-    grade_by_text = {
-        reason.text
-        if len(fits) == 1 or reason.text in shared
-        else f"{direction.value}: {reason.text}": reason.grade
-        for direction, reasons in reasons_by_direction.items()
-        for reason in reasons
-    }
-    reasons = [Reason(grade=grade, text=text) for text, grade in grade_by_text.items()]
-    return lowest_grade([*reasons, *_drift_reasons(common)])
+    shared = set.intersection(*(set(reasons) for reasons in by_direction.values()))
+    labelled = [
+        (grade, text if (grade, text) in shared else f"{direction.value}: {text}")
+        for direction, reasons in by_direction.items()
+        for grade, text in reasons
+    ]
+    return list(dict.fromkeys(labelled))
 
 
-def _drift_reasons(decay: DriftFreeDecay) -> list[Reason]:
-    one_way = [estimate for estimate in decay.estimates if estimate.drift is None]
+def _drift_reasons(estimates: Sequence[DecayEstimate]) -> list[Reason]:
+    one_way = [estimate for estimate in estimates if estimate.drift is None]
     if one_way:
         below, above = one_way[0].unseen
-        return [
-            Reason(
-                grade=Confidence.MEDIUM,
-                text=f"{len(one_way)} sweep(s) went one way only, which cannot tell drift of the "
-                f"height from barrier: the interval holds a decay {100.0 * below:.2g} % smaller "
-                f"to {100.0 * above:.2g} % larger for it; sweep to and fro",
-            )
-        ]
-    drift = max((abs(e.drift) for e in decay.estimates if e.drift is not None), default=0.0)
+        text = (
+            f"{len(one_way)} sweep(s) went one way only, which cannot tell drift of the height "
+            f"from barrier: the interval holds a decay {100.0 * below:.2g} % smaller to "
+            f"{100.0 * above:.2g} % larger for it; sweep to and fro"
+        )
+        return [(Confidence.MEDIUM, text)]
+    drift = max((abs(e.drift) for e in estimates if e.drift is not None), default=0.0)
     if drift <= _STRONG_DRIFT:
         return []
-    return [
-        Reason(
-            grade=Confidence.MEDIUM,
-            text=f"the height drifted or crept by {100.0 * drift:.2g} % of its own motion; the "
-            "mean of both ways is free of it as far as it was steady: sweep faster",
-        )
-    ]
+    text = (
+        f"the height drifted or crept by {100.0 * drift:.2g} % of its own motion; the mean of "
+        "both ways is free of it as far as it was steady: sweep faster"
+    )
+    return [(Confidence.MEDIUM, text)]

@@ -61,7 +61,7 @@ def test_an_inverting_amplifier_is_seen_in_the_data(rng: np.random.Generator) ->
 
 def test_the_floor_and_the_jitter_of_the_gap_are_estimated(rng: np.random.Generator) -> None:
     fit = fit_barrier([sweep(rng) for _ in range(3)])
-    assert fit.noise.floor_A == pytest.approx(0.015e-12, rel=0.2, abs=0.0)  # 240 points below: 5 %
+    assert fit.floor_A == pytest.approx(0.015e-12, rel=0.2, abs=0.0)  # 240 points below: 5 %
     assert fit.gap_jitter_m == pytest.approx(0.01 / DECAY_PER_M, rel=0.2, abs=0.0)
 
 
@@ -70,7 +70,7 @@ def test_a_declared_converter_step_bounds_the_floor_from_below(rng: np.random.Ge
     step_A, johnson_A = 0.3e-12 / np.sqrt(12.0), 4.02e-15 * np.sqrt(5.0)
     assert chain.declared_floor_A == pytest.approx(np.hypot(step_A, johnson_A), rel=1e-3, abs=0.0)
     fit = fit_barrier([sweep(rng)], chain=chain)
-    assert fit.noise.floor_A >= chain.declared_floor_A * (1.0 - 1e-9)
+    assert fit.floor_A >= chain.declared_floor_A * (1.0 - 1e-9)
 
 
 def test_single_outliers_do_not_move_the_decay(rng: np.random.Generator) -> None:

@@ -15,7 +15,7 @@ from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig
 from piezoid.identification.tunnelling.loop_model import describe_loop_plant, spread_family
 from piezoid.identification.tunnelling.loop_spectra import spectra_of_all
-from piezoid.identification.tunnelling.model import TunnellingModel, describe_gap_law
+from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.record_json import from_json, to_json
 from piezoid.records.lab import read_lab
 from piezoid.records.recording import Channel, Quantity, Recording
@@ -106,7 +106,7 @@ def test_the_model_comes_back_number_for_number(
     rng: np.random.Generator, fits: list[ClosedLoopFit]
 ) -> None:
     model = TunnellingModel(
-        gap_law=describe_gap_law(fit_barrier([sweep(rng)])),
+        gap_law=fit_barrier([sweep(rng)]).law,
         loop_plant=describe_loop_plant(fits, RIG),
     )
     text = json.dumps(to_json(model), allow_nan=False)
@@ -116,7 +116,7 @@ def test_the_model_comes_back_number_for_number(
 def test_an_unbounded_interval_survives_json(rng: np.random.Generator) -> None:
     weak = fit_barrier([sweep(rng, peak_A=0.02e-12, floor_A=0.05e-12)])
     assert weak.decay_interval_per_m[1] == np.inf
-    model = TunnellingModel(gap_law=describe_gap_law(weak), loop_plant=None)
+    model = TunnellingModel(gap_law=weak.law, loop_plant=None)
     text = json.dumps(to_json(model), allow_nan=False)
     assert from_json(TunnellingModel, json.loads(text)) == model
 

@@ -81,7 +81,7 @@ def test_the_part_below_700_femtoamperes_is_wide_and_says_why(realdata: Path) ->
     whole = _fit(realdata, Direction.FORWARD, "00001")
     assert fit.confidence is Confidence.LOW
     assert np.ptp(fit.decay_interval_per_m) > 5.0 * np.ptp(whole.decay_interval_per_m)
-    assert "decades above three times its noise" in fit.reasons[0].text
+    assert "decades above three times its noise" in fit.reasons[0]
 
 
 def test_a_known_shift_between_directions_is_found(rng: np.random.Generator) -> None:
