@@ -1,14 +1,11 @@
-"""From a model and a design to the axes of a parameter file: put together, nothing decided.
+"""Runtime parameters of an axis: a model's operator and a design's loop under the runtime's names.
 
-Letters exchanged: a model's operator and a design's loop under the runtime's names.
-
-Design and runtime write the same loop with other letters in two places. The runtime keeps the
-constant part of the disturbance by itself and any oscillators among the observer's states; and it
-keeps S without its integrator, which is then exact in every precision.
+Design and runtime differ in two places. The runtime keeps the constant part of the disturbance by
+itself and oscillators among the observer's states; and it keeps S without its integrator, which is
+then exact in every precision.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,69 +25,19 @@ from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.runtime.library import complete
 from piezoid.runtime.schema import MAX_RELAXATIONS
 
-Given = dict[str, ArrayLike | str]
+Values = dict[str, ArrayLike | str]
 
 # |S(1)| up to this part of the sum of magnitudes is an integrator with rounded coefficients.
 _INTEGRATOR = 1e-9
-_FELT = 1e-6  # a smaller share of creep is none
+_MIN_CREEP_SHARE = 1e-6  # a smaller share of creep is none
 
-# A measurement this much beyond the reachable range, as a part of it, is not believed.
-_DISBELIEF = 0.25
+# A measurement farther beyond the reachable range, as a share of it, is limited.
+_MEASUREMENT_MARGIN = 0.25
 # A reference may cross the reachable range in this time at the fastest: a jump in one sample asks
 # the amplifier for what no amplifier gives. A ramp of T leaves 2 / (w T) of itself ringing in a
 # mode: a tenth where T is 20 / w. Above 4 ms a spiral at 100 Hz would be held back.
-_FULL_RANGE_s, _SLOWEST_RANGE_s = 1e-3, 4e-3
+_MIN_RANGE_s, _MAX_RANGE_s = 1e-3, 4e-3
 _RINGING = 20.0
-_CURRENTS = ("reference_A", "floor_A", "ceiling_A")
-
-
-@dataclass(frozen=True, kw_only=True)
-class TunnellingGuards:
-    """What keeps a tip from the surface whatever the controller wants.
-
-    reference_A        the logarithm is 0 here: the usual setpoint
-    floor_A            smaller currents count as this
-    ceiling_A          from here on the tip is retracted at once
-    retract_voltage_V  where retracting ends, and where a latched tip waits
-    retract_step_V     how far one retract goes
-    retract_samples    and for how long at first; each in a row is twice as long
-    bad_samples        unusable currents in a row that retract as well
-    contact_samples    at the set point in a row, after which the surface counts as found
-    approach_step_V    extension in a sample while there is no current
-    approach_log_step  nepers in a sample, by which the reference then climbs to the set point
-    contact_log        nepers below the set point, from where on the loop regulates
-    search_voltage_V   extension beyond the last contact, in search of a lost surface
-    trip_limit         retracts in a row that wait for an operator
-    trip_samples       a retract later than this counts as the first
-    stuck_samples      equal readings that mean a stuck sensor; 0: not watched
-    stuck_voltage_V    if the drive moved so much meanwhile
-    stuck_current_A    smaller currents may rest: their noise is too small to be seen
-    """
-
-    reference_A: float
-    floor_A: float
-    ceiling_A: float
-    retract_voltage_V: float
-    retract_step_V: float
-    retract_samples: int
-    bad_samples: int
-    contact_samples: int
-    approach_step_V: float
-    approach_log_step: float
-    contact_log: float
-    search_voltage_V: float
-    trip_limit: int
-    trip_samples: int
-    stuck_samples: int
-    stuck_voltage_V: float
-    stuck_current_A: float
-
-    @property
-    def values(self) -> Given:
-        """The same under the runtime's names."""
-        fields = asdict(self)
-        currents = {f"current_{name}": fields.pop(name) for name in _CURRENTS}
-        return {**currents, **fields}
 
 
 def lateral_axis(
@@ -98,7 +45,7 @@ def lateral_axis(
 ) -> AxisParameters:
     """Return X or Y with its recommended loop, and every other method to compare it with.
 
-    further  runtime parameters the design does not speak of: ``stuck_samples``, creep, ...
+    further  runtime parameters that are not part of the design: ``stuck_samples``, ...
 
     Feedforward alone (``none``, ``mpi``) takes the references as they are: filter and preview
     belong to the loop they were fitted for.
@@ -132,12 +79,13 @@ def lateral_axis(
 
 def tunnelling_axis(
     design: AxisDesign,
-    guards: TunnellingGuards,
+    guards: Mapping[str, ArrayLike | str],
     further: Mapping[str, ArrayLike | str] | None = None,
 ) -> AxisParameters:
-    """Return Z with its recommended loop behind its guards.
+    """Return Z with its recommended loop and its guards.
 
-    further  runtime parameters the design does not speak of: ``voltage_step_V``, ...
+    guards   of ``tip_guards``
+    further  runtime parameters that are not part of the design: ``voltage_step_V``, ...
     """
     loop = design.recommended
     return AxisParameters(
@@ -145,7 +93,7 @@ def tunnelling_axis(
         values=complete(
             {
                 **_limits(design),
-                **guards.values,
+                **guards,
                 **rst_values(loop.R, loop.S, loop.T, loop.A_0),
                 **reference_values(loop.reference),
                 **(further or {}),
@@ -154,7 +102,7 @@ def tunnelling_axis(
     )
 
 
-def _loop_values(loop: LoopDesign) -> Given:
+def _loop_values(loop: LoopDesign) -> Values:
     if loop.observer is None:
         raise ParameterFileError(
             f"the loop of method {loop.method} has no observer",
@@ -173,7 +121,7 @@ def _loop_values(loop: LoopDesign) -> Given:
     }
 
 
-def _limits(design: AxisDesign) -> Given:
+def _limits(design: AxisDesign) -> Values:
     specification = design.specification
     rate_Hz = design.recommended.members[0].sampling_rate_Hz
     slew_V_per_s = specification.voltage_slew_V_per_s or 0.0
@@ -186,7 +134,7 @@ def _limits(design: AxisDesign) -> Given:
     }
 
 
-def _range(model: AxisModel, design: AxisDesign) -> Given:
+def _range(model: AxisModel, design: AxisDesign) -> Values:
     """Return what the model reaches between the voltage limits, and what to believe."""
     specification, operator = design.specification, model.operator
     extremes_V = np.array(
@@ -196,7 +144,7 @@ def _range(model: AxisModel, design: AxisDesign) -> Given:
     offset = operator.displacement_offset_m
     reached = offset + model.polarity * (displacement_m - offset)
     low, high = float(reached.min()), float(reached.max())
-    margin = _DISBELIEF * (high - low)
+    margin = _MEASUREMENT_MARGIN * (high - low)
     rate_Hz = design.recommended.members[0].sampling_rate_Hz
     fastest_m_per_s = (high - low) / _ramp_s(design.recommended.members[0])
     if specification.voltage_slew_V_per_s is not None:
@@ -218,17 +166,17 @@ def _ramp_s(member: Fraction) -> float:
     s = np.log(roots_of(member.A)) * member.sampling_rate_Hz
     light = s[-s.real < LIGHT * np.abs(s)]
     if not light.size:
-        return _FULL_RANGE_s
+        return _MIN_RANGE_s
     needed_s = _RINGING / float(np.abs(light).min())
-    return float(np.clip(needed_s, _FULL_RANGE_s, _SLOWEST_RANGE_s))
+    return float(np.clip(needed_s, _MIN_RANGE_s, _MAX_RANGE_s))
 
 
-def hysteresis_values(model: AxisModel) -> Given:
+def hysteresis_values(model: AxisModel) -> Values:
     """Return the model's operator under the runtime's names, in the de-poled state."""
     operator = model.operator
     if isinstance(operator, PreisachPlays):
         return {"polarity": model.polarity, **function_values(operator)}
-    values: Given = {
+    values: Values = {
         "polarity": model.polarity,
         "voltage_offset_V": operator.voltage_offset_V,
         "displacement_offset_m": operator.displacement_offset_m,
@@ -251,7 +199,7 @@ def hysteresis_values(model: AxisModel) -> Given:
     return values
 
 
-def function_values(operator: PreisachPlays) -> Given:
+def function_values(operator: PreisachPlays) -> Values:
     """Return plays behind functions under the runtime's names, in the de-poled state."""
     width_V = operator.edge_V[1] - operator.edge_V[0]
     return {
@@ -266,7 +214,7 @@ def function_values(operator: PreisachPlays) -> Given:
     }
 
 
-def creep_values(model: AxisModel, sampling_rate_Hz: float) -> Given:
+def creep_values(model: AxisModel, sampling_rate_Hz: float) -> Values:
     """Return the model's creep under the runtime's names; nothing where it has none.
 
     The ladder of the model and that of the runtime are one: y = m + sum of c_i x_i, where x_i goes
@@ -278,7 +226,7 @@ def creep_values(model: AxisModel, sampling_rate_Hz: float) -> Given:
         for extension in model.extensions
         if isinstance(extension, CreepLadder)
         for time_s, share in zip(extension.time_s, extension.share, strict=True)
-        if share > _FELT
+        if share > _MIN_CREEP_SHARE
     ]
     if not rungs:
         return {}
@@ -291,7 +239,7 @@ def creep_values(model: AxisModel, sampling_rate_Hz: float) -> Given:
     }
 
 
-def observer_values(observer: DisturbanceObserver) -> Given:
+def observer_values(observer: DisturbanceObserver) -> Values:
     """Return the observer's gains under the runtime's names, oscillators among its states.
 
     A plant that falls as the drive rises is mirrored, as the runtime mirrors its displacement.
@@ -321,7 +269,7 @@ def observer_values(observer: DisturbanceObserver) -> Given:
     }
 
 
-def reference_values(path: ReferencePath) -> Given:
+def reference_values(path: ReferencePath) -> Values:
     """Return filter and preview under the runtime's names."""
     sections = filter_sections(path.filter)
     return {
@@ -331,7 +279,7 @@ def reference_values(path: ReferencePath) -> Given:
     }
 
 
-def rst_values(R: Array, S: Array, T: Array, antiwindup: Array) -> Given:
+def rst_values(R: Array, S: Array, T: Array, antiwindup: Array) -> Values:
     """Return S u = T r - R y and A_0 under the runtime's names, S divided by 1 - q^-1.
 
     Raises ``ParameterFileError`` where S has no integrator: the runtime's has.

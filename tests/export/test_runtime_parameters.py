@@ -13,7 +13,6 @@ from piezoid.design.plant import Plant, PlantFamily
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import ParameterFile, from_json, to_json
 from piezoid.export.runtime_parameters import (
-    TunnellingGuards,
     lateral_axis,
     observer_values,
     rst_values,
@@ -30,25 +29,25 @@ from tests.runtime.observer_design import RATE_Hz, plant, poles
 from tests.runtime.runtime_parameters import RST_R, RST_S, WIDE
 
 GAIN_m_per_V = 3.5e-6
-GUARDS = TunnellingGuards(
-    reference_A=1e-9,
-    floor_A=1e-11,
-    ceiling_A=1e-8,
-    retract_voltage_V=-10.0,
-    retract_step_V=0.3,
-    retract_samples=100,
-    bad_samples=3,
-    contact_samples=3,
-    approach_step_V=3e-4,
-    approach_log_step=0.1,
-    contact_log=0.7,
-    search_voltage_V=0.02,
-    trip_limit=5,
-    trip_samples=20000,
-    stuck_samples=20,
-    stuck_voltage_V=0.004,
-    stuck_current_A=-1.0,
-)
+GUARDS = {
+    "current_reference_A": 1e-9,
+    "current_floor_A": 1e-11,
+    "current_ceiling_A": 1e-8,
+    "retract_voltage_V": -10.0,
+    "retract_step_V": 0.3,
+    "retract_samples": 100,
+    "bad_samples": 3,
+    "contact_samples": 3,
+    "approach_step_V": 3e-4,
+    "approach_log_step": 0.1,
+    "contact_log": 0.7,
+    "search_voltage_V": 0.02,
+    "trip_limit": 5,
+    "trip_samples": 20000,
+    "stuck_samples": 20,
+    "stuck_voltage_V": 0.004,
+    "stuck_current_A": -1.0,
+}
 
 
 def design_plant(gain=GAIN_m_per_V):

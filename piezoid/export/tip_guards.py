@@ -1,0 +1,203 @@
+"""Guards of a tunnelling tip, as runtime parameters: declared in lab.toml or derived from physics.
+
+Without current the position of the surface is unknown, so the tip extends by a step v per sample.
+The current grows by exp(2 kappa dz): by K v nepers per sample, K = 2 kappa dz/du. Until the loop
+answers, N samples pass:
+
+    N = (delay + 1/(2 pi f_amplifier) + 1/(2 pi f_sensor)) f_s + 2
+
+(one sample to be read, one to be judged). In them the current may grow by a quarter of the smaller
+of two distances, from the floor to the set point and from the set point to the ceiling:
+
+    K v N = min(ln(i_set / i_floor), ln(i_ceiling / i_set), ln 10) / 4
+
+with the largest gain, the slowest sensor and the longest delay that the identification allows.
+"""
+
+import math
+
+from numpy.typing import ArrayLike
+
+from piezoid.design.converters import converters_of
+from piezoid.design.junction_task import (
+    junction_family,
+    missing_line,
+    reading_range_A,
+    set_point_A,
+)
+from piezoid.design.specification import Specification
+from piezoid.errors import LabFileError
+from piezoid.identification.tunnelling.current_noise import CurrentChain
+from piezoid.identification.tunnelling.loop_model import LoopPlant
+from piezoid.operators.tunnelling import decay_of_barrier
+from piezoid.records.lab import Lab
+
+# Nepers: a decade. With ceilings 26 to 88 times the set point as limits, oscillating loops of an
+# independent simulator's tips came 0.41 nm closer than it; errors of e^3 are no small signals.
+_MAX_ROOM = math.log(10.0)
+_MARGIN = 0.25  # of the smaller distance: growth during an approach before the loop answers
+_CONTACT = 1.0 / 3.0  # of the same: nearer to the set point the loop regulates
+_STUCK_s = 1e-3  # equal readings for so long are a stuck sensor, if noise moves every reading
+_CHANCE = 1e-12  # of one run of equal readings from a sound sensor; a day has 1e9 readings
+_MAX_STUCK = 200  # samples: a sensor that rests longer than this is not watched for being stuck
+_WINDOW_s, _CYCLES = 1.0, 4.0  # at least a second, or the longest wait and four returns
+_MAX_DOUBLED = 10  # of the runtime
+_MAX_SAMPLES = 1_000_000  # what the runtime counts to
+
+
+def tip_guards(
+    lab: Lab, specification: Specification, rate_Hz: float, loop: LoopPlant
+) -> dict[str, ArrayLike | str]:
+    """Return the guards of the tunnelling axis under the runtime's names (``runtime/schema.py``).
+
+    specification  its voltage limits
+    rate_Hz        of the controller
+    loop           identified junction: its gain, poles and delay bound the approach
+
+    Without ``retract_V`` a latched tip goes to the lowest command: a rising drive extends it.
+
+    Raises ``LabFileError`` with the line to write if set point, floor or ceiling is missing, and
+    if they are not in this order, the ceiling cannot be read, the tip would retract out of range
+    or approach faster than its loop can answer.
+    """
+    reference_A, floor_A, ceiling_A = _currents(lab, loop)
+    declared = lab.tunnelling
+    retract_V = specification.voltage_min_V if declared.retract_V is None else declared.retract_V
+    if not specification.voltage_min_V <= retract_V <= specification.voltage_max_V:
+        raise _unusable(
+            lab,
+            f"retract_V is {retract_V:g}",
+            f"a voltage from {specification.voltage_min_V:g} to {specification.voltage_max_V:g} V",
+        )
+    room = min(math.log(reference_A / floor_A), math.log(ceiling_A / reference_A), _MAX_ROOM)
+    steepest = max(
+        loop.gain_interval[1], *(m.gain_nepers_per_V for m in junction_family(loop, lab))
+    )
+    m_per_V = extension_m_per_V(loop)
+    bound_V = _MARGIN * room / _reaction_samples(loop, rate_Hz) / steepest
+    step_V = _approach_step_V(lab, bound_V, m_per_V * rate_Hz)
+    longest_s = declared.retract_s * 2.0 ** min(declared.retract_limit, _MAX_DOUBLED)
+    distance_m = declared.retract_m + declared.search_m
+    window_s = max(_WINDOW_s, longest_s + _CYCLES * distance_m / (step_V * m_per_V * rate_Hz))
+    contact_A = reference_A * math.exp(-_CONTACT * room)
+    stuck_samples, stuck_current_A = _stuck_sensor(lab, loop, rate_Hz, contact_A)
+    bad_samples = max(round(declared.lost_s * rate_Hz), 1)
+    return {
+        "current_reference_A": reference_A,
+        "current_floor_A": floor_A,
+        "current_ceiling_A": ceiling_A,
+        "retract_voltage_V": retract_V,
+        "retract_step_V": declared.retract_m / m_per_V,
+        "retract_samples": max(round(declared.retract_s * rate_Hz), 1),
+        "bad_samples": bad_samples,
+        "contact_samples": bad_samples,
+        "approach_step_V": step_V,
+        "approach_log_step": step_V * steepest,
+        "contact_log": _CONTACT * room,
+        "search_voltage_V": declared.search_m / m_per_V,
+        "trip_limit": declared.retract_limit,
+        "trip_samples": min(round(window_s * rate_Hz), _MAX_SAMPLES),
+        "stuck_samples": stuck_samples,
+        "stuck_current_A": stuck_current_A,
+        "stuck_voltage_V": _CONTACT * room / loop.plant.gain_nepers_per_V,
+    }
+
+
+def _reaction_samples(loop: LoopPlant, rate_Hz: float) -> float:
+    """Return N, the largest number of samples before the loop answers an approach."""
+    sensor_Hz = min(loop.plant.sensor_pole_Hz, loop.sensor_pole_interval_Hz[0])
+    delay_s = max(loop.plant.delay_s, loop.delay_interval_s[1])
+    poles_s = (1.0 / loop.plant.amplifier_pole_Hz + 1.0 / sensor_Hz) / (2.0 * math.pi)
+    return (delay_s + poles_s) * rate_Hz + 2.0
+
+
+def extension_m_per_V(loop: LoopPlant) -> float:
+    """Return dz/du, metres of extension per volt of command: declared, or K / (2 kappa)."""
+    if loop.rig is not None:
+        return loop.rig.drive_gain_m_per_V
+    return loop.plant.gain_nepers_per_V / decay_of_barrier(loop.barrier_eV)
+
+
+def _currents(lab: Lab, loop: LoopPlant) -> tuple[float, float, float]:
+    declared = lab.tunnelling
+    reference_A = set_point_A(lab)
+    if declared.floor_A is None:
+        raise missing_line(lab, "floor_A = 1e-11", "the current below which the tip is lost")
+    if declared.ceiling_A is None:
+        raise missing_line(lab, "ceiling_A = 1e-8", "the current from which the tip retracts")
+    if not declared.floor_A < reference_A < declared.ceiling_A:
+        raise _unusable(
+            lab,
+            f"floor_A, set_point_A and ceiling_A are {declared.floor_A:g}, {reference_A:g} and "
+            f"{declared.ceiling_A:g} A",
+            "a floor below the set point and a ceiling above it",
+        )
+    readable_A = reading_range_A(lab, loop.axis)
+    if readable_A is not None and declared.ceiling_A >= max(map(abs, readable_A)):
+        raise _unusable(
+            lab,
+            f"ceiling_A is {declared.ceiling_A:g}, and {declared.feedback_ohm:g} ohm and the "
+            f"converter read at most {max(map(abs, readable_A)):g} A",
+            "a ceiling that can be read, or the tip never retracts",
+        )
+    return reference_A, declared.floor_A, declared.ceiling_A
+
+
+def _approach_step_V(lab: Lab, bound_V: float, speed_of_V: float) -> float:
+    """Return the step of an approach, declared or the largest; ``speed_of_V`` in m/s per volt."""
+    declared_m_per_s = lab.tunnelling.approach_m_per_s
+    if declared_m_per_s is None:
+        return bound_V
+    if declared_m_per_s > bound_V * speed_of_V:
+        raise _unusable(
+            lab,
+            f"approach_m_per_s is {declared_m_per_s:g}",
+            f"at most {bound_V * speed_of_V:.3g} m/s, where this loop still answers in time",
+        )
+    return declared_m_per_s / speed_of_V
+
+
+def _stuck_sensor(
+    lab: Lab, loop: LoopPlant, rate_Hz: float, contact_A: float
+) -> tuple[int, float]:
+    """Return after how many equal readings a sensor is stuck, and below which current it may rest.
+
+    A dark sensor is watched too, where its Johnson noise alone moves its readings.
+    """
+    usual = max(round(_STUCK_s * rate_Hz), 1)
+    step_V, ohm = converters_of(lab, loop.axis).reading_step_V, lab.tunnelling.feedback_ohm
+    if ohm is None or step_V == 0.0 or lab.tunnelling.floor_A is None:
+        return max(usual, _MAX_STUCK), lab.tunnelling.floor_A or 0.0
+    dark, lit = (
+        _equal_readings(loop, rate_Hz, ohm, step_V / ohm, current_A)
+        for current_A in (0.0, contact_A)
+    )
+    if dark <= _MAX_STUCK:
+        return max(usual, dark), -1.0
+    return max(usual, min(lit, _MAX_STUCK)), lab.tunnelling.floor_A
+
+
+def _equal_readings(
+    loop: LoopPlant, rate_Hz: float, ohm: float, step_A: float, current_A: float
+) -> int:
+    """Return the shortest run of equal readings that a sound sensor never shows.
+
+        p = erf(step / (2 sqrt(2) s)),   p^n <= chance
+
+    p  two readings in a row are in one converter step; s  the Johnson and shot noise that came
+    between them, all of it but what a first-order sensor carries over
+    """
+    pole_Hz = loop.plant.sensor_pole_Hz
+    carried = math.exp(-2.0 * math.pi * pole_Hz / rate_Hz)
+    chain = CurrentChain(bandwidth_Hz=0.5 * math.pi * pole_Hz, feedback_ohm=ohm)
+    fresh_A = math.hypot(chain.johnson_A, chain.shot_A(current_A)) * math.sqrt(1.0 - carried**2)
+    equal = math.erf(step_A / (2.0 * math.sqrt(2.0) * fresh_A))
+    return _MAX_SAMPLES if equal >= 1.0 else math.ceil(math.log(_CHANCE) / math.log(equal))
+
+
+def _unusable(lab: Lab, fault: str, needed: str) -> LabFileError:
+    return LabFileError(
+        f"{lab.place}: {fault}",
+        needed=needed,
+        remedy=f"Correct [tunnelling] in {lab.place} and export again.",
+    )
