@@ -13,6 +13,7 @@ curve is the forward branch of the loop that the identified hysteresis inverts t
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 
@@ -21,7 +22,13 @@ from piezoid.export.c_header import plain_ascii
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
-from piezoid.targets.target_inputs import TargetInputs, exported_position_m
+from piezoid.targets.target_inputs import (
+    Errors,
+    TargetInputs,
+    error_rows,
+    exported_position_m,
+    worst_errors,
+)
 from piezoid.targets.waveform import check_range, half_range, inverse_V, last_period
 from piezoid.verification.scenarios import raster
 
@@ -135,12 +142,11 @@ def nanonis_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str,
     sections = []
     for axis, table in zip(inputs.lateral, tables, strict=True):
         errors_m = line_errors_m(inputs, axis, table)
-        worst_m = {name: max(row[name] for row in errors_m.values()) for name in COLUMNS}
+        worst = worst_errors(errors_m)
         loss = (
-            f"a table of {len(table.x_m)} points errs by {with_unit(worst_m['table'], 'm')} rms "
-            "on forward lines, the sensitivity alone by "
-            f"{with_unit(worst_m['straight'], 'm')}, the exported controller by "
-            f"{with_unit(worst_m['exported'], 'm')}; worst of {len(errors_m)} plants"
+            f"a table of {len(table.x_m)} points errs by {worst['table']} rms on forward lines, "
+            f"the sensitivity alone by {worst['straight']}, the exported controller by "
+            f"{worst['exported']}; worst of {len(errors_m)} plants"
         )
         notes.append(f"axis {axis.axis}: {loss}")
         sections.append(_section(inputs, table, errors_m, loss))
@@ -178,12 +184,10 @@ def hysteresis_table(inputs: TargetInputs, axis: AxisParameters) -> Table:
     y_m = sensitivity * (branch_V - middle_V)
     knot_m, fitted_m, residual_m = _polyline(forward_m, y_m, points)
     bend_m = float(np.std(y_m - forward_m))
-    if residual_m > _REMAINDER * bend_m:
-        enough = next(
-            n
-            for n in range(points, _DENSE)
-            if _polyline(forward_m, y_m, n)[2] <= _REMAINDER * bend_m
-        )
+    allowed_m = _REMAINDER * bend_m
+    if residual_m > allowed_m:
+        candidates = range(points, _DENSE)
+        enough = next(n for n in candidates if _polyline(forward_m, y_m, n)[2] <= allowed_m)
         raise ParameterFileError(
             f"axis {axis.axis}: {points} points leave {with_unit(residual_m, 'm')} rms of a loop "
             f"that bends by {with_unit(bend_m, 'm')}",
@@ -213,72 +217,62 @@ def _polyline(place_m: Array, value_m: Array, points: int) -> tuple[Array, Array
 def line_errors_m(
     inputs: TargetInputs, axis: AxisParameters, table: Table
 ) -> dict[str, dict[str, float]]:
-    """Return by plant what is left on lines: rms in m, ``COLUMNS``."""
+    """Return the error on lines by plant and by ``COLUMNS``, rms in m.
+
+    The last two columns are backward lines: with the same table, and with a mirrored one.
+    """
     errors_m = {}
     for plant in inputs.family(axis.axis):
-        rate_Hz = plant.sampling_rate_Hz
-        unit = raster(rate_Hz, _LINE_Hz, 1.0).x
+        unit = raster(plant.sampling_rate_Hz, _LINE_Hz, 1.0).x
         wanted_m = table.centre_m + table.half_m * unit
-        rising = np.gradient(unit) > 0.0
-        forward, backward = rising, ~rising
-        sign = np.where(rising, 1.0, -1.0)
+        forward = np.gradient(unit) > 0.0
         straight_V = table.middle_V + (wanted_m - table.centre_m) / table.sensitivity_m_per_V
-        path_m = np.tile(wanted_m, 3)
-        positions_m = {
-            "straight": last_period(plant, straight_V),
-            "table": last_period(plant, table.voltage_V(wanted_m)),
-            "mirrored": last_period(plant, table.voltage_V(wanted_m, sign)),
-            "exported": exported_position_m(axis, plant, path_m)[-len(wanted_m) :],
-        }
-        # A table that is not mirrored bends both branches alike; the loop it leaves is wider
-        positions_m["back"] = positions_m["table"]
+        mirrored_V = table.voltage_V(wanted_m, np.where(forward, 1.0, -1.0))
+        table_m = last_period(plant, table.voltage_V(wanted_m))
+        exported_m = exported_position_m(axis, plant, np.tile(wanted_m, 3))[-len(wanted_m) :]
+        lines = (
+            (last_period(plant, straight_V), forward),
+            (table_m, forward),
+            (exported_m, forward),
+            (table_m, ~forward),
+            (last_period(plant, mirrored_V), ~forward),
+        )
         errors_m[plant.label] = {
-            name: float(
-                np.std(
-                    (positions_m[name] - wanted_m)[backward if name in COLUMNS[3:] else forward]
-                )
-            )
-            for name in COLUMNS
+            name: float(np.std((position_m - wanted_m)[rows]))
+            for name, (position_m, rows) in zip(COLUMNS, lines, strict=True)
         }
     return errors_m
 
 
 def settings_json(inputs: TargetInputs, tables: list[Table]) -> str:
-    """Return what the controller is told, by the names of its published interface."""
-    by_place: list[Table | None] = [*tables[:2], *([None] * (2 - len(tables[:2])))]
-    gains = [inputs.amplifier_V_per_V.get(table.axis) for table in tables]
-    amplifier_gains = {
-        table.axis: gain if all(gains) and gain else 1.0
-        for table, gain in zip(tables, gains, strict=True)
-    }
+    """Return the settings of the controller by the names of its published interface.
+
+    None keeps the value that the controller has.
+    """
+    is_declared = all(inputs.amplifier_V_per_V.get(table.axis) for table in tables)
     sensitivities: dict[str, float | None] = {}
     limits: dict[str, float | int | None] = {"Enable_limits": 1}
-    for letter, table in zip(_AXES, [*by_place, None], strict=True):
-        axis = None if table is None else inputs.file.axis(table.axis)
-        gain = 1.0 if table is None else amplifier_gains[table.axis]
-        sensitivities[f"Calibration_{letter}_mPerV"] = (
-            None if table is None else _single(table.sensitivity_m_per_V / gain)
-        )
-        limits_V = [
-            None if axis is None else gain * float(axis.values[f"voltage_{end}_V"])
-            for end in ("minimum", "maximum")
-        ]
-        if None not in limits_V:
-            limits_V.sort(key=lambda volts: volts or 0.0)
-        for end, volts in zip(("low", "high"), limits_V, strict=True):
-            limits[f"Limit_{letter}_{end}_V"] = None if volts is None else _single(volts)
+    drift: dict[str, float] = {}
+    for letter, table in zip_longest(_AXES, tables[:2]):
+        sensitivity, low_V, high_V, speed = None, None, None, 0.0
+        if table is not None:
+            gain = inputs.amplifier_V_per_V[table.axis] if is_declared else 1.0
+            values = inputs.file.axis(table.axis).values
+            sensitivity = _single(table.sensitivity_m_per_V / gain)
+            ends_V = [gain * float(values[f"voltage_{end}_V"]) for end in ("minimum", "maximum")]
+            low_V, high_V = map(_single, sorted(ends_V))
+            speed = _single(-creep_after_move(inputs, table)[0])
+        sensitivities[f"Calibration_{letter}_mPerV"] = sensitivity
+        limits |= {f"Limit_{letter}_low_V": low_V, f"Limit_{letter}_high_V": high_V}
+        drift[f"V{letter.lower()}_m_s"] = speed
     points: dict[str, int | list[float]] = {}
-    for speed, table in zip(("Fast", "Slow"), by_place, strict=True):
-        straight = [-1.0, 1.0]
-        x, y = (straight, straight) if table is None else (table.x_m.tolist(), table.y_m.tolist())
+    for axis, table in zip_longest(("Fast", "Slow"), tables[:2]):
+        x, y = 2 * ([-1.0, 1.0],) if table is None else (table.x_m.tolist(), table.y_m.tolist())
         # nanonis_spm writes one of the names with two underscores
-        points[f"{speed}_axis_{'_' if speed == 'Fast' else ''}number_points_X"] = len(x)
-        points[f"{speed}_axis_points_X"] = x
-        points[f"{speed}_axis_number_points_Y"] = len(y)
-        points[f"{speed}_axis_points_Y"] = y
-    drift = [
-        0.0 if t is None else _single(-creep_after_move(inputs, t)[0]) for t in [*by_place, None]
-    ]
+        points[f"{axis}_axis_{'_' if axis == 'Fast' else ''}number_points_X"] = len(x)
+        points[f"{axis}_axis_points_X"] = x
+        points[f"{axis}_axis_number_points_Y"] = len(y)
+        points[f"{axis}_axis_points_Y"] = y
     calls = {
         "Piezo_SensSet": sensitivities,
         "Piezo_XYZLimitsSet": limits,
@@ -286,7 +280,7 @@ def settings_json(inputs: TargetInputs, tables: list[Table]) -> str:
         "Piezo_HystOnOffSet": {"On_Off": 1},
         "Piezo_DriftCompSet": {
             "Compensation_on_off": 2,
-            **{f"V{letter.lower()}_m_s": v for letter, v in zip(_AXES, drift, strict=True)},
+            **drift,
             "Sat_Lim": inputs.hardware.drift_limit_percent,
         },
     }
@@ -311,12 +305,7 @@ def creep_after_move(inputs: TargetInputs, table: Table) -> tuple[float, float, 
     return speed, gone_m, float(np.abs(left_m).max())
 
 
-def _section(
-    inputs: TargetInputs,
-    table: Table,
-    errors_m: Mapping[str, Mapping[str, float]],
-    loss: str,
-) -> str:
+def _section(inputs: TargetInputs, table: Table, errors_m: Errors, loss: str) -> str:
     speed, gone_m, left_m = creep_after_move(inputs, table)
     drift = (
         f"After a move by {with_unit(table.half_m, 'm')} it creeps by {with_unit(gone_m, 'm')} "
@@ -334,10 +323,7 @@ def _section(
         low=table.ends_V[0],
         high=table.ends_V[1],
         loss=loss[0].upper() + loss[1:],
-        rows="\n".join(
-            f"| {label} | {' | '.join(with_unit(row[name], 'm') for name in COLUMNS)} |"
-            for label, row in errors_m.items()
-        ),
+        rows=error_rows(errors_m),
         drift=drift,
     )
 

@@ -14,7 +14,14 @@ from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.targets.pid import Pid, PidController
 from piezoid.targets.pid_search import TunedPid, tuned_pid
-from piezoid.targets.target_inputs import SEED, TargetInputs, exported_position_m
+from piezoid.targets.target_inputs import (
+    SEED,
+    Errors,
+    TargetInputs,
+    error_rows,
+    exported_position_m,
+    worst_errors,
+)
 from piezoid.verification.closed_loop import run_law
 from piezoid.verification.scenarios import constant_angular_velocity
 from piezoid.verification.start_position import approach_path, reference_range
@@ -74,17 +81,16 @@ class PidResult:
 
     axis: str
     tuned: TunedPid
-    errors_m: Mapping[str, tuple[float, float]]
+    errors_m: Errors
 
     @property
     def loss(self) -> str:
         """The loss in one sentence."""
-        exported_m, pid_m = np.max(list(self.errors_m.values()), axis=0).tolist()
+        worst = worst_errors(self.errors_m)
         return (
             f"with a PID and {_NOTCHES[len(self.tuned.pid.notches)]}, a spiral of "
-            f"{_SPIRAL_Hz:g} Hz errs by {with_unit(pid_m, 'm')} rms instead of "
-            f"{with_unit(exported_m, 'm')} (worst of "
-            f"{len(self.errors_m)} plants)"
+            f"{_SPIRAL_Hz:g} Hz errs by {worst['pid']} rms instead of {worst['exported']} "
+            f"(worst of {len(self.errors_m)} plants)"
         )
 
 
@@ -156,10 +162,10 @@ def pid_of(inputs: TargetInputs, axis: AxisParameters) -> PidResult:
         reference_m = np.concatenate([approach_m, path_m])
         rng = np.random.default_rng(SEED)
         record = run_law(plant, PidController(tuned.pid), reference_m, rng=rng)
-        errors_m[plant.label] = (
-            _rms_m(exported_position_m(axis, plant, path_m) - path_m),
-            _rms_m(record.position[len(approach_m) :] - path_m),
-        )
+        errors_m[plant.label] = {
+            "exported": _rms_m(exported_position_m(axis, plant, path_m) - path_m),
+            "pid": _rms_m(record.position[len(approach_m) :] - path_m),
+        }
     return PidResult(axis=axis.axis, tuned=tuned, errors_m=errors_m)
 
 
@@ -192,10 +198,6 @@ def _settings(pid: Pid) -> list[tuple[str, float, str]]:
 def _section(result: PidResult) -> str:
     margins = result.tuned.margins
     delays_s = [m.delay_margin_s for m in margins if m.delay_margin_s is not None]
-    rows = [
-        f"| {label} | {with_unit(exported, 'm')} | {with_unit(pid, 'm')} |"
-        for label, (exported, pid) in result.errors_m.items()
-    ]
     return _AXIS.format(
         axis=result.axis,
         settings="\n".join(f"| {n} | {v:.6g} {u} |" for n, v, u in _settings(result.tuned.pid)),
@@ -204,5 +206,5 @@ def _section(result: PidResult) -> str:
         modulus=min(m.modulus_margin for m in margins),
         delay=with_unit(min(delays_s), "s") if delays_s else "none needed",
         spiral=f"{_SPIRAL_Hz:g}",
-        rows="\n".join(rows),
+        rows=error_rows(result.errors_m),
     )

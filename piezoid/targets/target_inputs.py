@@ -1,4 +1,4 @@
-"""What the targets are made from, and the comparison with the exported controller."""
+"""Inputs of the targets, and the comparison of a target with the exported controller."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -7,6 +7,7 @@ import numpy as np
 
 from piezoid.design.design import AxisDesign
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
+from piezoid.formatting import with_unit
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.targets.controller_hardware import ControllerHardware
@@ -15,6 +16,9 @@ from piezoid.verification.plant import AxisPlant
 from piezoid.verification.start_position import approach_path
 
 SEED = 0  # of the sensor noise in every comparison
+
+Errors = Mapping[str, Mapping[str, float]]
+"""Errors in m by plant and by column of the table in README.md."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,3 +66,17 @@ def exported_position_m(axis: AxisParameters, plant: AxisPlant, path_m: Array) -
     reference_m = np.concatenate([approach_m, path_m])
     record = run_axis(plant, axis, reference_m, rng=np.random.default_rng(SEED))
     return record.position[len(approach_m) :]
+
+
+def worst_errors(errors_m: Errors) -> dict[str, str]:
+    """Return the largest error of each column, formatted."""
+    columns = next(iter(errors_m.values()))
+    return {name: with_unit(max(row[name] for row in errors_m.values()), "m") for name in columns}
+
+
+def error_rows(errors_m: Errors) -> str:
+    """Return the rows of a Markdown table: a plant and its errors."""
+    return "\n".join(
+        f"| {plant} | {' | '.join(with_unit(error_m, 'm') for error_m in row.values())} |"
+        for plant, row in errors_m.items()
+    )

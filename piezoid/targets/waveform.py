@@ -21,7 +21,14 @@ from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import polynomial_response, unit_circle
 from piezoid.targets.controller_hardware import ControllerHardware
-from piezoid.targets.target_inputs import SEED, TargetInputs, exported_position_m
+from piezoid.targets.target_inputs import (
+    SEED,
+    Errors,
+    TargetInputs,
+    error_rows,
+    exported_position_m,
+    worst_errors,
+)
 from piezoid.verification.closed_loop import run_law
 from piezoid.verification.plant import AxisPlant, Hysteresis
 from piezoid.verification.scenarios import raster
@@ -31,14 +38,16 @@ _PERIODS = 3  # the last is looked at: plays have closed their loops after the f
 # Rounds of correction. After eight the identified plants of the bundled stage erred by 0.21 and
 # 0.18 nm, after twenty by 0.21 and 0.16 nm; one with a mode at 630 Hz within 5 % of that as well.
 _ROUNDS = 8
-_LEARNT = 0.8  # of the error in a round: less than 1, because a slope may be above the middle one
-_FEWEST = 32  # points of a period: neighbours are up to a tenth of the scan apart
+_STEP = 0.8  # of the error in a round: less than 1, because a slope may be above the middle one
+_MIN_POINTS = 32  # points of a period: neighbours are up to a tenth of the scan apart
 # Harmonics to which the plant answers with less than this of its gain are left alone. On a plant
 # with a mode at 630 Hz a triangle of 200 Hz erred by 11 nm with 0.1, by 27 nm with 0.3; with 0
 # the drive jumped from end to end.
 _BAND = 0.1
 
-_SPARED = 0.85  # of a scan that would fit: a smaller loop of a hysteresis takes more V per m
+_FITTING_SHARE = (
+    0.85  # of a scan that would fit: a smaller loop of a hysteresis takes more V per m
+)
 
 _NO_RANGE = (
     "the voltage range of the converter is not known, and codes mean nothing without it; write "
@@ -115,11 +124,11 @@ def waveform_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str
             converter = f"voltage = {waveform.middle_V!r} V + code x {waveform.step_V!r} V."
         converters.append(f"Axis {axis.axis}: {converter}")
         errors_m = scan_errors_m(inputs, axis, waveform)
-        worst_m = {name: max(row[name] for row in errors_m.values()) for name in _COLUMNS[:3]}
+        worst = worst_errors(errors_m)
         notes.append(
-            f"axis {axis.axis}: the waveform errs by {with_unit(worst_m['waveform'], 'm')} rms, "
-            f"straight by {with_unit(worst_m['straight'], 'm')}, the exported controller by "
-            f"{with_unit(worst_m['exported'], 'm')}; worst of {len(errors_m)} plants"
+            f"axis {axis.axis}: the waveform errs by {worst['waveform']} rms, straight by "
+            f"{worst['straight']}, the exported controller by {worst['exported']}; worst of "
+            f"{len(errors_m)} plants"
         )
         sections.append(_section(waveform, errors_m))
     if waveforms:
@@ -157,7 +166,7 @@ def waveform_of(inputs: TargetInputs, axis: AxisParameters) -> Waveform:
     noiseless = replace(plant, noise_rms=0.0, hums=())
     for _ in range(_ROUNDS):
         error = np.fft.rfft(wanted_m - last_period(noiseless, voltage_V, hold))
-        voltage_V = voltage_V + _LEARNT * np.fft.irfft(error / response, points)
+        voltage_V = voltage_V + _STEP * np.fft.irfft(error / response, points)
     limits_V = (float(axis.values["voltage_minimum_V"]), float(axis.values["voltage_maximum_V"]))
     range_V = hardware.range_V or inputs.converter_V
     waveform = Waveform(
@@ -183,9 +192,6 @@ def quantise(waveform: Waveform, range_V: tuple[float, float], bits: int) -> Wav
     )
 
 
-_COLUMNS = ("straight", "waveform", "exported", "offset")
-
-
 def scan_errors_m(
     inputs: TargetInputs, axis: AxisParameters, waveform: Waveform
 ) -> dict[str, dict[str, float]]:
@@ -204,9 +210,12 @@ def scan_errors_m(
         waveform_m = last_period(plant, waveform.voltage_V, hold) - wanted_m
         straight_m = last_period(plant, straight_V, hold) - wanted_m
         exported_m = exported_position_m(axis, plant, path_m)[::hold][-len(wanted_m) :] - wanted_m
-        deviations = (float(np.std(error)) for error in (straight_m, waveform_m, exported_m))
-        values = (*deviations, float(np.mean(waveform_m)))
-        errors_m[plant.label] = dict(zip(_COLUMNS, values, strict=True))
+        errors_m[plant.label] = {
+            "straight": float(np.std(straight_m)),
+            "waveform": float(np.std(waveform_m)),
+            "exported": float(np.std(exported_m)),
+            "offset": float(np.mean(waveform_m)),
+        }
     return errors_m
 
 
@@ -252,11 +261,11 @@ def _points(hardware: ControllerHardware, rate_Hz: float) -> int:
             f"rate_Hz of {hardware.points * hardware.frequency_Hz:.4g} or less, in [waveform] of "
             "box.toml.",
         )
-    if points < _FEWEST:
+    if points < _MIN_POINTS:
         raise ParameterFileError(
             period,
-            needed=f"at least {_FEWEST}",
-            remedy=f"What would fit: frequency_Hz of {rate_Hz / _FEWEST:.4g} or less, in "
+            needed=f"at least {_MIN_POINTS}",
+            remedy=f"What would fit: frequency_Hz of {rate_Hz / _MIN_POINTS:.4g} or less, in "
             "[waveform] of box.toml.",
         )
     return points
@@ -277,7 +286,7 @@ def check_range(
     middle_V, half_V = 0.5 * (low_V + high_V), 0.5 * (high_V - low_V)
     share = min(range_V[1] - middle_V, middle_V - range_V[0]) / half_V
     fits = (
-        f"{key} of {_SPARED * share * half_m:.3g} or less"
+        f"{key} of {_FITTING_SHARE * share * half_m:.3g} or less"
         if share > 0.0
         else f"hardware that puts out {middle_V:.4g} V, about which the scan lies"
     )
@@ -316,26 +325,19 @@ def last_period(plant: AxisPlant, voltage_V: Array, hold: int = 1) -> Array:
 def waveform_csv(waveform: Waveform) -> str:
     """Return the text of `AXIS.csv`."""
     lines = ["point,time_s,voltage_V,wanted_m" + ("" if waveform.code is None else ",code")]
-    codes = (
-        [""] * len(waveform.wanted_m)
-        if waveform.code is None
-        else [f",{int(c)}" for c in waveform.code]
-    )
-    rows = zip(waveform.voltage_V.tolist(), waveform.wanted_m.tolist(), codes, strict=True)
-    for k, (voltage_V, wanted_m, code) in enumerate(rows):
+    rows = zip(waveform.voltage_V.tolist(), waveform.wanted_m.tolist(), strict=True)
+    for k, (voltage_V, wanted_m) in enumerate(rows):
+        code = "" if waveform.code is None else f",{int(waveform.code[k])}"
         lines.append(f"{k},{k / waveform.rate_Hz!r},{voltage_V!r},{wanted_m:.6e}{code}")
     return "\n".join([*lines, ""])
 
 
-def _section(waveform: Waveform, rows: Mapping[str, Mapping[str, float]]) -> str:
+def _section(waveform: Waveform, errors_m: Errors) -> str:
     return _AXIS.format(
         axis=waveform.axis,
         half=with_unit(0.5 * float(np.ptp(waveform.wanted_m)), "m"),
         centre=with_unit(0.5 * float(waveform.wanted_m.max() + waveform.wanted_m.min()), "m"),
         low=float(waveform.voltage_V.min()),
         high=float(waveform.voltage_V.max()),
-        rows="\n".join(
-            f"| {label} | {' | '.join(with_unit(row[name], 'm') for name in _COLUMNS)} |"
-            for label, row in rows.items()
-        ),
+        rows=error_rows(errors_m),
     )
