@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piezoid.errors import IdentificationError
-from piezoid.identification.coupled.modal_sum import modal_columns
+from piezoid.identification.coupled.modal_sum import ModalShape, level_coordinate
 from piezoid.numerics.arrays import Array, ComplexArray, expect_shapes, freeze, frozen
 from piezoid.numerics.robust import student_quantile
 
@@ -25,9 +25,9 @@ class CoupledStage:
         ln w_m, ln zeta_m and all residues: x(l) = x_0 + l x_1,   l = ln(a / a_0) / ln(a_max / a_0)
 
     a is the rms of the drive over all inputs, a_0 the geometric centre of the levels of the data.
-    G is the sum of ``modal_columns``. The change with the level is what hysteresis inside the
-    stage does to its stiffness on average; it is logarithmic because distortion relative to the
-    displacement hardly depends on the level. Hysteresis itself is fitted per axis.
+    G is the sum of the columns of ``ModalShape``. The change with the level is what hysteresis
+    inside the stage does to its stiffness on average; it is logarithmic because distortion
+    relative to the displacement hardly depends on the level. Hysteresis itself is fitted per axis.
 
     inputs, outputs      names
     sampling_rate_Hz     of the data
@@ -36,7 +36,7 @@ class CoupledStage:
     log_frequency        (2, modes)  ln Hz: at the centre, and the change to the largest level
     log_damping          (2, modes)
     lag_Hz               (lags,) corner frequencies of real poles: creep
-    residue_m_per_V      (2, 2 modes + lags + 1, outputs, inputs) of ``modal_columns``
+    residue_m_per_V      (2, 2 modes + lags + 1, outputs, inputs) of those columns
     delay_s              of the drives
     replicate_frequency  (replicates, 2, modes)  log_frequency, each without one realisation
     moved_rms_m          (levels, outputs)  of the data
@@ -76,6 +76,17 @@ class CoupledStage:
             "residue_m_per_V": (2, columns, len(self.outputs), len(self.inputs)),
         }
         expect_shapes(self, expected)
+
+    @property
+    def shape(self) -> ModalShape:
+        """Poles and delay as one record.
+
+        >>> coupled.shape.delay_s == coupled.delay_s
+        True
+        """
+        return ModalShape(
+            log_frequency=self.log_frequency, log_damping=self.log_damping, delay_s=self.delay_s
+        )
 
     def coordinate(self, level_V: float) -> float:
         """Return l of a level: -1 at the smallest of the data, 1 at the largest.
@@ -231,19 +242,7 @@ class CoupledStage:
         return np.asarray(np.exp(np.stack([middle - half, middle + half], axis=1)))
 
     def _without_delay(self, frequency_Hz: Array, coordinate: float) -> ComplexArray:
-        log_frequency = self.log_frequency[0] + coordinate * self.log_frequency[1]
-        log_damping = self.log_damping[0] + coordinate * self.log_damping[1]
-        columns = modal_columns(frequency_Hz, log_frequency, log_damping, self.lag_Hz).value
-        residue = self.residue_m_per_V[0] + coordinate * self.residue_m_per_V[1]
-        return np.asarray(np.einsum("fc,coi->foi", columns, residue))
-
-
-def level_coordinate(level_V: float, levels_V: Array) -> float:
-    """Return ln(a / a_0) / ln(a_max / a_0); zero where the data have one level."""
-    low, high = float(levels_V[0]), float(levels_V[-1])
-    if len(levels_V) < 2:
-        return 0.0
-    return 2.0 * float(np.log(level_V / low) / np.log(high / low)) - 1.0
+        return self.shape.response(frequency_Hz, self.lag_Hz, coordinate, self.residue_m_per_V)
 
 
 def _jackknife_half(replicates: Array) -> Array:

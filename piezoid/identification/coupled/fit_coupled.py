@@ -19,12 +19,10 @@ from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid.identification.coupled.modal_fit import (
     LevelSpectra,
     ModalProblem,
-    ModalShape,
-    Point,
     fit_modal_sum,
     residual_spectra,
-    reweighted,
 )
+from piezoid.identification.coupled.modal_sum import ModalShape
 from piezoid.identification.dynamics.periodic_estimate import PeriodicData
 from piezoid.identification.dynamics.vector_fitting import start_poles, vector_fit
 from piezoid.numerics.arrays import Array, ComplexArray
@@ -63,7 +61,7 @@ def fit_coupled(
     _check_levels(data)
     problem, shape, residues = _fit_all_levels(data, modes)
     count = min(level.voltage_V.shape[2] for level in data)
-    is_left_out = intervals and count > problem.inputs + 1
+    is_left_out = intervals and count > len(data[0].inputs) + 1
     fits = [(shape, residues)] * count
     if is_left_out:
         fits = [fit_modal_sum(_without(problem, r), shape, LEFT_OUT) for r in range(count)]
@@ -151,9 +149,14 @@ def _fit_all_levels(
         log_frequency=_line(smallest.log_frequency[0], largest.log_frequency[0]),
         log_damping=_line(smallest.log_damping[0], largest.log_damping[0]),
     )
-    shape, _ = fit_modal_sum(problem, shape, FULL)
-    residuals = Point(problem, problem.pack(shape)).residuals
-    problem = replace(problem, levels=reweighted(levels, residuals))
+    shape, residues = fit_modal_sum(problem, shape, FULL)
+    # Each realisation counts by one over the power of its residual.
+    residuals = [residual_spectra(problem, level, shape, residues) for level in levels]
+    reweighted = tuple(
+        replace(level, weight=1.0 / (np.abs(residual) ** 2).sum(axis=(0, 1)))
+        for level, residual in zip(levels, residuals, strict=True)
+    )
+    problem = replace(problem, levels=reweighted)
     return problem, *fit_modal_sum(problem, shape, FULL)
 
 

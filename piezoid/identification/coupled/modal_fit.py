@@ -7,19 +7,12 @@ for all of them. The Jacobian is in the form of Kaufman [Golub & Pereyra 1973]. 
 residue needs moves anywhere within its bounds.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from piezoid.identification.coupled.coupled_stage import level_coordinate
-from piezoid.identification.coupled.modal_sum import (
-    complex_residues,
-    gram_of_residues,
-    modal_columns,
-    products_with_residues,
-)
+from piezoid.identification.coupled.modal_sum import Columns, ModalShape, level_coordinate
 from piezoid.identification.dynamics.periodic_estimate import PeriodicData
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
@@ -76,30 +69,6 @@ class LevelSpectra:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ModalShape:
-    """The parameters that are searched for.
-
-    log_frequency, log_damping  (2, modes)  at the centre of the levels, and the change to the
-                                largest
-    delay_s                     of the drives
-    """
-
-    log_frequency: Array
-    log_damping: Array
-    delay_s: float
-
-    def columns(self, frequency_Hz: Array, lag_Hz: Array, coordinate: float) -> ComplexArray:
-        """Return the columns that the residues multiply at one level, (lines, columns)."""
-        return modal_columns(frequency_Hz, *self.at(coordinate), lag_Hz).value
-
-    def at(self, coordinate: float) -> tuple[Array, Array]:
-        """Return log frequencies and log dampings at one level, (modes,) each."""
-        first, change = np.stack([self.log_frequency, self.log_damping], axis=1)
-        frequency, damping = first + coordinate * change
-        return frequency, damping
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class ModalProblem:
     """The spectra of all levels and the structure that is fitted to them.
 
@@ -118,11 +87,6 @@ class ModalProblem:
     def levels_V(self) -> Array:
         """Rms of the drive at each level, (levels,)."""
         return np.array([level.level_V for level in self.levels])
-
-    @property
-    def inputs(self) -> int:
-        """Number of drives."""
-        return int(self.levels[0].drive.shape[1])
 
     @property
     def orders(self) -> int:
@@ -173,8 +137,7 @@ def residual_spectra(
 ) -> ComplexArray:
     """Return the residual of one level, delay removed, (lines, outputs, realisations)."""
     coordinate = problem.coordinate(level)
-    columns = shape.columns(level.frequency_Hz, problem.lag_Hz, coordinate)
-    response = np.einsum("fc,coi->foi", columns, residues[0] + coordinate * residues[1])
+    response = shape.response(level.frequency_Hz, problem.lag_Hz, coordinate, residues)
     advance = np.exp(2j * np.pi * level.frequency_Hz * shape.delay_s)[:, None, None]
     return np.asarray(advance * level.moved - response @ level.drive)
 
@@ -183,61 +146,71 @@ def residual_spectra(
 class _WeightedLevel:
     """One level at one shape, weighted; the measurement is advanced by the delay.
 
-    columns       (lines, columns)
-    by_parameter  (2, 2, lines, modes)  derivatives of the columns by log frequency and log
-                  damping, of each pole and of its conjugate
-    spread        (orders,)  what multiplies the residues: 1 and the coordinate of the level
+    spread  (orders,)  what multiplies the residues: 1 and the coordinate of the level
     """
 
-    columns: ComplexArray
-    by_parameter: ComplexArray
+    frequency_Hz: Array
+    columns: Columns
     drive: ComplexArray
     moved: ComplexArray
     spread: Array
+
+    def gram(self) -> Array:
+        """Return A'A of one output, A the rows that its residues meet, (orders columns inputs,)^2.
+
+        (A'A)_(ci, dk) = sum_f Re( conj(b_c) b_d sum_r conj(V_i) V_k ),   b columns, V the drive
+        """
+        b = self.columns.value
+        count, inputs = b.shape[1], self.drive.shape[1]
+        power = self.drive.conj() @ self.drive.transpose(0, 2, 1)
+        gram = np.empty((count, inputs, count, inputs))
+        for i in range(inputs):
+            for k in range(inputs):
+                gram[:, i, :, k] = ((b.conj() * power[:, i, k, None]).T @ b).real
+        one_order = gram.reshape(count * inputs, count * inputs)
+        return np.asarray(np.kron(np.outer(self.spread, self.spread), one_order), dtype=np.float64)
+
+    def products(self, rows: ComplexArray) -> Array:
+        """Return A' t for every output and vector t, (orders columns inputs, outputs, vectors).
+
+        rows  (vectors, lines, outputs, realisations)  t
+        """
+        vectors, lines, outputs, _ = rows.shape
+        count, inputs = self.columns.value.shape[1], self.drive.shape[1]
+        by_input = np.matmul(rows, self.drive.conj().transpose(0, 2, 1))
+        flat = by_input.transpose(1, 0, 2, 3).reshape(lines, -1)
+        products = (self.columns.value.conj().T @ flat).real
+        products = products.reshape(count, vectors, outputs, inputs).transpose(0, 3, 2, 1)
+        products = products.reshape(count * inputs, outputs, vectors)
+        return np.concatenate([share * products for share in self.spread])
 
 
 class Point:
     """The best residues for a given shape, the residual and its projected linearisation."""
 
     def __init__(self, problem: ModalProblem, x: Array) -> None:
-        self.problem, self.shape = problem, problem.unpack(x)
-        self.levels = [self._weighted(level) for level in problem.levels]
-        gram, target = np.zeros(()), np.zeros(())
-        for level in self.levels:
-            products = products_with_residues(level.columns, level.drive, level.moved[None])
-            gram = gram + np.kron(
-                np.outer(level.spread, level.spread), gram_of_residues(level.columns, level.drive)
-            )
-            target = target + np.concatenate([s * products[..., 0] for s in level.spread])
+        self.problem, shape = problem, problem.unpack(x)
+        self.levels = [_weighted(problem, level, shape) for level in problem.levels]
+        gram = sum((level.gram() for level in self.levels), np.zeros(()))
+        target = sum(
+            (level.products(level.moved[None])[..., 0] for level in self.levels), np.zeros(())
+        )
         curvature = np.diag(gram)
         count = len(gram) // problem.orders
         penalty = np.concatenate([np.zeros(count), LEVEL_PENALTY * curvature[:count]])[: len(gram)]
         self.factor = cho_factor(gram + np.diag(penalty + RIDGE * curvature.max()))
         solution = cho_solve(self.factor, target)  # (orders columns inputs, outputs)
-        shape = (problem.orders, -1, problem.inputs, solution.shape[1])
-        self.residues = np.zeros((2, count // problem.inputs, solution.shape[1], problem.inputs))
-        self.residues[: problem.orders] = solution.reshape(shape).transpose(0, 1, 3, 2)
+        inputs, outputs = self.levels[0].drive.shape[1], solution.shape[1]
+        self.residues = np.zeros((2, count // inputs, outputs, inputs))
+        by_order = solution.reshape(problem.orders, -1, inputs, outputs)
+        self.residues[: problem.orders] = by_order.transpose(0, 1, 3, 2)
         self.residuals = [
             level.moved
-            - np.einsum("fc,coi->foi", level.columns, self._residues_at(level)) @ level.drive
+            - np.einsum("fc,coi->foi", level.columns.value, self._residues_at(level)) @ level.drive
             for level in self.levels
         ]
-        self.cost = float(sum((np.abs(one) ** 2).sum() for one in self.residuals))
+        self.cost = float(sum((np.abs(residual) ** 2).sum() for residual in self.residuals))
         self.cost += float((penalty[:, None] * solution**2).sum())
-
-    def _weighted(self, level: LevelSpectra) -> _WeightedLevel:
-        coordinate, root = self.problem.coordinate(level), np.sqrt(level.weight)
-        columns = modal_columns(
-            level.frequency_Hz, *self.shape.at(coordinate), self.problem.lag_Hz
-        )
-        advance = np.exp(2j * np.pi * level.frequency_Hz * self.shape.delay_s)[:, None, None]
-        return _WeightedLevel(
-            columns=columns.value,
-            by_parameter=np.stack([columns.by_frequency, columns.by_damping]),
-            drive=level.drive * root,
-            moved=level.moved * root * advance,
-            spread=np.array([1.0, coordinate])[: self.problem.orders],
-        )
 
     def _residues_at(self, level: _WeightedLevel) -> Array:
         return np.asarray(np.tensordot(level.spread, self.residues[: self.problem.orders], 1))
@@ -246,18 +219,14 @@ class Point:
         """Return the projected normal equations, in Kaufman's form."""
         gram, slope = np.zeros(()), np.zeros(())
         inner, penalised = np.zeros(()), np.zeros(())
-        for source, level, residual in zip(
-            self.problem.levels, self.levels, self.residuals, strict=True
-        ):
-            tangents = self._tangents(source.frequency_Hz, level)
+        for level, residual in zip(self.levels, self.residuals, strict=True):
+            tangents = self._tangents(level)
             flat = tangents.reshape(len(tangents), -1).view(np.float64)
             gram = gram + flat @ flat.T
             slope = slope - flat @ residual.reshape(-1).view(np.float64)
-            rows = np.concatenate([tangents, residual[None]])
-            products = products_with_residues(level.columns, level.drive, rows)
-            products_by_order = np.concatenate([s * products for s in level.spread])
-            inner = inner + products_by_order[..., :-1]
-            penalised = penalised + products_by_order[..., -1]
+            products = level.products(np.concatenate([tangents, residual[None]]))
+            inner = inner + products[..., :-1]
+            penalised = penalised + products[..., -1]
         solution = cho_solve(self.factor, inner.reshape(len(inner), -1)).reshape(inner.shape)
         return NormalEquations(
             gram=np.asarray(gram - np.einsum("aon,aom->nm", inner, solution)),
@@ -266,28 +235,31 @@ class Point:
             cost=self.cost,
         )
 
-    def _tangents(self, frequency_Hz: Array, level: _WeightedLevel) -> ComplexArray:
+    def _tangents(self, level: _WeightedLevel) -> ComplexArray:
         """Return the derivatives of the model, (parameters, lines, outputs, realisations)."""
-        residues = complex_residues(self._residues_at(level), self.problem.modes)
+        modes, real = self.problem.modes, self._residues_at(level)
+        residues = real[:modes] + 1j * real[modes : 2 * modes]
         by_pole = np.stack(
             [
                 0.5
                 * (direct[:, m, None, None] * R + conjugate[:, m, None, None] * R.conj())
                 @ level.drive
-                for direct, conjugate in level.by_parameter
+                for direct, conjugate in (level.columns.by_frequency, level.columns.by_damping)
                 for m, R in enumerate(residues)
             ]
         )
-        by_delay = -2j * np.pi * frequency_Hz[:, None, None] / self.problem.rate_Hz * level.moved
-        parts = [*(s * by_pole for s in level.spread), by_delay[None]]
-        return np.ascontiguousarray(np.concatenate(parts))
+        by_sample = -2j * np.pi * level.frequency_Hz[:, None, None] / self.problem.rate_Hz
+        tangents = [*(share * by_pole for share in level.spread), (by_sample * level.moved)[None]]
+        return np.ascontiguousarray(np.concatenate(tangents))
 
 
-def reweighted(
-    levels: Sequence[LevelSpectra], residuals: Sequence[ComplexArray]
-) -> tuple[LevelSpectra, ...]:
-    """Weight each realisation by one over the power of its residual."""
-    return tuple(
-        replace(level, weight=level.weight / (np.abs(residual) ** 2).sum(axis=(0, 1)))
-        for level, residual in zip(levels, residuals, strict=True)
+def _weighted(problem: ModalProblem, level: LevelSpectra, shape: ModalShape) -> _WeightedLevel:
+    coordinate, root = problem.coordinate(level), np.sqrt(level.weight)
+    advance = np.exp(2j * np.pi * level.frequency_Hz * shape.delay_s)[:, None, None]
+    return _WeightedLevel(
+        frequency_Hz=level.frequency_Hz,
+        columns=shape.columns(level.frequency_Hz, problem.lag_Hz, coordinate),
+        drive=level.drive * root,
+        moved=level.moved * root * advance,
+        spread=np.array([1.0, coordinate])[: problem.orders],
     )

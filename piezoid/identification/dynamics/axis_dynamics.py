@@ -1,7 +1,7 @@
 """The dynamics of a fitted axis: behind its hysteresis, from recordings that excite them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.joint_fit import fit_jointly
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
-from piezoid.identification.dynamics.records import JointFit, ResponseFit
 from piezoid.identification.dynamics.response_validation import validate_response
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel
@@ -43,31 +42,6 @@ STRUCTURES = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class AxisDynamics:
-    """The dynamics of an axis, from its recordings or its measured response.
-
-    dynamics  None where no recording excites them, or none could be fitted
-    remarks   one sentence for every recording that was used, or was tried in vain
-    joint     None where hysteresis and dynamics were not fitted together
-    bandwidth what limits the stage first: pole or resonance; None where nothing excites either
-              and no bandwidth is stated
-    response  where the dynamics are those of a measured frequency response
-    """
-
-    dynamics: LinearDynamics | None = None
-    remarks: tuple[str, ...] = ()
-    joint: JointFit | None = None
-    bandwidth: BandwidthVerdict | None = None
-    response: ResponseFit | None = None
-
-    def with_bandwidth(self, verdict: BandwidthVerdict) -> "AxisDynamics":
-        """Add the verdict; a remark where it decides, or where a bandwidth was stated."""
-        if verdict.kind == "undecided" and verdict.stated_Hz is None:
-            return replace(self, bandwidth=verdict)
-        return replace(self, bandwidth=verdict, remarks=(*self.remarks, verdict.text))
-
-
 def quasi_static(
     recordings: Sequence[Recording], axis: str, rig: Rig
 ) -> tuple[tuple[Recording, ...], tuple[Recording, ...]]:
@@ -86,7 +60,9 @@ def quasi_static(
     if not exciting:
         return tuple(recordings), ()
     try:
-        dynamics = _best_fit(measure_from_drive(_furthest(exciting), axis), rig)
+        dynamics = _best_fit(
+            measure_from_drive(max(exciting, key=lambda pair: pair[1])[0], axis), rig
+        )
     except (ExcitationError, IdentificationError):
         return tuple(recordings), ()
     if not resolved_modes(dynamics).any():
@@ -104,54 +80,62 @@ def with_dynamics(
     stated_Hz: float | None = None,
     response: FrequencyResponseRecord | None = None,
 ) -> AxisModel:
-    """Return the axis with the dynamics of its recordings, and the remarks on them.
+    """Return the axis with the dynamics of its best data, what limits it, and remarks on both.
 
-    Earlier remarks on dynamics are replaced.
-    """
-    fit = fit_axis_dynamics(axis, recordings, stated_Hz=stated_Hz, response=response)
-    remarks = tuple(r for r in axis.verdict.remarks if r not in axis.dynamics_remarks)
-    return replace(
-        axis,
-        dynamics=fit.dynamics,
-        dynamics_remarks=fit.remarks,
-        joint=fit.joint,
-        bandwidth=fit.bandwidth,
-        response=fit.response,
-        verdict=replace(axis.verdict, remarks=(*remarks, *fit.remarks)),
-    )
-
-
-def fit_axis_dynamics(
-    axis: AxisModel,
-    recordings: Sequence[Recording],
-    *,
-    stated_Hz: float | None = None,
-    response: FrequencyResponseRecord | None = None,
-) -> AxisDynamics:
-    """Fit the dynamics to the best data, and decide what limits the stage.
-
-    axis        with its hysteresis
+    axis        with its hysteresis; earlier dynamics and their remarks are replaced
     recordings  any; those without both channels or with a slow drive are passed over
     stated_Hz   bandwidth of the data sheet, where the laboratory declares one
     response    measured with the axis' own drive: it is preferred to the recordings, unless it
                 contradicts them
     """
+    remarks = tuple(r for r in axis.verdict.remarks if r not in axis.dynamics_remarks)
+    axis = replace(
+        axis,
+        dynamics=None,
+        dynamics_remarks=(),
+        joint=None,
+        bandwidth=None,
+        response=None,
+        verdict=replace(axis.verdict, remarks=remarks),
+    )
     if response is None:
-        return _fit_recordings(axis, recordings, stated_Hz)
+        return _with_recorded_dynamics(axis, recordings, stated_Hz)
     declared = _declared(axis.rig)
     validated = validate_response(axis, response, declared, _recorded_dynamics(axis, recordings))
+    axis = _with_remarks(axis, *validated.remarks)
     if validated.dynamics is None or validated.measured is None:
-        fit = _fit_recordings(axis, recordings, stated_Hz)
-        return replace(fit, remarks=(*validated.remarks, *fit.remarks))
+        return _with_recorded_dynamics(axis, recordings, stated_Hz)
+    axis = replace(axis, dynamics=validated.dynamics, response=validated.record)
     verdict = decide_bandwidth(
         validated.measured,
         Declaration(hold="band_limited", filters=declared),
-        delay_s=_delay_ends(validated.dynamics),
+        delay_s=_delay_interval_s(axis),
         stated_Hz=stated_Hz,
     )
-    return AxisDynamics(
-        dynamics=validated.dynamics, remarks=validated.remarks, response=validated.record
-    ).with_bandwidth(verdict)
+    return _with_bandwidth(axis, verdict)
+
+
+def _with_remarks(axis: AxisModel, *remarks: str) -> AxisModel:
+    return replace(
+        axis,
+        dynamics_remarks=(*axis.dynamics_remarks, *remarks),
+        verdict=replace(axis.verdict, remarks=(*axis.verdict.remarks, *remarks)),
+    )
+
+
+def _with_bandwidth(axis: AxisModel, verdict: BandwidthVerdict) -> AxisModel:
+    """Add the verdict; a remark where it decides, or where a bandwidth was stated."""
+    axis = replace(axis, bandwidth=verdict)
+    if verdict.kind == "undecided" and verdict.stated_Hz is None:
+        return axis
+    return _with_remarks(axis, verdict.text)
+
+
+def _delay_interval_s(axis: AxisModel) -> tuple[float, float]:
+    if axis.dynamics is None:
+        return UNKNOWN_DELAY_s
+    low_s, high_s = axis.dynamics.delay_interval_s().tolist()
+    return low_s, high_s
 
 
 def is_determined(dynamics: LinearDynamics) -> bool:
@@ -163,15 +147,6 @@ def is_determined(dynamics: LinearDynamics) -> bool:
     poles_known = bool((dynamics.lag_frequency_Hz < 2 * dynamics.band_Hz[1]).all())
     explained = dynamics.cost_ratio <= MAX_COST
     return explained and poles_known and bool(resolved_modes(dynamics).all())
-
-
-def _furthest(exciting: Sequence[tuple[Recording, float]]) -> Recording:
-    return max(exciting, key=lambda pair: pair[1])[0]
-
-
-def _delay_ends(dynamics: LinearDynamics) -> tuple[float, float]:
-    early_s, late_s = dynamics.delay_interval_s().tolist()
-    return early_s, late_s
 
 
 def _mode_share(recording: Recording, axis: str, dynamics: LinearDynamics) -> float:
@@ -198,7 +173,7 @@ def _recorded_dynamics(
     exciting = excites_dynamics(recordings, axis.axis)
     if not exciting:
         return None
-    recording = _furthest(exciting)
+    recording, _ = max(exciting, key=lambda pair: pair[1])
     try:
         dynamics = _best_fit(measure_behind_hysteresis(axis, recording), axis.rig)
     except (ExcitationError, IdentificationError):
@@ -206,66 +181,62 @@ def _recorded_dynamics(
     return (dynamics, recording.name) if is_determined(dynamics) else None
 
 
-def _fit_recordings(
+def _with_recorded_dynamics(
     axis: AxisModel, recordings: Sequence[Recording], stated_Hz: float | None
-) -> AxisDynamics:
+) -> AxisModel:
     """Fit the dynamics to the recording that excites them furthest, and decide what limits it."""
     exciting = excites_dynamics(recordings, axis.axis)
     if not exciting:
         verdict = unmeasured(stated_Hz, "no recording is fast enough")
-        return AxisDynamics() if stated_Hz is None else AxisDynamics().with_bandwidth(verdict)
+        return axis if stated_Hz is None else _with_bandwidth(axis, verdict)
     recording, highest_Hz = max(exciting, key=lambda pair: pair[1])
     try:
         measured = measure_behind_hysteresis(axis, recording)
     except ExcitationError as refusal:
-        fit = AxisDynamics(remarks=(f"no linear dynamics: {refusal}",))
-        return fit.with_bandwidth(
-            unmeasured(stated_Hz, f"{recording.name} contains {refusal.found}")
-        )
-    drives = f"{recording.name} drives up to {highest_Hz:.0f} Hz"
-    fit = _fit_behind_hysteresis(axis, measured, recording, recordings, drives)
+        verdict = unmeasured(stated_Hz, f"{recording.name} contains {refusal.found}")
+        return _with_bandwidth(_with_remarks(axis, f"no linear dynamics: {refusal}"), verdict)
+    axis = _with_fit(axis, measured, recording, recordings, highest_Hz)
     verdict = decide_bandwidth(
         measured,
         Declaration(filters=_declared(axis.rig)),
-        delay_s=UNKNOWN_DELAY_s if fit.dynamics is None else _delay_ends(fit.dynamics),
+        delay_s=_delay_interval_s(axis),
         stated_Hz=stated_Hz,
     )
-    return fit.with_bandwidth(verdict)
+    return _with_bandwidth(axis, verdict)
 
 
-def _fit_behind_hysteresis(
+def _with_fit(
     axis: AxisModel,
     measured: FrequencyResponse,
     recording: Recording,
     recordings: Sequence[Recording],
-    drives: str,
-) -> AxisDynamics:
+    highest_Hz: float,
+) -> AxisModel:
     """Fit the dynamics behind the hysteresis, then both together unless that moves the modes."""
     try:
         dynamics = _best_fit(measured, axis.rig)
     except (ExcitationError, IdentificationError) as refusal:
-        return AxisDynamics(remarks=(f"no linear dynamics: {refusal}",))
+        return _with_remarks(axis, f"no linear dynamics: {refusal}")
     low_Hz, high_Hz = dynamics.band_Hz
     if not is_determined(dynamics):
         text = (
             f"{recording.name}: no resonance or pole could be identified between {low_Hz:.3g} and "
             f"{high_Hz:.3g} Hz; the model keeps a pure lag."
         )
-        return AxisDynamics(remarks=(text,))
+        return _with_remarks(axis, text)
     text = (
-        f"{drives}: linear dynamics were fitted behind the hysteresis from {low_Hz:.3g} to "
-        f"{high_Hz:.4g} Hz"
+        f"{recording.name} drives up to {highest_Hz:.0f} Hz: linear dynamics were fitted behind "
+        f"the hysteresis from {low_Hz:.3g} to {high_Hz:.4g} Hz"
     )
     joint = fit_jointly(axis, dynamics, recording, recordings)
     if joint is None:
-        return AxisDynamics(dynamics=dynamics, remarks=(text,))
+        return replace(_with_remarks(axis, text), dynamics=dynamics)
     change = np.abs(np.log(joint.dynamics.mode_frequency_Hz / dynamics.mode_frequency_Hz))
     if (change >= SAME_MODE).any() or not np.isfinite(joint.dynamics.shape_covariance).all():
         text += "; a joint fit of hysteresis and dynamics finds other modes and is not used"
-        return AxisDynamics(dynamics=dynamics, remarks=(text,))
-    return AxisDynamics(
-        dynamics=joint.dynamics, remarks=(f"{text}, then jointly with it",), joint=joint.record
-    )
+        return replace(_with_remarks(axis, text), dynamics=dynamics)
+    axis = _with_remarks(axis, f"{text}, then jointly with it")
+    return replace(axis, dynamics=joint.dynamics, joint=joint.record)
 
 
 def _best_fit(measured: FrequencyResponse, rig: Rig) -> LinearDynamics:

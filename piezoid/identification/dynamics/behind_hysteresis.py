@@ -111,8 +111,6 @@ def estimate_response_by_coherence(
         least_coherence=MIN_COHERENCE,
         variance_freedom=float(np.median(freedom)),
         drive_rms_V=np.array([voltage_V.std()]),
-        realisations=1,
-        periods=1,
     )
 
 

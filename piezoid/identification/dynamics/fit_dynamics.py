@@ -5,6 +5,9 @@
 3. A mode that vector fitting misplaced moves to the largest residual, and 2 is repeated.
 """
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +16,7 @@ from piezoid.identification.dynamics.frequency_response import ComplexArray, Fre
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Declaration, ModalBasis, Structure
 from piezoid.identification.dynamics.periodic_estimate import smoothed
+from piezoid.identification.dynamics.records import SlowPart
 from piezoid.identification.dynamics.vector_fitting import (
     stacked,
     start_poles,
@@ -54,32 +58,53 @@ def fit_dynamics(
 
     Raises ``IdentificationError`` for too few lines or a singular structure.
     """
-    if measured.response.shape[1:] != (1, 1):
-        raise ValueError(f"a response of shape {measured.response.shape}; expected one path")
-    response, weight = measured.response[:, 0, 0], measured.weights()[:, 0, 0]
-    values = 2 * int((weight > 0).sum())
-    unknowns = structure.columns + structure.shapes
-    if values < 2 * unknowns:
-        raise IdentificationError(
-            f"{values} usable real values, {unknowns} parameters",
-            needed="at least twice as many values as parameters",
-            remedy="Measure more lines, or take fewer modes.",
-        )
+    _refuse_few_lines(measured, structure)
     basis = ModalBasis(
         structure=structure,
         frequency_Hz=measured.frequency_Hz,
         sampling_rate_Hz=measured.sampling_rate_Hz,
-        hold=declaration.hold,
-        declared=declaration.filters,
+        declaration=declaration,
     )
-    # Values less half the real unknowns, times the mean of one over an estimated variance.
-    freedom = measured.variance_freedom
-    inflation = freedom / (freedom - 1.0) if freedom > 2.0 else 2.0
-    expected_cost = float((int((weight > 0).sum()) - unknowns / 2) * inflation)
-    start = _start_shape(measured, weight, structure, declaration)
-    fit = _maximise_likelihood(response, weight, basis, start)
-    fit = _exchange_modes(response, basis, fit, expected_cost)
-    return _linear_dynamics(measured, basis, fit, expected_cost)
+    fit = _maximise_likelihood(measured, basis, _start_shape(measured, structure, declaration))
+    fit = _exchange_modes(measured, fit, _expected_cost(measured, basis))
+    return _linear_dynamics(measured, fit)[0]
+
+
+def fit_with_slow_part(
+    measured: FrequencyResponse, dynamics: LinearDynamics, slow: SlowPart
+) -> tuple[LinearDynamics, SlowPart]:
+    """Fit modes and slow part together from a separate fit of each.
+
+        G = F e^(-j 2 pi f delay) (f / from)^power e^(j phase) [ modes + lags + D ]
+
+    measured  of one axis, slow part included
+    """
+    d = dynamics
+    basis = ModalBasis(
+        structure=Structure(
+            modes=len(d.mode_frequency_Hz),
+            lags=len(d.lag_frequency_Hz),
+            direct=d.direct_gain_m_per_V != 0.0,
+        ),
+        frequency_Hz=measured.frequency_Hz,
+        sampling_rate_Hz=measured.sampling_rate_Hz,
+        declaration=Declaration(hold=d.hold, filters=d.declared),
+        creep_from_Hz=slow.from_Hz,
+    )
+    logs = np.log(np.concatenate([d.mode_frequency_Hz, d.mode_damping, d.lag_frequency_Hz]))
+    start = [*logs, d.delay_s, slow.slope_dB / 20.0, np.radians(slow.phase_deg)]
+    fit = _maximise_likelihood(measured, basis, np.array(start))
+    refined, covariance = _linear_dynamics(measured, fit)
+    (power, phase), (power_std, phase_std) = fit.shape[-2:], np.sqrt(np.diag(covariance)[-2:])
+    part = SlowPart.of(
+        float(power),
+        float(power_std),
+        float(phase),
+        float(phase_std),
+        (slow.low_Hz, slow.high_Hz),
+        slow.from_Hz,
+    )
+    return refined, replace(part, is_taken=slow.is_taken)
 
 
 def resolved_modes(dynamics: LinearDynamics) -> NDArray[np.bool_]:
@@ -94,14 +119,35 @@ def resolved_modes(dynamics: LinearDynamics) -> NDArray[np.bool_]:
     return np.asarray(is_known & (dynamics.mode_damping < 1.0), dtype=np.bool_)
 
 
+def _refuse_few_lines(measured: FrequencyResponse, structure: Structure) -> None:
+    if measured.response.shape[1:] != (1, 1):
+        raise ValueError(f"a response of shape {measured.response.shape}; expected one path")
+    values = 2 * int((measured.weights() > 0).sum())
+    unknowns = structure.columns + structure.shapes
+    if values < 2 * unknowns:
+        raise IdentificationError(
+            f"{values} usable real values, {unknowns} parameters",
+            needed="at least twice as many values as parameters",
+            remedy="Measure more lines, or take fewer modes.",
+        )
+
+
+def _expected_cost(measured: FrequencyResponse, basis: ModalBasis) -> float:
+    """Values less half the real unknowns, times the mean of one over an estimated variance."""
+    unknowns = basis.structure.columns + basis.shapes
+    freedom = measured.variance_freedom
+    inflation = freedom / (freedom - 1.0) if freedom > 2.0 else 2.0
+    return float((int((measured.weights() > 0).sum()) - unknowns / 2) * inflation)
+
+
 def _start_shape(
-    measured: FrequencyResponse, weight: Array, structure: Structure, declaration: Declaration
+    measured: FrequencyResponse, structure: Structure, declaration: Declaration
 ) -> Array:
     """Vector fitting for several trial delays on some lines; the best one again on all lines."""
     size, rate_Hz = len(measured.frequency_Hz), measured.sampling_rate_Hz
     scale = 2 * np.pi * measured.frequency_Hz[-1]
     s = 2j * np.pi * measured.frequency_Hz / scale
-    flat, w = measured.response.reshape(size, 1), weight[:, None]
+    flat, w = measured.response.reshape(size, 1), measured.weights().reshape(size, 1)
     declared = declaration.response(measured.frequency_Hz, rate_Hz)
     longest_s = declaration.longest_delay_s
     longest_s = 4.0 / rate_Hz if longest_s is None else longest_s
@@ -141,9 +187,8 @@ def _shape_of_poles(poles_Hz: ComplexArray, structure: Structure) -> Array:
 class _Point:
     """A shape with its best gains and their residual."""
 
-    def __init__(
-        self, response: ComplexArray, weight: Array, basis: ModalBasis, shape: Array
-    ) -> None:
+    def __init__(self, measured: FrequencyResponse, basis: ModalBasis, shape: Array) -> None:
+        response, weight = measured.response[:, 0, 0], measured.weights()[:, 0, 0]
         self.basis, self.shape, self.weight = basis, shape, weight
         columns = basis.columns(shape)
         try:
@@ -181,9 +226,7 @@ class _Point:
         return np.asarray(gains**2 / np.sum(root**2, axis=1))
 
 
-def _maximise_likelihood(
-    response: ComplexArray, weight: Array, basis: ModalBasis, shape: Array
-) -> _Point:
+def _maximise_likelihood(measured: FrequencyResponse, basis: ModalBasis, shape: Array) -> _Point:
     """Minimise sum |weight (response - columns(shape) gains)|^2 over shape and gains.
 
     Bounds: beyond, a term is a constant to this data, or a single line. Delays are causal, and at
@@ -192,28 +235,28 @@ def _maximise_likelihood(
     n, lags = basis.structure.modes, basis.structure.lags
     lowest, highest = basis.frequency_Hz[[0, -1]]
     log_f = np.log([lowest / OUT_OF_BAND, highest * OUT_OF_BAND])
-    counts = [n, n, lags, 1]
-    low = np.repeat([log_f[0], np.log(MIN_DAMPING), log_f[0], 0.0], counts)
-    high = np.repeat([log_f[1], np.log(OUT_OF_BAND), log_f[1], 1 / lowest], counts)
+    counts = [n, n, lags, 1, basis.shapes - basis.structure.shapes]
+    low = np.repeat([log_f[0], np.log(MIN_DAMPING), log_f[0], 0.0, -np.inf], counts)
+    high = np.repeat([log_f[1], np.log(OUT_OF_BAND), log_f[1], 1 / lowest, np.inf], counts)
+    longest = np.full(len(low), MAX_LOG_STEP)
+    longest[basis.structure.shapes - 1] = 1 / lowest / 10
     return minimise(
-        lambda shape: _Point(response, weight, basis, shape),
+        lambda shape: _Point(measured, basis, shape),
         shape,
         (low, high),
         rule=RULE,
-        longest=np.append(np.full(len(low) - 1, MAX_LOG_STEP), high[-1] / 10),
+        longest=longest,
     ).point
 
 
-def _exchange_modes(
-    response: ComplexArray, basis: ModalBasis, fit: _Point, expected_cost: float
-) -> _Point:
+def _exchange_modes(measured: FrequencyResponse, fit: _Point, expected_cost: float) -> _Point:
     """Move modes while that lowers the cost, and return the best fit.
 
     Vector fitting from noisy data may leave two modes where one is, and none where another is;
     maximum likelihood cannot cross the valley between. The mode of the least worth is put at the
     largest local residual, and everything is fitted again.
     """
-    modes = basis.structure.modes
+    basis, modes = fit.basis, fit.basis.structure.modes
     for _ in range(EXCHANGES if modes > 1 else 0):
         if fit.cost <= GOOD_COST * expected_cost:
             break
@@ -224,7 +267,7 @@ def _exchange_modes(
         shape[worst] = np.log(basis.frequency_Hz[peak])
         shape[modes + worst] = np.log(NEW_DAMPING)
         try:
-            exchanged = _maximise_likelihood(response, fit.weight, basis, shape)
+            exchanged = _maximise_likelihood(measured, basis, shape)
         except IdentificationError:
             break  # the new place makes two terms alike
         if exchanged.cost > fit.cost * (1 - MIN_GAIN):
@@ -233,7 +276,7 @@ def _exchange_modes(
     return fit
 
 
-def _covariances(fit: _Point, structure: Structure) -> tuple[Array, float]:
+def _covariances(fit: _Point) -> tuple[Array, float]:
     """Return the covariance of the shape, and the standard deviation of the gain at rest.
 
     The wider of the curvature and of the sandwich over lines, for each parameter. A complex value
@@ -241,7 +284,7 @@ def _covariances(fit: _Point, structure: Structure) -> tuple[Array, float]:
     """
     curvature, scores, gain_slope = fit.projected()
     lines = int((fit.weight > 0).sum())
-    spare = max(lines - (structure.shapes + structure.columns) / 2, 1.0)
+    spare = max(lines - (fit.basis.shapes + fit.basis.structure.columns) / 2, 1.0)
     excess = max(1.0, fit.cost / spare)
     scale = np.sqrt(np.maximum(np.diag(curvature), TINY))
     inverse = np.linalg.pinv(curvature / np.outer(scale, scale), rcond=1e-14, hermitian=True)
@@ -257,32 +300,46 @@ def _covariances(fit: _Point, structure: Structure) -> tuple[Array, float]:
     return covariance, float(np.sqrt(max(variance, 0.0)))
 
 
-def _linear_dynamics(
-    measured: FrequencyResponse, basis: ModalBasis, fit: _Point, expected_cost: float
-) -> LinearDynamics:
-    structure = basis.structure
-    n, lags = structure.modes, structure.lags
-    order = np.argsort(fit.shape[:n])
-    lag_order = np.argsort(fit.shape[2 * n : 2 * n + lags])
-    by_shape = np.concatenate([order, n + order, 2 * n + lag_order, [structure.shapes - 1]])
-    shape, gains = fit.shape[by_shape], fit.path.coefficients
-    covariance, static_std = _covariances(fit, structure)
-    return LinearDynamics(
+def _linear_dynamics(measured: FrequencyResponse, fit: _Point) -> tuple[LinearDynamics, Array]:
+    """Return the fitted dynamics and the covariance of the whole shape."""
+    basis, structure, gains = fit.basis, fit.basis.structure, fit.path.coefficients
+    covariance, static_std = _covariances(fit)
+    n = structure.shapes
+    dynamics = LinearDynamics(
         axis=measured.outputs[0],
-        mode_frequency_Hz=np.exp(shape[:n]),
-        mode_damping=np.exp(shape[n : 2 * n]),
-        mode_gain_m_per_V=gains[:n][order],
-        lag_frequency_Hz=np.exp(shape[2 * n : 2 * n + lags]),
-        lag_gain_m_per_V=gains[n : n + lags][lag_order],
+        **sorted_terms(structure, fit.shape[:n], gains, covariance[:n, :n]),
         direct_gain_m_per_V=float(gains[-1]) if structure.direct else 0.0,
-        delay_s=float(shape[-1]),
-        declared=basis.declared,
-        shape_covariance=covariance[np.ix_(by_shape, by_shape)],
+        declared=basis.declaration.filters,
         static_gain_std_m_per_V=static_std,
-        hold=basis.hold,
+        hold=basis.declaration.hold,
         sampling_rate_Hz=measured.sampling_rate_Hz,
         band_Hz=(float(measured.frequency_Hz[0]), float(measured.frequency_Hz[-1])),
         drive_rms_V=float(measured.drive_rms_V[0]),
         cost=fit.cost,
-        expected_cost=expected_cost,
+        expected_cost=_expected_cost(measured, basis),
     )
+    return dynamics, covariance
+
+
+def sorted_terms(
+    structure: Structure, shape: Array, gains: Array, covariance: Array
+) -> dict[str, Any]:
+    """Return shape and gains as fields of ``LinearDynamics``, modes and lags by frequency.
+
+    shape, covariance  in the order of ``ModalBasis``, without a slow part
+    gains              of modes, then lags, m/V; more are ignored
+    """
+    n, lags = structure.modes, structure.lags
+    order = np.argsort(shape[:n])
+    lag_order = np.argsort(shape[2 * n : 2 * n + lags])
+    by_frequency = np.concatenate([order, n + order, 2 * n + lag_order, [2 * n + lags]])
+    values = np.exp(shape[by_frequency])
+    return {
+        "mode_frequency_Hz": values[:n],
+        "mode_damping": values[n : 2 * n],
+        "mode_gain_m_per_V": gains[:n][order],
+        "lag_frequency_Hz": values[2 * n : 2 * n + lags],
+        "lag_gain_m_per_V": gains[n : n + lags][lag_order],
+        "delay_s": float(shape[-1]),
+        "shape_covariance": covariance[np.ix_(by_frequency, by_frequency)],
+    }

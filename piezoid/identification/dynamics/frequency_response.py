@@ -55,8 +55,8 @@ class FrequencyResponse:
     least_coherence: float
     variance_freedom: float
     drive_rms_V: Array
-    realisations: int
-    periods: int
+    realisations: int = 1
+    periods: int = 1
 
     def __post_init__(self) -> None:
         freeze(self, "frequency_Hz", "drive_rms_V")

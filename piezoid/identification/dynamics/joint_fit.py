@@ -18,12 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from piezoid.identification.dynamics.frequency_response import ComplexArray
+from piezoid.identification.dynamics.fit_dynamics import sorted_terms
 from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.dynamics.modal_basis import Structure
 from piezoid.identification.dynamics.records import JointFit
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, behind_pole
 from piezoid.identification.model import AxisModel
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.executor import Once
 from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
 from piezoid.numerics.robust import NORMAL_95
@@ -73,34 +74,44 @@ def fit_jointly(
     does not depend on frequency must not pass for delay. Half of the change when they are left
     out counts as uncertainty of the structure.
     """
-    with_start = {start.recording for start in axis.starts}
-    if exciting.name not in with_start:
+    start_names = {start.recording for start in axis.starts}
+    if exciting.name not in start_names:
         return None
     coarse_V = axis.hysteresis.plays.threshold
     threshold_V = _with_small_plays(coarse_V, exciting.voltage_V(axis.axis))
     segments = [
         segment
         for recording in recordings
-        if recording.name in with_start
+        if recording.name in start_names
         for segment in _segments(axis, recording, threshold_V, dynamics)
     ]
-    layout, start = _start(axis.hysteresis, dynamics, threshold_V)
-    is_coarse = np.isin(threshold_V, coarse_V)
-    used_columns = np.concatenate([is_coarse, np.ones(layout.size - layout.plays, dtype=np.bool_)])
-    coarse_layout = replace(layout, plays=len(coarse_V))
-    coarse_segments = [segment.of_plays(is_coarse) for segment in segments]
-    coarse, _ = _fit(coarse_segments, coarse_layout, start[used_columns])
-    separate_rms_m = _residual_rms(coarse_segments, coarse_layout, start[used_columns])
-    start[used_columns] = coarse
-    theta, line_weights = _fit(segments, layout, start)
-    covariance = _covariance(segments, layout, theta, line_weights)
-    shape = layout.shape
-    change = 0.5 * (theta[shape] - coarse[coarse_layout.shape])
-    weights, zones, *_ = layout.split(theta)
-    return JointResult(
-        dynamics=_moved(
-            dynamics, layout, theta, covariance[shape, shape] + np.outer(change, change)
+    layout = Layout(
+        plays=len(threshold_V),
+        threshold_m=axis.hysteresis.dead_zones.threshold,
+        structure=Structure(
+            modes=len(dynamics.mode_frequency_Hz), lags=len(dynamics.lag_frequency_Hz)
         ),
+    )
+    start = layout.start(axis.hysteresis, dynamics, np.searchsorted(threshold_V, coarse_V))
+    is_coarse = np.isin(threshold_V, coarse_V)
+    coarse_columns = np.append(is_coarse, np.ones(layout.size - layout.plays, dtype=np.bool_))
+    coarse_layout = replace(layout, plays=len(coarse_V))
+    coarse_segments = [replace(s, states_V=s.states_V[is_coarse]) for s in segments]
+    separate_rms_m = _residual_rms(coarse_segments, coarse_layout, start[coarse_columns])
+    coarse, _ = _fit(coarse_segments, coarse_layout, start[coarse_columns])
+    start[coarse_columns] = coarse
+    theta, line_weights = _fit(segments, layout, start)
+    change = 0.5 * (theta[layout.shape] - coarse[coarse_layout.shape])
+    covariance = _covariance(segments, layout, theta, line_weights)[layout.shape, layout.shape]
+    weights, zones, shape, shares = layout.split(theta)
+    terms = sorted_terms(
+        layout.structure,
+        shape,
+        shares * dynamics.static_gain_m_per_V,
+        covariance + np.outer(change, change),
+    )
+    return JointResult(
+        dynamics=replace(dynamics, **terms),
         record=JointFit(
             recordings=tuple(segment.recording for segment in segments),
             play_threshold_V=tuple(threshold_V.tolist()),
@@ -118,28 +129,6 @@ def _with_small_plays(threshold_V: Array, voltage_V: Array) -> Array:
     small_V = reach_V * np.array(SMALL_PLAYS)
     distance_V = np.abs(small_V[:, None] - threshold_V).min(axis=1)
     return np.unique(np.concatenate([threshold_V, small_V[distance_V > DISTINCT * reach_V]]))
-
-
-def _moved(
-    dynamics: LinearDynamics, layout: "Layout", theta: Array, covariance: Array
-) -> LinearDynamics:
-    """Return the dynamics at the parameters of the joint fit, the gain at rest unchanged."""
-    _, _, shape, shares = layout.split(theta)
-    n, lags = layout.modes, layout.lags
-    gains = shares * dynamics.static_gain_m_per_V
-    order = np.argsort(shape[:n])
-    lag_order = np.argsort(shape[2 * n : 2 * n + lags])
-    by = np.concatenate([order, n + order, 2 * n + lag_order, [2 * n + lags]])
-    return replace(
-        dynamics,
-        mode_frequency_Hz=np.exp(shape[:n][order]),
-        mode_damping=np.exp(shape[n : 2 * n][order]),
-        mode_gain_m_per_V=gains[:n][order],
-        lag_frequency_Hz=np.exp(shape[2 * n : 2 * n + lags][lag_order]),
-        lag_gain_m_per_V=gains[n:][lag_order],
-        delay_s=float(shape[-1]),
-        shape_covariance=covariance[np.ix_(by, by)],
-    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -165,10 +154,6 @@ class Segment:
     def samples(self) -> int:
         """Samples of the segment."""
         return len(self.measured_m)
-
-    def of_plays(self, chosen: NDArray[np.bool_]) -> "Segment":
-        """Return the same segment with some of the plays."""
-        return replace(self, states_V=self.states_V[chosen])
 
     def spectrum(self, signals: Array) -> ComplexArray:
         """Return the padded spectra of signals about their first samples, (..., lines)."""
@@ -253,26 +238,50 @@ def _drive_at_operator(
 class Layout:
     """Order of the parameters: play weights, dead zones, linear shape, all shares but the last.
 
-    plays, zones, modes, lags  how many of each
-    threshold_m                (zones,)  of the dead zones; the weight of the one at 0 is 1
+    plays        how many
+    threshold_m  (zones,)  of the dead zones; the weight of the one at 0 is 1
+    structure    modes and lags
     """
 
     plays: int
-    zones: int
-    modes: int
-    lags: int
     threshold_m: Array
+    structure: Structure
 
     @property
     def shape(self) -> slice:
-        """Place of ln f, ln zeta, ln f of lags and the delay, in the order of LinearDynamics."""
-        first = self.plays + self.zones - 1
-        return slice(first, first + 2 * self.modes + self.lags + 1)
+        """Rows of ln f, ln zeta, ln f of lags and the delay, in the order of LinearDynamics."""
+        first = self.plays + len(self.threshold_m) - 1
+        return slice(first, first + self.structure.shapes)
 
     @property
     def size(self) -> int:
         """Number of parameters."""
-        return int(self.shape.stop) + self.modes + self.lags - 1
+        return int(self.shape.stop) + self.structure.columns - 1
+
+    def start(
+        self,
+        operator: ModifiedPrandtlIshlinskii,
+        dynamics: LinearDynamics,
+        rows: NDArray[np.intp],
+    ) -> Array:
+        """Return the parameters of a separate fit; new plays begin without weight.
+
+        rows  of the operator's plays among all plays
+        """
+        weight = np.zeros(self.plays)
+        weight[rows] = operator.plays.weight
+        zones = operator.dead_zones
+        gains = np.concatenate([dynamics.mode_gain_m_per_V, dynamics.lag_gain_m_per_V])
+        parts = [
+            weight,
+            np.delete(zones.weight, zones.zero),
+            np.log(dynamics.mode_frequency_Hz),
+            np.log(dynamics.mode_damping),
+            np.log(dynamics.lag_frequency_Hz),
+            [dynamics.delay_s],
+            (gains / gains.sum())[:-1],
+        ]
+        return np.concatenate(parts)
 
     def split(self, theta: Array) -> tuple[Array, DeadZones, Array, Array]:
         """Return play weights, dead zones, linear shape and all shares of the gain."""
@@ -288,7 +297,7 @@ class Layout:
 
     def fractions(self, shape: Array, frequency_Hz: Array) -> ComplexArray:
         """Return modes and lags of unit gain, the delay included, (lines, terms)."""
-        n = self.modes
+        n = self.structure.modes
         s = 2j * np.pi * frequency_Hz[:, None]
         w, zeta = 2.0 * np.pi * np.exp(shape[:n]), np.exp(shape[n : 2 * n])
         pole = 2.0 * np.pi * np.exp(shape[2 * n : -1])
@@ -300,34 +309,29 @@ class Layout:
     def simulate(self, theta: Array, segment: Segment) -> Array:
         """Return the model's displacement, (samples,), about its first value."""
         weight, zones, shape, shares = self.split(theta)
-        moved_m = zones.run(weight @ segment.states_V)
+        static_m = zones.run(weight @ segment.states_V)
         response = segment.sensor * (self.fractions(shape, segment.frequency_Hz) @ shares)
-        return segment.signal(response * segment.spectrum(moved_m))
+        return segment.signal(response * segment.spectrum(static_m))
 
     def tangents(self, theta: Array, segment: Segment) -> Array:
         """Return the derivatives of ``simulate``, (parameters, samples)."""
         weight, zones, shape, shares = self.split(theta)
         inner = weight @ segment.states_V
-        moved_m, slope = zones.run_with_slope(inner)
+        static_m, slope = zones.run_with_slope(inner)
         fractions = self.fractions(shape, segment.frequency_Hz)
         response = segment.sensor * (fractions @ shares)
-        spectrum = segment.sensor * segment.spectrum(moved_m)
         outer = np.delete(zones.columns(inner).T, zones.zero, axis=0)
         static = [*(slope * states for states in segment.states_V), *outer]
-        dynamic = self._response_slopes(shape, shares, fractions, segment.frequency_Hz)
-        dynamic += [fractions[:, k] - fractions[:, -1] for k in range(len(shares) - 1)]
-        tangents = np.empty((self.size, segment.samples))
-        for k, signal in enumerate(static):
-            tangents[k] = segment.signal(response * segment.spectrum(signal))
-        for k, change in enumerate(dynamic, start=len(static)):
-            tangents[k] = segment.signal(change * spectrum)
-        return tangents
+        changes = self._response_slopes(shape, shares, fractions, segment.frequency_Hz)
+        spectrum = segment.sensor * segment.spectrum(static_m)
+        signals = [segment.signal(response * segment.spectrum(signal)) for signal in static]
+        return np.array([*signals, *(segment.signal(change * spectrum) for change in changes)])
 
     def _response_slopes(
         self, shape: Array, shares: Array, fractions: ComplexArray, frequency_Hz: Array
     ) -> list[ComplexArray]:
-        """Derivatives of G by each entry of the linear shape: w^2/D, p/(s + p), the delay."""
-        n, s = self.modes, 2j * np.pi * frequency_Hz
+        """Derivatives of G by each entry of the linear shape, w^2/D, p/(s + p), delay, shares."""
+        n, s = self.structure.modes, 2j * np.pi * frequency_Hz
         by_frequency: list[ComplexArray] = []
         by_damping: list[ComplexArray] = []
         for m in range(n):
@@ -340,33 +344,8 @@ class Layout:
             shares[n + k] * np.exp(-s * shape[-1]) * pole * s / (s + pole) ** 2
             for k, pole in enumerate(2.0 * np.pi * np.exp(shape[2 * n : -1]))
         ]
-        return [*by_frequency, *by_damping, *by_lag, -s * (fractions @ shares)]
-
-
-def _start(
-    operator: ModifiedPrandtlIshlinskii, dynamics: LinearDynamics, threshold_V: Array
-) -> tuple[Layout, Array]:
-    """Return layout and parameters of a separate fit; new plays begin without weight."""
-    weight = np.zeros(len(threshold_V))
-    weight[np.searchsorted(threshold_V, operator.plays.threshold)] = operator.plays.weight
-    layout = Layout(
-        plays=len(threshold_V),
-        zones=len(operator.dead_zones.weight),
-        modes=len(dynamics.mode_frequency_Hz),
-        lags=len(dynamics.lag_frequency_Hz),
-        threshold_m=operator.dead_zones.threshold,
-    )
-    gains = np.concatenate([dynamics.mode_gain_m_per_V, dynamics.lag_gain_m_per_V])
-    theta = [
-        weight,
-        np.delete(operator.dead_zones.weight, operator.dead_zones.zero),
-        np.log(dynamics.mode_frequency_Hz),
-        np.log(dynamics.mode_damping),
-        np.log(dynamics.lag_frequency_Hz),
-        [dynamics.delay_s],
-        (gains / gains.sum())[:-1],
-    ]
-    return layout, np.concatenate(theta)
+        by_share = [fractions[:, k] - fractions[:, -1] for k in range(len(shares) - 1)]
+        return [*by_frequency, *by_damping, *by_lag, -s * (fractions @ shares), *by_share]
 
 
 def _fit(segments: Sequence[Segment], layout: Layout, start: Array) -> tuple[Array, list[Array]]:

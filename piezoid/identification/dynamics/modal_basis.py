@@ -94,41 +94,64 @@ class ModalBasis:
     structure         of the model
     frequency_Hz      (lines,)
     sampling_rate_Hz  of converter and sensor
-    hold              ``zero_order``: the drive is the number sent to the converter;
-                      ``band_limited``: it was measured, and has no power above half the rate
-    declared          filters between drive and sensor
+    declaration       hold and known filters between drive and sensor
+    creep_from_Hz     where a slow part (f / from)^power e^(j phase) of all columns has gain one;
+                      None: there is none
 
-    A shape is log frequencies of modes, log dampings, log frequencies of lags, delay.
+    A shape is log frequencies of modes, log dampings, log frequencies of lags, delay; behind them
+    power and phase of the slow part.
     """
 
     structure: Structure
     frequency_Hz: Array
     sampling_rate_Hz: float
-    hold: Hold
-    declared: tuple[Filter, ...] = ()
+    declaration: Declaration
+    creep_from_Hz: float | None = None
+
+    @property
+    def shapes(self) -> int:
+        """Number of shape parameters, those of the slow part included."""
+        return self.structure.shapes + (0 if self.creep_from_Hz is None else 2)
 
     def columns(self, shape: Array) -> ComplexArray:
         """Return all columns, (lines, columns)."""
         values = np.empty((len(self.frequency_Hz), self.structure.columns), dtype=np.complex128)
         for column, parameters in enumerate(self._terms()):
             values[:, column] = self._term(shape[None], parameters)[0]
-        return values
+        return values * self._creep(shape)[:, None]
 
     def derivatives(self, shape: Array, step: float) -> ComplexArray:
-        """Return central differences by each shape parameter, (shapes, lines, columns)."""
-        n, lines = len(shape), len(self.frequency_Hz)
-        derivatives = np.zeros((n, lines, self.structure.columns), dtype=np.complex128)
+        """Return derivatives by each shape parameter, (shapes, lines, columns).
+
+        Central differences of width ``step``; of power and phase exact.
+        """
+        n, delay = len(shape), self.structure.shapes - 1
+        derivatives = np.zeros(
+            (n, len(self.frequency_Hz), self.structure.columns), dtype=np.complex128
+        )
         for column, parameters in enumerate(self._terms()):
-            touched = [*parameters, n - 1]
+            touched = [*parameters, delay]
             steps = np.zeros((len(touched), n))
             steps[range(len(touched)), touched] = step
-            steps[-1, -1] /= self.sampling_rate_Hz
+            steps[-1, delay] /= self.sampling_rate_Hz
             shapes = np.concatenate([shape + steps, shape - steps])
-            shapes[:, -1] = np.maximum(shapes[:, -1], 0.0)  # at delay zero it is one-sided
+            shapes[:, delay] = np.maximum(shapes[:, delay], 0.0)  # at delay zero it is one-sided
             width = (shapes[: len(steps)] - shapes[len(steps) :]).sum(axis=1)
             up, down = np.split(self._term(shapes, parameters), 2)
             derivatives[touched, :, column] = (up - down) / width[:, None]
+        derivatives *= self._creep(shape)[:, None]
+        if self.creep_from_Hz is not None:
+            columns = self.columns(shape)
+            derivatives[-2] = np.log(self.frequency_Hz / self.creep_from_Hz)[:, None] * columns
+            derivatives[-1] = 1j * columns
         return derivatives
+
+    def _creep(self, shape: Array) -> ComplexArray:
+        if self.creep_from_Hz is None:
+            return np.ones(len(self.frequency_Hz), dtype=np.complex128)
+        power, phase = shape[-2:]
+        gain = (self.frequency_Hz / self.creep_from_Hz) ** power
+        return np.asarray(gain * np.exp(1j * phase))
 
     def _terms(self) -> list[list[int]]:
         """Return the shape parameters of each column but the delay."""
@@ -138,7 +161,7 @@ class ModalBasis:
 
     def _term(self, shapes: Array, parameters: list[int]) -> ComplexArray:
         """Return the column of one term for several shapes, (shapes, lines)."""
-        values, delay_s = np.exp(shapes[:, parameters]), shapes[:, -1]
+        values, delay_s = np.exp(shapes[:, parameters]), shapes[:, self.structure.shapes - 1]
         w = 2.0 * np.pi * values[:, 0] if parameters else np.ones(len(shapes))
         numerator, pole = np.ones(len(shapes)), np.zeros((len(shapes), 0), dtype=complex)
         if len(parameters) == 2:
@@ -147,7 +170,7 @@ class ModalBasis:
             numerator, pole = w**2, (w * np.array([-damping + root, -damping - root])).T
         elif parameters:
             numerator, pole = w, -w[:, None].astype(complex)
-        if self.hold == "zero_order":
+        if self.declaration.hold == "zero_order":
             poles = self._declared_poles
             numerator = numerator * np.prod(-poles).real
             pole = np.hstack([pole, np.broadcast_to(poles, (len(shapes), len(poles)))])
@@ -161,10 +184,9 @@ class ModalBasis:
 
     @cached_property
     def _declared_poles(self) -> ComplexArray:
-        poles = [np.linalg.eigvals(f.system().A).astype(complex) for f in self.declared]
+        poles = [np.linalg.eigvals(f.system().A).astype(complex) for f in self.declaration.filters]
         return np.concatenate([np.zeros(0, dtype=complex), *poles])
 
     @cached_property
     def _declared_response(self) -> ComplexArray:
-        chain = Declaration(hold="band_limited", filters=self.declared)
-        return chain.response(self.frequency_Hz, self.sampling_rate_Hz)
+        return self.declaration.response(self.frequency_Hz, self.sampling_rate_Hz)

@@ -14,14 +14,17 @@ a, b or c come from how the residual of neighbouring lines differs [von Neumann 
 that is smooth, because a mode is missing, does not count as noise.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.errors import ExcitationError, IdentificationError
-from piezoid.identification.dynamics.fit_dynamics import fit_dynamics, resolved_modes
+from piezoid.identification.dynamics.fit_dynamics import (
+    fit_dynamics,
+    fit_with_slow_part,
+    resolved_modes,
+)
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
@@ -49,7 +52,6 @@ NOISE_ROUNDS = 2  # of variance from residual, residual from fit
 # A modulus margin of 0.5 bears half the gain at any frequency; the fit may take half of that.
 MAX_RESIDUAL = 0.25
 RESIDUAL_LINES = 3  # of the running median: a single line is noise
-STEP = 1e-6  # of central differences, of parameters that are all about one
 TINY = float(np.finfo(np.float64).tiny)
 STRUCTURES = (
     Structure(modes=0, lags=1),
@@ -143,8 +145,8 @@ def fit_response(
     lines = _lines(record, axis, fast, variance, is_outlier)
     dynamics = _best_fit(lines, declared)
     if slow is not None and slow.is_taken:
-        measured = response[is_coherent & ~is_outlier]
-        dynamics, slow = _fit_with_slow_part(_used(lines), measured, dynamics, slow)
+        whole = _used(_lines(record, axis, response, variance, is_outlier))
+        dynamics, slow = fit_with_slow_part(whole, dynamics, slow)
         lines = _lines(record, axis, response / slow.response(f), variance, is_outlier)
     used_lines = _used(lines)
     f, values = used_lines.frequency_Hz, used_lines.response[:, 0, 0]
@@ -200,8 +202,6 @@ def _lines(
         least_coherence=LEAST_COHERENCE,
         variance_freedom=float(len(response)),
         drive_rms_V=np.zeros(1),
-        realisations=1,
-        periods=1,
     )
 
 
@@ -287,96 +287,6 @@ def _regression(columns: Array, values: Array) -> tuple[float, float]:
     spare = max(len(values) - columns.shape[1], 1)
     inverse = np.linalg.inv(columns.T @ columns)
     return float(coefficients[0]), float(np.sqrt(inverse[0, 0] * (residual @ residual) / spare))
-
-
-def _fit_with_slow_part(
-    lines: FrequencyResponse, whole: ComplexArray, dynamics: LinearDynamics, slow: SlowPart
-) -> tuple[LinearDynamics, SlowPart]:
-    """Fit modes and slow part together from a separate fit of each, and return both.
-
-        G = F e^(-j 2 pi f delay) (f / f1)^power e^(j phase) [ modes + lags + D ]
-
-    lines     in use, with their variances; of one path
-    whole     (lines,)  the measured response, slow part included
-    """
-    from scipy.optimize import least_squares
-
-    f, d = lines.frequency_Hz, dynamics
-    n, m = len(d.mode_frequency_Hz), len(d.lag_frequency_Hz)
-    shapes, has_direct = 2 * n + m + 1, d.direct_gain_m_per_V != 0.0
-    declared = Declaration(hold="band_limited", filters=d.declared)
-    chain = declared.response(f, lines.sampling_rate_Hz)
-    delay_unit_s = 1.0 / (2.0 * np.pi * float(f[-1]))
-    gain_unit = abs(d.static_gain_m_per_V)
-    weight = 1.0 / np.sqrt(lines.variance[:, 0, 0])
-
-    def error(x: Array) -> Array:
-        gains, ratio = x[shapes:], f[:, None] / np.exp(x[:n])
-        inner = (1.0 / (1.0 - ratio**2 + 2j * np.exp(x[n : 2 * n]) * ratio)) @ gains[:n]
-        inner = (
-            inner
-            + (1.0 / (1.0 + 1j * f[:, None] / np.exp(x[2 * n : 2 * n + m]))) @ (gains[n : n + m])
-        )
-        inner = inner + (gains[n + m] if has_direct else 0.0)
-        creep = (f / slow.from_Hz) ** x[-2] * np.exp(1j * x[-1])
-        delay = np.exp(-2j * np.pi * f * x[shapes - 1] * delay_unit_s)
-        residual = weight * (whole - gain_unit * chain * delay * creep * inner)
-        return np.concatenate([residual.real, residual.imag])
-
-    gains = np.concatenate([d.mode_gain_m_per_V, d.lag_gain_m_per_V])
-    start = np.concatenate(
-        [
-            np.log(np.concatenate([d.mode_frequency_Hz, d.mode_damping, d.lag_frequency_Hz])),
-            [max(d.delay_s / delay_unit_s, STEP)],
-            np.append(gains, d.direct_gain_m_per_V)[: n + m + has_direct] / gain_unit,
-            [slow.slope_dB / 20.0, np.radians(slow.phase_deg)],
-        ]
-    )
-    low = np.full(len(start), -np.inf)
-    low[shapes - 1] = 0.0
-    x = least_squares(error, start, bounds=(low, np.inf), x_scale="jac", max_nfev=60).x
-    covariance, cost = _covariance(error, x, len(f))
-    gains = x[shapes:] * gain_unit
-    units = np.append(np.ones(shapes - 1), delay_unit_s)
-    static = covariance[shapes:-2, shapes:-2].sum() * gain_unit**2
-    freedom = lines.variance_freedom
-    refined = replace(
-        d,
-        mode_frequency_Hz=np.exp(x[:n]),
-        mode_damping=np.exp(x[n : 2 * n]),
-        lag_frequency_Hz=np.exp(x[2 * n : 2 * n + m]),
-        delay_s=float(x[shapes - 1] * delay_unit_s),
-        mode_gain_m_per_V=gains[:n],
-        lag_gain_m_per_V=gains[n : n + m],
-        direct_gain_m_per_V=float(gains[n + m]) if has_direct else 0.0,
-        shape_covariance=covariance[:shapes, :shapes] * np.outer(units, units),
-        static_gain_std_m_per_V=float(np.sqrt(static)),
-        cost=cost,
-        expected_cost=(len(f) - len(x) / 2.0) * freedom / (freedom - 1.0),
-    )
-    power_std, phase_std = np.sqrt(np.diag(covariance)[-2:]).tolist()
-    band_Hz = slow.low_Hz, slow.high_Hz
-    part = SlowPart.of(float(x[-2]), power_std, float(x[-1]), phase_std, band_Hz, slow.from_Hz)
-    return refined, replace(part, is_taken=slow.is_taken)
-
-
-def _covariance(error: Callable[[Array], Array], x: Array, lines: int) -> tuple[Array, float]:
-    """Return the covariance of parameters, and the cost there.
-
-    The wider of the curvature and of the sandwich over lines, as in ``fit_dynamics``.
-    """
-    steps = STEP * np.eye(len(x))
-    slopes = np.stack([(error(x + e) - error(x - e)) / (2.0 * STEP) for e in steps], axis=1)
-    residual = error(x)
-    cost, spare = float(residual @ residual), max(lines - len(x) / 2.0, 1.0)
-    scale = np.maximum(np.linalg.norm(slopes, axis=0), TINY)
-    inverse = np.linalg.pinv((slopes / scale).T @ (slopes / scale), rcond=1e-14, hermitian=True)
-    inverse /= np.outer(scale, scale)
-    expected = 0.5 * max(1.0, cost / spare) * inverse
-    scores = (slopes * residual[:, None]).reshape(2, lines, -1).sum(axis=0)
-    sandwich = inverse @ (scores.T @ scores * lines / spare) @ inverse
-    wider = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(expected), TINY), 1.0))
-    return np.asarray(expected * np.outer(wider, wider)), cost
 
 
 def _rough_variance(response: ComplexArray) -> Array:

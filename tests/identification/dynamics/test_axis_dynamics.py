@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import piezoid_datasets
-from piezoid.identification.dynamics.axis_dynamics import fit_axis_dynamics, with_dynamics
+from piezoid.identification.dynamics.axis_dynamics import with_dynamics
 from piezoid.identification.dynamics.excitation import excites_dynamics
 from piezoid.identification.fit import rig_of
 from piezoid.identification.hysteresis.estimate import estimate_axis
@@ -78,8 +78,8 @@ def test_a_slow_triangle_does_not_count_as_exciting_dynamics(rng: np.random.Gene
     triangle = 10.0 * np.abs(2.0 * ((3.0 * time_s) % 1.0) - 1.0)
     slow = recorded(triangle, rng, "slow.csv")
     assert excites_dynamics([slow], "x") == ()
-    assert fit_axis_dynamics(axis_model(), [slow]).dynamics is None
-    assert fit_axis_dynamics(axis_model(), [slow]).remarks == ()
+    assert with_dynamics(axis_model(), [slow]).dynamics is None
+    assert with_dynamics(axis_model(), [slow]).dynamics_remarks == ()
 
 
 def swept(low_Hz: float, high_Hz: float, amplitude_V: float, samples: int = 30000) -> Array:
@@ -94,7 +94,7 @@ def test_a_sweep_through_the_resonance_alone_excites_it(rng: np.random.Generator
     found = excites_dynamics([narrow], "x")
     assert [recording.name for recording, _ in found] == ["narrow.csv"]
     assert found[0][1] == pytest.approx(900.0, rel=0.3)
-    dynamics = fit_axis_dynamics(axis_model(), [narrow]).dynamics
+    dynamics = with_dynamics(axis_model(), [narrow]).dynamics
     assert dynamics is not None
     strongest = int(np.abs(dynamics.mode_gain_m_per_V).argmax())
     assert dynamics.mode_frequency_Hz[strongest] == pytest.approx(MODE_Hz, rel=0.01)
@@ -106,7 +106,7 @@ def test_a_small_sweep_behind_a_slow_loop_excites_dynamics(rng: np.random.Genera
     sweep = swept(5.0, 1500.0, 0.3)
     both = recorded(np.concatenate([loop, sweep]), rng, "both.csv")
     assert len(excites_dynamics([both], "x")) == 1
-    dynamics = fit_axis_dynamics(axis_model(), [both]).dynamics
+    dynamics = with_dynamics(axis_model(), [both]).dynamics
     assert dynamics is not None
     strongest = int(np.abs(dynamics.mode_gain_m_per_V).argmax())
     assert dynamics.mode_frequency_Hz[strongest] == pytest.approx(MODE_Hz, rel=0.02)
@@ -134,10 +134,10 @@ def test_where_noise_covers_everything_it_is_said_that_nothing_was_fitted(
 ) -> None:
     drive, moved = chirped.channels
     noise = replace(moved, values=1e-6 * rng.standard_normal(chirped.samples))
-    found = fit_axis_dynamics(axis_model(), [replace(chirped, channels=(drive, noise))])
+    found = with_dynamics(axis_model(), [replace(chirped, channels=(drive, noise))])
     assert found.dynamics is None
-    assert len(found.remarks) == 1
-    assert "no linear dynamics" in found.remarks[0]
+    assert len(found.dynamics_remarks) == 1
+    assert "no linear dynamics" in found.dynamics_remarks[0]
 
 
 def test_the_model_with_dynamics_comes_back_to_the_last_bit(axis: AxisModel) -> None:
@@ -172,7 +172,7 @@ def test_sines_that_determine_no_mode_are_said_to_determine_none() -> None:
     lab = read_lab(piezoid_datasets.LAB)
     (rates,) = ingest_all(piezoid_datasets.recordings()[2:3], lab)
     axis = estimate_axis([rates], "x", rig_of(lab, "x"), orders=((4, 1),))
-    found = fit_axis_dynamics(axis, [rates])
+    found = with_dynamics(axis, [rates])
     assert found.dynamics is None
-    assert found.remarks
-    assert all(rates.name in remark for remark in found.remarks)
+    assert found.dynamics_remarks
+    assert all(rates.name in remark for remark in found.dynamics_remarks)

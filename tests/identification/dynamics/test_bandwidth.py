@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.identification.dynamics.axis_dynamics import fit_axis_dynamics
+from piezoid.identification.dynamics.axis_dynamics import with_dynamics
 from piezoid.identification.dynamics.bandwidth import BandwidthVerdict, decide_bandwidth
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.periodic_estimate import estimate_response
@@ -97,19 +97,19 @@ def test_a_gain_without_lines_at_rest_decides_nothing(rng: np.random.Generator) 
 
 def test_a_fit_tells_the_stage_s_resonance_and_compares_what_was_stated() -> None:
     chirped = recorded(chirp(), np.random.default_rng(41))
-    found = fit_axis_dynamics(axis_model(), [chirped], stated_Hz=400.0)
+    found = with_dynamics(axis_model(), [chirped], stated_Hz=400.0)
     assert found.bandwidth is not None
     assert found.bandwidth.kind == "resonance"
-    assert found.bandwidth.text in found.remarks
+    assert found.bandwidth.text in found.dynamics_remarks
     assert from_json(BandwidthVerdict, to_json(found.bandwidth)) == found.bandwidth
 
 
 def test_a_stated_bandwidth_no_recording_reaches_is_said_to_be_open() -> None:
     slow = recorded(5.0 + np.sin(np.arange(5000) / 500.0), np.random.default_rng(41))
-    found = fit_axis_dynamics(axis_model(), [slow], stated_Hz=630.0)
+    found = with_dynamics(axis_model(), [slow], stated_Hz=630.0)
     assert found.bandwidth is not None
     assert found.bandwidth.kind == "undecided"
-    assert found.bandwidth.text in found.remarks
+    assert found.bandwidth.text in found.dynamics_remarks
 
 
 def slewed(frequency_Hz: np.ndarray, limited_from_Hz: float) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.dynamics.axis_dynamics import fit_axis_dynamics
+from piezoid.identification.dynamics.axis_dynamics import with_dynamics
 from piezoid.identification.dynamics.modal_basis import Filter
 from piezoid.identification.dynamics.response_fit import fit_response
 from piezoid.identification.hysteresis.estimate import estimate_axis
@@ -128,7 +128,7 @@ def test_the_response_becomes_the_dynamics_and_the_hysteresis_keeps_its_gain(
 ) -> None:
     axis, recording = slow_axis(rng, polarity)
     measured = record(noisy(rng, response(FREQUENCY_Hz), 0.003))
-    found = fit_axis_dynamics(axis, [recording], response=measured)
+    found = with_dynamics(axis, [recording], response=measured)
     assert found.dynamics is not None
     assert found.response is not None
     assert found.bandwidth is not None
@@ -136,7 +136,7 @@ def test_the_response_becomes_the_dynamics_and_the_hysteresis_keeps_its_gain(
     assert np.sign(found.dynamics.static_gain_m_per_V) == axis.polarity == polarity
     middle = 0.5 * sum(axis.hysteresis.slope_sector_m_per_V)
     assert found.response.gain_ratio == pytest.approx(2e-7 / middle, rel=0.01)
-    said = " ".join(found.remarks)
+    said = " ".join(found.dynamics_remarks)
     assert "a mode at 812" in said
     assert "quality 30" in said
     assert "the hysteresis keeps its own gain" in said
@@ -147,10 +147,10 @@ def test_the_response_becomes_the_dynamics_and_the_hysteresis_keeps_its_gain(
 def test_a_response_in_other_units_is_not_used(factor: float, rng: np.random.Generator) -> None:
     axis, recording = slow_axis(rng)
     measured = record(factor * noisy(rng, response(FREQUENCY_Hz), 0.003))
-    found = fit_axis_dynamics(axis, [recording], response=measured)
+    found = with_dynamics(axis, [recording], response=measured)
     assert found.dynamics is None
-    assert "response.csv is not used: its gain is" in found.remarks[0]
-    assert "Another unit, another axis" in found.remarks[0]
+    assert "response.csv is not used: its gain is" in found.dynamics_remarks[0]
+    assert "Another unit, another axis" in found.dynamics_remarks[0]
 
 
 def chirp_of(mode_Hz: float, rng: np.random.Generator) -> Recording:
@@ -176,18 +176,20 @@ def chirp_of(mode_Hz: float, rng: np.random.Generator) -> Recording:
 def test_a_response_that_contradicts_a_recording_is_not_used(rng: np.random.Generator) -> None:
     axis, recording = slow_axis(rng)
     measured = record(noisy(rng, response(FREQUENCY_Hz), 0.003))
-    other = fit_axis_dynamics(axis, [recording, chirp_of(430.0, rng)], response=measured)
+    other = with_dynamics(axis, [recording, chirp_of(430.0, rng)], response=measured)
     assert other.response is None
-    assert "chirp.csv has a mode at 430 Hz, where the response has none" in other.remarks[0]
-    same = fit_axis_dynamics(axis, [recording, chirp_of(812.0, rng)], response=measured)
+    assert (
+        "chirp.csv has a mode at 430 Hz, where the response has none" in other.dynamics_remarks[0]
+    )
+    same = with_dynamics(axis, [recording, chirp_of(812.0, rng)], response=measured)
     assert same.response is not None
-    assert "chirp.csv shows the same mode" in same.remarks[0]
+    assert "chirp.csv shows the same mode" in same.dynamics_remarks[0]
 
 
 def test_records_come_back_as_they_were_written(rng: np.random.Generator) -> None:
     axis, recording = slow_axis(rng)
     measured = record(noisy(rng, response(FREQUENCY_Hz), 0.003))
-    found = fit_axis_dynamics(axis, [recording], response=measured).response
+    found = with_dynamics(axis, [recording], response=measured).response
     assert found is not None
     for one in (found, replace(found, slow=None)):
         assert from_json(type(one), to_json(one)) == one
