@@ -158,7 +158,9 @@ def _progress(total: int, *, quiet: bool) -> Iterator[Callable[[int, str], None]
     console = Console(stderr=True)
     if quiet or EVERYTHING.get() or not console.is_terminal:
         with shown(quiet=quiet) as report:
-            yield lambda count, name: report(f"{count} of {total} stages done: {name}")
+            yield lambda count, name: report(
+                f"{count} of {total} stages done{': ' * bool(name)}{name}"
+            )
         return
     columns = (doing(), bar.BarColumn(), bar.MofNCompleteColumn())
     times = (bar.TimeElapsedColumn(), bar.TimeRemainingColumn())
@@ -173,7 +175,7 @@ def _show(fleet: "Fleet", n_earlier: int, out: str) -> None:
     from rich.console import Console
 
     from piezoid_cli.result_store import SUMMARY
-    from piezoid_reports.fleet.records import PASSED, STATES
+    from piezoid_reports.fleet.records import PASSED, STAGES, STATES
 
     console, count = Console(), fleet.counts
     rows = [
@@ -194,8 +196,9 @@ def _show(fleet: "Fleet", n_earlier: int, out: str) -> None:
     n_omitted = len(fleet.stages) - count.get(PASSED, 0) - MAX_REASONS
     if n_omitted > 0:
         console.print(f"and {n_omitted} more, with their reasons in parameters.parquet")
-    paths = [f"{out.rstrip('/')}/{name}" for name in SUMMARY[:2]]
-    console.print(plain(f"summary: {', '.join(paths)}"))
+    summary, *others = (f"{out.rstrip('/')}/{name}" for name in (*SUMMARY[:2], f"{STAGES}/"))
+    console.print(plain(f"summary: {summary}"))
+    console.print(plain(f"also: {', '.join(others)}"))
 
 
 def write_table(fleet: "Fleet", stream: BinaryIO) -> None:

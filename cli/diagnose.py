@@ -1,13 +1,13 @@
-"""`piezoid diagnose`: recordings in, what the simulation gets wrong and why out."""
+"""`piezoid diagnose`: recordings in; the effects that the simulation lacks out."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.statements import show_statements
+from piezoid_cli.statements import budget_lines, show_statements
 from piezoid_cli.terminal import (
     Force,
     JsonFile,
@@ -22,6 +22,7 @@ from piezoid_cli.terminal import (
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from piezoid.diagnosis.compare import ModelComparison
     from piezoid.diagnosis.diagnosis import Diagnosis
     from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.records.recording import Recording
@@ -53,76 +54,82 @@ def diagnose(
     piezoid diagnose stage42/model.json today.csv --lab lab.toml --out today42/
     """
     from piezoid.output_folder import check_folder, write_folder
+    from piezoid.raw_counts import in_counts
     from piezoid_cli.progress import shown
-    from piezoid_cli.workers import usable_cores
 
-    written = ("diagnosis.json", "diagnosis.html")
-    read = [*files, *([] if lab is None else [lab])]
-    check_folder(out, force=force, new=True, names=written, inputs=read)
+    inputs = [*files, *([] if lab is None else [lab])]
+    names = ("diagnosis.json", "diagnosis.html")
+    check_folder(out, force=force, new=True, names=names, inputs=inputs)
     with shown(quiet=quiet or json) as progress:
         progress("reading recordings")
-        from piezoid.diagnosis.compare import compare
-        from piezoid.diagnosis.diagnose import diagnose as find_effects
-        from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
-        from piezoid.identification.actuator_model import ActuatorModel
-        from piezoid.identification.coupled.from_recordings import as_single_axes
-        from piezoid.identification.fit import moving
-        from piezoid.raw_counts import errors_in_counts, in_counts, texts_in_counts
-        from piezoid.records.checks import refuse_unusable
-        from piezoid.records.collection import collect
-        from piezoid.records.lab import read_lab
-        from piezoid.records.recording import counted_in
-        from piezoid_reports.render import render_diagnosis
-
-        declared = None if lab is None else read_lab(lab)
-        earlier, digest, recording_files = _model_in_front(files)
-        recordings = as_single_axes(
-            collect(recording_files, declared).recordings,
-            declared,
-            None if earlier is None else earlier.coupled,
-            progress=progress,
-        )
-        refuse_unusable(recordings)
-        earlier_axes = {} if earlier is None else earlier.axes
-        axis = axis or next(iter(earlier_axes), None)
-        earlier_axis = earlier_axes.get(axis or "")
-        with errors_in_counts(counted_in(recordings)):
-            diagnosis = find_effects(
-                recordings,
-                axis=axis,
-                lab=declared,
-                # Its initial states belong to the recordings of then.
-                model=None if earlier_axis is None else replace(earlier_axis, starts=()),
-                progress=progress,
-                threads=usable_cores(),
-            )
-            comparison = None
-            if earlier is not None:
-                new = moving(recordings, diagnosis.axis)
-                comparison = compare(
-                    earlier[diagnosis.axis], new, digest=digest, progress=progress
-                )
-        diagnosis = texts_in_counts(diagnosis)
-        since = None if comparison is None else comparison.to_json()
-        content = write_diagnosis(diagnosis, since=since)
-        model = ActuatorModel(
-            stage=("" if declared is None else declared.name) or recordings[0].name,
-            axes={} if diagnosis.model is None else {diagnosis.axis: diagnosis.model},
-            sources={recording.name: recording.digest for recording in recordings},
-            lab=None if declared is None else declared.digest or None,
-        )
-        page = render_diagnosis(
-            model, recordings, diagnosis, comparison=comparison, written=content
-        )
-        pages = {"diagnosis.json": content, "diagnosis.html": page.encode()}
-        write_folder(out, pages, force=force)
+        recordings, diagnosis, comparison, contents = _diagnosed(files, lab, axis, progress)
+        write_folder(out, contents, force=force)
     if json:
-        hand_over(content)
+        hand_over(contents["diagnosis.json"])
     elif not quiet:
-        _show(diagnosis, out)
+        _show(diagnosis)
         _show_unused(recordings, diagnosis.axis)
         if comparison is not None:
             say(in_counts(comparison.statement.text, comparison.counted))
+        say(f"diagnosis: {', '.join(str(out / name) for name in names)}")
+
+
+def _diagnosed(
+    files: list[Path], lab: Path | None, axis: str | None, progress: "Callable[[str], None]"
+) -> "tuple[Sequence[Recording], Diagnosis, ModelComparison | None, dict[str, bytes]]":
+    """Return the recordings, their diagnosis, the comparison with a model, and the files."""
+    from piezoid.diagnosis.compare import compare
+    from piezoid.diagnosis.diagnose import diagnose as find_effects
+    from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
+    from piezoid.identification.actuator_model import ActuatorModel
+    from piezoid.identification.coupled.from_recordings import as_single_axes
+    from piezoid.identification.fit import moving
+    from piezoid.raw_counts import errors_in_counts, texts_in_counts
+    from piezoid.records.checks import refuse_unusable
+    from piezoid.records.collection import collect
+    from piezoid.records.lab import read_lab
+    from piezoid.records.recording import counted_in
+    from piezoid_cli.workers import usable_cores
+    from piezoid_reports.render import render_diagnosis
+
+    declared = None if lab is None else read_lab(lab)
+    earlier, digest, recording_files = _model_in_front(files)
+    collected = collect(recording_files, declared).recordings
+    coupled = None if earlier is None else earlier.coupled
+    recordings = as_single_axes(collected, declared, coupled, progress=progress)
+    refuse_unusable(recordings)
+    earlier_axes = {} if earlier is None else earlier.axes
+    axis = axis or next(iter(earlier_axes), None)
+    earlier_axis, comparison = earlier_axes.get(axis or ""), None
+    with errors_in_counts(counted_in(recordings)):
+        diagnosis = find_effects(
+            recordings,
+            axis=axis,
+            lab=declared,
+            # The initial states of the model belong to the recordings of its fit.
+            model=None if earlier_axis is None else replace(earlier_axis, starts=()),
+            progress=progress,
+            threads=usable_cores(),
+        )
+        if earlier is not None:
+            comparison = compare(
+                earlier[diagnosis.axis],
+                moving(recordings, diagnosis.axis),
+                digest=digest,
+                progress=progress,
+            )
+    diagnosis = texts_in_counts(diagnosis)
+    since = None if comparison is None else comparison.to_json()
+    content = write_diagnosis(diagnosis, since=since)
+    model = ActuatorModel(
+        stage=("" if declared is None else declared.name) or recordings[0].name,
+        axes={} if diagnosis.model is None else {diagnosis.axis: diagnosis.model},
+        sources={recording.name: recording.digest for recording in recordings},
+        lab=None if declared is None else declared.digest or None,
+    )
+    page = render_diagnosis(model, recordings, diagnosis, comparison=comparison, written=content)
+    contents = {"diagnosis.json": content, "diagnosis.html": page.encode()}
+    return recordings, diagnosis, comparison, contents
 
 
 def _model_in_front(files: list[Path]) -> "tuple[ActuatorModel | None, str, list[Path]]":
@@ -155,7 +162,7 @@ def _show_unused(recordings: "Sequence[Recording]", axis: str) -> None:
         )
 
 
-def _show(diagnosis: "Diagnosis", out: Path) -> None:
+def _show(diagnosis: "Diagnosis") -> None:
     """Print the effects, the errors with and without them, and what needs action."""
     from rich.console import Console
 
@@ -172,13 +179,13 @@ def _show(diagnosis: "Diagnosis", out: Path) -> None:
         f"axis {diagnosis.axis}: held-out error {baseline} without the findings, {final} with "
         f"them; sensor noise {with_unit(diagnosis.noise_floor_rms_m, 'm')}"
     )
-    console.print(plain(in_counts(line, counted)))
+    for text in (in_counts(line, counted), *budget_lines([diagnosis])):
+        console.print(plain(text))
     statements = diagnosis_statements(diagnosis)
     minimum = Level.ACTION if diagnosis.findings else Level.NOTE
     if any(statement.quantity == "no_effect_tested" for statement in statements):
         minimum = min(minimum, Level.WARNING)
     show_statements(record_in_counts(statements, counted), minimum)
-    console.print(plain(f"details: {out / 'diagnosis.html'}"))
 
 
 def _table(diagnosis: "Diagnosis") -> "Table":

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piezoid_cli.statements import show_statements
+from piezoid_cli.statements import budget_lines, show_statements
 from piezoid_cli.terminal import (
     Force,
     Json,
@@ -149,8 +149,8 @@ def show(calibration: "Calibration") -> None:
 
     console, model, controllers = Console(), calibration.model, calibration.controllers
     console.print(_table(calibration))
-    lines = (*_budgets(calibration), *_tip(model.tunnelling), *_coupled(model.coupled))
-    for line in lines:
+    budgets = budget_lines(calibration.diagnoses, "; closure: error / noise")
+    for line in (*budgets, *_tip(model.tunnelling), *_coupled(model.coupled)):
         console.print(plain(line))
     verification = controllers.verification
     if verification is not None:
@@ -229,26 +229,6 @@ def _loop_cells(
         bound,
         f"{grade}{'ships' if ships else 'does not ship'}",
     )
-
-
-def _budgets(calibration: "Calibration") -> list[str]:
-    """Return the error budget of each diagnosed axis as a line."""
-    from piezoid.formatting import with_unit
-    from piezoid.raw_counts import in_counts
-    from piezoid_reports.sections.error_budget import label_of, visible_parts
-
-    lines = []
-    for diagnosis in calibration.diagnoses:
-        terms = ", ".join(
-            f"{label_of(part)} {with_unit(part.rms_m, 'm')}{'*' if part.is_explained else ''}"
-            for part in visible_parts(diagnosis)
-        )
-        total = with_unit(diagnosis.baseline.rms_m, "m")
-        line = f"error budget {diagnosis.axis}: {total} = {terms}"
-        lines.append(in_counts(line, diagnosis.counted))
-    if any("*" in line for line in lines):
-        lines.append("(rms; squares add up; * removed by the model; closure: error / noise)")
-    return lines
 
 
 def _tip(tip: "TunnellingModel | None") -> list[str]:

@@ -1,5 +1,6 @@
-"""`piezoid learn`: a period of motion in, and perhaps its recording; the next table out."""
+"""`piezoid learn`: one period of motion and, if any, its recording in; the next table out."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -99,7 +100,7 @@ def learn(
     if json:
         hand_over(learned.to_json())
     elif not quiet:
-        for line in _lines(learned, out):
+        for line in _lines(learned, out, files):
             say(line)
 
 
@@ -116,18 +117,24 @@ def _select_axis(axes: list[str], requested: str | None) -> str:
     return requested
 
 
-def _lines(learned: "Learned", out: Path) -> list[str]:
+def _lines(learned: "Learned", out: Path, files: Iterable[str]) -> list[str]:
+    """Return what learning can achieve, the errors so far, and what to do next."""
     from piezoid.formatting import with_unit
 
     lines = [
-        f"axis {learned.axis}, {with_unit(learned.frequency_Hz, 'Hz')}: a period leaves at most "
-        f"{learned.contraction:.2g} of the error, on plant '{learned.worst_plant}'; harmonics up "
-        f"to {with_unit(learned.learns_to_Hz, 'Hz')} are learnt",
-        f"the first table leaves {with_unit(learned.model_error_m, 'm')} rms on the identified "
-        "plant",
+        f"axis {learned.axis}, period of {with_unit(learned.frequency_Hz, 'Hz')}: a recorded "
+        f"period reduces the error to at most {learned.contraction:.2g} of it, up to "
+        f"{with_unit(learned.learns_to_Hz, 'Hz')} (worst plant: {learned.worst_plant})",
+        f"simulated error of the first table: {with_unit(learned.model_error_m, 'm')} rms on the "
+        "identified plant",
     ]
     if learned.errors_m and learned.noise_m is not None:
         errors = ", ".join(with_unit(error_m, "m") for error_m in learned.errors_m)
         noise = with_unit(learned.noise_m, "m")
-        lines.append(f"recorded periods missed by {errors}; noise {noise}")
-    return [*lines, f"table: {out / learned.axis}.csv"]
+        lines.append(f"recorded errors, oldest first: {errors} rms; noise of the last {noise} rms")
+    return [
+        *lines,
+        f"table: {', '.join(str(out / name) for name in files)}",
+        f"next: play it, record the settled motion from point 0 on, and learn again with --table "
+        f"{out / 'learning.json'} --period FILE",
+    ]

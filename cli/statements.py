@@ -1,6 +1,6 @@
-"""Statements on the terminal: the few that need action, or all of them with --verbose."""
+"""Error budgets and statements on the terminal: those that need action, or all with --verbose."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from textwrap import fill
 from typing import TYPE_CHECKING
 
@@ -8,6 +8,7 @@ from piezoid_cli.progress import EVERYTHING
 from piezoid_cli.terminal import plain
 
 if TYPE_CHECKING:
+    from piezoid.diagnosis.diagnosis import Diagnosis
     from piezoid.statement import Level, Statement
 
 MAX_SHOWN = 5
@@ -40,3 +41,23 @@ def show_statements(statements: "Iterable[Statement]", minimum: "Level | None" =
     if len(selected) > len(shown):
         omitted = len(selected) - len(shown)
         console.print(plain(f"  {omitted} more in the report and with --verbose"))
+
+
+def budget_lines(diagnoses: "Sequence[Diagnosis]", legend: str = "") -> list[str]:
+    """Return the error budget of each diagnosed axis as a line, and a line that explains them."""
+    from piezoid.formatting import with_unit
+    from piezoid.raw_counts import in_counts
+    from piezoid_reports.sections.error_budget import label_of, visible_parts
+
+    lines = []
+    for diagnosis in diagnoses:
+        terms = ", ".join(
+            f"{label_of(part)} {with_unit(part.rms_m, 'm')}{'*' if part.is_explained else ''}"
+            for part in visible_parts(diagnosis)
+        )
+        total = with_unit(diagnosis.baseline.rms_m, "m")
+        line = f"error budget {diagnosis.axis}: {total} = {terms}"
+        lines.append(in_counts(line, diagnosis.counted))
+    if any("*" in line for line in lines):
+        lines.append(f"(rms; squares add up; * removed by the model{legend})")
+    return lines

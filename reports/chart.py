@@ -16,12 +16,8 @@ from piezoid.formatting import Scale
 from piezoid.numerics.arrays import Array
 from piezoid_reports.quantities import MINUS, scale_for
 
-MOST_SPLIT = 50_000  # samples that are worth splitting one by one
+MAX_SPLIT = 50_000  # samples of a curve that are split one by one
 Indices = NDArray[np.int_]
-Chord = tuple[int, int]
-"""The places of its ends."""
-Worst = tuple[float, int]
-"""Minus the largest distance from a chord, and where."""
 
 MAX_INTERVALS = 7  # between labels
 FEWEST_LABELS = 3  # labels of an axis over decades
@@ -126,35 +122,26 @@ class Canvas:
     width: int = WIDTH
     height: int = HEIGHT
 
-    def line(self, role: str, name: str, x: Array, y: Array, *, points: int = 2400) -> Layer:
-        """Draw a curve."""
-        return self.line_within(role, name, x, y, points=points)[0]
-
-    def line_within(
+    def line(
         self, role: str, name: str, x: Array, y: Array, *, points: int = 2400, timed: bool = False
-    ) -> tuple[Layer, float]:
-        """Draw a curve; return it and how far, in SI units of y, it may be from its samples.
+    ) -> Layer:
+        """Draw a curve with at most so many points.
 
         timed  keep when each point was, for a curve whose samples are evenly spaced in time
         """
         across, up = self.x.places(x, self.width), self.y.places(y, self.height)
         parts = whole_parts(across + up)
         total = max(sum(part.stop - part.start for part in parts), 1)
-        path, furthest = "", 0.0
+        path = ""
         times: list[int] = []
         for part in parts:
             share = max(2, int(points * (part.stop - part.start) / total))
             a, b = across[part], up[part]
-            indices, distance = thinned(a, b, tolerance=INVISIBLE, points=share)
+            indices, _ = thinned(a, b, tolerance=INVISIBLE, points=share)
             path += self._path(a[indices], b[indices], is_whole=timed)
-            furthest = max(furthest, distance)
             if timed:
                 times += (TIMES * (indices + part.start) // len(x)).tolist()
-        per_step = self.y.scale.factor * (self.y.high - self.y.low) / (self.height * FINE)
-        sample_times = " ".join(map(str, times))
-        return Layer(
-            role=role, name=name, path=path, kind="line", times=sample_times
-        ), furthest * per_step
+        return Layer(role=role, name=name, path=path, kind="line", times=" ".join(map(str, times)))
 
     def dots(self, role: str, name: str, x: Array, y: Array) -> Layer:
         """Draw a dot for every pair of finite values: a stroke of no length with a round end."""
@@ -249,77 +236,49 @@ def _power(mantissa: int, power: int) -> str:
 def thinned(x: Array, y: Array, *, tolerance: float, points: int) -> tuple[Indices, float]:
     """Choose the points of a polyline that stays close to a curve.
 
-    The chord that is worst is split at its worst point, until none is worse than the tolerance or
-    the points are spent (Douglas and Peucker 1973, in order of need).
+    The chord with the largest distance is split at its farthest sample, until no distance exceeds
+    the tolerance or the points are spent (Douglas and Peucker 1973, largest distance first).
 
     x, y       (samples,)  in the same unit
-    tolerance  distance that nobody sees
-    points     the most that may be kept
-    returned   (kept,) places, and the largest distance of what was left out
+    tolerance  distance that cannot be seen
+    points     the largest number of points
+    returned   (points,) indices, and the largest distance of a sample from the polyline
     """
-    samples, cell = _moving(x, y, 0.5 * tolerance)
-    chords = _chords(x[samples], y[samples], tolerance)
-    chosen_samples, full_chord = {0, len(samples) - 1}, (0, len(samples) - 1)
-    waiting = [(*chords[full_chord], *full_chord)]
-    while waiting and len(chosen_samples) < points and -waiting[0][0] > tolerance:
-        _, middle, first, last = heapq.heappop(waiting)
-        chosen_samples.add(middle)
-        for part in ((first, middle), (middle, last)):
-            if part in chords:
-                heapq.heappush(waiting, (*chords[part], *part))
-    distance = max(-waiting[0][0], 0.0) if waiting else 0.0
-    return samples[sorted(chosen_samples)], float(distance + math.sqrt(2.0) * cell)
+    samples, cell = _cell_entries(x, y, 0.5 * tolerance)
+    x, y = x[samples], y[samples]
+    selected, chords = {0, len(x) - 1}, [_farthest(x, y, 0, len(x) - 1)]
+    while -chords[0][0] > tolerance and len(selected) < points:
+        _, middle, first, last = heapq.heappop(chords)
+        selected.add(middle)
+        heapq.heappush(chords, _farthest(x, y, first, middle))
+        heapq.heappush(chords, _farthest(x, y, middle, last))
+    return samples[sorted(selected)], float(-chords[0][0] + math.sqrt(2.0) * cell)
 
 
-def _moving(x: Array, y: Array, cell: float) -> tuple[Indices, float]:
+def _cell_entries(x: Array, y: Array, cell: float) -> tuple[Indices, float]:
     """Return the samples at which the curve enters another cell, and the size of the cells.
 
-    Cells grow until few enough samples are left to be split in a moment.
+    Cells grow until few enough samples remain to be split one by one.
     """
     while True:
         number = np.floor(np.stack([x, y]) / cell)
         enters = np.any(np.diff(number, axis=1) != 0.0, axis=0)
-        if enters.sum() <= MOST_SPLIT:
+        if enters.sum() <= MAX_SPLIT:
             return np.unique(np.concatenate([[0], 1 + np.flatnonzero(enters), [len(x) - 1]])), cell
         cell *= 2.0
 
 
-def _chords(x: Array, y: Array, tolerance: float) -> dict[Chord, Worst]:
-    """Return every chord that splitting can come to, with its worst point.
-
-    Where a chord is split does not depend on when: all that are split together are looked at
-    together, thousands of short ones at once.
-    """
-    first, last = np.array([0]), np.array([len(x) - 1])
-    chords: dict[Chord, Worst] = {(0, len(x) - 1): (0.0, 0)}
-    while True:
-        inside = last - first > 1
-        first, last = first[inside], last[inside]
-        if not len(first):
-            return chords
-        distance, middle = _worst(x, y, first, last)
-        pairs = zip(first.tolist(), last.tolist(), strict=True)
-        chords |= zip(pairs, zip((-distance).tolist(), middle.tolist(), strict=True), strict=True)
-        split = distance > tolerance
-        edges = np.stack([first[split], middle[split], last[split]], axis=1)
-        first, last = edges[:, :2].ravel(), edges[:, 1:].ravel()
-
-
-def _worst(x: Array, y: Array, first: Indices, last: Indices) -> tuple[Array, Indices]:
-    """Return the largest distance from each chord, and where; chords follow one another."""
-    counts = last - first - 1
-    starts = np.cumsum(counts) - counts
-    chord = np.repeat(np.arange(len(first)), counts)
-    sample = np.arange(len(chord)) + (first + 1 - starts)[chord]
-    a, b = x[sample] - x[first][chord], y[sample] - y[first][chord]
-    across, up = (x[last] - x[first])[chord], (y[last] - y[first])[chord]
-    length = across * across + up * up
-    share = (a * across + b * up) / np.where(length > 0, length, 1.0)
+def _farthest(x: Array, y: Array, first: int, last: int) -> tuple[float, int, int, int]:
+    """Return minus the largest distance of a sample from a chord, that sample, and the chord."""
+    if last - first < 2:
+        return 0.0, first, first, last
+    a, b = x[first + 1 : last] - x[first], y[first + 1 : last] - y[first]
+    across, up = x[last] - x[first], y[last] - y[first]
+    share = (a * across + b * up) / (across * across + up * up or 1.0)
     along = np.minimum(np.maximum(share, 0.0), 1.0)
     distance = np.hypot(a - along * across, b - along * up)
-    largest = np.maximum.reduceat(distance, starts)
-    is_largest = np.flatnonzero(distance == largest[chord])
-    return largest, sample[is_largest[np.searchsorted(is_largest, starts)]]
+    index = int(distance.argmax())
+    return -float(distance[index]), first + 1 + index, first, last
 
 
 def envelope(x: Array, y: Array, bins: int) -> tuple[Array, Array, Array]:

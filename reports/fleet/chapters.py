@@ -65,10 +65,10 @@ def verdict(fleet: Fleet, distributions: tuple[Distribution, ...]) -> Section:
 def _counted(fleet: Fleet) -> str:
     n_passed, n_stages = fleet.counts.get(PASSED, 0), len(fleet.stages)
     uncontrolled = fleet.without_controller
-    clause = f" {uncontrolled} of them without a controller." if uncontrolled else ""
+    clause = f" {uncontrolled} passed without a controller." if uncontrolled else ""
     if fleet.passed:
         return f"All {n_stages} stages passed.{clause}"
-    kinds = ((FAILED, "failed a verdict"), (REFUSED, "could not be used"), (CRASHED, "broke off"))
+    kinds = ((FAILED, "failed a verdict"), (REFUSED, "could not be used"), (CRASHED, "crashed"))
     counts = [f"{n} {word}" for state, word in kinds if (n := fleet.counts.get(state, 0))]
     return f"{n_passed} of {n_stages} stages passed; {', '.join(counts)}.{clause}"
 
@@ -93,6 +93,8 @@ def _drifting(distributions: tuple[Distribution, ...]) -> str:
     drifting = [f"{row.quantity.label} of axis {row.axis}" for row in distributions if row.drifts]
     if drifting:
         return f"Over the serial numbers {', '.join(drifting)} drifts."
+    if not distributions:
+        return ""
     if any(row.trend is not None for row in distributions):
         return "Nothing drifts over the serial numbers."
     return "Too few stage names contain a serial number to test for drift."
@@ -104,9 +106,11 @@ def failures(fleet: Fleet) -> Section:
     table = Table(
         caption="Stages that did not pass."
         + _beyond(len(fleet.stages) - fleet.counts.get(PASSED, 0)),
-        columns=("stage", "what happened", "reason"),
+        columns=("stage", "state", "reason"),
         rows=tuple((s.name, s.state, s.reason) for s in failed),
         links=tuple(_link(s) for s in failed),
+        wordy=(2,),
+        is_open=True,
     )
     lead = "; ".join(f"{state}: {meaning}" for state, meaning in STATES.items())
     return Section(
@@ -146,12 +150,16 @@ def outliers(distributions: tuple[Distribution, ...]) -> Section:
             for row, k in rows[:WORST]
         ),
         links=tuple(_report_link(row.stages[k]) for row, k in rows[:WORST]),
+        is_open=True,
     )
+    none = Prose(text="None.", tone="good")
+    if not distributions:
+        none = Prose(text=f"Not tested: fewer than {FEWEST} stages can be compared.")
     return Section(
         anchor="outliers",
         title="Stages that stand out",
         lead=lead if distributions else "",
-        parts=(table if rows else Prose(text="None.", tone="good"),),
+        parts=(table if rows else none,),
     )
 
 
@@ -174,7 +182,7 @@ def stages(fleet: Fleet) -> Section:
         lead="The same inputs and version give the same files, byte for byte.",
         parts=(
             Table(
-                caption="Digests of the model and of the parameter file of every stage."
+                caption="State, error, and digests of model and parameters."
                 + _beyond(len(fleet.stages)),
                 columns=("stage", "state", "held-out error", "model.json", "params.json"),
                 rows=tuple(
@@ -192,6 +200,7 @@ def stages(fleet: Fleet) -> Section:
                 ),
                 digests=(3, 4),
                 links=tuple(_link(stage) for stage in rows),
+                is_open=True,
             ),
         ),
     )

@@ -28,7 +28,7 @@ STATES = {
     PASSED: "no verdict failed",
     FAILED: "a verdict failed, or the model class does not apply",
     REFUSED: "data or file unusable, or no solution",
-    CRASHED: "the work broke off; it is tried again at the next start",
+    CRASHED: "the work failed or its worker died; the next start tries it again",
 }
 
 

@@ -46,7 +46,8 @@ def render(page: Page) -> Section:
     return Section(
         anchor="limits",
         title="Limits and next experiment",
-        lead="Conditions under which the results hold, beyond those in the summary.",
+        lead="Conditions under which the results hold"
+        + (", beyond those in the summary." if page.has_summary else "."),
         parts=tuple(parts),
     )
 

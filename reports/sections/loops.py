@@ -57,7 +57,7 @@ def without_line(
         guide=GUIDE,
         canvas=canvas,
         layers=tuple(
-            canvas.line_within(n, n, trace.voltage_V, m, points=points, timed=is_small)[0]
+            canvas.line(n, n, trace.voltage_V, m, points=points, timed=is_small)
             for n, m in curves.items()
         ),
         flicker=() if is_small else tuple(curves),

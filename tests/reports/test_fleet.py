@@ -221,4 +221,4 @@ def test_stages_that_passed_without_a_controller_are_counted() -> None:
     assert fleet.without_controller == 1
     page = Anatomy(render_fleet(fleet))
     (said,) = [e.text for e in page.elements if "All 2 stages passed." in e.text and e.tag == "p"]
-    assert "1 of them without a controller" in said
+    assert "1 passed without a controller" in said
