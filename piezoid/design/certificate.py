@@ -1,4 +1,4 @@
-"""What is guaranteed with hysteresis in the loop: small gain, and a bound of the error."""
+"""Certify a loop around hysteresis: small gain, and a bound of the error."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -158,8 +158,7 @@ def certify(
     T        without the reference filter, which stands in ``path``
     """
     eps = bounds.increment_gain
-    rate_Hz = members[0].sampling_rate_Hz
-    grid = grid_Hz(rate_Hz, lowest_Hz=1e-2, count=4000)
+    grid = grid_Hz(members[0].sampling_rate_Hz, lowest_Hz=1e-2, count=4000)
     peak = max(float(np.abs(sensitivities(m, R, S, grid).Syb).max()) for m in members)
     for member in members:
         reached = margins(member, R, S)
@@ -171,14 +170,13 @@ def certify(
                 remedy="Lower the bandwidth, or describe the family more narrowly.",
                 member=reached.label,
             )
-    filtered = product(T, path.filter)
-    speeds = tuple(
-        _speed_bound(m, R, S, filtered, path.preview_samples, bounds, operation) for m in members
-    )
-    slew_m_per_s = operation.reference_slew_m_per_s
-    index = max(range(len(members)), key=lambda k: speeds[k].at(slew_m_per_s))
-    worst = speeds[index]
-    converter_m = _converter_m(members[index], R, S, operation)
+    filtered, slew_m_per_s = product(T, path.filter), operation.reference_slew_m_per_s
+    loops = [_ClosedLoop(member, R, S) for member in members]
+    speeds = [
+        loop.speed_bound(filtered, path.preview_samples, bounds, operation) for loop in loops
+    ]
+    worst, loop = max(zip(speeds, loops, strict=True), key=lambda pair: pair[0].at(slew_m_per_s))
+    converter_m = loop.converter_m(operation)
     return Certificate(
         form=bounds.form,
         increment_gain=eps,
@@ -189,12 +187,12 @@ def certify(
         reference_error_m=worst.reference_s * slew_m_per_s,
         converter_error_m=converter_m,
         guaranteed_error_m=worst.at(slew_m_per_s),
-        noise_error_m=max(_noise_m(m, R, S, operation) for m in members),
+        noise_error_m=max(loop.noise_m(operation) for loop in loops),
         disturbance_error_m=worst.steady_m - converter_m,
         reference_slew_m_per_s=slew_m_per_s,
         worst_member=worst.label,
         conditions=(*bounds.conditions, *_conditions(len(members), operation, bounds)),
-        speed_bounds=speeds,
+        speed_bounds=tuple(speeds),
     )
 
 
@@ -222,84 +220,72 @@ def without_difference(polynomial: ArrayLike) -> Array:
     return np.cumsum(coefficients)[:-1]
 
 
-def _speed_bound(
-    member: Fraction,
-    R: ArrayLike,
-    S: ArrayLike,
-    filtered: Array,
-    preview: int,
-    bounds: HysteresisBounds,
-    operation: Operation,
-) -> SpeedBound:
-    P = closed_loop_polynomial(member, R, S)
-    mismatch = total(delayed(P, preview), -product(filtered, member.B_position))
-    by_size_m = peak_gain(product(member.B_position, S), P) * bounds.error_m / bounds.gain_m_per_V
-    converter_m = _converter_m(member, R, S, operation)
-    return SpeedBound(
-        label=member.label,
-        steady_m=converter_m + _disturbed_m(member, R, S, P, operation.disturbances),
-        hysteresis_m=by_size_m,
-        hysteresis_s=_by_increments_s(member, R, S, filtered, P, bounds),
-        reference_s=peak_gain(without_difference(mismatch), P) / member.sampling_rate_Hz,
-    )
+class _ClosedLoop:
+    """The loop of one member: what its impulse responses make of everything that acts on it."""
 
+    def __init__(self, member: Fraction, R: ArrayLike, S: ArrayLike) -> None:
+        self.member, self.R, self.S = member, R, S
+        self.P = closed_loop_polynomial(member, R, S)
+        self.step_s = 1.0 / member.sampling_rate_Hz
 
-def _converter_m(member: Fraction, R: ArrayLike, S: ArrayLike, operation: Operation) -> float:
-    through = product(member.B_position, S)
-    half_step_V = 0.5 * operation.voltage_step_V
-    return peak_gain(through, closed_loop_polynomial(member, R, S)) * half_step_V
+    def gain(self, *factors: ArrayLike) -> float:
+        """Return the l1 norm of the response with this numerator over P."""
+        return peak_gain(product(*factors), self.P)
 
+    def speed_bound(
+        self, filtered: Array, preview: int, bounds: HysteresisBounds, operation: Operation
+    ) -> SpeedBound:
+        """Return what bounds the error; ``filtered`` is T with its reference filter."""
+        member = self.member
+        mismatch = total(delayed(self.P, preview), -product(filtered, member.B_position))
+        by_size = self.gain(member.B_position, self.S)
+        return SpeedBound(
+            label=member.label,
+            steady_m=self.converter_m(operation) + self.disturbed_m(operation.disturbances),
+            hysteresis_m=by_size * bounds.error_m / bounds.gain_m_per_V,
+            hysteresis_s=self.by_increments_s(filtered, bounds.increment_gain),
+            reference_s=self.gain(without_difference(mismatch)) / member.sampling_rate_Hz,
+        )
 
-def _noise_m(member: Fraction, R: ArrayLike, S: ArrayLike, operation: Operation) -> float:
-    followed = product(member.B_position, R)
-    passed = impulse_response(followed, closed_loop_polynomial(member, R, S))
-    return _SIGMAS * float(np.sqrt((passed**2).sum())) * operation.sensor_noise_rms_m
+    def by_increments_s(self, filtered: Array, eps: float) -> float:
+        """Return the bound by increments for 1 m/s; infinite where the loop may amplify them."""
+        member = self.member
+        amplified = eps * self.gain(member.B, self.R)
+        if amplified >= 1.0:
+            return float(np.inf)
+        command_step_V = self.gain(filtered, member.A) * self.step_s / (1.0 - amplified)
+        return self.gain(member.B_position, without_difference(self.S)) * eps * command_step_V
 
+    def converter_m(self, operation: Operation) -> float:
+        """Return what half a step of the converter does at most."""
+        return self.gain(self.member.B_position, self.S) * (0.5 * operation.voltage_step_V)
 
-def _by_increments_s(
-    member: Fraction,
-    R: ArrayLike,
-    S: ArrayLike,
-    filtered: Array,
-    P: Array,
-    bounds: HysteresisBounds,
-) -> float:
-    """Return the bound from increments, for 1 m/s; infinite where the loop may amplify them."""
-    eps = bounds.increment_gain
-    amplified = eps * peak_gain(product(member.B, R), P)
-    if amplified >= 1.0:
-        return float(np.inf)
-    step_m = 1.0 / member.sampling_rate_Hz
-    command_step_V = peak_gain(product(filtered, member.A), P) * step_m / (1.0 - amplified)
-    integrated = peak_gain(product(member.B_position, without_difference(S)), P)
-    return integrated * eps * command_step_V
+    def noise_m(self, operation: Operation) -> float:
+        """Return three standard deviations due to white sensor noise."""
+        passed = impulse_response(product(self.member.B_position, self.R), self.P)
+        return _SIGMAS * float(np.sqrt((passed**2).sum())) * operation.sensor_noise_rms_m
 
+    def disturbed_m(self, disturbances: Disturbances) -> float:
+        """Return what disturbances recorded beside the drive do at most.
 
-def _disturbed_m(
-    member: Fraction, R: ArrayLike, S: ArrayLike, P: Array, disturbances: Disturbances
-) -> float:
-    """Return what disturbances recorded beside the drive do at most.
-
-    ||A S / P||_1 m, or ||A S / (P (1 - q^-1))||_1 times its change in a sample where that is
-    less; ||B R / P||_1 n of the reading, or |B R / P| n at a frequency of its own.
-    """
-    rejected = product(member.A, S)
-    total_m = 0.0
-    for half_range_m, fastest_m_per_s in disturbances.motions:
-        by_size_m = peak_gain(rejected, P) * half_range_m
-        by_speed_m = np.inf
-        if fastest_m_per_s > 0.0:
-            step_m = fastest_m_per_s / member.sampling_rate_Hz
-            by_speed_m = peak_gain(product(member.A, without_difference(S)), P) * step_m
-        total_m += min(by_size_m, by_speed_m)
-    followed = product(member.B_position, R)
-    for frequency_Hz, error_m in disturbances.readings:
-        if frequency_Hz > 0.0:
-            gain = np.abs(response(followed, P, [frequency_Hz], member.sampling_rate_Hz)[0])
-            total_m += float(gain) * error_m
-        else:
-            total_m += peak_gain(followed, P) * error_m
-    return total_m
+        ||A S / P||_1 m, or ||A S / (P (1 - q^-1))||_1 times its change in a sample where that is
+        less; ||B R / P||_1 n of the reading, or |B R / P| n at a frequency of its own.
+        """
+        member, total_m = self.member, 0.0
+        for half_range_m, fastest_m_per_s in disturbances.motions:
+            bound_m = self.gain(member.A, self.S) * half_range_m
+            if fastest_m_per_s > 0.0:
+                step_m = fastest_m_per_s / member.sampling_rate_Hz
+                bound_m = min(bound_m, self.gain(member.A, without_difference(self.S)) * step_m)
+            total_m += bound_m
+        followed = product(member.B_position, self.R)
+        for frequency_Hz, error_m in disturbances.readings:
+            if frequency_Hz > 0.0:
+                at_line = response(followed, self.P, [frequency_Hz], member.sampling_rate_Hz)
+                total_m += float(np.abs(at_line[0])) * error_m
+            else:
+                total_m += self.gain(followed) * error_m
+        return total_m
 
 
 def _conditions(count: int, operation: Operation, bounds: HysteresisBounds) -> tuple[str, ...]:

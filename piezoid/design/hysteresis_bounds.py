@@ -220,12 +220,6 @@ def envelope_reach_V(model: ModifiedPrandtlIshlinskii, reach_V: float) -> float:
     return float(np.abs(model.envelope.run(np.array([-reach_V, reach_V]))).max())
 
 
-def output_reach_m(model: ModifiedPrandtlIshlinskii, reach_V: float) -> float:
-    """Return the largest |H[gamma(u)]| for |u| <= reach: the loading curve there."""
-    end_V = np.array([envelope_reach_V(model, reach_V)])
-    return float(np.abs(model.plays.loading_curve(end_V)[0]))
-
-
 def static_difference(zones: DeadZones, slope: float, reach: float) -> float:
     """Return sup over |h| <= reach of |Psi(h) - slope h|; it is met at a knot."""
     knots = zones.threshold

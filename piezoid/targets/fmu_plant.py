@@ -18,8 +18,8 @@ from piezoid.export.bundle import SAMPLES
 from piezoid.export.c_header import plain_ascii
 from piezoid.export.fmu import Unit, variables
 from piezoid.numerics.arrays import Array
-from piezoid.verification.loop_library import ArrayOwner, Linear, LoopPlant, Map
-from piezoid.verification.loop_plant import initial_plant
+from piezoid.verification.loop_library import Linear, LoopPlant, Map
+from piezoid.verification.loop_plant import SettledPlant
 from piezoid.verification.plant import AxisPlant, Junction
 
 _SCALARS = (
@@ -76,8 +76,8 @@ def _unit(name: str, plant: AxisPlant) -> Unit:
 
 def plant_header(plant: AxisPlant) -> str:
     """Return the text of plant_of_axis.h; ``ParameterFileError`` where the loop has no room."""
-    arrays_of_plant = ArrayOwner()
-    initial = initial_plant(plant, arrays_of_plant, 0.0)
+    settled = SettledPlant(plant)
+    initial = settled.structure
     lines = ["/* The identified plant of an axis at rest, written by piezoid. SI units. */"]
     lines += _macros(plant, initial)
     arrays = dict(_arrays(initial))

@@ -23,7 +23,6 @@ while the surface moves. Its bound is that of the linear loop.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -34,14 +33,13 @@ from piezoid.design.hysteresis_bounds import draw_replicates
 from piezoid.design.sensitivity import closed_loop_polynomial
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.identification.actuator_model import ActuatorModel
-from piezoid.identification.loop_model import at_corner
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
 from piezoid.numerics.polynomial import product
 from piezoid.runtime.controller import Status
 from piezoid.verification.closed_loop import run_axis
-from piezoid.verification.plant import AxisPlant, Hysteresis, Junction, lateral_plant
+from piezoid.verification.plant import AxisPlant, Hysteresis, Junction, varied_plant
 from piezoid.verification.start_position import approach_path, reference_range
 from piezoid.verification.verification import ErrorBound
 
@@ -57,23 +55,6 @@ TIP_m_per_s, TIP_m = 0.25e-6, 5e-9  # a surface of 0.1 nm rms under a spiral of 
 _OUTSIDE = Status.VOLTAGE_LIMITED | Status.REFERENCE_LIMITED | Status.VOLTAGE_STEP
 _SIGMAS = 3.0
 _TURNS, _TARGETS, _SINES = 6, 12, 5
-
-
-class _Task(Protocol):
-    """One axis: how its stages and paths are drawn, and what it errs by on them."""
-
-    nominal: AxisPlant
-    reach_m: float
-    fastest_m_per_s: float
-
-    def draw(self, rng: np.random.Generator, is_extreme: bool) -> AxisPlant:
-        """Draw a stage, or one at the ends of the intervals."""
-
-    def error(self, plant: AxisPlant, path: Array, rng: np.random.Generator) -> float | None:
-        """Return the largest error on a path, m; None outside of the conditions."""
-
-    def bound(self, slew: float) -> float | None:
-        """Return what bounds every error at a speed, m; None without a guarantee."""
 
 
 def error_bounds(
@@ -96,17 +77,15 @@ def error_bounds(
     executor = Executor(threads=threads)
     rows: list[ErrorBound] = []
     for index, (axis, plant) in enumerate(zip(file.axes, plants, strict=True)):
-        loop = next(
-            candidate
-            for candidate in design.axis(axis.axis).loops
-            if candidate.method == axis.method
-        )
+        axis_design = design.axis(axis.axis)
+        loop, specification = axis_design.loop(axis.method), axis_design.specification
         if isinstance(plant.response, Junction):
-            specification = design.axis(axis.axis).specification
             noise_ln = max(noise_rms(m, loop.R, loop.S, specification) for m in loop.members)
-            task: _Task = _TipTask(axis, plant, loop, variations[index], _SIGMAS * noise_ln)
+            task: _LateralTask | _TipTask = _TipTask(
+                axis, plant, loop, variations[index], _SIGMAS * noise_ln
+            )
         else:
-            scan_Hz = design.axis(axis.axis).specification.scan_frequency_Hz
+            scan_Hz = specification.scan_frequency_Hz
             task = _LateralTask(axis, plant, model[axis.axis], loop.certificate, scan_Hz)
         for number, share in enumerate(SPEEDS):
             rng = np.random.default_rng([seed, index, number])
@@ -125,7 +104,7 @@ def conformal_quantile(largest_m: Sequence[float], probability: float = PROBABIL
 
 
 def _at_speed(
-    name: str, task: _Task, slew: float, rng: np.random.Generator, executor: Executor
+    name: str, task: "_Task", slew: float, rng: np.random.Generator, executor: Executor
 ) -> Iterator[ErrorBound]:
     """Yield the row of one speed, none where nothing stays within the conditions."""
 
@@ -170,6 +149,8 @@ def _at_speed(
 
 
 class _LateralTask:
+    """How stages of a lateral axis are drawn, and the error on them."""
+
     def __init__(
         self,
         axis: AxisParameters,
@@ -185,56 +166,45 @@ class _LateralTask:
         self.fastest_m_per_s = 2.0 * np.pi * scan_Hz * self._span.farthest_m
         if certificate is not None:
             self.fastest_m_per_s = certificate.reference_slew_m_per_s * (1.0 - 1e-9)
-        own = (model.operator,)
-        self._operators = draw_replicates(model, np.random.default_rng(0)) or own
+        replicates = draw_replicates(model, np.random.default_rng(0))
+        self._operators = replicates or (model.operator,)
 
     def draw(self, rng: np.random.Generator, is_extreme: bool) -> AxisPlant:
+        """Draw a stage, or one at the ends of the intervals."""
         slower, sharper = rng.uniform(-1.0, 1.0, 2)
         size = float(rng.standard_normal())
         if is_extreme:
             slower, sharper, size = np.sign(slower), np.sign(sharper), 2.0
-        moved = lateral_plant(
-            at_corner(self._model, float(slower), float(sharper)),
-            sampling_rate_Hz=self.nominal.sampling_rate_Hz,
-        )
-        response = moved.response
+        operator = self._operators[int(rng.integers(len(self._operators)))]
+        corner = {"slower": float(slower), "sharper": float(sharper)}
+        plant = varied_plant(self.nominal, self._model, operator, **corner)
+        response = plant.response
         assert isinstance(response, Hysteresis)
-        second = response.discrepancy
-        if second is not None:
-            scaled = min(float(np.exp(SPREAD * size)), MOST) * second.weight_m
-            second = replace(second, weight_m=scaled)
-        changed = replace(
-            response,
-            operator=self._operators[int(rng.integers(len(self._operators)))],
-            discrepancy=second,
-            history_V=_past_V(rng, *self._model.voltage_V),
-        )
-        return replace(
-            moved,
-            label="drawn",
-            response=changed,
-            reading_step=self.nominal.reading_step,
-            reading_range=self.nominal.reading_range,
-        )
+        discrepancy = response.discrepancy
+        if discrepancy is not None:
+            scaled = min(float(np.exp(SPREAD * size)), MOST) * discrepancy.weight_m
+            discrepancy = replace(discrepancy, weight_m=scaled)
+        past_V = _past_V(rng, *self._model.voltage_V)
+        drawn = replace(response, discrepancy=discrepancy, history_V=past_V)
+        return replace(plant, label="drawn", response=drawn)
 
     def error(self, plant: AxisPlant, path: Array, rng: np.random.Generator) -> float | None:
+        """Return the largest error on a path, m; None outside of the conditions."""
         reference = self._span.centre_m + path
         approach = approach_path(plant, float(reference[0]))
-        motion_m = None
-        if plant.motions:
-            drive = np.concatenate([np.zeros(len(approach)), path])
-            motion_m = plant.motion_m(len(drive), drive)
+        drive = np.concatenate([np.zeros(len(approach)), path])
         run = run_axis(
             plant,
             self._axis,
             np.concatenate([approach, reference]),
             rng=rng,
-            disturbance=motion_m,
+            disturbance=plant.motion_m(len(drive), drive) if plant.motions else None,
         ).after(len(approach))
         outside = np.any(run.status & np.uint32(_OUTSIDE))
         return None if outside else float(np.abs(run.error).max())
 
     def bound(self, slew: float) -> float | None:
+        """Return what bounds every error at a speed, m; None without a guarantee."""
         proven = self._certificate
         if proven is None:
             return None
@@ -244,6 +214,8 @@ class _LateralTask:
 
 
 class _TipTask:
+    """The same of a tip, whose error is a height."""
+
     reach_m, fastest_m_per_s = TIP_m, TIP_m_per_s
 
     def __init__(
@@ -287,6 +259,9 @@ class _TipTask:
         )
         noise_m = self._noise_ln / self._response.decay_per_m
         return late_s * slew / self.nominal.sampling_rate_Hz + noise_m
+
+
+_Task = _LateralTask | _TipTask
 
 
 def _past_V(rng: np.random.Generator, low_V: float, high_V: float) -> tuple[float, ...]:

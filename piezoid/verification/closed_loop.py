@@ -1,4 +1,4 @@
-"""Plant and compiled runtime together, sample by sample, from a parameter file's numbers."""
+"""Run the compiled controller against a plant, sample by sample, with the values that ship."""
 
 import ctypes
 from collections.abc import Callable
@@ -13,8 +13,8 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Controller
-from piezoid.verification.loop_library import ArrayOwner, LoopPlant, LoopRun, loop_library
-from piezoid.verification.loop_plant import initial_plant, rest_position
+from piezoid.verification.loop_library import LoopRun, loop_library
+from piezoid.verification.loop_plant import SettledPlant
 from piezoid.verification.plant import AxisPlant, Junction
 
 if TYPE_CHECKING:
@@ -38,15 +38,15 @@ class Fault(IntEnum):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoopRecord:
-    """What happened on one axis.
+    """Signals of one axis in closed loop.
 
-    reference  (samples,)  m (junction: A), as wanted at that instant
+    reference  (samples,)  m (junction: A)
     position   (samples,)  m (junction: A), in front of the sensor
-    measured   (samples,)  what the controller read
-    voltage_V  (samples,)  what it put out then
+    measured   (samples,)  reading of the controller
+    voltage_V  (samples,)  output of the controller
     status     (samples,)  the runtime's bits
-    driven     (samples,)  what moved the response, its largest in a sample: V behind the
-               amplifier (junction: nepers, the tip's extension times the decay)
+    driven     (samples,)  largest input of the response in a sample: V behind the amplifier
+               (junction: nepers, the tip's extension times the decay)
     unit       of reference, position and measured: ``m`` or ``A``
     """
 
@@ -131,12 +131,11 @@ def run_axis(
             remedy="Make the plant for the rate of the parameter file.",
         )
     samples = len(reference)
-    arrays = ArrayOwner()
-    initial = initial_plant(plant, arrays, 0.0 if disturbance is None else float(disturbance[0]))
+    settled = SettledPlant(plant, _at_first(disturbance))
     preview = int(parameters.values["preview_samples"])
     ahead = np.minimum(np.arange(samples) + preview, samples - 1)
     controller = Controller(parameters.values, precision=precision)
-    reading = float(np.clip(rest_position(plant, initial), *plant.reading_range))
+    reading = float(np.clip(settled.rest_position, *plant.reading_range))
     step = plant.reading_step
     controller.start(plant.rest_voltage_V, step * round(reading / step) if step > 0 else reading)
     added = np.zeros(samples) if added_m is None else added_m
@@ -144,13 +143,9 @@ def run_axis(
     run = LoopRun(state=state, parameters=values, samples=samples)
     run.reset, run.reset_at = controller.reset_address, samples if reset_at is None else reset_at
     setattr(run, f"step_{precision}", function)
-    inputs = {
-        "reference": np.ascontiguousarray(reference[ahead]),
-        "disturbance": _disturbance(plant, disturbance, samples),
-        "noise": plant.noise(samples, rng) + added,
-        "fault": np.zeros(samples) if fault is None else np.ascontiguousarray(fault),
-    }
-    record = _run(plant, initial, run, arrays, inputs)
+    record = _run(
+        settled, run, reference[ahead], plant.noise(samples, rng) + added, disturbance, fault
+    )
     return replace(
         record, reference=np.asarray(reference, float), position=record.position + added
     )
@@ -171,49 +166,45 @@ def run_law(
     disturbance  (samples,)  m at the response's output; None: none
     """
     samples = len(reference)
-    arrays = ArrayOwner()
-    initial = initial_plant(plant, arrays, 0.0 if disturbance is None else float(disturbance[0]))
     step = _STEP(lambda _state, _parameters, reference_m, measured: law(reference_m, measured))
     state = np.zeros(2, dtype=np.uint32)  # the loop reads the status from the second word
     run = LoopRun(state=state.ctypes.data, samples=samples, reset_at=samples)
     run.step_double = ctypes.cast(step, ctypes.c_void_p).value
-    inputs = {
-        "reference": np.ascontiguousarray(reference, dtype=np.float64),
-        "disturbance": _disturbance(plant, disturbance, samples),
-        "noise": plant.noise(samples, rng),
-        "fault": np.zeros(samples),
-    }
-    return _run(plant, initial, run, arrays, inputs)
+    settled = SettledPlant(plant, _at_first(disturbance))
+    return _run(settled, run, reference, plant.noise(samples, rng), disturbance, None)
+
+
+def _at_first(disturbance: Array | None) -> float:
+    return 0.0 if disturbance is None else float(disturbance[0])
 
 
 def _run(
-    plant: AxisPlant,
-    initial: LoopPlant,
+    settled: SettledPlant,
     run: LoopRun,
-    arrays: ArrayOwner,
-    inputs: dict[str, Array],
+    reference: Array,
+    noise: Array,
+    disturbance: Array | None,
+    fault: Array | None,
 ) -> LoopRecord:
-    samples = run.samples
-    outputs = {name: np.empty(samples) for name in ("driven", "position", "measured", "voltage_V")}
-    status = np.empty(samples, dtype=np.uint32)
-    run.status = status.ctypes.data
-    for name, array in {**inputs, **outputs}.items():
-        setattr(run, name, arrays.address(array))
-    loop_library().pl_loop(ctypes.addressof(initial), ctypes.addressof(run))
-    return LoopRecord(
-        axis=plant.axis,
-        sampling_rate_Hz=plant.sampling_rate_Hz,
-        reference=inputs["reference"],
-        status=status,
-        unit="A" if isinstance(plant.response, Junction) else "m",
-        **outputs,
-    )
-
-
-def _disturbance(plant: AxisPlant, disturbance: Array | None, samples: int) -> Array:
+    plant, samples = settled.plant, run.samples
     padded = np.zeros(samples + 1)
     if disturbance is not None:
         padded[:-1], padded[-1] = disturbance, disturbance[-1]
     if isinstance(plant.response, Junction):
         padded += plant.response.gain_nepers_per_V * plant.rest_voltage_V
-    return padded
+    fault = np.zeros(samples) if fault is None else fault
+    inputs = {"reference": reference, "disturbance": padded, "noise": noise, "fault": fault}
+    outputs = {name: np.empty(samples) for name in ("driven", "position", "measured", "voltage_V")}
+    status = np.empty(samples, dtype=np.uint32)
+    run.status = status.ctypes.data
+    for name, array in {**inputs, **outputs}.items():
+        setattr(run, name, settled.address(np.ascontiguousarray(array, dtype=np.float64)))
+    loop_library().pl_loop(ctypes.addressof(settled.structure), ctypes.addressof(run))
+    return LoopRecord(
+        axis=plant.axis,
+        sampling_rate_Hz=plant.sampling_rate_Hz,
+        reference=reference,
+        status=status,
+        unit="A" if isinstance(plant.response, Junction) else "m",
+        **outputs,
+    )

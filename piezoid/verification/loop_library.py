@@ -1,10 +1,9 @@
-"""plant_loop.c, seen from Python: its structures, opened once."""
+"""The structures and functions of plant_loop.c in Python."""
 
 import ctypes
 from functools import cache
 from typing import Any
 
-from piezoid.numerics.arrays import Array
 from piezoid.numerics.compiled import opened
 
 MAX_STATES = 64
@@ -84,15 +83,3 @@ def loop_library() -> ctypes.CDLL:
         "pl_loop": (None, (_POINTER, _POINTER)),
     }
     return opened("piezoid.verification._plant_loop", functions)
-
-
-class ArrayOwner:
-    """Arrays a structure points to, kept alive with it."""
-
-    def __init__(self) -> None:
-        self.arrays: list[Any] = []
-
-    def address(self, array: Array) -> int:
-        """Return the address of an array, and hold it."""
-        self.arrays.append(array)
-        return int(array.ctypes.data)

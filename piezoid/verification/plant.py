@@ -7,7 +7,7 @@ import numpy as np
 
 from piezoid.design.chain import Section
 from piezoid.identification.extensions.periodic_error import PeriodicError
-from piezoid.identification.loop_model import loop_model
+from piezoid.identification.loop_model import at_corner, loop_model
 from piezoid.identification.model import AxisModel, Discrepancy
 from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
 from piezoid.numerics.arrays import Array
@@ -16,6 +16,7 @@ from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlins
 from piezoid.operators.preisach_plays import PreisachPlays
 
 Respond = Callable[[float], float]
+Operator = ModifiedPrandtlIshlinskii | PreisachPlays
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,7 +34,7 @@ class Hysteresis:
                    beyond which it follows faster; 0: at once
     """
 
-    operator: ModifiedPrandtlIshlinskii | PreisachPlays
+    operator: Operator
     polarity: int = 1
     history_V: tuple[float, ...] = ()
     pasts_V: tuple[tuple[float, ...], ...] = ()
@@ -263,6 +264,24 @@ def junction_axis_plant(
         sensor=(Section(frequency_Hz=plant.sensor_pole_Hz),),
         noise_rms=noise_rms_A,
         noise_bandwidth_Hz=plant.sensor_pole_Hz,
+    )
+
+
+def varied_plant(
+    plant: AxisPlant, model: AxisModel, operator: Operator, *, slower: float, sharper: float
+) -> AxisPlant:
+    """Return a plant with another operator, its poles and modes elsewhere in their intervals.
+
+    slower, sharper  from -1 to 1, as ``at_corner`` takes them
+    """
+    corner = at_corner(model, slower, sharper)
+    varied = lateral_plant(corner, sampling_rate_Hz=plant.sampling_rate_Hz)
+    assert isinstance(varied.response, Hysteresis)
+    return replace(
+        varied,
+        response=replace(varied.response, operator=operator),
+        reading_step=plant.reading_step,
+        reading_range=plant.reading_range,
     )
 
 

@@ -1,4 +1,4 @@
-"""verify_stage: what ships against the model it was made from."""
+"""Verify a parameter file against the model of the stage that it was made from."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,20 +12,20 @@ from piezoid.design.junction_task import junction_family, reading_range_A
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.identification.actuator_model import ActuatorModel
-from piezoid.identification.loop_model import at_corner
 from piezoid.identification.model import AxisModel
 from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.loop_model import LoopPlant
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.operators.tunnelling import decay_of_barrier
 from piezoid.records.lab import Lab
+from piezoid.verification.bounds import error_bounds
 from piezoid.verification.criteria import Limits, limits_from
 from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.plant import (
     AxisPlant,
-    Hysteresis,
     junction_axis_plant,
     lateral_plant,
+    varied_plant,
     with_gain,
 )
 from piezoid.verification.rebuild import Proof
@@ -76,14 +76,12 @@ def verify_stage(
             "[verification] and [uncertainty] may differ",
             remedy="Run `piezoid export` again, then verify.",
         )
-    applied_limits = limits or limits_from(
-        declared.verification, f"[verification] of {declared.place}"
-    )
+    stated_in = f"[verification] of {declared.place}"
     verification = verify(
         file,
         plants,
         variations=variations,
-        limits=applied_limits,
+        limits=limits or limits_from(declared.verification, stated_in),
         proofs=proofs,
         limit_proofs=limit_proofs,
         seed=seed,
@@ -91,14 +89,10 @@ def verify_stage(
         lab_digest=declared.digest,
         coupled=model.coupled,
     )
-    if design is not None and bounds:
-        from piezoid.verification.bounds import error_bounds
-
-        largest_errors = error_bounds(
-            file, design, model, plants, drawn, seed=seed, threads=threads
-        )
-        verification = replace(verification, bounds=largest_errors)
-    return verification
+    if design is None or not bounds:
+        return verification
+    largest_errors = error_bounds(file, design, model, plants, drawn, seed=seed, threads=threads)
+    return replace(verification, bounds=largest_errors)
 
 
 def stage_plants(
@@ -195,21 +189,10 @@ def varied_plants(
     plant  the identified one
     count  how many at most: fewer where too few draws have an inverse
     """
-    operators = draw_replicates(model, rng, draws=_ATTEMPTS * count)[:count]
     plants = []
+    operators = draw_replicates(model, rng, draws=_ATTEMPTS * count)[:count]
     for number, operator in enumerate(operators, start=1):
         slower, sharper = rng.uniform(-1.0, 1.0, 2).tolist()
-        varied = lateral_plant(
-            at_corner(model, slower, sharper), sampling_rate_Hz=plant.sampling_rate_Hz
-        )
-        assert isinstance(varied.response, Hysteresis)
-        plants.append(
-            replace(
-                varied,
-                label=f"draw {number}",
-                response=replace(varied.response, operator=operator),
-                reading_step=plant.reading_step,
-                reading_range=plant.reading_range,
-            )
-        )
+        varied = varied_plant(plant, model, operator, slower=slower, sharper=sharper)
+        plants.append(replace(varied, label=f"draw {number}"))
     return tuple(plants)
