@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.identification.dynamics.distortion import DistortionFound, distortion_of
+from piezoid.identification.dynamics.distortion import DetectionLines, distortion_of
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.records import ResponseFit
 from piezoid.identification.dynamics.response_fit import measured_response
@@ -143,11 +143,11 @@ def coherence_figure(
 
 def distortion_parts(page: Page, axis: AxisModel) -> list[Part]:
     """Return a figure for every multisine with detection lines that drives this axis."""
-    return [_figure(axis, distortion) for distortion in distortion_of(page.recordings, axis.axis)]
+    return [_figure(axis, lines) for lines in distortion_of(page.recordings, axis.axis)]
 
 
-def _figure(axis: AxisModel, distortion: DistortionFound) -> Figure:
-    lines, is_even = distortion.lines, distortion.lines.is_even
+def _figure(axis: AxisModel, lines: DetectionLines) -> Figure:
+    is_even = lines.is_even
     decades, silent = np.log10(lines.driven_Hz), np.log10(lines.frequency_Hz)
     floor_m = FLOOR * float(lines.noise_level_m()[0])
     driven_dB, silent_dB, noise_dB = (
@@ -158,8 +158,8 @@ def _figure(axis: AxisModel, distortion: DistortionFound) -> Figure:
     y = axis_over("amplitude [dB of 1 m]", [driven_dB, silent_dB, noise_dB], "")
     canvas = Canvas(x=x, y=y)
     return Figure(
-        title=f"Axis {axis.axis}: driven and silent lines of {', '.join(distortion.recordings)}",
-        caption=_numbers(distortion),
+        title=f"Axis {axis.axis}: driven and silent lines of {', '.join(lines.recordings)}",
+        caption=_numbers(lines),
         guide=GUIDE,
         canvas=canvas,
         layers=(
@@ -171,22 +171,21 @@ def _figure(axis: AxisModel, distortion: DistortionFound) -> Figure:
     )
 
 
-def _numbers(distortion: DistortionFound) -> str:
-    lines = distortion.lines
+def _numbers(lines: DetectionLines) -> str:
     driven_m = float(lines.driven_level_m()[0])
     return (
         f"At {number(float(lines.drive_rms_V[0]), 'V')} rms, {lines.realisations} realisations of "
         f"{lines.periods} periods; rms amplitude of one line: driven {number(driven_m, 'm')}; "
-        f"{_level(distortion, driven_m, even=False)}; {_level(distortion, driven_m, even=True)}; "
+        f"{_level(lines, driven_m, even=False)}; {_level(lines, driven_m, even=True)}; "
         f"noise {number(float(lines.noise_level_m()[0]), 'm')} after averaging."
     )
 
 
-def _level(distortion: DistortionFound, driven_m: float, *, even: bool) -> str:
+def _level(lines: DetectionLines, driven_m: float, *, even: bool) -> str:
     """One kind of distortion, or what it stays below where noise covers it."""
     name = "even distortion" if even else "odd distortion"
-    level_m = float(distortion.lines.level_m(even=even)[0])
-    limit_m = float(distortion.lines.limit_m(even=even)[0])
+    level_m = float(lines.level_m(even=even)[0])
+    limit_m = float(lines.limit_m(even=even)[0])
     if level_m <= limit_m:
         most_m = float(np.hypot(level_m, limit_m))
         return f"{name} below {number(most_m, 'm')}, covered by noise"

@@ -50,11 +50,11 @@ class BandwidthVerdict:
 
     kind: Kind
     stated_Hz: float | None
-    fallen_Hz: float | None
-    phase_interval_deg: tuple[float, float] | None
-    peak_ratio: float | None
-    peak_Hz: float | None
-    highest_Hz: float
+    fallen_Hz: float | None = None
+    phase_interval_deg: tuple[float, float] | None = None
+    peak_ratio: float | None = None
+    peak_Hz: float | None = None
+    highest_Hz: float = 0.0
     text: str
 
 
@@ -64,8 +64,6 @@ def decide_bandwidth(
     *,
     delay_s: tuple[float, float] = UNKNOWN_DELAY_s,
     stated_Hz: float | None = None,
-    output: int = 0,
-    drive: int = 0,
 ) -> BandwidthVerdict:
     """Decide by phase and peak whether a first-order pole or a resonance limits the stage.
 
@@ -81,12 +79,12 @@ def decide_bandwidth(
     Undecided where the lines end before the gain has fallen, where the phase's interval holds
     both sides, or where phase and gain belong to neither.
     """
-    usable = ~measured.is_rejected[:, output]
+    usable = ~measured.is_rejected[:, 0]
     if usable.sum() <= IN_A_ROW:
         return unmeasured(stated_Hz, f"{int(usable.sum())} lines of the response are usable")
     f = measured.frequency_Hz[usable]
-    response = measured.response[usable, output, drive]
-    spread = np.sqrt(measured.variance[usable, output, drive]) / np.abs(response)
+    response = measured.response[usable, 0, 0]
+    spread = np.sqrt(measured.variance[usable, 0, 0]) / np.abs(response)
     is_low = f <= REST * f[0]
     sign = np.sign(np.median(response[is_low].real)) or 1.0
     declared = declaration.response(f, measured.sampling_rate_Hz)
@@ -101,18 +99,9 @@ def decide_bandwidth(
     peak = int(np.argmax(gain[: None if fallen is None else fallen + 1]))
     peak_Hz, ratio = float(f[peak]), float(gain[peak])
     is_peak = peak < len(f) - 1 and ratio * (1.0 - PEAK_SIGMAS * spread[peak]) > CLEAR_PEAK
-    if fallen is None:
-        kind: Kind = "resonance" if is_peak else "undecided"
-        interval, fallen_Hz = None, None
-        text = (
-            f"The gain peaks at {peak_Hz:.4g} Hz with {ratio:.3g} times that at rest: "
-            f"{MEANING[kind]}."
-            if is_peak
-            else f"{UNDECIDED}: they end at {f[-1]:.3g} Hz, where the gain is still "
-            f"{gain[-1]:.2f} times that at rest. "
-            f"{_remedy(stated_Hz)}"
-        )
-    else:
+    kind: Kind = "resonance" if is_peak else "undecided"
+    interval, fallen_Hz = None, None
+    if fallen is not None:
         pair = slice(fallen - 1, fallen + 1)
         fallen_Hz = float(np.interp(-FALLEN, -gain[pair], f[pair]))
         at = np.interp(fallen_Hz, f, relative.real) + 1j * np.interp(fallen_Hz, f, relative.imag)
@@ -126,6 +115,16 @@ def decide_bandwidth(
             f"The gain has fallen by 3 dB at {fallen_Hz:.4g} Hz with a phase between "
             f"{interval[0]:.0f} and {interval[1]:.0f} degrees; the largest gain before is "
             f"{ratio:.3g} times that at rest, at {peak_Hz:.4g} Hz: {MEANING[kind]}."
+        )
+    elif is_peak:
+        text = (
+            f"The gain peaks at {peak_Hz:.4g} Hz with {ratio:.3g} times that at rest: "
+            f"{MEANING[kind]}."
+        )
+    else:
+        text = (
+            f"{UNDECIDED}: they end at {f[-1]:.3g} Hz, where the gain is still {gain[-1]:.2f} "
+            f"times that at rest. {_remedy(stated_Hz)}"
         )
     return BandwidthVerdict(
         kind=kind,
@@ -144,11 +143,6 @@ def unmeasured(stated_Hz: float | None, reason: str) -> BandwidthVerdict:
     return BandwidthVerdict(
         kind="undecided",
         stated_Hz=stated_Hz,
-        fallen_Hz=None,
-        phase_interval_deg=None,
-        peak_ratio=None,
-        peak_Hz=None,
-        highest_Hz=0.0,
         text=f"{_stated(stated_Hz)}{UNDECIDED}: {reason}. {_remedy(stated_Hz)}",
     )
 

@@ -8,7 +8,7 @@ that is symmetric, and saturation, at odd ones.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,7 @@ class DetectionLines:
     drive_rms_V   (inputs,)
     realisations  how many there were
     periods       how many of each
+    recordings    their names, one realisation each; empty where the data came as arrays
     """
 
     driven_Hz: Array
@@ -52,6 +53,7 @@ class DetectionLines:
     drive_rms_V: Array
     realisations: int
     periods: int
+    recordings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "driven_Hz", "frequency_Hz", "drive_rms_V")
@@ -94,25 +96,13 @@ class DetectionLines:
         return np.asarray(lines)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DistortionFound:
-    """Detection lines of some recordings of an axis.
-
-    recordings  their names, one realisation each
-    lines       what was read
-    """
-
-    recordings: tuple[str, ...]
-    lines: DetectionLines
-
-
-def distortion_of(recordings: Sequence[Recording], axis: str) -> tuple[DistortionFound, ...]:
-    """Return what every odd multisine with detection lines among the recordings shows.
+def distortion_of(recordings: Sequence[Recording], axis: str) -> tuple[DetectionLines, ...]:
+    """Read the detection lines of every odd multisine among the recordings.
 
     recordings  any; those that are no such multisine are passed over
     """
     return tuple(
-        DistortionFound(recordings=names, lines=detect_distortion(data))
+        replace(detect_distortion(data), recordings=names)
         for names, data in periodic_recordings(recordings, axis)
         if _detects(data.excited_lines())
     )

@@ -169,28 +169,21 @@ def _words(fit: FittedResponse, record: ResponseFit) -> str:
     """Return band, modes, delay and slope, with their 95 % intervals."""
     dynamics = fit.dynamics
     low_Hz, high_Hz = dynamics.band_Hz
-    rest = dynamics.static_gain_m_per_V
+    gain = dynamics.static_gain_m_per_V
     quality = 0.5 / dynamics.mode_damping_interval()[:, ::-1]
+    residues: list[float] = dynamics.mode_gain_m_per_V.tolist()
+    modes_Hz = dynamics.mode_frequency_interval_Hz()
+    lags_Hz = dynamics.lag_frequency_interval_Hz()
     modes = [
-        f"a mode at {with_unit(f, 'Hz', 4)} ({_ends(ends, 'Hz', 5)}), quality "
-        f"{significant(0.5 / damping)} ({_ends(between, '')}), residue {with_unit(share, 'm')}/V "
-        f"({significant(100.0 * share / rest)} % of the gain at rest)"
-        for f, ends, damping, between, share in zip(
-            dynamics.mode_frequency_Hz.tolist(),
-            dynamics.mode_frequency_interval_Hz().tolist(),
-            dynamics.mode_damping.tolist(),
-            quality.tolist(),
-            dynamics.mode_gain_m_per_V.tolist(),
-            strict=True,
-        )
+        f"a mode at {with_unit(float(f), 'Hz', 4)} ({_interval(modes_Hz[m], 'Hz', 5)}), quality "
+        f"{significant(0.5 / float(dynamics.mode_damping[m]))} ({_interval(quality[m], '')}), "
+        f"residue {with_unit(residues[m], 'm')}/V ({significant(100.0 * residues[m] / gain)} % of "
+        "the gain at rest)"
+        for m, f in enumerate(dynamics.mode_frequency_Hz)
     ]
     lags = [
-        f"a pole at {with_unit(f, 'Hz')} ({_ends(ends, 'Hz')})"
-        for f, ends in zip(
-            dynamics.lag_frequency_Hz.tolist(),
-            dynamics.lag_frequency_interval_Hz().tolist(),
-            strict=True,
-        )
+        f"a pole at {with_unit(float(f), 'Hz')} ({_interval(lags_Hz[k], 'Hz')})"
+        for k, f in enumerate(dynamics.lag_frequency_Hz)
     ]
     left_out = f"{record.used} of {record.lines} lines used"
     if record.left_out_Hz:
@@ -198,7 +191,7 @@ def _words(fit: FittedResponse, record: ResponseFit) -> str:
     return (
         f"{with_unit(low_Hz, 'Hz')} to {with_unit(high_Hz, 'Hz')} ({left_out}): "
         f"{', '.join(modes + lags)}; delay {with_unit(dynamics.delay_s, 's')} "
-        f"({_ends(dynamics.delay_interval_s(), 's')}); {_slope_words(fit)}"
+        f"({_interval(dynamics.delay_interval_s(), 's')}); {_slope_words(fit)}"
     )
 
 
@@ -212,14 +205,16 @@ def _slope_words(fit: FittedResponse) -> str:
     if slow.falls:
         return (
             f"{below} the gain falls by {significant(-slow.slope_dB, 2)} dB per decade "
-            f"({_ends((-high, -low), '', 2)}), as of creep"
+            f"({_interval((-high, -low), '', 2)}), as of creep"
         )
-    slope = f"{significant(slow.slope_dB, 2)} dB per decade ({_ends((low, high), '', 2)}) {below}"
+    slope = (
+        f"{significant(slow.slope_dB, 2)} dB per decade ({_interval((low, high), '', 2)}) {below}"
+    )
     if low <= 0.0 <= high:
         return f"no creep is seen, {slope}"
     return f"the gain changes by {slope}, which is no creep and was not taken out"
 
 
-def _ends(interval: Iterable[float], unit: str, digits: int = 3) -> str:
-    low, high = (with_unit(float(end), unit, digits) for end in interval)
+def _interval(bounds: Iterable[float], unit: str, digits: int = 3) -> str:
+    low, high = (with_unit(float(bound), unit, digits) for bound in bounds)
     return f"{low} to {high}"

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.tunnelling.confidence import Confidence, lowest_grade
+from piezoid.identification.tunnelling.confidence import Confidence, Reason, lowest_grade
 from piezoid.identification.tunnelling.instrument_fit import (
     HIGHEST_POLE_SHARE,
     MISFIT,
@@ -26,16 +26,16 @@ from piezoid.identification.tunnelling.instrument_fit import (
     bounds_of_logs,
     fit_with_instrument,
 )
-from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRecord
 from piezoid.identification.tunnelling.loop_spectra import (
     LoopSpectra,
     spectra_of_all,
     spectra_of_dither,
 )
-from piezoid.numerics.arrays import Array, freeze
+from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
+from piezoid.record_json import Interval
 
 _HIGHEST_SHARE = 0.4  # of the sampling rate: beyond it a hold and a logarithm alias
 _FLAT_SHARE = 0.02  # of the sampling rate: the plant's poles of kilohertz leave it flat below
@@ -54,13 +54,10 @@ class Offset:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ClosedLoopFit:
-    """The plant between drive and log current, found while the loop was closed.
+class ClosedLoopFit(InstrumentFit):
+    """The plant and barrier of one record under its controller.
 
-    plant                  gain, sensor pole, delay
-    logs                   (3,)  ln gain, ln sensor pole, delay over the sampling period
-    covariance             (3, 3)  of logs
-    common                 (3, 3)  the part of it that all records of one rig have alike
+    label                  of the record
     gain_interval          95 %, nepers per volt
     sensor_pole_interval_Hz  95 %
     delay_interval_s       95 %
@@ -72,31 +69,21 @@ class ClosedLoopFit:
     dither_share           gamma^2 over all lines: how much of the drive's power is dither
     confidence, reasons    how far to trust it
     declared_pole_Hz       of the current sensor; None where it is not declared
-    mode                   of the tip's drive, beside the plant; None where none was seen
     """
 
     label: str
-    plant: JunctionPlant
-    logs: Array
-    covariance: Array
-    common: Array
-    gain_interval: tuple[float, float]
-    sensor_pole_interval_Hz: tuple[float, float]
-    delay_interval_s: tuple[float, float]
+    gain_interval: Interval
+    sensor_pole_interval_Hz: Interval
+    delay_interval_s: Interval
     decay_per_m: float
     barrier_eV: float
-    barrier_interval_eV: tuple[float, float]
+    barrier_interval_eV: Interval
     naive_gain: float
     naive_reason: str
     dither_share: float
     confidence: Confidence
     reasons: tuple[str, ...]
     declared_pole_Hz: float | None = None
-    mode: ModeEstimate | None = None
-
-    def __post_init__(self) -> None:
-        freeze(self, "logs")
-        freeze(self, "covariance", "common", ndim=2)
 
     @property
     def naive_error(self) -> float:
@@ -143,7 +130,6 @@ def identify_closed_loop(
             _refuse_falling(spectra, record)
         fit = fit_with_instrument(
             spectra,
-            spectra.reference,
             amplifier_pole_Hz=amplifier_pole_Hz,
             sensor_pole_Hz=sensor_pole_Hz,
             known_mode=known_mode,
@@ -157,17 +143,13 @@ def identify_closed_loop(
     naive_gain, share = _naive(record)
     low, high = _intervals(fit, spectra.blocks, declared=sensor_pole_Hz is not None)
     decay = fit.plant.gain_nepers_per_V / drive_gain_m_per_V
-    half = math.hypot(high[0] - fit.logs[0], 1.96 * drive_gain_relative_uncertainty)
-    confidence, reasons = _judge(
-        fit, high[0] - fit.logs[0], rate_Hz, declared=sensor_pole_Hz is not None
-    )
+    half_gain = float(high[0] - fit.logs[0])
+    half = math.hypot(half_gain, 1.96 * drive_gain_relative_uncertainty)
+    confidence, reasons = _confidence(fit, half_gain, declared=sensor_pole_Hz is not None)
     naive_error = 100.0 * (naive_gain / fit.plant.gain_nepers_per_V - 1.0)
     return ClosedLoopFit(
+        **vars(fit),
         label=record.label,
-        plant=fit.plant,
-        logs=fit.logs,
-        covariance=fit.covariance,
-        common=fit.common,
         gain_interval=(math.exp(low[0]), math.exp(high[0])),
         sensor_pole_interval_Hz=pole_interval(low[1], high[1], rate_Hz, sensor_pole_Hz),
         delay_interval_s=(max(float(low[2]), 0.0) / rate_Hz, float(high[2]) / rate_Hz),
@@ -188,7 +170,6 @@ def identify_closed_loop(
         confidence=confidence,
         reasons=reasons,
         declared_pole_Hz=sensor_pole_Hz,
-        mode=fit.mode,
     )
 
 
@@ -230,7 +211,7 @@ def _intervals(fit: InstrumentFit, blocks: int, *, declared: bool) -> tuple[Arra
 
 def pole_interval(
     low: float, high: float, sampling_rate_Hz: float, declared_Hz: float | None = None
-) -> tuple[float, float]:
+) -> Interval:
     """Return the ends of a pole's interval from those of its logarithm, hertz.
 
     A pole that may lie where a hold no longer shows it is bounded from below only, unless it is
@@ -241,11 +222,16 @@ def pole_interval(
     return math.exp(max(low, lowest)), math.exp(high) if bounded else math.inf
 
 
-def _judge(
-    fit: InstrumentFit, half: float, rate_Hz: float, *, declared: bool
+def _confidence(
+    fit: InstrumentFit, half_gain: float, *, declared: bool
 ) -> tuple[Confidence, tuple[str, ...]]:
-    reasons = []
-    width = 2.0 * half
+    """Return the confidence and the criteria that the fit does not meet.
+
+    half_gain  half the relative width of the gain's interval
+    declared   whether the pole of the current sensor is
+    """
+    reasons: list[Reason] = []
+    width = 2.0 * half_gain
     if width > _WIDE:
         grade = Confidence.LOW if width > _VERY_WIDE else Confidence.MEDIUM
         text = f"the gain's 95 % interval is {100.0 * width:.2g} % wide: more dither, or longer"
@@ -263,7 +249,7 @@ def _judge(
         )
         reasons.append((Confidence.MEDIUM, text))
     pole_Hz = fit.plant.sensor_pole_Hz
-    highest_Hz = HIGHEST_POLE_SHARE * rate_Hz
+    highest_Hz = HIGHEST_POLE_SHARE * fit.plant.sampling_rate_Hz
     if not declared and not 1.01 * MIN_POLE_Hz < pole_Hz < 0.99 * highest_Hz:
         text = f"the sensor pole, {1e-3 * pole_Hz:.3g} kHz, lies at the limit of the search"
         reasons.append((Confidence.MEDIUM, text))

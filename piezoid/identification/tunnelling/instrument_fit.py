@@ -29,13 +29,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
 from piezoid.identification.tunnelling.loop_spectra import LoopSpectra
-from piezoid.numerics.arrays import Array
-
-ComplexArray = NDArray[np.complex128]
+from piezoid.numerics.arrays import Array, ComplexArray, freeze
 
 MIN_POLE_Hz = 100.0
 HIGHEST_POLE_SHARE = 0.5  # of the sampling rate
@@ -52,33 +49,33 @@ _MODE_HIGH = (math.log(1.5), math.log(100.0), 1.0)
 _LARGEST_TAIL = 4.0  # r of a mode at half the sampling rate: nearer ones are modes
 _TAIL_SPREAD = 1.0  # standard deviation of r beforehand: a mode at the sampling rate
 _PLANT, _WITH_TAIL = 3, 4  # numbers of the plant; with the tail of modes beyond
-_LN_POLE, _DELAY, _TAIL = 1, 2, 3  # places among them
+_LN_POLE, _TAIL = 1, 3  # indices among them
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModeEstimate:
     """A mode of the drive as one record shows it.
 
-    mode       found
+    mode       estimate
     numbers    ln(frequency / sampling rate), ln quality, share
     deviation  their standard deviations
     """
 
     mode: DriveMode
-    numbers: tuple[float, float, float]
-    deviation: tuple[float, float, float]
+    numbers: tuple[float, ...]
+    deviation: tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class InstrumentFit:
-    """A plant and how well it is known.
+    """The plant between drive and log current, and how well it is known.
 
-    plant       fitted
+    plant       gain, sensor pole, delay
     logs        (3,)  ln gain, ln sensor pole, delay over the sampling period
     covariance  (3, 3)  of logs: scatter over blocks, misfit, and the declared poles' tolerance
-    common      (3, 3)  the part of it that every record of this rig has alike
+    common      (3, 3)  the part of it that all records of one rig have alike
     misfit      mean square of the weighted moments; near 1 when the plant's form fits
-    mode        of the drive; None where the plant does without
+    mode        of the tip's drive, beside the plant; None where none was seen
     """
 
     plant: JunctionPlant
@@ -88,36 +85,38 @@ class InstrumentFit:
     misfit: float
     mode: ModeEstimate | None
 
+    def __post_init__(self) -> None:
+        freeze(self, "logs")
+        freeze(self, "covariance", "common", ndim=2)
+
 
 def fit_with_instrument(
     spectra: LoopSpectra,
-    instrument: ComplexArray,
     *,
     amplifier_pole_Hz: float,
     sensor_pole_Hz: float | None = None,
     known_mode: ModeEstimate | None = None,
     sampling_rate_Hz: float,
 ) -> InstrumentFit:
-    """Return the plant at which the moments with an instrument vanish as well as they can.
+    """Return the plant at which the moments with the reference vanish as well as they can.
 
-    spectra         of the loop
-    instrument      (blocks, lines)  the reference
-    sensor_pole_Hz  as declared, 10 % either way; None: found from the record alone
+    spectra         of the loop; its reference is the instrument
+    sensor_pole_Hz  as declared, 10 % either way; None: estimated from the record alone
     known_mode      of the drive, as another record of the rig has shown it and as well as that
-                    knows it; None: to be seen
+                    knows it; None: to be estimated
 
     Moments are weighted by their variance over blocks; gain and pole are kept positive by their
     logarithms; the delay is sought from several starts, because a phase repeats.
     """
     problem = _Moments(
         spectra=spectra,
-        instrument=instrument,
         amplifier_pole_Hz=amplifier_pole_Hz,
         declared_pole_Hz=sensor_pole_Hz,
         known_mode=known_mode,
         sampling_rate_Hz=sampling_rate_Hz,
     )
-    response = problem.response()
+    drive = np.where(np.abs(problem.drive) > 0.0, problem.drive, 1e-300)
+    response = problem.output / drive * problem.passed  # S_yz / S_uz
     gain = float(np.median(np.abs(response[: max(len(response) // 4, 1)])))
     poles_Hz = (0.1 * sampling_rate_Hz, 0.4 * sampling_rate_Hz)
     further = [0.0] if known_mode is None else list(known_mode.numbers)
@@ -139,23 +138,30 @@ def fit_with_instrument(
             logs, cost, deviation = with_mode
     misfit = cost / problem.freedom(len(logs))
     covariance, common = problem.covariance(logs, deviation, max(misfit, 1.0))
+    mode = None
+    if (drive_mode := problem.mode(logs)) is not None:
+        mode = ModeEstimate(
+            mode=drive_mode,
+            numbers=tuple(logs[_PLANT:].tolist()),
+            deviation=tuple(np.sqrt(np.diag(covariance))[_PLANT:].tolist()),
+        )
     return InstrumentFit(
         plant=problem.plant(logs),
         logs=logs[:_PLANT],
         covariance=covariance[:_PLANT, :_PLANT],
         common=common[:_PLANT, :_PLANT],
         misfit=misfit,
-        mode=problem.estimated_mode(logs, covariance),
+        mode=mode,
     )
 
 
 def bounds_of_logs(
     sampling_rate_Hz: float, declared_pole_Hz: float | None = None
 ) -> tuple[list[float], list[float]]:
-    """A gain of any size, a pole of 100 Hz to half the sampling rate, a delay of 0 to 8 ticks.
+    """Return the bounds of logs: any gain, a pole of 100 Hz to half the rate, 0 to 8 ticks.
 
-    A hold shows nothing of a faster pole but a delay: what is sought ends where it can be told,
-    or at twice the pole that is declared.
+    A hold shows nothing of a faster pole but a delay: the search for the pole ends where a record
+    can show it, or at twice the pole that is declared.
     """
     highest_Hz = max(HIGHEST_POLE_SHARE * sampling_rate_Hz, 2.0 * (declared_pole_Hz or 0.0))
     return [-60.0, math.log(MIN_POLE_Hz), 0.0], [60.0, math.log(highest_Hz), 8.0]
@@ -163,12 +169,31 @@ def bounds_of_logs(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Moments:
+    """Moments of one record as functions of logs: three of the plant, then tail or mode."""
+
     spectra: LoopSpectra
-    instrument: ComplexArray
     amplifier_pole_Hz: float
     declared_pole_Hz: float | None
     known_mode: ModeEstimate | None
     sampling_rate_Hz: float
+
+    @cached_property
+    def output(self) -> ComplexArray:
+        """Mean cross spectrum of output and instrument, (lines,)."""
+        return np.asarray(np.mean(self.spectra.output * self.spectra.reference.conj(), axis=0))
+
+    @cached_property
+    def drive(self) -> ComplexArray:
+        """Mean cross spectrum of drive and instrument, (lines,)."""
+        return np.asarray(np.mean(self.spectra.drive * self.spectra.reference.conj(), axis=0))
+
+    @cached_property
+    def passed(self) -> ComplexArray:
+        """Response of the plant that the drive has passed already, (lines,)."""
+        through, frequency_Hz = self.spectra.through, self.spectra.frequency_Hz
+        if through is None:
+            return np.ones(len(frequency_Hz), dtype=np.complex128)
+        return through.frequency_response(frequency_Hz)
 
     def plant(self, logs: Array) -> JunctionPlant:
         return JunctionPlant(
@@ -188,18 +213,6 @@ class _Moments:
             share=float(logs[5]),
         )
 
-    def estimated_mode(self, logs: Array, covariance: Array) -> ModeEstimate | None:
-        mode = self.mode(logs)
-        if mode is None:
-            return None
-        frequency, quality, share = (float(number) for number in logs[_PLANT:])
-        spread = np.sqrt(np.diag(covariance))[_PLANT:]
-        return ModeEstimate(
-            mode=mode,
-            numbers=(frequency, quality, share),
-            deviation=(float(spread[0]), float(spread[1]), float(spread[2])),
-        )
-
     def freedom(self, numbers: int) -> int:
         return max(2 * len(self.output) - numbers, 1)
 
@@ -209,38 +222,12 @@ class _Moments:
         response = self.plant(logs).frequency_response(frequency_Hz, self.mode(logs))
         if len(logs) == _WITH_TAIL:
             response = response * (1.0 + logs[_TAIL] * (frequency_Hz / self.sampling_rate_Hz) ** 2)
-        passed: ComplexArray = response / self.passed
-        return passed
-
-    @cached_property
-    def passed(self) -> ComplexArray:
-        through, frequency_Hz = self.spectra.through, self.spectra.frequency_Hz
-        if through is None:
-            return np.ones(len(frequency_Hz), dtype=np.complex128)
-        return through.frequency_response(frequency_Hz)
-
-    def response(self) -> ComplexArray:
-        """The non-parametric estimate, S_yz / S_uz, (lines,)."""
-        ratio: ComplexArray = self.output / np.where(np.abs(self.drive) > 0.0, self.drive, 1e-300)
-        return ratio * self.passed
-
-    @cached_property
-    def output(self) -> ComplexArray:
-        """Mean cross spectrum of output and instrument, (lines,)."""
-        mean: ComplexArray = np.mean(self.spectra.output * self.instrument.conj(), axis=0)
-        return mean
-
-    @cached_property
-    def drive(self) -> ComplexArray:
-        """Mean cross spectrum of drive and instrument, (lines,)."""
-        mean: ComplexArray = np.mean(self.spectra.drive * self.instrument.conj(), axis=0)
-        return mean
+        return np.asarray(response / self.passed)
 
     def block_moments(self, relative: ComplexArray) -> ComplexArray:
-        """Each block's moments, (blocks, lines)."""
+        """Each block's moments for a response over ``passed``, (blocks, lines)."""
         bracket = self.spectra.output - relative * self.spectra.drive
-        moments: ComplexArray = bracket * self.instrument.conj()
-        return moments
+        return np.asarray(bracket * self.spectra.reference.conj())
 
     def deviation(self, response: ComplexArray) -> Array:
         """Standard deviation of each part of the mean moments, (lines,)."""
@@ -249,8 +236,7 @@ class _Moments:
         kernel = np.ones(min(_NEIGHBOURS, len(variance)))
         share = np.convolve(np.ones_like(variance), kernel, mode="same")
         smooth = np.convolve(variance, kernel, mode="same") / share
-        deviation: Array = np.sqrt(np.maximum(smooth, 1e-300))
-        return deviation
+        return np.asarray(np.sqrt(np.maximum(smooth, 1e-300)))
 
     def weighted(self, logs: Array, deviation: Array) -> Array:
         """Mean moments in standard deviations, real and imaginary, (2 lines,)."""
@@ -258,25 +244,18 @@ class _Moments:
         return np.concatenate([mean.real, mean.imag])
 
     def settle(self, starts: Sequence[Array], deviation: Array) -> tuple[Array, float, Array]:
-        """Solve from every start, then weigh and solve in turn; (numbers, cost, deviation)."""
+        """Solve from every start, then weigh and solve in turn; (logs, cost, deviation)."""
         logs, cost = min((self.solve(s, deviation) for s in starts), key=lambda pair: pair[1])
         for _ in range(_ROUNDS):
             deviation = self.deviation(self.modelled(logs) * self.passed)
             logs, cost = self.solve(logs, deviation)
         return logs, cost, deviation
 
-    def bounds(self, numbers: int) -> tuple[Array, Array]:
-        """Ends of what is sought, (numbers,) each."""
-        low, high = bounds_of_logs(self.sampling_rate_Hz, self.declared_pole_Hz)
-        if numbers == _WITH_TAIL:
-            return np.array([*low, -_LARGEST_TAIL]), np.array([*high, _LARGEST_TAIL])
-        return np.array([*low, *_MODE_LOW]), np.array([*high, *_MODE_HIGH])
-
     def solve(self, start: Array, deviation: Array) -> tuple[Array, float]:
         from scipy.optimize import least_squares
 
         low, high = self.bounds(len(start))
-        rows, centers = self.known(len(start))
+        rows, centers = self.priors(len(start))
         result = least_squares(
             lambda logs: np.append(self.weighted(logs, deviation), rows @ logs - centers),
             np.clip(start, low + 1e-9, high - 1e-9),
@@ -285,8 +264,14 @@ class _Moments:
         )
         return np.asarray(result.x, dtype=np.float64), 2.0 * float(result.cost)
 
-    def known(self, numbers: int) -> tuple[Array, Array]:
-        """What is known beforehand, rows @ logs = centers to one, (known, numbers), (known,)."""
+    def bounds(self, numbers: int) -> tuple[Array, Array]:
+        low, high = bounds_of_logs(self.sampling_rate_Hz, self.declared_pole_Hz)
+        if numbers == _WITH_TAIL:
+            return np.array([*low, -_LARGEST_TAIL]), np.array([*high, _LARGEST_TAIL])
+        return np.array([*low, *_MODE_LOW]), np.array([*high, *_MODE_HIGH])
+
+    def priors(self, numbers: int) -> tuple[Array, Array]:
+        """What is declared, rows @ logs = centers to one, (priors, numbers), (priors,)."""
         facts = [(_TAIL, 0.0, _TAIL_SPREAD)] if numbers == _WITH_TAIL else []
         if self.declared_pole_Hz is not None:
             facts.append((_LN_POLE, math.log(self.declared_pole_Hz), POLE_SPREAD))
@@ -300,15 +285,12 @@ class _Moments:
 
     def jacobian(self, logs: Array, deviation: Array) -> Array:
         """d weighted / d logs by central differences, (2 lines, numbers)."""
-        columns = []
         low, high = self.bounds(len(logs))
-        for number in range(len(logs)):
-            step = np.zeros(len(logs))
-            step[number] = 1e-5
-            forward = np.minimum(logs + step, high)
-            backward = np.maximum(logs - step, low)
+        columns = []
+        for step in 1e-5 * np.eye(len(logs)):
+            forward, backward = np.minimum(logs + step, high), np.maximum(logs - step, low)
             change = self.weighted(forward, deviation) - self.weighted(backward, deviation)
-            columns.append(change / (forward - backward)[number])
+            columns.append(change / (forward - backward).sum())
         return np.column_stack(columns)
 
     def covariance(self, logs: Array, deviation: Array, misfit: float) -> tuple[Array, Array]:
@@ -316,16 +298,16 @@ class _Moments:
 
         Each block's pull on the estimate, squared and summed. Few blocks make it uncertain, so
         that no variance is taken below the one expected of moments of unit variance, (J' J)^-1.
-        What is known beforehand pulls alike in every record; so does the amplifier's pole, which
-        is not fitted: by its tolerance times the shift of the estimate it would cause.
+        What is declared pulls alike in every record; so does the amplifier's pole, which is not
+        fitted: by its tolerance times the shift of the estimate it would cause.
         """
         moments = self.block_moments(self.modelled(logs)) / deviation
         moments = moments - moments.mean(axis=0)
         parts = np.concatenate([moments.real, moments.imag], axis=1)
         jacobian = self.jacobian(logs, deviation)
-        prior, _ = self.known(len(logs))
+        prior, _ = self.priors(len(logs))
         inverse = np.linalg.pinv(np.vstack([jacobian, prior]))
-        of_record, of_known = np.split(inverse, [len(jacobian)], axis=1)
+        of_record, of_prior = np.split(inverse, [len(jacobian)], axis=1)
         pulls = parts @ of_record.T / len(parts)
         sandwich = pulls.T @ pulls * len(parts) / (len(parts) - 1)
         expected = of_record @ of_record.T
@@ -333,6 +315,6 @@ class _Moments:
         faster = replace(self, amplifier_pole_Hz=self.amplifier_pole_Hz * math.exp(1e-4))
         change = 1e4 * (faster.weighted(logs, deviation) - self.weighted(logs, deviation))
         of_amplifier = POLE_SPREAD * (of_record @ change)
-        common = of_known @ of_known.T + np.outer(of_amplifier, of_amplifier)
+        common = of_prior @ of_prior.T + np.outer(of_amplifier, of_amplifier)
         widened: Array = misfit * sandwich * np.outer(stretch, stretch)
         return widened + common, common

@@ -11,7 +11,7 @@ Lines at multiples of 50 and of 60 Hz are left out: mains hum repeats with every
 length is a whole number of its cycles, and would pass for an answer to the dither.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,7 @@ from numpy.typing import NDArray
 from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRecord
-from piezoid.numerics.arrays import Array
-
-ComplexArray = NDArray[np.complex128]
+from piezoid.numerics.arrays import Array, ComplexArray
 
 FEWEST_BLOCKS = 8
 _MAINS_Hz = (50.0, 60.0)
@@ -74,8 +72,14 @@ def spectra_of_dither(
         length = _block_length(record)
         spectra = _cut(record, length, length, _tapered(length), through)
     else:
-        length = record.period_samples
-        _refuse_few_periods(record, length)
+        length, periods = record.period_samples, (record.samples - 1) // record.period_samples
+        if periods < FEWEST_BLOCKS:
+            raise ExcitationError(
+                f"{record.label}: {record.samples} samples hold {periods} whole periods of "
+                f"{length}, the first sample lost to the difference",
+                needed=f"at least {FEWEST_BLOCKS} periods, to separate the dither from the noise",
+                remedy="Record longer, or shorten the dither's period.",
+            )
         spectra = _cut(record, length, length, np.ones(length), through)
     inside = (spectra.frequency_Hz > 0.0) & (spectra.frequency_Hz <= highest_Hz)
     difference = 2.0 * np.sin(np.pi * spectra.frequency_Hz / record.sampling_rate_Hz)
@@ -122,16 +126,6 @@ def _tapered(length: int) -> Array:
     return window
 
 
-def _refuse_few_periods(record: LoopRecord, length: int) -> None:
-    if (record.samples - 1) // length < FEWEST_BLOCKS:
-        raise ExcitationError(
-            f"{record.label}: {record.samples} samples hold {(record.samples - 1) // length} "
-            f"whole periods of {length}, the first sample lost to the difference",
-            needed=f"at least {FEWEST_BLOCKS} whole periods, to tell the dither from the noise",
-            remedy="Record longer, or shorten the dither's period.",
-        )
-
-
 def _cut(
     record: LoopRecord,
     length: int,
@@ -159,10 +153,10 @@ def _cut(
 
 
 def _lines(spectra: LoopSpectra, is_used: NDArray[np.bool_]) -> LoopSpectra:
-    return LoopSpectra(
+    return replace(
+        spectra,
         frequency_Hz=spectra.frequency_Hz[is_used],
         reference=spectra.reference[:, is_used],
         drive=spectra.drive[:, is_used],
         output=spectra.output[:, is_used],
-        through=spectra.through,
     )

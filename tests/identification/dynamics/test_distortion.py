@@ -141,7 +141,7 @@ def test_of_two_stretches_that_repeat_the_longer_counts(rng: np.random.Generator
 def test_straight_drift_of_the_stage_is_not_taken_for_distortion(rng: np.random.Generator) -> None:
     data = record(rng, silent=4, noise_m=1e-10)
     straight, drifting = (
-        distortion_of([recorded(data, f"{r}.csv", r, drift_m) for r in range(4)], "x")[0].lines
+        distortion_of([recorded(data, f"{r}.csv", r, drift_m) for r in range(4)], "x")[0]
         for drift_m in (0.0, 5e-7)
     )
     assert straight.realisations == 4

@@ -309,7 +309,7 @@ def test_a_mode_of_the_drive_passes_for_neither_gain_nor_delay() -> None:
     output = response * drive + 0.01 * (parts[2] + 1j * parts[3])
     spectra = LoopSpectra(frequency_Hz=frequency_Hz, reference=drive, drive=drive, output=output)
     fit = fit_with_instrument(
-        spectra, drive, amplifier_pole_Hz=3000.0, sensor_pole_Hz=6300.0, sampling_rate_Hz=20e3
+        spectra, amplifier_pole_Hz=3000.0, sensor_pole_Hz=6300.0, sampling_rate_Hz=20e3
     )
     assert fit.mode is not None
     assert fit.mode.mode.frequency_Hz == pytest.approx(5000.0, rel=0.01)
@@ -361,7 +361,7 @@ def test_the_delay_is_as_sure_as_modes_beyond_the_recorded_lines_allow() -> None
             frequency_Hz=frequency_Hz, reference=drive, drive=drive, output=output
         )
         fit = fit_with_instrument(
-            spectra, drive, amplifier_pole_Hz=5000.0, sensor_pole_Hz=3000.0, sampling_rate_Hz=20e3
+            spectra, amplifier_pole_Hz=5000.0, sensor_pole_Hz=3000.0, sampling_rate_Hz=20e3
         )
         half_s = 1.96 * math.sqrt(fit.covariance[2, 2]) / 20e3
         held += abs(fit.plant.delay_s - plant.delay_s) <= half_s
