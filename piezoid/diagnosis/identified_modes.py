@@ -38,8 +38,8 @@ MAX_RISE = 6.0
 # Of the part of the motion that a mode would add: tones to 120 Hz into a mode of 160 Hz leave 0.76
 # of it on a Dahl stage and 0.79 on plays, and 0.01 at most without the mode.
 MIN_SHARE = 0.4
-LINES = 3.0  # times the line that white noise makes: more is no chance
-RISING_P = 1e-3  # four standard deviations of the largest of some hundred lines
+NOISE_LINES = 3.0  # times the rms of a line of white noise, which a motion must exceed
+RISING_P = 1e-3  # the largest of some hundred lines lies four standard deviations out
 
 
 def split_known_modes(
@@ -159,8 +159,8 @@ def unexplained_share(view: View, frequency_Hz: float) -> float:
         wave = np.exp(-2j * np.pi * frequency_Hz * track.time_s)
         motion = float(abs(np.mean((track.response - track.response.mean()) * wave)))
         residual = view.null.residual[first:last]
-        chance = LINES * float(np.sqrt(np.mean(residual**2) / len(residual)))
-        missing = max(float(abs(np.mean(residual * wave[track.place]))) - chance, 0.0)
+        noise_line = NOISE_LINES * float(np.sqrt(np.mean(residual**2) / len(residual)))
+        missing = max(float(abs(np.mean(residual * wave[track.place]))) - noise_line, 0.0)
         if track.rate_Hz > 2.0 * frequency_Hz:
             shares.append((motion, missing / max(motion, 1e-300)))
     return max(shares, default=(0.0, 0.0))[1]

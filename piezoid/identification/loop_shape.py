@@ -70,7 +70,7 @@ class LoopShape:
     reach_V: float
     density_m: Array
     smooth_m: Array
-    plays_weight: float
+    plays_weight: float = 1.0
     plain: PlainFit
 
     def __post_init__(self) -> None:

@@ -73,11 +73,13 @@ class Piece:
 class _Path:
     """A drive at the rows that may remember its initial state, with its states after histories.
 
-    drive_V   (rows,)
+    place     (rows,)  in samples, as late as the filters make the rows
+    drive     (rows,)  scaled
     plays_m   (rows, 1 + histories)  response of the plays: of the fitted memory, of each history
     states    of the wide class, likewise
     """
 
+    place: Array
     drive: Array
     plays_m: Array
     states: tuple[States, ...]
@@ -87,6 +89,12 @@ class _Path:
         made = [shape.of_states(self.drive, states) for states in self.states]
         total_m = shape.plays_weight * self.plays_m + np.stack(made, axis=1)
         return np.asarray(total_m[:, 1:] - total_m[:, :1])
+
+    def everywhere(self, change_m: Array, samples: int) -> Array:
+        """Return a change at all samples of the piece: straight between rows, 0 behind them."""
+        if not len(self.place):
+            return np.zeros(samples)
+        return np.interp(np.arange(samples), self.place, change_m, right=0.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -200,7 +208,10 @@ def columns_of(axis: AxisModel, pieces: Sequence[Piece]) -> Columns:
         of_class = np.hstack(list(table.values())) @ smooth
         table[PLAYS] = (plays_m / (0.5 * axis.quality.range_m) - of_class)[:, None]
         tables.append({name: x * _gain(axis, piece) for name, x in table.items()})
-        paths.append(_remembering_path(axis, shape, drive_V, places, piece.start, number))
+        late_rows = np.maximum(piece.rows - late, 0.0)
+        paths.append(
+            _remembering_path(axis, shape, drive_V, places, late_rows, piece.start, number)
+        )
     family = tuple(name for name, x in tables[0].items() for _ in range(x.shape[1]))
     x = np.concatenate([np.hstack(list(table.values())) for table in tables])
     scale, change = _without_redundancy(x, np.array(family))
@@ -322,10 +333,16 @@ def _remembering_path(
     shape: LoopShape,
     drive_V: Array,
     places: NDArray[np.intp],
+    late_rows: Array,
     start: PieceStart,
     number: int,
 ) -> _Path:
-    """Follow histories for as long as they show."""
+    """Follow histories for as long as they show.
+
+    drive_V    (samples,)  V, at its turns and ``late_rows``
+    places     (rows,)     of the rows in it
+    late_rows  (rows,)     in samples of the piece
+    """
     drive_V = drive_V[: remembered(shape.scaled(drive_V))]
     places = places[places < len(drive_V)]
     drive = shape.scaled(drive_V)
@@ -334,7 +351,12 @@ def _remembering_path(
     memories += [(axis.memory_after(shape.turns_V(history)), history) for history in tried]
     plays_m = [axis.invertible_m(drive_V, memory_V, 1.0)[places] for memory_V, _ in memories]
     states = [_states(drive, places, history)[1] for _, history in memories]
-    return _Path(drive=drive[places], plays_m=np.stack(plays_m, axis=1), states=tuple(states))
+    return _Path(
+        place=late_rows[: len(places)],
+        drive=drive[places],
+        plays_m=np.stack(plays_m, axis=1),
+        states=tuple(states),
+    )
 
 
 def _without_redundancy(x: Array, family: NDArray[np.str_]) -> tuple[Array, Array]:

@@ -156,18 +156,20 @@ def regression_of(
     histories = [np.zeros((rows[-1], 0 if is_first else len(w))) for w in estimate.weights]
     slopes, error_m, sensor_slope = [], [], []
     for k, piece in enumerate(pieces):
-        weight = None if is_first else estimate.weights[k]
         start = replace(piece.start, zero_m=estimate.zeros[k])
         zeros[rows[k] : rows[k + 1], knots[k] : knots[k + 1]] = _zero_columns(piece, start)
+        history_m = np.zeros(piece.where.samples)
         if not is_first:
-            changes = columns.paths[k].changes_m(shape) / abs(scale_m)
-            histories[k][rows[k] : rows[k] + len(changes)] = changes
-        static_m = axis.static_after_m(piece.drive_V, start.memory_V, piece.where.rate_Hz, weight)
+            path = columns.paths[k]
+            changes_m = path.changes_m(shape)
+            histories[k][rows[k] : rows[k] + len(changes_m)] = changes_m / abs(scale_m)
+            history_m += path.everywhere(changes_m @ estimate.weights[k], piece.where.samples)
+        static_m = history_m + axis.static_m(piece.drive_V, start.memory_V, piece.where.rate_Hz)
         read_m = _read_m(axis, piece, start, static_m)
         error_m.append(piece.measured_m[piece.rows] - read_m)
         sensor_slope.append(_sensor_slope(axis, piece, start, static_m))
         if has_numbers:
-            slopes.append(_changes_m(axis, piece, start, static_m, read_m) / scale_m)
+            slopes.append(_changes_m(axis, piece, start, static_m, history_m) / scale_m)
     numbers = _numbers(axis) if has_numbers else free([], [], [], [])
     number_columns, size = _of_unit_size(slopes, int(rows[-1]))
     step = numbers.step / size
@@ -265,10 +267,13 @@ def with_numbers(axis: AxisModel, values: Array) -> AxisModel:
 
 
 def _changes_m(
-    axis: AxisModel, piece: Piece, start: PieceStart, static_m: Array, read_m: Array
+    axis: AxisModel, piece: Piece, start: PieceStart, static_m: Array, history_m: Array
 ) -> Array:
-    """Return the change of the reading by a step of every number, (rows, numbers)."""
-    numbers = _numbers(axis)
+    """Return the change of the reading by a step of every number, (rows, numbers).
+
+    history_m  (samples,)  part of ``static_m`` that is of weighted histories
+    """
+    numbers, read_m = _numbers(axis), _read_m(axis, piece, start, static_m)
     changes = np.zeros((len(piece.rows), len(numbers.value)))
     parts: list[Extension | None] = [] if axis.lag.kind == "none" else [None]
     for extension in axis.extensions:
@@ -281,7 +286,7 @@ def _changes_m(
         changed, changed_m = with_numbers(axis, values), static_m
         if part is not None and not _is_behind_hysteresis(part):
             drive_V = changed.forward.driven_V(piece.voltage_V, piece.where.rate_Hz)
-            changed_m = changed.static_m(drive_V, start.memory_V, piece.where.rate_Hz)
+            changed_m = history_m + changed.static_m(drive_V, start.memory_V, piece.where.rate_Hz)
         changes[:, k] = sign * (_read_m(changed, piece, start, changed_m) - read_m)
     return changes
 

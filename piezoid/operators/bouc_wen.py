@@ -6,6 +6,7 @@ Source: Bouc (1967); Wen, J. Eng. Mech. 102 (1976).
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from piezoid.numerics.arrays import Array
 from piezoid.operators.library import KERNELS, address, contiguous
@@ -14,19 +15,32 @@ LONGEST = 0.01  # step of the drive; the midpoint rule then errs by some 1e-5 of
 
 
 def bouc_wen_states(
-    drive: Array, beta: float, gamma: float, exponent: float, start: float = 0.0
+    drive: Array,
+    beta: ArrayLike,
+    gamma: ArrayLike,
+    exponent: ArrayLike,
+    start: ArrayLike = 0.0,
 ) -> Array:
-    """Return the state along a drive.
+    """Return one state along a drive, or several.
 
-    drive            (samples,)  of the order of one
-    beta, gamma      scalars     loading and unloading; 1 / unit of the drive, to the power n
-    exponent         scalar      n >= 1, sharpness of the knee
-    start            scalar      z at the first sample
-    returned         (samples,)  unit of the drive
+    drive            (samples,)           of the order of one
+    beta, gamma      scalars or (states,) loading and unloading; 1 / unit of the drive, to the
+                                          power n
+    exponent         scalar or (states,)  n >= 1, sharpness of the knee
+    start            scalar or (states,)  z at the first sample
+    returned         (samples,) or (samples, states)  unit of the drive
     """
+    numbers = np.broadcast_arrays(*(np.asarray(x, float) for x in (beta, gamma, exponent, start)))
+    law, state = np.stack(numbers[:3], axis=-1), contiguous(numbers[3].ravel()).copy()
     drive = contiguous(drive)
-    states, state = np.empty_like(drive), np.array([start])
+    states = np.empty((len(drive), len(state)))
     KERNELS.pk_bouc_wen(
-        len(drive), address(drive), beta, gamma, exponent, LONGEST, address(state), address(states)
+        len(drive),
+        address(drive),
+        len(state),
+        address(contiguous(law)),
+        LONGEST,
+        address(state),
+        address(states),
     )
-    return states
+    return states if numbers[0].ndim else states[:, 0]

@@ -43,7 +43,7 @@ _SIGNATURES: dict[str, tuple[type, ...]] = {
     "pk_filter": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 4),
     "pk_lasting_extremes": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 2),
     "pk_slew": (_SIZE, _POINTER, _DOUBLE, _POINTER),
-    "pk_bouc_wen": (_SIZE, _POINTER, *[_DOUBLE] * 4, *[_POINTER] * 2),
+    "pk_bouc_wen": (_SIZE, _POINTER, _SIZE, _POINTER, _DOUBLE, *[_POINTER] * 2),
     "pk_friction": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 4, _SIZE, _POINTER),
     "pk_polynomials": (_SIZE, _POINTER, _SIZE, _SIZE, *[_POINTER] * 5),
     "pk_activated": (_SIZE, _POINTER, _DOUBLE, _DOUBLE, _POINTER),

@@ -106,26 +106,27 @@ static inline double raised(double size, double exponent) {
     return equals(exponent, 2.0) ? size * size : pow(size, exponent);
 }
 
-static inline double bouc_wen_slope(double z, double way, double beta, double gamma,
-                                    double exponent) {
-    const double grip = gamma + (z * way > 0.0 ? beta : -beta);
-    return 1.0 - grip * raised(fabs(z), exponent);
+static inline double bouc_wen_slope(double z, double way, const double *law) {
+    const double grip = law[1] + (z * way > 0.0 ? law[0] : -law[0]);
+    return 1.0 - grip * raised(fabs(z), law[2]);
 }
 
-void pk_bouc_wen(size_t samples, const double *input, double beta, double gamma, double exponent,
+void pk_bouc_wen(size_t samples, const double *input, size_t states, const double *law,
                  double longest, double *state, double *output) {
-    double z = *state;
     for (size_t k = 0; k < samples; ++k) {
         const double way = k > 0 ? input[k] - input[k - 1] : 0.0;
         const double parts = ceil(fabs(way) / longest);
         const double step = parts > 0.0 ? way / parts : 0.0;
-        for (double part = 0.0; part < parts; part += 1.0) {
-            const double middle = z + 0.5 * step * bouc_wen_slope(z, step, beta, gamma, exponent);
-            z += step * bouc_wen_slope(middle, step, beta, gamma, exponent);
+        for (size_t i = 0; i < states; ++i) { /* states do not wait for each other */
+            double z = state[i];
+            for (double part = 0.0; part < parts; part += 1.0) {
+                const double middle = z + 0.5 * step * bouc_wen_slope(z, step, law + 3 * i);
+                z += step * bouc_wen_slope(middle, step, law + 3 * i);
+            }
+            state[i] = z;
+            output[k * states + i] = z;
         }
-        output[k] = z;
     }
-    *state = z;
 }
 
 /* What a friction state of u^n follows on a straight way without end. */

@@ -39,9 +39,13 @@ void pk_slew(size_t samples, const double *input, double step, double *output);
  *   lag[k] = wide atanh(step tanh((lag[k-1] + x[k] - x[k-1]) / wide)),   output = x - lag */
 void pk_activated(size_t samples, const double *input, double step, double wide, double *output);
 
-/* A Bouc-Wen state along an input, by midpoint steps of at most `longest`:
- *   dz/du = 1 - |z|^exponent (gamma + beta sgn(z du));   *state is z before, then after */
-void pk_bouc_wen(size_t samples, const double *input, double beta, double gamma, double exponent,
+/* Bouc-Wen states along an input, by midpoint steps of at most `longest`:
+ *   dz/du = 1 - |z|^exponent (gamma + beta sgn(z du))
+ *   law    (states, 3)        beta, gamma and exponent of each
+ *   state  (states,)          in/out
+ *   output (samples, states)  row by row
+ */
+void pk_bouc_wen(size_t samples, const double *input, size_t states, const double *law,
                  double longest, double *state, double *output);
 
 /* The extremes of an input that are not wiped out, in their order, the last sample at the end:

@@ -80,7 +80,7 @@ class HysteresisStates:
 
     def follow(self, drive: Array) -> States:
         """Return plays, friction states and Bouc-Wen states at the samples, (samples, states)."""
-        states = _along(drive, self._end)
+        states = _states_along(drive, self._end)
         self._end = _end(drive, states)
         return states
 
@@ -95,7 +95,7 @@ def _end_of_history(history: tuple[float, ...]) -> _End:
     drive = np.concatenate(segments)
     friction = np.zeros(len(REACH) * len(FRICTION_POWERS))
     start = (0.0, np.zeros(len(WIDTHS)), friction, np.zeros(len(BOUC_WEN)))
-    return _end(drive, _along(drive, start))
+    return _end(drive, _states_along(drive, start))
 
 
 def _end(drive: Array, states: States) -> _End:
@@ -103,21 +103,19 @@ def _end(drive: Array, states: States) -> _End:
     return float(drive[-1]), plays[-1].copy(), friction[-1].copy(), bouc_wen[-1].copy()
 
 
-def _along(drive: Array, start: _End) -> States:
+def _states_along(drive: Array, start: _End) -> States:
     """Return the states along a drive that starts from where another one ended."""
     start_drive, plays, friction, bouc_wen = start
     path = np.concatenate([[start_drive], drive])
     reach = np.tile(REACH, len(FRICTION_POWERS))
     power = np.repeat(FRICTION_POWERS, len(REACH))
-    columns = np.empty((len(drive), len(BOUC_WEN)), order="F")
-    for i, (limit, exponent, unloading) in enumerate(BOUC_WEN):
-        loaded = limit**-exponent
-        beta, gamma = 0.5 * loaded * (1.0 + unloading), 0.5 * loaded * (1.0 - unloading)
-        columns[:, i] = bouc_wen_states(path, beta, gamma, exponent, float(bouc_wen[i]))[1:]
+    limit, exponent, unloading = BOUC_WEN.T
+    loading = 0.5 * limit**-exponent
+    beta, gamma = loading * (1.0 + unloading), loading * (1.0 - unloading)
     return (
         play_columns(drive, WIDTHS, plays)[0],
         friction_states(path, reach, friction, power=power)[1:],
-        columns,
+        bouc_wen_states(path, beta, gamma, exponent, bouc_wen)[1:],
     )
 
 

@@ -48,6 +48,29 @@ def assert_as_a_whole(path: Path, rows: int, lab: Lab | None = None) -> None:
     assert recording.counted == whole.counted
 
 
+@pytest.mark.parametrize("row", [1022, 1023, 1024, 2046, 2047])
+def test_a_missing_cell_at_the_edge_of_a_chunk_is_bridged_as_in_a_whole_reading(
+    row: int, tmp_path: Path
+) -> None:
+    readings = RESPONSE.copy()
+    readings[row] = np.nan
+    path = table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, readings)
+    assert ingest(path).breaks == ()
+    assert_as_a_whole(path, ROWS)
+
+
+@pytest.mark.parametrize("row", [500, 1022, 1023])
+def test_a_missing_cell_beside_a_lost_row_is_a_break(row: int, tmp_path: Path) -> None:
+    readings = RESPONSE.copy()
+    readings[row] = np.nan
+    kept = np.delete(np.arange(SAMPLES), row + 1)
+    path = table(tmp_path, HEADINGS, TIME_s[kept], VOLTAGE_V[kept], readings[kept])
+    recording = ingest(path)
+    assert recording.breaks == (row,)
+    assert recording.bridged == ()
+    assert_as_a_whole(path, ROWS)
+
+
 @pytest.mark.parametrize("rows", [1, 100_000])
 @pytest.mark.parametrize("name", IN_CHUNKS)
 def test_every_format_reads_in_chunks_as_it_reads_whole(
