@@ -29,15 +29,15 @@ from piezoid.runtime.library import Values
 from piezoid.runtime.schema import METHODS
 
 _SHARES = np.linspace(0.05, 1.0, 20)  # of the nominal inverse, among which L is chosen
-_MOST_LEFT = 0.95  # of the error by a period: less is no progress worth a recording
-_LIMITS = np.arange(_MOST_LEFT, 0.0, -0.05)  # of a harmonic's own contraction
+_MAX_REMAINING = 0.95  # of the error by a period: less is no progress worth a recording
+_LIMITS = np.arange(_MAX_REMAINING, 0.0, -0.05)  # of a harmonic's own contraction
 # Where the plant answers with less than this of its gain, the table would grow to no avail; the
 # waveform target found 0.1 on a plant with a mode at 630 Hz.
-_ANSWERS = 0.1
-_OF_MODEL = 0.8  # of the nominal inverse: less than 1, a slope may be above the middle one
-_STEPS = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3])  # shares of the nominal inverse, for probes
-_PROBED = 1.15  # of the harmonic, what a step may leave on the worst plant
-_AT_REST = 1e-12  # of z - 1: an integrator has no response at rest
+_MIN_RESPONSE = 0.1
+_MODEL_SHARE = 0.8  # of the nominal inverse: less than 1, a slope may be above the middle one
+_PROBE_SHARES = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3])  # of the nominal inverse
+_MAX_PROBED = 1.15  # of the harmonic, what a step may leave on the worst plant
+_REST_TOLERANCE = 1e-12  # of z - 1: an integrator has no response at rest
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,7 +50,7 @@ class LearningFilter:
     sensed       (harmonics,)  complex, reading over position of the nominal plant
     learns       (harmonics,)  Q, which is 0 or 1
     probe_V_per_m  (harmonics,)  a small step where nothing contracts on all plants, from which the
-                 response can be measured: it leaves at most ``_PROBED`` of the harmonic
+                 response can be measured: it leaves at most ``_MAX_PROBED`` of the harmonic
     contraction  at most this share of the error is left by a period, at full gain
     sector       rho
     worst        the member of the family that shrinks it least
@@ -101,48 +101,44 @@ def learning_filter(
     Raises ``DesignError`` where the first harmonic does not contract, with what a period leaves.
     """
     task = lateral_task(model, sampling_rate_Hz)
-    form = (
-        "affine" if values is not None and METHODS[int(values["method"])] == "dob" else "inverse"
-    )
-    members, sector = task.families[form].members, task.bounds["affine"].increment_gain
+    is_affine = values is not None and METHODS[int(values["method"])] == "dob"
+    members = task.families["affine" if is_affine else "inverse"].members
+    sector, known_Hz = task.bounds["affine"].increment_gain, unseen(model).from_Hz
     harmonic_Hz = sampling_rate_Hz / points * np.arange(points // 2 + 1, dtype=np.float64)
     q = unit_circle(harmonic_Hz, sampling_rate_Hz)
-    responses = np.stack([table_response(member, values, q) for member in members])
-    nominal = members[0]
-    sensed = polynomial_response(nominal.B, q) / polynomial_response(nominal.B_position, q)
-    known_Hz = unseen(model).from_Hz
-    answers = np.abs(responses[0]) >= _ANSWERS * abs(nominal.gain)
+    responses, nominal = np.stack([table_response(m, values, q) for m in members]), members[0]
+    answers = np.abs(responses[0]) >= _MIN_RESPONSE * abs(nominal.gain)
     answers &= (harmonic_Hz > 0.0) & (harmonic_Hz < 0.5 * sampling_rate_Hz)
     usable = answers & (harmonic_Hz <= known_Hz)
-    of_model = np.zeros(len(q), dtype=complex)
-    of_model[answers] = _OF_MODEL / responses[0][answers]
     relative = responses / np.where(responses[0] == 0.0, 1.0, responses[0])
-    by_share = _remaining(_SHARES, relative, sector)
-    share, remaining = _SHARES[np.argmin(by_share, axis=0)], by_share.min(axis=0)
-    applied = gain * share * relative
-    if gain != 1.0:
-        remaining = (np.abs(1.0 - applied) + sector * np.abs(applied)).max(axis=0)
-    learns = max(
-        (_widest(applied, sector, usable & (remaining <= limit)) for limit in _LIMITS),
-        key=np.count_nonzero,
+    remaining = np.stack([_remaining(share * relative, sector) for share in _SHARES])
+    share = gain * _SHARES[np.argmin(remaining, axis=0)]
+    applied = share * relative
+    worst_case = _remaining(applied, sector)
+    bands = [_contracting(applied, sector, usable & (worst_case <= limit)) for limit in _LIMITS]
+    learns = max(bands, key=np.count_nonzero)
+    if not learns[1]:
+        raise _no_contraction(model.axis, applied, sector, harmonic_Hz, known_Hz, members, gain)
+    by_member = np.abs(1.0 - applied[:, learns]).max(axis=1)
+    by_member += sector * np.abs(applied[:, learns]).max(axis=1)
+
+    def inverse(rows: NDArray[np.bool_], part: Array | float) -> Response:
+        """Return a part of the nominal inverse at some harmonics, 0 elsewhere."""
+        filtered = np.zeros(len(q), dtype=complex)
+        filtered[rows] = np.broadcast_to(part, q.shape)[rows] / responses[0][rows]
+        return filtered
+
+    return LearningFilter(
+        harmonic_Hz=harmonic_Hz,
+        L_V_per_m=inverse(learns, share),
+        model_V_per_m=inverse(answers, _MODEL_SHARE),
+        sensed=polynomial_response(nominal.B, q) / polynomial_response(nominal.B_position, q),
+        learns=learns,
+        probe_V_per_m=inverse(usable & ~learns, _probe_shares(relative, sector)),
+        contraction=float(by_member.max()),
+        sector=sector,
+        worst=members[int(np.argmax(by_member))].label,
     )
-    if learns[1]:
-        learnt = applied[:, learns]
-        each = np.abs(1.0 - learnt).max(axis=1) + sector * np.abs(learnt).max(axis=1)
-        L = np.zeros(len(q), dtype=complex)
-        L[learns] = gain * share[learns] / responses[0][learns]
-        return LearningFilter(
-            harmonic_Hz=harmonic_Hz,
-            L_V_per_m=L,
-            model_V_per_m=of_model,
-            sensed=sensed,
-            learns=learns,
-            probe_V_per_m=_probes(responses, relative, sector, usable & ~learns),
-            contraction=float(each.max()),
-            sector=sector,
-            worst=members[int(np.argmax(each))].label,
-        )
-    raise _no_contraction(model.axis, applied, sector, harmonic_Hz, known_Hz, members, gain)
 
 
 def table_response(member: Plant, values: Values | None, q: Response) -> Response:
@@ -174,7 +170,7 @@ def table_response(member: Plant, values: Values | None, q: Response) -> Respons
     rows[:, :n, n] = -driven
     rows[:, :n, n + 1] = -driven - P[:, None] * (moves @ L + slow * driven)
     rows[:, n, :n], rows[:, n, n], rows[:, n, n + 1] = slow * C, z - 1.0, -slow * P
-    rows[np.abs(z - 1.0) < _AT_REST, n, n] = _AT_REST
+    rows[np.abs(z - 1.0) < _REST_TOLERANCE, n, n] = _REST_TOLERANCE
     rows[:, n + 1, :n] = command[:, None] * (K @ correct - slow * C)
     rows[:, n + 1, n] = command
     rows[:, n + 1, n + 1] = 1.0 + command * P * (float(K @ L) + slow)
@@ -183,36 +179,28 @@ def table_response(member: Plant, values: Values | None, q: Response) -> Respons
     return np.asarray(position * np.linalg.solve(rows, impulse)[:, n + 1, 0])
 
 
-def _remaining(shares: Array, relative: Response, sector: float) -> Array:
-    """Return what each share of the nominal inverse leaves at most, (shares, harmonics)."""
-    return np.stack(
-        [(np.abs(1.0 - c * relative) + sector * c * np.abs(relative)).max(axis=0) for c in shares]
-    )
+def _remaining(applied: Response, sector: float) -> Array:
+    """Return the share of the error that a period leaves on the worst plant, (harmonics,)."""
+    return np.asarray((np.abs(1.0 - applied) + sector * np.abs(applied)).max(axis=0))
 
 
-def _probes(
-    responses: Response,
-    relative: Response,
-    sector: float,
-    is_wanted: NDArray[np.bool_],
-) -> Response:
-    """Return the largest step that no plant of the family answers with more than ``_PROBED``."""
-    remaining = _remaining(_STEPS, relative, sector)
-    share = _STEPS[np.argmin(np.where(remaining <= _PROBED, -_STEPS[:, None], 0.0), axis=0)]
-    share = np.where(remaining.min(axis=0) <= _PROBED, share, 0.0)
-    probe = np.zeros(responses.shape[1], dtype=complex)
-    probe[is_wanted] = share[is_wanted] / responses[0][is_wanted]
-    return probe
+def _probe_shares(relative: Response, sector: float) -> Array:
+    """Return the largest step that leaves at most ``_MAX_PROBED`` on every plant, (harmonics,)."""
+    remaining = np.stack([_remaining(share * relative, sector) for share in _PROBE_SHARES])
+    allowed = np.where(remaining <= _MAX_PROBED, _PROBE_SHARES[:, None], 0.0)
+    return np.asarray(allowed.max(axis=0))
 
 
-def _widest(applied: Response, sector: float, candidates: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the lowest of the wanted harmonics, as many as contract together."""
+def _contracting(
+    applied: Response, sector: float, candidates: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return the lowest candidate harmonics, as many as contract together."""
     indices = np.flatnonzero(candidates)
     remaining = np.maximum.accumulate(np.abs(1.0 - applied[:, indices]), axis=1)
     driven = np.maximum.accumulate(np.abs(applied[:, indices]), axis=1)
     together = (remaining + sector * driven).max(axis=0)
     learns = np.zeros_like(candidates)
-    learns[indices[together <= _MOST_LEFT]] = True
+    learns[indices[together <= _MAX_REMAINING]] = True
     return learns
 
 
@@ -240,7 +228,7 @@ def _no_contraction(
         f"and a learning gain of {gain:g}, a period may leave {each[worst]:.3g} of the error on "
         f"the plant '{members[worst].label}', {sector * abs(applied[worst, 1]):.3g} of it by the "
         "slope sector of the hysteresis",
-        needed=f"at most {_MOST_LEFT:g} on every plant that the recordings allow",
+        needed=f"at most {_MAX_REMAINING:g} on every plant that the recordings allow",
         remedy="Lower the learning gain, record more so that the family is narrower, or scan "
         "slower.",
     )

@@ -27,7 +27,6 @@ from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.frequency import Response
 from piezoid.record_json import read_sealed, to_json
 from piezoid.records.recording import Recording
-from piezoid.runtime.controller import Status
 from piezoid.targets.waveform import inverse_V
 from piezoid.verification.plant import AxisPlant
 
@@ -36,9 +35,9 @@ SHARE_OF_MEASURED = 0.8
 _MAX_UNCERTAINTY = 0.3
 
 SCHEMA = "piezoid.learning/1"
-_FEWEST = 16  # points of a period
+_MIN_POINTS = 16  # points of a period
 _ROUNDS = 8  # on the model; more changed nothing, see the waveform target
-_LEARNABLE = 0.9  # of the power of a motion
+_MIN_LEARNT_POWER = 0.9  # of the power of a motion
 _SAME_m = 1e-12  # two references are one where no point differs by more
 
 
@@ -90,10 +89,10 @@ class Learned:
         response = np.reshape(self.response_m_per_V, (-1, 2))  # a file has no shape of none
         object.__setattr__(self, "response_m_per_V", response)
         freeze(self, "response_m_per_V", ndim=2)
-        if len(self.wanted_m) != len(self.table_V) or len(self.wanted_m) < _FEWEST:
+        if len(self.wanted_m) != len(self.table_V) or len(self.wanted_m) < _MIN_POINTS:
             raise ValueError(
                 f"{len(self.wanted_m)} points wanted, {len(self.table_V)} in the table; expected "
-                f"as many of each, at least {_FEWEST}"
+                f"as many of each, at least {_MIN_POINTS}"
             )
         if not self.sampling_rate_Hz > 0.0 or not self.contraction < 1.0:
             raise ValueError(
@@ -150,18 +149,16 @@ def first_table(
         sampling_rate_Hz=plant.sampling_rate_Hz,
         gain=gain,
     )
-    _refuse_untouched(model.axis, learner, wanted_m)
-    noiseless = replace(plant, noise_rms=0.0, hums=(), reading_step=0.0)
-    rng = np.random.default_rng(0)
-    table_V = inverse_V(noiseless, wanted_m) if values is None else np.zeros(len(wanted_m))
-    best_V, least_m = table_V, np.inf
+    _refuse_unlearnable(model.axis, learner, wanted_m)
+    table_V = inverse_V(plant, wanted_m) if values is None else np.zeros(len(wanted_m))
+    best_V, smallest_m = table_V, np.inf
     for _ in range(_ROUNDS):
-        played = play(noiseless, wanted_m, table_V, values=values, rng=rng)
-        _refuse_limited(model, played.voltage_V, played.status)
-        error_m = _without_mean(wanted_m - played.position_m[0], closed=values is not None)
+        error_m = wanted_m - _simulated(model, plant, wanted_m, table_V, parameters)
+        if values is None:
+            error_m -= error_m.mean()  # nothing corrects a drift in open loop
         rms_m = float(np.sqrt(np.mean(error_m**2)))
-        if rms_m < least_m:
-            best_V, least_m = table_V, rms_m
+        if rms_m < smallest_m:
+            best_V, smallest_m = table_V, rms_m
         change = np.fft.rfft(error_m) * learner.model_V_per_m
         table_V = table_V + np.fft.irfft(change, len(wanted_m))
     return Learned(
@@ -174,7 +171,7 @@ def first_table(
         worst_plant=learner.worst,
         sector=learner.sector,
         learns_to_Hz=learner.learns_to_Hz,
-        model_error_m=least_m,
+        model_error_m=smallest_m,
         gain=gain,
         sources=dict(sources or {}),
     )
@@ -202,74 +199,60 @@ def next_table(
         sampling_rate_Hz=previous.sampling_rate_Hz,
         gain=previous.gain,
     )
-    reference = np.fft.rfft(previous.wanted_m)
+    points, reference = len(previous.wanted_m), np.fft.rfft(previous.wanted_m)
     sensed = np.where(learner.moves | (reference == 0.0), learner.sensed, 1.0)
-    read = mean_period(
+    measured_m, noise_rms_m = mean_period(
         period,
         previous.axis,
-        np.fft.irfft(reference * sensed, len(previous.wanted_m)),
+        np.fft.irfft(reference * sensed, points),
         sampling_rate_Hz=previous.sampling_rate_Hz,
         noise_rms_m=plant.noise_rms,
     )
-    error = reference - np.fft.rfft(read.measured_m) / sensed
-    error_m = _without_mean(
-        np.fft.irfft(error, len(previous.wanted_m)), closed=previous.closed_loop
-    )
-    share = learning_shares(error, len(previous.wanted_m), read.noise_rms_m)
-    response = measured_response(
-        previous.table_V - previous.played_V if len(previous.played_V) else np.zeros(0),
-        read.measured_m - previous.read_m if len(previous.read_m) else np.zeros(0),
-        read.noise_rms_m,
-        _complex(previous.response_m_per_V),
-        learner,
-    )
+    error = reference - np.fft.rfft(measured_m) / sensed
+    error_m = np.fft.irfft(error, points)
+    if not previous.closed_loop:
+        error_m -= error_m.mean()
+    response = np.zeros(len(learner.learns), dtype=complex)
+    if len(previous.response_m_per_V):
+        response = previous.response_m_per_V @ np.array([1.0, 1.0j])
+    if len(previous.played_V):
+        changed_V, moved_m = previous.table_V - previous.played_V, measured_m - previous.read_m
+        response = measured_response(changed_V, moved_m, noise_rms_m, response, learner)
     L = np.where(learner.learns, learner.L_V_per_m, learner.probe_V_per_m)
     is_measured = ~learner.learns & (response != 0.0) & (np.abs(learner.probe_V_per_m) > 0.0)
     L[is_measured] = SHARE_OF_MEASURED / response[is_measured]
-    table_V = previous.table_V + np.fft.irfft(share * L * error, len(previous.wanted_m))
-    refined = replace(
+    share = learning_shares(error, points, noise_rms_m)
+    table_V = previous.table_V + np.fft.irfft(share * L * error, points)
+    _simulated(model, plant, previous.wanted_m, table_V, parameters)
+    return replace(
         previous,
         table_V=table_V,
         played_V=previous.table_V,
-        read_m=read.measured_m,
+        read_m=measured_m,
         response_m_per_V=np.stack([response.real, response.imag], axis=1),
         errors_m=(*previous.errors_m, float(np.sqrt(np.mean(error_m**2)))),
-        noise_m=read.noise_rms_m,
+        noise_m=noise_rms_m,
     )
-    noiseless = replace(plant, noise_rms=0.0, hums=(), reading_step=0.0)
-    values = None if parameters is None else parameters.values
-    played = play(
-        noiseless, refined.wanted_m, table_V, values=values, rng=np.random.default_rng(0)
-    )
-    _refuse_limited(model, played.voltage_V, played.status)
-    return refined
-
-
-def _complex(parts: Array) -> Response | None:
-    """Return complex numbers of real and imaginary parts, (harmonics, 2); None where none are."""
-    return parts[:, 0] + 1j * parts[:, 1] if len(parts) else None
 
 
 def refuse_changed(
     previous: Learned, reference_m: ArrayLike, *, sources: Mapping[str, str], closed_loop: bool
 ) -> None:
     """Refuse another reference, model or loop than the table's, with where it differs most."""
-    wanted_m = np.asarray(reference_m, dtype=np.float64)
+    wanted_m, difference = np.asarray(reference_m, dtype=np.float64), ""
     if wanted_m.shape != previous.wanted_m.shape:
-        raise RecordingError(
-            f"axis {previous.axis}: a reference of {wanted_m.size} points, and the table is of "
-            f"{len(previous.wanted_m)}",
-            needed="the reference that the table was learnt for",
-            remedy="Begin anew without --table, or pass the reference of before.",
+        difference = f"has {wanted_m.size} points, that of the table {len(previous.wanted_m)}"
+    elif (difference_m := np.abs(wanted_m - previous.wanted_m)).max() > _SAME_m:
+        largest = with_unit(float(difference_m.max()), "m")
+        difference = (
+            f"differs from that of the table by up to {largest}, at point "
+            f"{int(np.argmax(difference_m))}"
         )
-    difference_m = np.abs(wanted_m - previous.wanted_m)
-    if difference_m.max() > _SAME_m:
+    if difference:
         raise RecordingError(
-            f"axis {previous.axis}: the reference differs from the table's by up to "
-            f"{with_unit(float(difference_m.max()), 'm')}, at point "
-            f"{int(np.argmax(difference_m))}",
-            needed="the reference that the table was learnt for",
-            remedy="Begin anew without --table, or pass the reference of before.",
+            f"axis {previous.axis}: the reference {difference}",
+            needed="the reference for which the table was learnt",
+            remedy="Begin anew without --table, or pass that reference.",
         )
     if previous.sources != sources or previous.closed_loop != closed_loop:
         loop = f"{'with' if previous.closed_loop else 'without'} a controller"
@@ -287,11 +270,11 @@ def _checked(
     """Return the period, or refuse what the axis cannot follow."""
     wanted_m = np.asarray(reference_m, dtype=np.float64)
     axis = model.axis
-    if wanted_m.ndim != 1 or len(wanted_m) < _FEWEST or not np.isfinite(wanted_m).all():
+    if wanted_m.ndim != 1 or len(wanted_m) < _MIN_POINTS or not np.isfinite(wanted_m).all():
         raise ParameterFileError(
             f"axis {axis}: a reference of shape {wanted_m.shape}, "
             f"{int(np.sum(~np.isfinite(wanted_m)))} of its numbers not finite",
-            needed=f"one period, {_FEWEST} finite numbers or more, one for each sample",
+            needed=f"one period, {_MIN_POINTS} finite numbers or more, one for each sample",
             remedy="Pass the period in metres, at the controller's rate.",
         )
     low_m, high_m = (
@@ -331,14 +314,14 @@ def _checked(
     return wanted_m
 
 
-def _refuse_untouched(axis: str, learner: LearningFilter, wanted_m: Array) -> None:
-    """Refuse a motion most of which lies where nothing can be learnt."""
+def _refuse_unlearnable(axis: str, learner: LearningFilter, wanted_m: Array) -> None:
+    """Refuse a motion whose power lies mostly at harmonics that are not learnt."""
     share = learner.share_learnt(wanted_m)
-    if share < _LEARNABLE:
+    if share < _MIN_LEARNT_POWER:
         raise DesignError(
             f"axis {axis}: learning contracts up to {with_unit(learner.learns_to_Hz, 'Hz')} only, "
             f"where {100 * share:.3g} % of the motion's power lies",
-            needed=f"at least {100 * _LEARNABLE:g} %",
+            needed=f"at least {100 * _MIN_LEARNT_POWER:g} %",
             remedy="Record a chirp or multisine so that more of the response is known and fit "
             "again, or scan slower.",
         )
@@ -354,56 +337,56 @@ def _reach_m(model: AxisModel) -> tuple[float, float]:
     return float(ends_m.min()), float(ends_m.max())
 
 
-def _refuse_limited(model: AxisModel, voltage_V: Array, status: Status) -> None:
-    """Refuse a table that leaves what drive and recordings allow."""
-    low_V, high_V = float(voltage_V.min()), float(voltage_V.max())
-    recorded_V = model.voltage_V
-    limited = status & LIMITED
-    slack_V = 1e-9 * (recorded_V[1] - recorded_V[0])
-    if not limited and low_V >= recorded_V[0] - slack_V and high_V <= recorded_V[1] + slack_V:
-        return
-    limits = (
-        ", ".join(flag.name or "" for flag in LIMITED if flag in limited).lower().replace("_", " ")
-    )
+def _simulated(
+    model: AxisModel,
+    plant: AxisPlant,
+    wanted_m: Array,
+    table_V: Array,
+    parameters: AxisParameters | None,
+) -> Array:
+    """Return a settled period under a table on the plant without noise, (points,), m.
+
+    Raises ``ParameterFileError`` if it exceeds the limits of the drive or of the recordings.
+    """
+    noiseless = replace(plant, noise_rms=0.0, hums=(), reading_step=0.0)
+    values = None if parameters is None else parameters.values
+    played = play(noiseless, wanted_m, table_V, values=values, rng=np.random.default_rng(0))
+    low_V, high_V = float(played.voltage_V.min()), float(played.voltage_V.max())
+    limited = played.status & LIMITED
+    slack_V = 1e-9 * (model.voltage_V[1] - model.voltage_V[0])
+    is_recorded = low_V >= model.voltage_V[0] - slack_V and high_V <= model.voltage_V[1] + slack_V
+    if is_recorded and not limited:
+        return np.asarray(played.position_m[0])
+    names = [(flag.name or "").lower().replace("_", " ") for flag in LIMITED if flag in limited]
     raise ParameterFileError(
         f"axis {model.axis}: the period takes {low_V:.4g} V to {high_V:.4g} V"
-        + (f", and the controller met its limits ({limits})" if limits else ""),
-        needed=f"all of it within {recorded_V[0]:.4g} V to {recorded_V[1]:.4g} V, as recorded, "
-        "and within the slew of the drive",
+        + (f", and the controller met its limits ({', '.join(names)})" if names else ""),
+        needed=f"all of it within {model.voltage_V[0]:.4g} V to {model.voltage_V[1]:.4g} V, as "
+        "recorded, and within the slew of the drive",
         remedy="Scale the reference down, or scan slower.",
     )
-
-
-def _without_mean(error_m: Array, *, closed: bool) -> Array:
-    """Return the error without its mean in open loop, where nothing corrects drift."""
-    return error_m if closed else np.asarray(error_m - error_m.mean())
 
 
 def measured_response(
     changed_V: Array,
     moved_m: Array,
     noise_rms_m: float,
-    previous: Response | None,
+    earlier: Response,
     learner: LearningFilter,
 ) -> Response:
-    """Return the response of every harmonic that is certain enough, 0 elsewhere.
+    """Return the response of every harmonic that is certain enough, (harmonics,).
 
-    changed_V, moved_m  (points,)  between two tables and their mean periods; empty: there is one
+    changed_V, moved_m  (points,)  between two tables and their mean periods
     noise_rms_m         of one reading of a mean period
-    previous            (harmonics,)  measured earlier; kept where this one is uncertain
+    earlier             (harmonics,)  measured before, or 0; kept where this one is uncertain
     """
-    response_known = (
-        np.zeros(len(learner.learns), dtype=complex) if previous is None else previous.copy()
-    )
-    if not len(changed_V) or not len(moved_m):
-        return response_known
     points = len(changed_V)
     df, dy = np.fft.rfft(changed_V), np.fft.rfft(moved_m) / learner.sensed
-    # noise of both means, and what the hysteresis turns of other harmonics into this one
+    # Noise of both means, and what the hysteresis converts from other harmonics into this one.
     noise = np.sqrt(2.0 * points) * noise_rms_m
-    turned = learner.sector * np.sqrt(np.mean(np.abs(dy) ** 2))
+    converted = learner.sector * np.sqrt(np.mean(np.abs(dy) ** 2))
     with np.errstate(divide="ignore", invalid="ignore"):
-        spread = np.hypot(noise, turned) / np.abs(dy)
+        uncertainty = np.hypot(noise, converted) / np.abs(dy)
         response = dy / df
-    clear = np.isfinite(response) & (spread < _MAX_UNCERTAINTY) & (response != 0.0)
-    return np.where(clear, response, response_known)
+    is_certain = np.isfinite(response) & (uncertainty < _MAX_UNCERTAINTY) & (response != 0.0)
+    return np.where(is_certain, response, earlier)
