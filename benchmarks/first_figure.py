@@ -17,7 +17,7 @@ from piezoid.identification.fit import rig_of
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.pieces import pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, continued, search, transferred
-from piezoid.records.ingest import ingest_all
+from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
 
 
@@ -28,7 +28,7 @@ def main() -> None:
     from matplotlib import pyplot as plt
 
     lab = read_lab(piezoid_datasets.LAB)
-    recordings = ingest_all(piezoid_datasets.recordings()[:3], lab)
+    recordings = collect(piezoid_datasets.recordings()[:3], lab).recordings
     rig = rig_of(lab, "x")
     scales = scales_of(recordings, "x")
     sweep, check, rates = pieces_of(recordings, "x", scales, rig)

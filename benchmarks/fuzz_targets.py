@@ -11,7 +11,7 @@ from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.sealed_diagnosis import read_diagnoses, write_diagnosis
 from piezoid.export.parameter_file import from_json, to_json
 from piezoid.identification.store import read_model, write_model
-from piezoid.records.inspection import inspect_file
+from piezoid.records.inspection import inspect_files
 from piezoid.records.lab import read_lab
 from piezoid.verification.criteria import limits_from_toml
 from piezoid.verification.verification import verification_from_json
@@ -44,7 +44,7 @@ LAB = Path(__file__).parents[1] / "datasets" / "lab.toml"
 
 def answer_to_recording(place: Path) -> str:
     """Read a recording the whole way; an inspection holds its refusal."""
-    (found, *_) = inspect_file(place)
+    (found, *_) = inspect_files([place])
     if found.refusal:
         return f"{REFUSED} {found.refusal}"
     return " ".join((found.format or "", *(statement.quantity for statement in found.statements)))
@@ -100,7 +100,7 @@ def _answer_with_lab(place: Path, recording: Path) -> str:
     """Read a recording as a lab.toml says it is to be read."""
     given = recording.with_name("lab.toml")
     given.write_bytes(place.read_bytes())
-    (found, *_) = inspect_file(recording, read_lab(given))
+    (found, *_) = inspect_files([recording], read_lab(given))
     if found.refusal:
         return f"{REFUSED} {found.refusal}"
     return " ".join(statement.quantity for statement in found.statements)

@@ -22,7 +22,7 @@ from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.identification.fit import fit
 from piezoid.identification.store import write_model
-from piezoid.records.ingest import ingest_all
+from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
 from piezoid_datasets.virtual_lab.campaign import Campaign, draw_campaign
 from piezoid_datasets.virtual_lab.effects import EFFECTS
@@ -79,7 +79,7 @@ def artefacts_of(stage: Stage) -> dict[str, bytes]:
     with tempfile.TemporaryDirectory() as place:
         recordings = write_thinned(campaign, Path(place))
         lab = read_lab(Path(place) / "lab.toml")
-        held = ingest_all(recordings, lab)
+        held = collect(recordings, lab).recordings
         model = fit(held, lab=lab)
         found = diagnose(held, lab=lab, model=next(iter(model.axes.values())))
     return {

@@ -111,10 +111,10 @@ def fit_one(path: Path, *, whole: bool = False) -> None:
     from piezoid.identification.fit import fit
     from piezoid.identification.store import write_model
     from piezoid.records.chunked_reader import read_thinned
-    from piezoid.records.ingest import ingest_all
+    from piezoid.records.collection import collect
 
     before, begun_s, at_s = peak_megabytes(), time.process_time(), time.monotonic()
-    recordings = ingest_all([path]) if whole else read_thinned([path])
+    recordings = collect([path]).recordings if whole else read_thinned([path])
     read_s = time.process_time() - begun_s
     model = fit(recordings)
     (axis,) = model.axes.values()

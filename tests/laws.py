@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.records.ingest import ingest
+from piezoid.records.collection import collect
 from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.truths import TRUTHS
 
@@ -89,4 +89,4 @@ def write(path: Path, field: Array, reading_um: Array, *, rate_Hz: float = RATE_
 
 def recorded(folder: Path, field: Array, reading_um: Array, **how: float) -> Recording:
     """Return a drive and a reading as they come back from a file."""
-    return ingest(write(folder / "sweep.csv", field, reading_um, **how))
+    return collect([write(folder / "sweep.csv", field, reading_um, **how)])[0]

@@ -18,7 +18,7 @@ from benchmarks.outsiders.lateral import StageResult, judge
 from benchmarks.outsiders.simulators import NAMES, RATE_Hz, Simulator
 from piezoid.identification.dynamics.excitation import excites_dynamics
 from piezoid.numerics.arrays import Array
-from piezoid.records.ingest import ingest_all
+from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
 
 SHARE = 0.01  # of the recorded drive: the amplitude of the sines
@@ -33,7 +33,7 @@ def slow_only(_: Simulator, __: int, recordings: Path) -> None:
     kept = recordings / "lab.toml"
     text = kept.read_text()
     for path in sorted(recordings.glob("*.csv")):
-        recording = ingest_all([path])[0]
+        recording = collect([path]).recordings[0]
         if excites_dynamics([recording], recording.axis):
             path.unlink()
             block = f'[[recording]]\nfile = "{path.name}"'
@@ -53,7 +53,7 @@ def with_response(made: Simulator, seed: int, recordings: Path) -> None:
     path = recordings / "response.csv"
     np.savetxt(path, table, delimiter=",", header=heading, comments="", fmt="%.6g")
     slow = [p for p in recordings.glob("*.csv") if p != path]
-    axis = ingest_all(slow, read_lab(recordings / "lab.toml"))[0].axis
+    axis = collect(slow, read_lab(recordings / "lab.toml")).recordings[0].axis
     with (recordings / "lab.toml").open("a") as lab:
         lab.write(f'\n[[recording]]\nfile = "response.csv"\naxis = "{axis}"\n')
 

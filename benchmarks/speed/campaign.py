@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import piezoid_datasets
-from piezoid.records.ingest import ingest_all
+from piezoid.records.collection import collect
 from piezoid.records.lab import Lab, read_lab
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_datasets.virtual_lab import bundled, drives
@@ -36,7 +36,7 @@ def bundled_axis() -> Campaign:
     """Return the bundled recordings of the first axis."""
     lab = read_lab(piezoid_datasets.LAB)
     files = [place for place in piezoid_datasets.recordings() if place.name.startswith(AXIS)]
-    return Campaign(recordings=ingest_all(files, lab), lab=lab)
+    return Campaign(recordings=collect(files, lab).recordings, lab=lab)
 
 
 def made(samples: int, recordings: int) -> Campaign:

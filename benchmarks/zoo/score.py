@@ -17,7 +17,7 @@ from typing import Any
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid.errors import PiezoidError
-from piezoid.records.ingest import ingest_all
+from piezoid.records.collection import collect
 from piezoid.records.lab import Lab, read_lab
 from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.campaign import Campaign
@@ -222,7 +222,7 @@ def recorded(campaign: Campaign) -> tuple[tuple[Recording, ...], Lab]:
         write_campaign(campaign, place)
         lab = read_lab(place / "recordings/lab.toml")
         files = [place / f"recordings/{rows.run.name}.csv" for rows in campaign.recordings]
-        return tuple(ingest_all(files, lab)), lab
+        return tuple(collect(files, lab).recordings), lab
 
 
 def diagnosed(campaign: Campaign) -> tuple[Diagnosis, float]:

@@ -19,7 +19,7 @@ from piezoid.diagnosis.effect import HEADINGS, Effect
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.formatting import words
 from piezoid.numerics.arrays import Array
-from piezoid.records.ingest import ingest_all
+from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
 from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
@@ -55,7 +55,7 @@ def _healthy() -> dict[str, Recording]:
         write_campaign(draw_campaign(SEED, truth="preisach", plans=plans), Path(made))
         place = Path(made) / "recordings"
         lab = read_lab(place / "lab.toml")
-        found = ingest_all([place / f"{plan}.csv" for plan in plans], lab)
+        found = collect([place / f"{plan}.csv" for plan in plans], lab).recordings
         return dict(zip(plans, found, strict=True))
 
 

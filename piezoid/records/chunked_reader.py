@@ -5,10 +5,10 @@ This module joins the chunks, and `thinning` bounds the number of rows. The resu
 ``Recording`` for each axis that has a drive and a displacement.
 """
 
-import itertools
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +16,12 @@ from msgspec import structs
 from numpy.typing import NDArray
 
 from piezoid.errors import LabFileError, RecordingError
-from piezoid.numerics.arrays import Array
 from piezoid.records.columns import Assignment, assign_columns
 from piezoid.records.ingest import ingest_table, parts_of
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import read_table_in_chunks
-from piezoid.records.readers.source import Source, open_source
-from piezoid.records.recording import Channel, Quantity, Recording
+from piezoid.records.readers.source import open_source
+from piezoid.records.recording import Quantity, Recording
 from piezoid.records.table import RawTable
 from piezoid.records.thinning import MAX_ROWS, ThinnedRows, Thinning
 from piezoid.statement import Statement, finding
@@ -46,14 +45,14 @@ def read_thinned(
 ) -> tuple[Recording, ...]:
     """Read files of any size in chunks, one thinned recording for each axis of a file.
 
-    lab         what the laboratory declares, as for ``ingest``
+    lab         what the laboratory declares, as for ``collect``
     max_rows    samples of a recording at most, a power of two
     chunk_rows  rows that are in memory at one time; the recordings are the same
     progress    told which file is being read
 
-    Raises what ``ingest`` raises, and ``RecordingError`` where the sampling rate or the meaning of
-    the columns changes inside a file, or where no axis has a drive and a displacement. A file of
-    at most ``max_rows`` samples gives the samples that ``ingest`` gives.
+    Raises what ``collect`` raises, and ``RecordingError`` where the sampling rate or the meaning
+    of the columns changes inside a file, or where no axis has a drive and a displacement. A file
+    of at most ``max_rows`` samples gives the samples that ``collect`` gives.
     """
     lab = Lab() if lab is None else lab
     lab.check_files(paths)
@@ -61,48 +60,149 @@ def read_thinned(
     for path in paths:
         progress(f"reading {path.name}")
         source = replace(open_source(path, whole=False), text=lab.text_format_of(path))
-        for entry in lab.entries_of(path) or (None,):
-            recordings += _read_one(source, lab, entry, max_rows, chunk_rows)
+        for entry in lab.entries_of(path) or (RecordingEntry(file=source.name),):
+            file = _ThinnedFile(name=source.name, lab=lab, entry=entry, max_rows=max_rows)
+            for table in read_table_in_chunks(source, max(chunk_rows, _MIN_CHUNK_ROWS)):
+                file.append(table)
+            recordings += file.recordings()
     return tuple(recordings)
 
 
-def _read_one(
-    source: Source, lab: Lab, entry: RecordingEntry | None, max_rows: int, chunk_rows: int
-) -> Iterator[Recording]:
-    """Yield a recording of each axis of one entry of a file."""
-    if entry is not None and entry.reverse:
-        raise LabFileError(
-            f"{lab.place}: reverse of {source.name} is true",
-            needed="rows in the order in which they were recorded, where a file is read in chunks",
-            remedy="Read it without --stream, or write the file the other way round.",
-        )
-    join = _Join(source=source, lab=lab, entry=entry)
-    thinnings: dict[str, Thinning] = {}
-    pieces = 0
-    for stretch in join.stretches(read_table_in_chunks(source, max(chunk_rows, _MIN_CHUNK_ROWS))):
-        pieces += stretch.begins
-        _refuse_many_pieces(source, pieces)
-        for axis in _driven_axes(stretch.channels):
-            thinnings.setdefault(axis, Thinning(max_rows)).append(
-                stretch.channels[Quantity.VOLTAGE, axis],
-                stretch.channels[Quantity.DISPLACEMENT, axis],
-                begins=stretch.begins,
+class _ThinnedFile:
+    """Joins the chunks of one entry of a file, thins their samples, counts their statements."""
+
+    def __init__(self, *, name: str, lab: Lab, entry: RecordingEntry, max_rows: int) -> None:
+        if entry.reverse:
+            raise LabFileError(
+                f"{lab.place}: reverse of {name} is true",
+                needed="rows in the order in which they were recorded, where a file is read in "
+                "chunks",
+                remedy="Read it without --stream, or write the file the other way round.",
             )
-    first = join.checked_first()
-    if not thinnings:
-        kinds = sorted({channel.quantity.name.lower() for channel in first.channels})
-        raise RecordingError(
-            f"{source.name}: only {', '.join(kinds)} is recorded: no axis has a drive and a "
-            "displacement",
-            needed="both, for a fit in chunks; a tunnelling loop must fit into memory",
-            remedy="Name the columns in lab.toml, or fit without --stream.",
+        self._name, self._lab, self._entry, self._max_rows = name, lab, entry, max_rows
+        # start_s and stop_s are of the whole file, not of a chunk.
+        self._whole = structs.replace(entry, start_s=None, stop_s=None)
+        self._assignment: Assignment | None = None
+        self._first: Recording | None = None
+        self._thinnings: dict[str, Thinning] = {}
+        self._statements: dict[tuple[str, str], tuple[Statement, int]] = {}
+        self._is_broken = True  # behind the last sample
+        self._read = self._selected = self._chunks = self._pieces = 0
+
+    def append(self, table: RawTable) -> None:
+        """Add the samples that ``ingest_table`` makes of the next chunk."""
+        if self._assignment is None:
+            self._assignment = assign_columns(table, self._lab, self._whole)
+        has_numbers = _rows_with_numbers(table, self._assignment)
+        if has_numbers.sum() < _MIN_NUMBERS and self._first is not None:
+            self._is_broken = True
+            return
+        parts = parts_of(table, self._lab, self._whole)
+        if len(parts) > 1:
+            before, after = (ingest_table(part, self._lab, entry) for part, entry in parts[:2])
+            sample = self._read + before.samples
+            raise self._rate_changes(before.sampling_rate_Hz, after.sampling_rate_Hz, sample)
+        recording = ingest_table(table, self._lab, self._whole)
+        self._chunks += 1
+        for statement in recording.statements:
+            place = statement.place if statement.quantity in _THROUGHOUT else ""
+            key = (statement.quantity, place)
+            first, times = self._statements.get(key, (statement, 0))
+            self._statements[key] = first, times + 1
+        self._check_same(recording)
+        # A chunk begins with the last row of the one before.
+        is_repeated = self._first is not None and bool(has_numbers[0])
+        self._first = self._first or recording
+        self._append_pieces(recording, skip=int(is_repeated))
+        self._is_broken = not has_numbers[-1]
+
+    def _append_pieces(self, recording: Recording, *, skip: int) -> None:
+        """Thin the pieces of a chunk, as far as they lie between start_s and stop_s."""
+        rate_Hz, entry = recording.sampling_rate_Hz, self._entry
+        low = 0 if entry.start_s is None else max(0, round(entry.start_s * rate_Hz))
+        high = sys.maxsize if entry.stop_s is None else round(entry.stop_s * rate_Hz) + 1
+        edges = sorted({skip, *(b for b in recording.breaks if b > skip), recording.samples})
+        for start, stop in pairwise(edges):
+            first, last = max(self._read, low), min(self._read + stop - start, high)
+            part = slice(start + first - self._read, start + last - self._read)
+            self._read += stop - start
+            if first >= last:
+                continue
+            is_new = start in recording.breaks or start == 0 or not self._selected
+            is_new |= start == skip and self._is_broken
+            self._selected += last - first
+            self._pieces += is_new
+            if self._pieces > _MAX_PIECES:
+                raise RecordingError(
+                    f"{self._name}: the recordings are interrupted more than {_MAX_PIECES} times",
+                    needed="uninterrupted stretches: each has a memory of its own",
+                    remedy="Record without losing samples, or state sampling_rate_Hz and name no "
+                    "time column if the samples are known to be uniform.",
+                )
+            for axis in recording.complete_axes:
+                self._thinnings.setdefault(axis, Thinning(self._max_rows)).append(
+                    recording.voltage_V(axis)[part],
+                    recording.displacement_m(axis)[part],
+                    begins=is_new,
+                )
+
+    def recordings(self) -> list[Recording]:
+        """Return a recording of each axis, or refuse a file without samples or without a drive."""
+        if self._first is None or self._selected < 2:
+            raise LabFileError(
+                f"{self._name} from {self._entry.start_s} s to {self._entry.stop_s} s holds "
+                f"{self._selected} of {self._read} samples",
+                needed="at least two samples",
+                remedy="Correct start_s and stop_s, counted from the first sample of the file.",
+            )
+        if not self._thinnings:
+            kinds = sorted({channel.quantity.name.lower() for channel in self._first.channels})
+            raise RecordingError(
+                f"{self._name}: only {', '.join(kinds)} is recorded: no axis has a drive and a "
+                "displacement",
+                needed="both, for a fit in chunks; a tunnelling loop must fit into memory",
+                remedy="Name the columns in lab.toml, or fit without --stream.",
+            )
+        statements = []
+        for (kind, _), (statement, times) in self._statements.items():
+            if times == self._chunks or (times == 1 and kind not in _THROUGHOUT):
+                statements.append(statement)
+            elif kind not in _THROUGHOUT:
+                text = f"{statement.text}; the like in {times} of {self._chunks} chunks"
+                statements.append(replace(statement, text=text))
+        return [
+            _recording(self._first, axis, thinning.result(), statements)
+            for axis, thinning in sorted(self._thinnings.items())
+        ]
+
+    def _check_same(self, recording: Recording) -> None:
+        """Refuse a chunk whose columns or rate are not those of the first one."""
+        first = self._first or recording
+        columns, first_columns = (
+            [(c.quantity, c.axis, c.label) for c in r.channels] for r in (recording, first)
         )
-    for axis, thinning in sorted(thinnings.items()):
-        yield _recording(first, axis, thinning.result(), join.statements())
+        if columns != first_columns:
+            raise RecordingError(
+                f"{recording.name}: from sample {self._read} on other columns hold numbers than "
+                "at its beginning",
+                needed="columns that mean the same from the first row to the last",
+                remedy="Name the columns to be read in lab.toml.",
+            )
+        first_Hz, rate_Hz = first.sampling_rate_Hz, recording.sampling_rate_Hz
+        if abs(rate_Hz - first_Hz) > _SAME_RATE * first_Hz:
+            raise self._rate_changes(first_Hz, rate_Hz, self._read)
+
+    def _rate_changes(self, before_Hz: float, after_Hz: float, sample: int) -> RecordingError:
+        return RecordingError(
+            f"{self._name}: sampled at {before_Hz:.9g} Hz at its beginning and at "
+            f"{after_Hz:.9g} Hz from sample {sample} on",
+            needed="one rate throughout, where a file is read in chunks",
+            remedy="Read it without --stream, or cut the file where the rate changes.",
+        )
 
 
 def _recording(
-    first: Recording, axis: str, thinned: ThinnedRows, statements: tuple[Statement, ...]
+    first: Recording, axis: str, thinned: ThinnedRows, statements: Sequence[Statement]
 ) -> Recording:
     """Return the thinned rows as a recording with the names of the file's first chunk."""
     channels = [first.find(q, axis) for q in (Quantity.VOLTAGE, Quantity.DISPLACEMENT)]
@@ -124,181 +224,13 @@ def _recording(
         axis=axis,
         sampling_rate_Hz=rate_Hz,
         channels=tuple(
-            Channel(
-                quantity=channel.quantity,
-                axis=axis,
-                values=values,
-                label=channel.label,
-                is_counted=channel.is_counted,
-            )
+            replace(channel, values=values)
             for channel, values in zip(channels, thinned.rows, strict=True)
             if channel is not None
         ),
         breaks=thinned.starts[1:],
-        statements=statements,
+        statements=tuple(statements),
     )
-
-
-def _driven_axes(channels: dict[tuple[Quantity, str], Array]) -> list[str]:
-    return [
-        axis
-        for quantity, axis in channels
-        if quantity is Quantity.VOLTAGE and (Quantity.DISPLACEMENT, axis) in channels
-    ]
-
-
-def _refuse_many_pieces(source: Source, pieces: int) -> None:
-    if pieces > _MAX_PIECES:
-        raise RecordingError(
-            f"{source.name}: the recordings are interrupted more than {_MAX_PIECES} times",
-            needed="uninterrupted stretches: each has a memory of its own",
-            remedy="Record without losing samples, or state sampling_rate_Hz and name no time "
-            "column if the samples are known to be uniform.",
-        )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Stretch:
-    """Samples of all channels without a gap among them.
-
-    begins    whether a gap lies in front of them
-    channels  (samples,) by quantity and axis, SI units
-    """
-
-    begins: bool
-    channels: dict[tuple[Quantity, str], Array]
-
-
-class _Join:
-    """Joins the chunks of one entry of a file, and counts their statements."""
-
-    def __init__(self, *, source: Source, lab: Lab, entry: RecordingEntry | None) -> None:
-        self._source, self._lab, self._entry = source, lab, entry
-        # start_s and stop_s are of the whole file, not of a chunk.
-        self._whole = None if entry is None else structs.replace(entry, start_s=None, stop_s=None)
-        self._first: Recording | None = None
-        self._is_broken = False
-        self._read = self._kept = self._chunks = 0
-        self._statements: dict[tuple[str, str], tuple[Statement, int]] = {}
-
-    def stretches(self, tables: Iterator[RawTable]) -> Iterator[_Stretch]:
-        """Yield what ``ingest`` would make of the file, stretch by stretch."""
-        assignment: Assignment | None = None
-        for table in tables:
-            if assignment is None:
-                described = self._whole or RecordingEntry(file=table.name)
-                assignment = assign_columns(table, self._lab, described)
-            has_numbers = _rows_with_numbers(table, assignment)
-            if has_numbers.sum() < _MIN_NUMBERS and self._first is not None:
-                self._is_broken = True
-                continue
-            self._check_one_rate(table)
-            recording = ingest_table(table, self._lab, self._whole)
-            self._count_statements(recording)
-            yield from self._joined(recording, repeats=bool(has_numbers[0]))
-            self._is_broken = self._is_broken or not has_numbers[-1]
-
-    def checked_first(self) -> Recording:
-        """Return the recording of the first chunk, or refuse a file without samples."""
-        if self._first is None or self._kept < 2:
-            entry = self._entry
-            where = "" if entry is None else f" from {entry.start_s} s to {entry.stop_s} s"
-            raise LabFileError(
-                f"{self._source.name}{where} holds {self._kept} of {self._read} samples",
-                needed="at least two samples",
-                remedy="Correct start_s and stop_s, counted from the first sample of the file.",
-            )
-        return self._first
-
-    def statements(self) -> tuple[Statement, ...]:
-        """Return one statement of each kind: the first, and in how many chunks there was one."""
-        return tuple(
-            statement
-            if times == self._chunks or kind in _THROUGHOUT or times == 1
-            else replace(
-                statement, text=f"{statement.text}; the like in {times} of {self._chunks} chunks"
-            )
-            for (kind, _), (statement, times) in self._statements.items()
-            if kind not in _THROUGHOUT or times == self._chunks
-        )
-
-    def _count_statements(self, recording: Recording) -> None:
-        self._chunks += 1
-        for statement in recording.statements:
-            key = (
-                statement.quantity,
-                statement.place if statement.quantity in _THROUGHOUT else "",
-            )
-            first, times = self._statements.get(key, (statement, 0))
-            self._statements[key] = first, times + 1
-
-    def _joined(self, recording: Recording, *, repeats: bool) -> Iterator[_Stretch]:
-        """Yield the stretches of a chunk without the sample that it repeats."""
-        self._check_same(recording)
-        skip = 1 if self._first is not None and repeats else 0
-        begins = self._first is None or self._is_broken or not repeats
-        self._first = self._first or recording
-        self._is_broken = False
-        edges = sorted({skip, *(b for b in recording.breaks if b > skip), recording.samples})
-        for start, stop in itertools.pairwise(edges):
-            yield from self._cut(
-                recording, start, stop, begins=begins or start in recording.breaks
-            )
-            begins = False
-
-    def _cut(
-        self, recording: Recording, start: int, stop: int, *, begins: bool
-    ) -> Iterator[_Stretch]:
-        """Yield the samples that lie between start_s and stop_s of the whole file."""
-        low, high = self._limits(recording.sampling_rate_Hz)
-        first, last = max(self._read, low), min(self._read + stop - start, high)
-        if first < last:
-            part = slice(start + first - self._read, start + last - self._read)
-            yield _Stretch(
-                begins=begins or self._kept == 0,
-                channels={(c.quantity, c.axis): c.values[part] for c in recording.channels},
-            )
-            self._kept += last - first
-        self._read += stop - start
-
-    def _limits(self, rate_Hz: float) -> tuple[int, int]:
-        start_s = None if self._entry is None else self._entry.start_s
-        stop_s = None if self._entry is None else self._entry.stop_s
-        low = 0 if start_s is None else max(0, round(start_s * rate_Hz))
-        return low, sys.maxsize if stop_s is None else round(stop_s * rate_Hz) + 1
-
-    def _check_one_rate(self, table: RawTable) -> None:
-        """Refuse a chunk within which the rate changes."""
-        parts = parts_of(table, self._lab, self._whole)
-        if len(parts) > 1:
-            before, after = (ingest_table(*part) for part in parts[:2])
-            rates = before.sampling_rate_Hz, after.sampling_rate_Hz
-            raise self._rate_changes(rates, self._read + before.samples)
-
-    def _rate_changes(self, rates: tuple[float, float], sample: int) -> RecordingError:
-        return RecordingError(
-            f"{self._source.name}: sampled at {rates[0]:.9g} Hz at its beginning and at "
-            f"{rates[1]:.9g} Hz from sample {sample} on",
-            needed="one rate throughout, where a file is read in chunks",
-            remedy="Read it without --stream, or cut the file where the rate changes.",
-        )
-
-    def _check_same(self, recording: Recording) -> None:
-        first = self._first or recording
-        columns, rates = _labels(recording), (first.sampling_rate_Hz, recording.sampling_rate_Hz)
-        if columns != _labels(first):
-            raise RecordingError(
-                f"{recording.name}: from sample {self._read} on other columns hold numbers than "
-                "at its beginning",
-                needed="columns that mean the same from the first row to the last",
-                remedy="Name the columns to be read in lab.toml.",
-            )
-        if abs(rates[1] - rates[0]) > _SAME_RATE * rates[0]:
-            raise self._rate_changes(rates, self._read)
-
-
-def _labels(recording: Recording) -> list[tuple[Quantity, str, str]]:
-    return [(c.quantity, c.axis, c.label) for c in recording.channels]
 
 
 def _rows_with_numbers(table: RawTable, assignment: Assignment) -> NDArray[np.bool_]:

@@ -86,7 +86,8 @@ def collection_of(given: object) -> Collection:
 def collect(paths: Iterable[Path], lab: Lab | None = None) -> Collection:
     """Read files of any kind; a table whose columns lab.toml names is a recording.
 
-    Raises what ``ingest`` raises.
+    Raises ``UnreadableFileError``, ``UnitError``, ``RecordingError`` or ``LabFileError``; what is
+    merely odd about a recording is in its ``statements``.
     """
     declared, paths = Lab() if lab is None else lab, tuple(paths)
     declared.check_files(paths)

@@ -202,7 +202,7 @@ def _recording(columns: Sequence[tuple[str, str, Array]], entry: RecordingEntry)
             needed="one rate where one recording is asked for",
             remedy="Make a recording of each stretch.",
         )
-    return with_checks(ingest_table(*parts[0]), Lab())
+    return with_checks(ingest_table(table, Lab(), entry), Lab())
 
 
 def _samples(given: ArrayLike, place: str) -> Array:

@@ -1,13 +1,12 @@
-"""Ingest: from a file, and what lab.toml declares about it, to a Recording.
+"""Ingest: from a table, and what lab.toml declares about it, to recordings.
 
-read_table -> assign_columns -> unique_rows, complete_rows -> clock -> SampleRows
+assign_columns -> unique_rows, complete_rows -> clock -> SampleRows
     -> find_invalid_samples -> Recording -> checks -> split_at_baseline_steps
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from msgspec import structs
@@ -32,9 +31,7 @@ from piezoid.records.invalid_samples import (
     invalid_statement,
 )
 from piezoid.records.lab import Lab, RecordingEntry
-from piezoid.records.readers import read_table
 from piezoid.records.recording import Channel, Quantity, Recording
-from piezoid.records.response_columns import is_response
 from piezoid.records.row_alignment import (
     Rows,
     SampleRows,
@@ -50,64 +47,19 @@ from piezoid.statement import Statement, finding
 # lab.toml and the time column may differ by this much: crystals do, mistaken rates do not.
 _RATE_TOLERANCE = 0.01
 
-Part = tuple[RawTable, Lab, RecordingEntry | None]
-
-
-def ingest(path: Path, lab: Lab | None = None) -> Recording:
-    """Read one file as one recording.
-
-    Raises ``UnreadableFileError``, ``UnitError``, ``RecordingError`` or ``LabFileError``; what is
-    merely odd (gaps, jitter, dead or clipped channels, rows without numbers) is in ``statements``.
-    """
-    lab = Lab() if lab is None else lab
-    entries = lab.entries_of(path)
-    if len(entries) > 1:
-        raise LabFileError(
-            f"{lab.place}: {path.name} has {len(entries)} [[recording]] entries",
-            needed="one entry where one recording is asked for",
-            remedy="Read them all with ingest_all, or keep one entry.",
-        )
-    table = read_table(path, lab.text_format_of(path))
-    recordings = ingest_parts(table, lab, next(iter(entries), None))
-    if len(recordings) > 1:
-        stretches = ", ".join(
-            f"{part.sampling_rate_Hz:.9g} Hz for {part.duration_s:.6g} s" for part in recordings
-        )
-        raise RecordingError(
-            f"{path.name}: it holds {len(recordings)} stretches of different rate: {stretches}",
-            needed="one rate where one recording is asked for",
-            remedy="Read them all with ingest_all, or state start_s and stop_s in lab.toml.",
-        )
-    return recordings[0]
-
-
-def ingest_all(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Recording, ...]:
-    """Read several files, one recording for each ``[[recording]]`` entry of a file, or for it.
-
-    A file whose sampling rate changes gives a recording for each stretch of one rate.
-    """
-    lab, paths = Lab() if lab is None else lab, tuple(paths)
-    lab.check_files(paths)
-    recordings: list[Recording] = []
-    for path in paths:
-        table = read_table(path, lab.text_format_of(path))
-        for entry in lab.entries_of(path) or (None,):
-            recordings += ingest_parts(table, lab, entry)
-    return tuple(recordings)
+Part = tuple[RawTable, RecordingEntry | None]
 
 
 def ingest_parts(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[Recording, ...]:
     """Make one recording of a table, or one for each stretch in which its rate is the same.
 
-    Raises ``RecordingError`` for a frequency response, beside what a table may lack.
+    Raises ``UnitError``, ``RecordingError`` or ``LabFileError``; what is merely odd (gaps, jitter,
+    dead or clipped channels, rows without numbers) is in ``statements``.
     """
-    if is_response(table, entry):
-        raise RecordingError(
-            f"{table.name}: a frequency response, not a recording over time",
-            needed="a recording over time here",
-            remedy="Give it to piezoid fit beside a slow sweep of the same axis.",
-        )
-    return tuple(with_checks(ingest_table(*part), lab) for part in parts_of(table, lab, entry))
+    return tuple(
+        with_checks(ingest_table(part, lab, part_entry), lab)
+        for part, part_entry in parts_of(table, lab, entry)
+    )
 
 
 def with_checks(recording: Recording, lab: Lab) -> Recording:
@@ -121,10 +73,10 @@ def with_checks(recording: Recording, lab: Lab) -> Recording:
 def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[Part, ...]:
     """Cut a table where its sampling rate changes; each part is read by itself.
 
-    returned  arguments of ``ingest_table`` for each recording: the name of a part ends in
-              ``(part 1 of 3)``, and its start_s and stop_s count from its own first sample
+    returned  table and entry of each recording: the name of a part ends in ``(part 1 of 3)``, and
+              its start_s and stop_s count from its own first sample
     """
-    undivided: tuple[Part, ...] = ((table, lab, entry),)
+    undivided: tuple[Part, ...] = ((table, entry),)
     described = entry or RecordingEntry(file=table.name)
     if table.independent or described.sampling_rate_Hz is not None:
         return undivided
@@ -157,7 +109,7 @@ def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[P
         if entry is None or shifted is not None:
             part = table.part(slice(start, stop), f"{table.name} (part {k} of {len(stretches)})")
             part = replace(part, statements=(*part.statements, statement))
-            parts.append((part, lab, shifted))
+            parts.append((part, shifted))
     return tuple(parts) or undivided
 
 

@@ -100,16 +100,11 @@ class Inspection:
     refusal: str | None = None
 
 
-def inspect_file(path: Path, lab: Lab | None = None) -> tuple[Inspection, ...]:
-    """Inspect one file: one inspection for each ``[[recording]]`` entry about it, or just one.
-
-    A file that cannot be used is an inspection with a refusal, so that inspecting ten shows ten.
-    """
-    return tuple(inspection for inspection, _ in _inspected(path, lab or Lab()))
-
-
 def inspect_files(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Inspection, ...]:
-    """Inspect several files, and say which of them do not fit the others.
+    """Inspect files, and say which of them do not fit the others.
+
+    There is one inspection for each ``[[recording]]`` entry about a file, or just one. A file that
+    cannot be used is an inspection with a refusal, so that inspecting ten shows ten.
 
     Raises ``LabFileError`` for an entry about a file that is nowhere.
     """
@@ -135,10 +130,10 @@ def _inspected(path: Path, lab: Lab) -> list[tuple[Inspection, Recording | None]
         if is_response(table, entry):
             inspected.append((_inspect_response(table, lab, entry), None))
             continue
-        parts: tuple[Part, ...] = ((table, lab, entry),)
+        parts: tuple[Part, ...] = ((table, entry),)
         with contextlib.suppress(PiezoidError):  # which reading the whole says as well
             parts = parts_of(table, lab, entry)
-        inspected += [_inspect_table(*part) for part in parts]
+        inspected += [_inspect_table(part, lab, part_entry) for part, part_entry in parts]
     return inspected
 
 

@@ -22,7 +22,7 @@ Everything is optional. An unknown name is refused: it is a typing error more of
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from os.path import realpath
+from os.path import exists, realpath
 from pathlib import Path
 
 import msgspec
@@ -214,7 +214,7 @@ class Lab:
         names = {realpath(path) for path in paths} | {path.name for path in paths}
         for entry in self.recordings:
             path = self.folder / entry.file
-            if realpath(path) in names or path.name in names or path.exists():
+            if realpath(path) in names or path.name in names or exists(path):
                 continue
             without_entry = [p.name for p in paths if not self.entries_of(p)]
             similar = get_close_matches(path.name, without_entry, n=1)

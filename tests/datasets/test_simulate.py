@@ -10,7 +10,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from piezoid.records.ingest import ingest_all
+from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
 from piezoid_cli.simulate import simulate
 
@@ -34,7 +34,7 @@ def written(tmp_path: Path) -> Path:
 def test_the_recordings_can_be_read_and_say_nothing_of_the_truth(written: Path) -> None:
     folder = written / "recordings"
     lab = read_lab(folder / "lab.toml")
-    recordings = ingest_all(sorted(folder.glob("*.csv")), lab)
+    recordings = collect(sorted(folder.glob("*.csv")), lab).recordings
     assert len(recordings) >= 3
     assert all(recording.axis == "x" and not recording.breaks for recording in recordings)
     words = "".join(path.name for path in folder.iterdir()) + (folder / "lab.toml").read_text()

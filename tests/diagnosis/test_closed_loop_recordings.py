@@ -8,7 +8,7 @@ import pytest
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.numerics.arrays import Array
-from piezoid.records.ingest import ingest
+from piezoid.records.collection import collect
 from tests.laws import LAWS, RATE_Hz, write
 
 MOVE, HOLD = 600, 6000
@@ -42,7 +42,7 @@ def diagnosed(folder: Path, law: str, moved: Array) -> Diagnosis:
     files = [
         write(folder / f"{name}.csv", field[part], reading_um[part]) for name, part in cuts.items()
     ]
-    return diagnose([ingest(path) for path in files], axis="x")
+    return diagnose([collect([path])[0] for path in files], axis="x")
 
 
 @pytest.mark.parametrize("law", sorted(LAWS))

@@ -13,8 +13,8 @@ from piezoid.diagnosis.effects import EFFECTS, effect_named
 from piezoid.diagnosis.rest_columns import waves
 from piezoid.numerics.arrays import Array
 from piezoid.raw_counts import texts_in_counts
+from piezoid.records.collection import collect
 from piezoid.records.frames import from_arrays
-from piezoid.records.ingest import ingest
 from piezoid_datasets.virtual_lab.signals import coloured_noise
 
 RATE_Hz, SAMPLES, NOISE_um = 500.0, 20_000, 0.003
@@ -32,7 +32,7 @@ def diagnosed(folder: Path, moved_um: Array) -> Diagnosis:
     lines = [f"{t:.4f},20.00,{u:.4f},{y:.6f}" for t, u, y in rows]
     heading = "time [s],voltage_x [V],voltage_y [V],displacement_x [um]"
     (folder / "rest.csv").write_text("\n".join([heading, *lines]) + "\n")
-    return diagnose([ingest(folder / "rest.csv")], axis="x")
+    return diagnose([collect([folder / "rest.csv"])[0]], axis="x")
 
 
 @pytest.mark.parametrize(

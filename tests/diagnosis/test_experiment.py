@@ -16,7 +16,7 @@ from piezoid.diagnosis.planning.plan_file import SCHEMA, plan_files, sentences
 from piezoid.diagnosis.sealed_diagnosis import read_diagnosis, write_diagnosis
 from piezoid.digests import unseal
 from piezoid.errors import ExcitationError, LabFileError, ParameterFileError
-from piezoid.records.ingest import ingest_all
+from piezoid.records.collection import collect
 from piezoid.records.lab import Amplifier, Lab
 
 from .planned import (
@@ -146,7 +146,7 @@ def test_the_files_of_a_plan_are_read_back(tmp_path: Path) -> None:
     assert len(content["alternatives"]) == len(MENU)
     place = tmp_path / "drive.csv"
     place.write_bytes(files["drive.csv"])
-    (recording,) = ingest_all([place], Lab())
+    (recording,) = collect([place], Lab()).recordings
     assert np.array_equal(recording.voltage_V("x"), planned.drive.voltage_V[:, 0])
     again = plan_files(planned, model_digest="sha256:a", diagnosis_digest="sha256:b")
     assert again == files

@@ -11,7 +11,7 @@ from piezoid.diagnosis.diagnose import diagnose, view_on
 from piezoid.diagnosis.noise_level import NoiseLevel, noise_level
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.numerics.arrays import Array
-from piezoid.records.ingest import ingest_all
+from piezoid.records.collection import collect
 from piezoid.records.lab import Lab, read_lab
 from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
@@ -77,7 +77,7 @@ def test_noise_that_is_the_same_everywhere_has_no_place(tmp_path: Path) -> None:
     assert level_in(*recorded(drawn(stage("lugre", "healthy", 1, 3_300_000)))) is None
     night = write_night(tmp_path) / "unit-1"
     lab = read_lab(night / "lab.toml")
-    assert level_in(ingest_all([night / "sweep.csv"], lab), lab) is None
+    assert level_in(collect([night / "sweep.csv"], lab).recordings, lab) is None
 
 
 @pytest.mark.parametrize(("wave_m", "is_told"), [(0.0, True), (20 * LOUD_m, False)])

@@ -7,7 +7,7 @@ import pytest
 
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.operators.filters import relaxed
-from piezoid.records.ingest import ingest
+from piezoid.records.collection import collect
 from piezoid.records.recording import Recording
 from tests.diagnosis.bench import causes
 from tests.laws import LAWS, RATE_Hz, triangles, write
@@ -25,7 +25,7 @@ def late(folder: Path, cycles: int, samples: int, gain: float, drift_um: float) 
     reading_um = relaxed(10.0 * gain * LAWS["preisach"](field), LAG_s, RATE_Hz)
     reading_um = reading_um + drift_um * np.linspace(0.0, 1.0, len(field)) ** 0.8
     reading_um = reading_um + 0.008 * np.random.default_rng(cycles).standard_normal(len(field))
-    return ingest(write(folder / f"{samples}.csv", field, reading_um))
+    return collect([write(folder / f"{samples}.csv", field, reading_um)])[0]
 
 
 def test_a_lag_is_no_cause_where_speeds_hardly_differ(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from piezoid.identification.extensions import LAYOUT_OF_EXTENSIONS
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
 from piezoid.record_json import from_json, to_json
-from piezoid.records.ingest import ingest_all
+from piezoid.records.collection import collect
 from piezoid.records.lab import Lab, read_lab
 
 from .play_stage import NOISE_m, STROKE_m, moved, recording
@@ -141,7 +141,7 @@ def test_a_recorded_actuator_that_a_step_struck_rings_near_970_hertz(
         'units = { time = "s", displacement = "um", voltage = "V" }\n'
     )
     lab = read_lab(tmp_path / "lab.toml")
-    recordings = ingest_all([realdata / "actuator_150V" / "hysteresis_v_150_1hz.csv"], lab)
+    recordings = collect([realdata / "actuator_150V" / "hysteresis_v_150_1hz.csv"], lab).recordings
     (found,) = modes_behind_jumps(view_on(recordings, axis="x", lab=lab))
     assert found.effect.name == "resonance"
     assert found.parameters["frequency_Hz"] == pytest.approx(968.0, rel=0.01)

@@ -6,7 +6,7 @@ import pytest
 
 from piezoid.errors import RecordingError
 from piezoid.identification.fit import moving, unfitted
-from piezoid.records.ingest import ingest_all
+from piezoid.records.collection import collect
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from tests.records.messy.writers import NAMES, columns, lines, text
@@ -15,7 +15,7 @@ from tests.records.messy.writers import NAMES, columns, lines, text
 def read(folder: Path, **tables: list[str]) -> tuple[Recording, ...]:
     for name, rows in tables.items():
         text(rows)(folder / f"{name}.csv")
-    return ingest_all([folder / f"{name}.csv" for name in tables])
+    return collect([folder / f"{name}.csv" for name in tables]).recordings
 
 
 def test_a_copy_in_another_unit_is_left_out_and_named(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 import piezoid_datasets
-from piezoid.records.ingest import ingest, ingest_all
+from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
 from piezoid.records.lab_draft import commented, draft_lab
 from piezoid_cli.main import app
@@ -36,8 +36,8 @@ def test_the_lab_file_reads_the_recordings_as_they_were_read_without_it(tmp_path
     status, shown = run(*files, "--out", tmp_path / "lab.toml")
     assert status == 0, shown
     assert "x_sweep.csv: text table" in shown
-    declared = ingest_all(files, read_lab(tmp_path / "lab.toml"))
-    for one, other in zip(ingest_all(files), declared, strict=True):
+    declared = collect(files, read_lab(tmp_path / "lab.toml")).recordings
+    for one, other in zip(collect(files).recordings, declared, strict=True):
         assert one.axis == other.axis
         assert one.sampling_rate_Hz == other.sampling_rate_Hz
         assert np.array_equal(one.voltage_V(), other.voltage_V())
@@ -60,8 +60,8 @@ def test_no_heading_breaks_out_of_the_file(tmp_path: Path, heading: str) -> None
     (tmp_path / "lab.toml").write_text(draft.text, encoding="utf-8")
     assert not draft.incomplete
     assert np.array_equal(
-        ingest(path, read_lab(tmp_path / "lab.toml")).displacement_m(),
-        ingest(path).displacement_m(),
+        collect([path], read_lab(tmp_path / "lab.toml"))[0].displacement_m(),
+        collect([path])[0].displacement_m(),
     )
 
 
@@ -71,7 +71,7 @@ def test_a_heading_that_stands_twice_is_named_by_number(tmp_path: Path) -> None:
     draft = draft_lab([path], tmp_path)
     assert tomllib.loads(draft.text)["recording"][0]["columns"]["displacement_x"] == 3
     (tmp_path / "lab.toml").write_text(draft.text)
-    assert ingest(path, read_lab(tmp_path / "lab.toml")).samples == 200
+    assert collect([path], read_lab(tmp_path / "lab.toml"))[0].samples == 200
 
 
 def test_an_ambiguous_file_becomes_an_entry_to_complete_and_the_status_says_so(
@@ -92,7 +92,9 @@ def test_an_ambiguous_file_becomes_an_entry_to_complete_and_the_status_says_so(
         .replace('voltage = "..."', 'voltage = "V"', 1)
         .replace('displacement = "..."', 'displacement = "um"', 1)
     )
-    assert float(np.ptp(ingest(path, read_lab(tmp_path / "lab.toml")).displacement_m())) < 3e-6
+    assert (
+        float(np.ptp(collect([path], read_lab(tmp_path / "lab.toml"))[0].displacement_m())) < 3e-6
+    )
 
 
 def test_a_lab_file_that_is_there_is_kept_unless_forced(tmp_path: Path) -> None:

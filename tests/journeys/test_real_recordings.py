@@ -8,7 +8,7 @@ from piezoid.diagnosis.diagnose import diagnose
 from piezoid.identification.fit import fit
 from piezoid.identification.fit_statements import fit_statements
 from piezoid.identification.model import AxisModel
-from piezoid.records.ingest import ingest_all
+from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
 
 ACTUATOR = """
@@ -34,7 +34,7 @@ units = {{ voltage = "V", displacement = "um" }}
 def fitted(recording: Path, lab_text: str, folder: Path) -> AxisModel:
     (folder / "lab.toml").write_text(lab_text.format(file=recording))
     lab = read_lab(folder / "lab.toml")
-    return fit(ingest_all([recording], lab), lab=lab)["x"]
+    return fit(collect([recording], lab).recordings, lab=lab)["x"]
 
 
 def test_the_steady_part_of_the_actuator(realdata: Path, tmp_path: Path) -> None:
@@ -56,7 +56,7 @@ def test_the_flexure_with_its_wandering_zero(realdata: Path, tmp_path: Path) -> 
 
 
 def test_the_positioner_that_is_all_lag_is_not_sold_as_hysteresis(realdata: Path) -> None:
-    model = fit(ingest_all([realdata / "objective_lag" / "triangles.csv.gz"]))["x"]
+    model = fit(collect([realdata / "objective_lag" / "triangles.csv.gz"]).recordings)["x"]
     quality = model.quality
     assert not model.verdict.applies
     assert "phase lag, not hysteresis" in model.verdict.reason
@@ -67,7 +67,7 @@ def test_the_positioner_that_is_all_lag_is_not_sold_as_hysteresis(realdata: Path
 
 
 def test_the_hold_of_an_approach_names_creep_and_is_fitted_as_no_loop(realdata: Path) -> None:
-    recordings = ingest_all([realdata / "capsensor_hold" / "approach_hold_retract.csv.gz"])
+    recordings = collect([realdata / "capsensor_hold" / "approach_hold_retract.csv.gz"]).recordings
     found = diagnose(recordings)
     (creep,) = [finding for finding in found.findings if finding.effect == "creep"]
     assert 1.0 < creep.size.value < 2.0  # per cent of the step, each decade

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from piezoid.identification.fit import rig_of
 from piezoid.identification.hysteresis.estimate import estimate_axis
-from piezoid.records.ingest import ingest
+from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
 from piezoid_cli.fit import fit
 from piezoid_datasets.virtual_lab.servo import servo_stage, triangles
@@ -64,6 +64,6 @@ def test_a_ceramic_behind_the_same_lag_is_not_called_lag(tmp_path: Path) -> None
         servo_stage(BANDWIDTH_Hz, seed=3, ceramic=draw_preisach(np.random.default_rng(5))),
     )
     lab = read_lab(tmp_path / "lab.toml")
-    recording = ingest(tmp_path / "triangles.csv", lab)
+    recording = collect([tmp_path / "triangles.csv"], lab)[0]
     found = estimate_axis([recording], "x", rig_of(lab, "x"), orders=((8, 2),))
     assert found.verdict.applies

@@ -18,8 +18,8 @@ from piezoid.identification.store import read_model, write_model
 from piezoid.identification.tunnelling.closed_loop import identify_closed_loop
 from piezoid.identification.tunnelling.loop_files import loops_of, period_of, rig_of_loop
 from piezoid.identification.tunnelling.model import join_barriers
-from piezoid.records.ingest import ingest
-from piezoid.records.inspection import inspect_file
+from piezoid.records.collection import collect
+from piezoid.records.inspection import inspect_files
 from piezoid.records.lab import Lab, read_lab
 from piezoid_cli.fit import fit
 from piezoid_cli.simulate import simulate
@@ -169,7 +169,7 @@ def test_the_model_with_its_loop_comes_back_to_the_last_bit(fitted: tuple[Path, 
 
 def test_inspection_calls_the_dither_a_reference(made: Path) -> None:
     folder = made / "recordings"
-    (seen,) = inspect_file(folder / "loop_1.csv", read_lab(folder / "lab.toml"))
+    (seen,) = inspect_files([folder / "loop_1.csv"], read_lab(folder / "lab.toml"))
     assert seen.refusal is None
     assert [column.meaning for column in seen.columns][3] == "reference of z"
     assert not [problem for problem in seen.statements if problem.quantity == "incomplete"]
@@ -253,4 +253,4 @@ def test_too_short_a_tip_is_a_usage_error(tmp_path: Path) -> None:
 
 
 def _read(path: Path, lab: Lab):  # type: ignore[no-untyped-def]
-    return loops_of([ingest(path, lab)], lab)
+    return loops_of([collect([path], lab)[0]], lab)

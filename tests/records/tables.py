@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from piezoid.records.inspection import inspect_file
+from piezoid.records.inspection import inspect_files
 from piezoid.records.lab import Lab, RecordingEntry
 
 RATE_Hz = 1000.0
@@ -28,5 +28,5 @@ def lab_with(file: str = "run.csv", **entry: object) -> Lab:
 
 def said(path: Path) -> str:
     """What an inspection refuses a file for."""
-    (inspection, *_) = inspect_file(path)
+    (inspection, *_) = inspect_files([path])
     return inspection.refusal or ""

@@ -8,7 +8,7 @@ import pytest
 import piezoid
 from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array
-from piezoid.records.ingest import ingest
+from piezoid.records.collection import collect
 from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import clipped_share, noise_rms, step_size
 
@@ -74,7 +74,7 @@ def _file(tmp_path: Path, reading_um: Array, drive_V: Array) -> Recording:
     rows = zip(np.arange(len(drive_V)) / 1000.0, drive_V, reading_um, strict=True)
     lines = (f"{t:.3f},{u:.5f},{x:.5f}" for t, u, x in rows)
     place.write_text("time [s],voltage [V],displacement [um]\n" + "\n".join(lines) + "\n")
-    return ingest(place)
+    return collect([place])[0]
 
 
 def test_a_reading_that_overflows_is_reported_with_its_first_row_and_not_fitted(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezoid.records import checks
-from piezoid.records.ingest import ingest
+from piezoid.records.collection import collect
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from tests.laws import LAWS, recorded, triangles
@@ -49,5 +49,5 @@ def test_every_check_of_the_folder_is_registered_under_one_signature() -> None:
 def test_a_recording_without_displacement_is_reported_once(tmp_path: Path) -> None:
     rows = "\n".join(f"{k / 1000},{k % 7}" for k in range(200))
     (tmp_path / "a.csv").write_text(f"time [s],voltage [V]\n{rows}\n")
-    statements = ingest(tmp_path / "a.csv").statements
+    statements = collect([tmp_path / "a.csv"])[0].statements
     assert [s.quantity for s in statements] == ["incomplete"]

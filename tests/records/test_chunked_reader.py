@@ -11,7 +11,7 @@ import pytest
 from piezoid.errors import LabFileError, PiezoidError, RecordingError, UnreadableFileError
 from piezoid.operators.play import play_columns
 from piezoid.records.chunked_reader import read_thinned
-from piezoid.records.ingest import ingest
+from piezoid.records.collection import collect
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import READERS, read_table, read_table_in_chunks
 from piezoid.records.readers.source import open_source
@@ -39,7 +39,7 @@ def read_one(path: Path, lab: Lab | None = None, rows: int = ROWS) -> Recording:
 
 def assert_as_a_whole(path: Path, rows: int, lab: Lab | None = None) -> None:
     """The recording is, bit for bit, that of the whole file."""
-    whole, recording = ingest(path, lab), read_one(path, lab, rows)
+    whole, recording = collect([path], lab)[0], read_one(path, lab, rows)
     np.testing.assert_array_equal(recording.voltage_V(), whole.voltage_V())
     np.testing.assert_array_equal(recording.displacement_m(), whole.displacement_m())
     assert recording.breaks == whole.breaks
@@ -55,7 +55,7 @@ def test_a_missing_cell_at_the_edge_of_a_chunk_is_bridged_as_in_a_whole_reading(
     readings = RESPONSE.copy()
     readings[row] = np.nan
     path = table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, readings)
-    assert ingest(path).breaks == ()
+    assert collect([path])[0].breaks == ()
     assert_as_a_whole(path, ROWS)
 
 
@@ -65,7 +65,7 @@ def test_a_missing_cell_beside_a_lost_row_is_a_break(row: int, tmp_path: Path) -
     readings[row] = np.nan
     kept = np.delete(np.arange(SAMPLES), row + 1)
     path = table(tmp_path, HEADINGS, TIME_s[kept], VOLTAGE_V[kept], readings[kept])
-    recording = ingest(path)
+    recording = collect([path])[0]
     assert recording.breaks == (row,)
     assert recording.bridged == ()
     assert_as_a_whole(path, ROWS)
@@ -156,7 +156,7 @@ def test_what_a_whole_reading_refuses_is_refused_in_the_same_words(
 ) -> None:
     path = table(tmp_path, headings, TIME_s, VOLTAGE_V, RESPONSE)
     with pytest.raises(PiezoidError) as whole:
-        ingest(path)
+        collect([path])[0]
     with pytest.raises(PiezoidError) as chunks:
         read_one(path, rows=40)
     assert type(chunks.value) is type(whole.value)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.errors import RecordingError
-from piezoid.records.ingest import ingest
+from piezoid.records.collection import collect
 from tests.records.tables import RESPONSE, SAMPLES, VOLTAGE_V, RATE_Hz, TIME_s, lab_with, table
 
 
@@ -14,7 +14,7 @@ def test_rows_without_a_number_are_cut_or_left_behind_a_break(tmp_path: Path) ->
     holed = RESPONSE.copy()
     holed[[0, 1, 100, 101, SAMPLES - 1]] = np.nan
     path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, holed)
-    recording = ingest(path)
+    recording = collect([path])[0]
     assert recording.samples == SAMPLES - 5
     assert recording.breaks == (98,)
     (problem,) = recording.statements
@@ -28,7 +28,7 @@ def test_a_single_missing_cell_is_bridged_and_no_break(tmp_path: Path) -> None:
     holed = RESPONSE.copy()
     holed[[100, 200]] = np.nan
     path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, holed)
-    recording = ingest(path)
+    recording = collect([path])[0]
     assert recording.breaks == ()
     assert recording.bridged == (100, 200)
     assert recording.samples == SAMPLES
@@ -39,13 +39,13 @@ def test_a_blank_row_is_a_break(tmp_path: Path) -> None:
     drive_V, holed = VOLTAGE_V.copy(), RESPONSE.copy()
     drive_V[100] = holed[100] = np.nan
     path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, drive_V, holed)
-    assert ingest(path).breaks == (100,)
+    assert collect([path])[0].breaks == (100,)
 
 
 def test_a_gap_in_time_is_a_break_with_its_line(tmp_path: Path) -> None:
     kept = np.delete(np.arange(SAMPLES), slice(200, 250))
     columns = (TIME_s[kept], VOLTAGE_V[kept], RESPONSE[kept])
-    recording = ingest(table(tmp_path, "time [s],voltage [V],pos [um]", *columns))
+    recording = collect([table(tmp_path, "time [s],voltage [V],pos [um]", *columns)])[0]
     assert recording.breaks == (200,)
     assert [(p.quantity, p.place) for p in recording.statements] == [("gap", "line 202")]
 
@@ -54,7 +54,7 @@ def test_samples_lost_one_at_a_time_are_put_between_their_neighbours(tmp_path: P
     kept = np.delete(np.arange(SAMPLES), [*range(100, 110), 200, 300])
     columns = (TIME_s[kept], VOLTAGE_V[kept], RESPONSE[kept])
     path = table(tmp_path, "time [s],voltage [V],pos [um]", *columns)
-    recording = ingest(path)
+    recording = collect([path])[0]
     assert recording.samples == SAMPLES - 10
     assert recording.breaks == (100,)
     assert recording.bridged == (190, 290)
@@ -63,7 +63,7 @@ def test_samples_lost_one_at_a_time_are_put_between_their_neighbours(tmp_path: P
     whole = np.delete(np.arange(SAMPLES), [*range(100, 110), 200, 300])
     measured = np.delete(np.arange(SAMPLES - 10), [190, 290])
     np.testing.assert_allclose(recording.voltage_V()[measured], VOLTAGE_V[whole], rtol=1e-8)
-    part = ingest(path, lab_with(start_s=0.15, stop_s=0.2))
+    part = collect([path], lab_with(start_s=0.15, stop_s=0.2))[0]
     assert (part.breaks, part.bridged) == ((), (40,))
 
 
@@ -72,7 +72,7 @@ def test_a_row_without_a_number_beside_a_lost_one_is_no_bridge(tmp_path: Path) -
     holed = RESPONSE.copy()
     holed[201] = np.nan
     columns = (TIME_s[kept], VOLTAGE_V[kept], holed[kept])
-    recording = ingest(table(tmp_path, "time [s],voltage [V],pos [um]", *columns))
+    recording = collect([table(tmp_path, "time [s],voltage [V],pos [um]", *columns)])[0]
     assert (recording.breaks, recording.bridged) == ((200,), ())
 
 
@@ -85,7 +85,7 @@ def test_empty_dead_clipped_and_equal_columns_are_told(tmp_path: Path) -> None:
         tmp_path, "time [s],voltage [V],pos [um],spare,aux,copy",
         time_s, drive, clipped, np.full(4000, np.nan), np.full(4000, 7), clipped,
     )  # fmt: skip
-    kinds = {problem.quantity: problem.place for problem in ingest(path).statements}
+    kinds = {problem.quantity: problem.place for problem in collect([path])[0].statements}
     assert kinds == {
         "saturated": "column 3 'pos [um]'",
         "empty": "column 4 'spare'",
@@ -99,4 +99,4 @@ def test_a_recording_of_one_row_is_refused(tmp_path: Path) -> None:
         tmp_path, "time [s],voltage [V],pos [um]", TIME_s[:1], VOLTAGE_V[:1], RESPONSE[:1]
     )
     with pytest.raises(RecordingError, match="1 of 1 rows"):
-        ingest(path)
+        collect([path])[0]

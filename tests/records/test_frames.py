@@ -6,8 +6,8 @@ import pytest
 
 import piezoid_datasets
 from piezoid.errors import RecordingError, UnitError
+from piezoid.records.collection import collect
 from piezoid.records.frames import from_arrays, from_frame, to_frame
-from piezoid.records.ingest import ingest
 from piezoid.records.recording import Quantity, Recording
 
 TIME_s = np.arange(200) / 1000.0
@@ -26,7 +26,7 @@ def made(**changed) -> Recording:
 @pytest.mark.parametrize("file", ["x_sweep.csv", "x_rates.csv", "y_check.csv"])
 def test_a_frame_of_a_file_is_the_recording_of_that_file(file: str) -> None:
     path = piezoid_datasets.FOLDER / file
-    read, framed = ingest(path), from_frame(pd.read_csv(path), name=file)
+    read, framed = collect([path])[0], from_frame(pd.read_csv(path), name=file)
     assert framed.sampling_rate_Hz == read.sampling_rate_Hz
     assert framed.axes == read.axes
     for one, other in zip(read.channels, framed.channels, strict=True):

@@ -10,8 +10,7 @@ import pytest
 from piezoid.errors import LabFileError, PiezoidError, RecordingError
 from piezoid.records.collection import collect
 from piezoid.records.frequency_response import FrequencyResponseRecord, ResponsePath
-from piezoid.records.ingest import ingest
-from piezoid.records.inspection import inspect_file
+from piezoid.records.inspection import inspect_files
 from piezoid.records.lab import Lab, read_lab
 from piezoid.records.lab_draft import draft_lab
 from tests.records.responses import (
@@ -169,7 +168,7 @@ def test_nine_groups_of_columns_have_every_path(tmp_path: Path) -> None:
 
 def test_inspect_tells_band_coherence_peaks_and_coupling(tmp_path: Path) -> None:
     path = write_matlab(tmp_path / "a.mat", f_Hz=FREQUENCY_Hz, H_m_per_V=matrix())
-    (found,) = inspect_file(path)
+    (found,) = inspect_files([path])
     assert found.refusal is None
     told = found.response
     assert told is not None
@@ -215,7 +214,7 @@ def test_numbers_that_are_no_response_are_refused_with_their_place(
     path = write_csv(tmp_path / "a.csv", SORTED, *columns)
     with pytest.raises(RecordingError, match=words):
         collect([path])
-    (found,) = inspect_file(path)
+    (found,) = inspect_files([path])
     assert re.search(words, found.refusal or "")
 
 
@@ -276,14 +275,9 @@ def test_a_spectrum_and_a_lone_gain_are_no_response(tmp_path: Path) -> None:
 def test_a_part_that_two_columns_claim_is_shown_with_the_reason(tmp_path: Path) -> None:
     heading = "f [Hz],gain [um/V],gain [nm/V],phase [deg]"
     path = write_csv(tmp_path / "a.csv", heading, FREQUENCY_Hz, SIZE_um, SIZE_um, ANGLE_deg)
-    (inspection,) = inspect_file(path)
+    (inspection,) = inspect_files([path])
     assert "both claim to be the magnitude" in (inspection.refusal or "")
     assert inspection.columns[2].meaning == "magnitude, by its name"
-
-
-def test_a_response_is_no_recording(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="a frequency response, not a recording over time"):
-        ingest(WRITERS["real and imaginary"](tmp_path))
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ import pytest
 
 from piezoid.digests import unseal
 from piezoid.errors import ParameterFileError, PiezoidError, UnreadableFileError
-from piezoid.records.inspection import inspect_file
+from piezoid.records.inspection import inspect_files
 from piezoid.records.readers import read_table
 from piezoid.records.readers.source import _read_to, open_source
 from piezoid.records.readers.text_numbers import Layout, parse_numbers
@@ -55,7 +55,7 @@ def test_a_damaged_file_is_read_or_refused_and_never_crashes(
     rng = np.random.default_rng(zlib.crc32(name.encode()))
     for _ in range(MUTATIONS):
         path.write_bytes(_mutated(content, rng))
-        for inspection in inspect_file(path):
+        for inspection in inspect_files([path]):
             assert inspection.refusal or inspection.sampling_rate_Hz
 
 
@@ -193,7 +193,7 @@ def test_what_takes_time_or_memory_without_end_is_answered_at_once(
 ) -> None:
     path = tmp_path / "run.csv"
     path.write_text(content)
-    (inspection,) = inspect_file(path)
+    (inspection,) = inspect_files([path])
     assert said in (inspection.refusal or "")
 
 
@@ -203,7 +203,7 @@ def test_a_stamp_lying_anywhere_is_no_crash(stray_s: float, tmp_path: Path) -> N
     stamps[20] = f"{stray_s}"
     path = tmp_path / "run.csv"
     path.write_text(_stamped(stamps))
-    (inspection,) = inspect_file(path)
+    (inspection,) = inspect_files([path])
     assert inspection.refusal or inspection.statements
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from piezoid.errors import LabFileError
-from piezoid.records.inspection import inspect_file
+from piezoid.records.inspection import inspect_files
 from piezoid.records.lab import read_lab
 from piezoid.verification.criteria import limits_from_toml
 
@@ -57,8 +57,10 @@ def test_an_entry_about_a_file_that_cannot_be_is_about_no_file(name: str, tmp_pa
     rows = "".join(f"{k / 1000},{k % 7},{k % 5}\n" for k in range(60))
     (tmp_path / "run.csv").write_text("time [s],voltage [V],position [um]\n" + rows)
     (tmp_path / "lab.toml").write_text(f'[[recording]]\nfile = "{name}"\n')
-    (inspection,) = inspect_file(tmp_path / "run.csv", read_lab(tmp_path / "lab.toml"))
-    assert inspection.refusal is None
+    lab = read_lab(tmp_path / "lab.toml")
+    assert lab.entries_of(tmp_path / "run.csv") == ()
+    with pytest.raises(LabFileError, match=r"lab.toml: \[\[recording\]\]"):
+        inspect_files([tmp_path / "run.csv"], lab)
 
 
 def test_a_file_in_more_parts_than_anybody_names_is_refused_by_their_number(

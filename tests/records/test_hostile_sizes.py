@@ -11,7 +11,7 @@ from time import process_time
 import pytest
 
 from piezoid.errors import PiezoidError, UnreadableFileError
-from piezoid.records.inspection import inspect_file
+from piezoid.records.inspection import inspect_files
 from piezoid.records.readers import read_table, source
 from piezoid.records.readers.reader import reading
 from piezoid.records.readers.source import open_source, text_of
@@ -37,7 +37,7 @@ HEADED = "time [s],voltage [V],position [um]\n"
 def test_a_text_that_invites_to_search_for_ever_is_answered(text: str, tmp_path: Path) -> None:
     path = tmp_path / "run.dat"
     path.write_text(text)
-    (inspection, *_) = inspect_file(path)
+    (inspection, *_) = inspect_files([path])
     assert inspection.refusal or inspection.sampling_rate_Hz
 
 
@@ -93,7 +93,7 @@ def test_a_long_run_of_digits_signs_or_brackets_is_answered_at_once(
     for size in (3_000, 50_000):
         path.write_text(text.format(run * (size // len(run))))
         begun_s = process_time()
-        inspect_file(path)
+        inspect_files([path])
         assert process_time() - begun_s < 2.0
 
 

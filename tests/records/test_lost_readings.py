@@ -8,7 +8,7 @@ import pytest
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.numerics.arrays import Array
-from piezoid.records.inspection import inspect_file
+from piezoid.records.inspection import inspect_files
 from piezoid.records.invalid_samples import find_invalid_readings
 from tests.laws import LAWS, recorded, swept_um, triangles, write
 
@@ -132,7 +132,7 @@ def test_inspect_tells_what_was_written_how_often_and_where(tmp_path: Path) -> N
     where = [30, 31, 400, 1200, 1201, 2000]
     broken_um = np.array(reading_um)
     broken_um[where] = 9999.0
-    (inspection,) = inspect_file(write(tmp_path / "sweep.csv", field, broken_um))
+    (inspection,) = inspect_files([write(tmp_path / "sweep.csv", field, broken_um)])
     (problem,) = (p for p in inspection.statements if p.quantity == "lost_readings")
     assert f" {len(where)} times (" in problem.text
     for told in ("9999 um", "6 times (0.25 %", "line 32, line 33, line 402", "displacement"):
@@ -177,7 +177,7 @@ def test_a_sensor_at_the_end_of_its_range_is_left_out_and_a_stage_at_its_end_is_
     noise_um = 0.008 * np.random.default_rng(2).standard_normal(len(field))
     assert find_invalid_readings(6.0 + 10.0 * LAWS[law](limited) + noise_um, field) == ()
     assert find_invalid_readings(10.0 * LAWS[law](limited), field) == ()
-    (found,) = inspect_file(write(tmp_path / "a.csv", field, np.minimum(clean_um, top)))
+    (found,) = inspect_files([write(tmp_path / "a.csv", field, np.minimum(clean_um, top))])
     (told,) = [p.text for p in found.statements if p.quantity == "saturated"]
     assert f"is clipped at {top:.6g} um while the drive moves" in told
     assert "left out as invalid" in told

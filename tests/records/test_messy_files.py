@@ -10,8 +10,8 @@ from scipy import signal
 from piezoid.errors import LabFileError, RecordingError
 from piezoid.records.checks.consistency import refuse_inconsistent
 from piezoid.records.checks.copies import copies
+from piezoid.records.collection import collect
 from piezoid.records.frames import from_frame, to_frame
-from piezoid.records.ingest import ingest, ingest_all
 from piezoid.records.inspection import inspect_files
 from piezoid.records.lab import Lab, read_lab
 from piezoid.records.lab_draft import draft_lab
@@ -48,7 +48,7 @@ def lab_for(messy: Messy, folder: Path, entry: str) -> Lab:
 
 
 def assert_true_values(path: Path, lab: Lab, kept: np.ndarray, breaks: int) -> None:
-    recording = ingest(path, lab)
+    recording = collect([path], lab)[0]
     assert recording.sampling_rate_Hz == RATE_Hz
     assert len(recording.breaks) == breaks
     np.testing.assert_allclose(recording.voltage_V(), VOLTAGE_V[kept], atol=2e-5)
@@ -75,7 +75,7 @@ def test_a_file_that_cannot_be_read_is_refused_for_its_reason(
 ) -> None:
     messy.write(tmp_path / messy.name)
     with pytest.raises(RecordingError, match=messy.refused) as caught:
-        ingest(tmp_path / messy.name)
+        collect([tmp_path / messy.name])[0]
     # The lines that mend it stand in the refusal itself, where it can know them.
     for key in re.findall(r"^(reverse|separator|decimal|scale)\b", messy.lines, re.MULTILINE):
         assert key in caught.value.remedy or messy.name == "strange_mark.csv"
@@ -106,21 +106,19 @@ def test_stretches_of_several_rates_keep_their_own_clock(tmp_path: Path) -> None
     (messy,) = (m for m in FILES if m.name == "two_rates.csv")
     path = tmp_path / messy.name
     messy.write(path)
-    slow, fast = ingest_all([path])
+    slow, fast = collect([path]).recordings
     assert (slow.sampling_rate_Hz, fast.sampling_rate_Hz) == (256, 2048)
     assert slow.samples + fast.samples == 4096
     time_s = np.genfromtxt(path, delimiter=",", skip_header=1)[:, 0]
     # The sum of the steps is the duration, but for the one step between the two.
     assert slow.duration_s + fast.duration_s == pytest.approx(np.ptp(time_s), abs=1 / 256)
-    with pytest.raises(RecordingError, match="2 stretches of different rate: 256 Hz for"):
-        ingest(path)
 
 
 def test_a_part_in_seconds_is_counted_from_the_first_sample_of_the_file(tmp_path: Path) -> None:
     (messy,) = (m for m in FILES if m.name == "two_rates.csv")
     messy.write(tmp_path / messy.name)
     lab = lab_for(messy, tmp_path, "start_s = 8.5\nstop_s = 8.75\n")
-    fast = ingest(tmp_path / messy.name, lab)
+    fast = collect([tmp_path / messy.name], lab)[0]
     assert fast.sampling_rate_Hz == 2048
     assert fast.duration_s == pytest.approx(0.25, abs=1e-3)
 
@@ -145,7 +143,7 @@ def test_a_file_that_does_not_fit_the_others_is_refused_with_the_likely_reason(
     (messy,) = (m for m in FILES if m.name == name)
     messy.write(tmp_path / name)
     text(lines())(tmp_path / "clean.csv")
-    recordings = ingest_all([tmp_path / "clean.csv", tmp_path / name])
+    recordings = collect([tmp_path / "clean.csv", tmp_path / name]).recordings
     with pytest.raises(RecordingError) as caught:
         refuse_inconsistent(recordings)
     assert re.search(reason, str(caught.value), re.DOTALL)
@@ -160,7 +158,7 @@ def test_a_monitor_that_loops_of_other_gain_hide_is_not_guessed(tmp_path: Path) 
     with pytest.raises(
         RecordingError, match=r"a monitor \(1/15 or 1/20\) or the command"
     ) as caught:
-        refuse_inconsistent(ingest_all([tmp_path / "clean.csv", tmp_path / "check.csv"]))
+        refuse_inconsistent(collect([tmp_path / "clean.csv", tmp_path / "check.csv"]).recordings)
     assert "scale = { voltage = ... }" in caught.value.remedy
 
 
@@ -208,7 +206,7 @@ def test_two_runs_of_one_drive_are_no_copies(tmp_path: Path, rng: np.random.Gene
     again = columns() + np.outer(rng.normal(0, 0.003, SAMPLES), [0, 0, 1])
     text(lines())(tmp_path / "first.csv")
     text(lines(table=again))(tmp_path / "second.csv")
-    assert not copies(ingest_all([tmp_path / "first.csv", tmp_path / "second.csv"]))
+    assert not copies(collect([tmp_path / "first.csv", tmp_path / "second.csv"]).recordings)
 
 
 def test_a_part_in_which_a_feedback_holds_the_sensor_contradicts_no_gain(tmp_path: Path) -> None:
@@ -217,7 +215,7 @@ def test_a_part_in_which_a_feedback_holds_the_sensor_contradicts_no_gain(tmp_pat
     rows = (tmp_path / "whole.csv").read_text().splitlines()
     text(rows[:600])(tmp_path / "approach.csv")
     text([rows[0], *rows[600:]])(tmp_path / "hold.csv")
-    recordings = ingest_all([tmp_path / "approach.csv", tmp_path / "hold.csv"])
+    recordings = collect([tmp_path / "approach.csv", tmp_path / "hold.csv"]).recordings
     assert [p.quantity for r in recordings for p in r.statements] == ["closed_loop"]
     refuse_inconsistent(recordings)
 
@@ -227,9 +225,9 @@ def test_an_entry_about_a_file_that_is_nowhere_is_named(tmp_path: Path) -> None:
     (tmp_path / "lab.toml").write_text('[[recording]]\nfile = "swep.csv"\n')
     lab = read_lab(tmp_path / "lab.toml")
     with pytest.raises(LabFileError, match=r"'swep.csv' is about a file.*is 'sweep.csv' meant"):
-        ingest_all([tmp_path / "sweep.csv"], lab)
+        collect([tmp_path / "sweep.csv"], lab)
     (tmp_path / "swep.csv").write_text("it is there, and not asked for today")
-    assert ingest_all([tmp_path / "sweep.csv"], lab)
+    assert collect([tmp_path / "sweep.csv"], lab).recordings
 
 
 def test_rows_that_run_backwards_are_refused_without_a_named_clock_too(tmp_path: Path) -> None:
@@ -237,8 +235,8 @@ def test_rows_that_run_backwards_are_refused_without_a_named_clock_too(tmp_path:
     text([rows[0], *rows[:0:-1]])(tmp_path / "run.csv")
     entry = {"columns": {"voltage": 2, "displacement": 3}, "sampling_rate_Hz": 1000.0}
     with pytest.raises(RecordingError, match="the newest row is the first"):
-        ingest(tmp_path / "run.csv", lab_with(**entry))
-    turned = ingest(tmp_path / "run.csv", lab_with(**entry, reverse=True))
+        collect([tmp_path / "run.csv"], lab_with(**entry))[0]
+    turned = collect([tmp_path / "run.csv"], lab_with(**entry, reverse=True))[0]
     np.testing.assert_allclose(turned.voltage_V(), VOLTAGE_V)
 
 
@@ -254,11 +252,9 @@ def test_what_no_text_table_can_be_is_refused_in_lab_toml(entry: str, tmp_path: 
 
 def test_the_writing_of_what_is_no_text_is_not_declared(tmp_path: Path) -> None:
     np.save(tmp_path / "run.npy", columns())
+    lab = read_lab(_lab(tmp_path, '[[recording]]\nfile = "run.npy"\ndecimal = ","\n'))
     with pytest.raises(LabFileError, match=r"decimal of run.npy is declared, which is npy"):
-        ingest_all(
-            [tmp_path / "run.npy"],
-            read_lab(_lab(tmp_path, '[[recording]]\nfile = "run.npy"\ndecimal = ","\n')),
-        )
+        collect([tmp_path / "run.npy"], lab)
 
 
 def test_counts_of_a_known_converter_are_offered_as_volts(tmp_path: Path) -> None:
@@ -266,7 +262,7 @@ def test_counts_of_a_known_converter_are_offered_as_volts(tmp_path: Path) -> Non
         "[amplifier]\ngain_V_per_V = 15\n[acquisition]\ndac_bits = 16\ninput_range_V = [-10, 10]\n"
     )
     text(lines(names=("time [s]", "drive [counts]", "position [um]")))(tmp_path / "run.csv")
-    read = ingest(tmp_path / "run.csv", read_lab(_lab(tmp_path, above)))
+    read = collect([tmp_path / "run.csv"], read_lab(_lab(tmp_path, above)))[0]
     (problem,) = read.statements
     assert "scale = { voltage = 0.000305175781 }" in problem.text
     np.testing.assert_allclose(read.voltage_V(), VOLTAGE_V)  # the counts themselves
@@ -282,7 +278,7 @@ def test_counts_beside_metres_are_refused_with_the_line(tmp_path: Path) -> None:
     text(lines(names=(*NAMES[:2], "position [LSB]")))(tmp_path / "raw.csv")
     paths = [tmp_path / "known.csv", tmp_path / "raw.csv"]
     with pytest.raises(RecordingError, match=r"displacement of raw.csv is in counts") as caught:
-        refuse_inconsistent(ingest_all(paths))
+        refuse_inconsistent(collect(paths).recordings)
     assert 'file = "raw.csv"\nscale = {' in caught.value.remedy
     kinds = [s.quantity for s in inspect_files(paths)[1].statements]
     assert "mixed_units" in kinds
@@ -291,12 +287,12 @@ def test_counts_beside_metres_are_refused_with_the_line(tmp_path: Path) -> None:
 def test_a_clock_in_counts_is_refused(tmp_path: Path) -> None:
     text(lines(names=("time [ticks]", *NAMES[1:])))(tmp_path / "run.csv")
     with pytest.raises(RecordingError, match="only drive and displacement may be in counts"):
-        ingest(
-            tmp_path / "run.csv",
+        collect(
+            [tmp_path / "run.csv"],
             lab_with(
                 columns={"time": 1, "voltage": 2, "displacement": 3}, units={"time": "ticks"}
             ),
-        )
+        )[0]
 
 
 def _lab(folder: Path, content: str) -> Path:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from piezoid.errors import UnitError, UnreadableFileError
-from piezoid.records.ingest import ingest, ingest_all
+from piezoid.records.collection import collect
 from piezoid.records.readers import read_table
 from tests.records.microscopes import write_ibw, write_jpk
 from tests.records.tables import lab_with
@@ -30,7 +30,7 @@ def test_a_wave_of_igor_is_read_by_its_labels_and_its_clock(order: str, tmp_path
         step_unit="ms",
         order=order,
     )
-    recording = ingest(tmp_path / "run.ibw")
+    recording = collect([tmp_path / "run.ibw"])[0]
     assert recording.sampling_rate_Hz == RATE_Hz
     np.testing.assert_allclose(recording.voltage_V(), DRIVE_V)
     np.testing.assert_allclose(recording.displacement_m(), HEIGHT_m)
@@ -43,9 +43,9 @@ def test_a_wave_of_a_microscope_takes_its_rate_from_the_note(tmp_path: Path) -> 
     write_ibw(tmp_path / "run.ibw", values, labels=labels, unit="m", note=note)
     columns = {"voltage": "Raw", "displacement": "ZSnsr"}
     with pytest.raises(UnitError, match="volts times a sensitivity"):
-        ingest(tmp_path / "run.ibw", lab_with(file="run.ibw", columns=columns))
+        collect([tmp_path / "run.ibw"], lab_with(file="run.ibw", columns=columns))[0]
     lab = lab_with(file="run.ibw", columns=columns, scale={"voltage": 1 / 1.2e-7})
-    recording = ingest(tmp_path / "run.ibw", lab)
+    recording = collect([tmp_path / "run.ibw"], lab)[0]
     assert recording.sampling_rate_Hz == RATE_Hz
     np.testing.assert_allclose(recording.voltage_V(), DRIVE_V)
     np.testing.assert_allclose(recording.displacement_m(), HEIGHT_m)
@@ -54,7 +54,7 @@ def test_a_wave_of_a_microscope_takes_its_rate_from_the_note(tmp_path: Path) -> 
 def test_a_wave_of_one_quantity_is_refused_with_the_way_out(tmp_path: Path) -> None:
     write_ibw(tmp_path / "height.ibw", HEIGHT_m, unit="m", step=5e-4, step_unit="s")
     with pytest.raises(UnreadableFileError, match="one quantity") as caught:
-        ingest(tmp_path / "height.ibw")
+        collect([tmp_path / "height.ibw"])[0]
     assert "Concatenate" in caught.value.remedy
 
 
@@ -68,12 +68,12 @@ def test_a_force_curve_gives_the_drive_in_volts_and_each_segment_its_clock(
     ]
     for name in ("curve.jpk-force", "renamed.zip"):
         write_jpk(tmp_path / name, segments)
-        recording = ingest(tmp_path / name)
+        recording = collect([tmp_path / name])[0]
         assert recording.sampling_rate_Hz == RATE_Hz
         np.testing.assert_allclose(recording.voltage_V(), DRIVE_V, atol=1e-7)
         np.testing.assert_allclose(recording.displacement_m(), HEIGHT_m, atol=1e-13)
     write_jpk(tmp_path / "hold.jpk-force", [segments[0], (8 * half / RATE_Hz, *segments[1][1:])])
-    slow, fast = ingest_all([tmp_path / "hold.jpk-force"])
+    slow, fast = collect([tmp_path / "hold.jpk-force"]).recordings
     assert (slow.sampling_rate_Hz, fast.sampling_rate_Hz) == (RATE_Hz, RATE_Hz / 8)
 
 

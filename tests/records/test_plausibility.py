@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezoid.records.ingest import ingest
+from piezoid.records.collection import collect
 from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.truths import ZOO
 from piezoid_datasets.virtual_lab.truths.truth import Truth
@@ -23,16 +23,16 @@ def test_exchanged_headings_turn_the_loop_round(truth: Truth, tmp_path: Path) ->
     moved_um = 20 * sum(ceramic.respond(field, np.array([1.0, -1.0])))
     moved_um += 0.01 * np.random.default_rng(2).standard_normal(len(field))
     right = write(tmp_path / "right.csv", field, np.asarray(moved_um))
-    assert "leads" not in kinds(ingest(right))
+    assert "leads" not in kinds(collect([right])[0])
     exchanged = write(tmp_path / "exchanged.csv", moved_um / 5 - 2, 5 * field)
-    (said,) = [one.text for one in ingest(exchanged).statements if one.quantity == "leads"]
+    (said,) = [one.text for one in collect([exchanged])[0].statements if one.quantity == "leads"]
     assert 'columns = { voltage = "displacement [um]"' in said
 
 
 def test_one_branch_turns_no_way(tmp_path: Path) -> None:
     field = np.linspace(-1.0, 1.0, 400)
     for bent in (field + 0.3 * field**2, field - 0.3 * field**2):
-        assert "leads" not in kinds(ingest(write(tmp_path / "one.csv", field, bent)))
+        assert "leads" not in kinds(collect([write(tmp_path / "one.csv", field, bent)])[0])
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -42,7 +42,7 @@ def test_an_end_of_the_amplifier_is_told_with_its_volts(law: str, tmp_path: Path
 
     def stops_V(drive: np.ndarray) -> list[float | None]:
         path = write(tmp_path / "a.csv", field, 10.0 * LAWS[law](drive) + noise_um)
-        return [s.value for s in ingest(path).statements if s.quantity == "stands"]
+        return [s.value for s in collect([path])[0].statements if s.quantity == "stands"]
 
     assert stops_V(field) == []
     assert stops_V(np.minimum(field, 0.7)) == [pytest.approx(3.5, abs=0.15)]
@@ -60,4 +60,4 @@ def test_steps_and_rests_of_the_drive_are_no_end(law: str, tmp_path: Path) -> No
     for field in (steps, rests):
         noise_um = 0.008 * rng.standard_normal(len(field))
         path = write(tmp_path / "a.csv", field, 10.0 * LAWS[law](field) + noise_um)
-        assert "stands" not in kinds(ingest(path))
+        assert "stands" not in kinds(collect([path])[0])

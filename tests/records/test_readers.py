@@ -10,8 +10,8 @@ import pytest
 
 from piezoid.errors import UnreadableFileError
 from piezoid.records import readers
+from piezoid.records.collection import collect
 from piezoid.records.column_roles import Role, meaning_of
-from piezoid.records.ingest import ingest
 from piezoid.records.lab import Lab, RecordingEntry, Sensor
 from piezoid.records.readers import READERS, read_table
 from piezoid.records.readers.reader import Reader
@@ -36,7 +36,7 @@ def test_every_reader_of_the_folder_is_registered() -> None:
 def test_the_same_recording_comes_out_of_every_format(
     name: str, write: Callable[[str], Path]
 ) -> None:
-    recording = ingest(write(name))
+    recording = collect([write(name)])[0]
     assert recording.sampling_rate_Hz == RATE_Hz
     assert recording.axis == "x"
     # A column of words beside the numbers is said to be left out, and is the only oddity.
@@ -53,7 +53,7 @@ def test_oscilloscopes_give_volts_that_the_sensor_gain_makes_a_displacement(
         sensor=Sensor(gain_V_per_m=1e5),
         recordings=(RecordingEntry(file=name, columns={"voltage": "CH1", "displacement": "CH2"}),),
     )
-    recording = ingest(write(name), lab)
+    recording = collect([write(name)], lab)[0]
     assert recording.sampling_rate_Hz == RATE_Hz
     np.testing.assert_allclose(recording.voltage_V(), VOLTAGE_V, rtol=0, atol=1e-5)
     np.testing.assert_allclose(recording.displacement_m(), DISPLACEMENT_um * 1e-6, atol=1e-11)
@@ -65,7 +65,7 @@ def test_an_array_without_names_is_read_by_column_numbers(write: Callable[[str],
         columns={"time": 1, "voltage": 2, "displacement": 3},
         units={"time": "s", "voltage": "V", "displacement": "um"},
     )
-    recording = ingest(write("run.npy"), Lab(recordings=(entry,)))
+    recording = collect([write("run.npy")], Lab(recordings=(entry,)))[0]
     assert recording.sampling_rate_Hz == RATE_Hz
     np.testing.assert_array_equal(recording.voltage_V(), VOLTAGE_V)
 
@@ -140,7 +140,7 @@ def test_labview_segments_are_separate_acquisitions(write: Callable[[str], Path]
     path = write("run.lvm")
     text = path.read_text()
     path.write_text(text + "\n" + text[text.index("Channels") :])
-    recording = ingest(path)
+    recording = collect([path])[0]
     assert recording.samples == 2 * SAMPLES
     assert recording.breaks == (SAMPLES,)
 
@@ -148,7 +148,7 @@ def test_labview_segments_are_separate_acquisitions(write: Callable[[str], Path]
 def test_a_labview_file_cut_short_says_so(write: Callable[[str], Path]) -> None:
     path = write("run.lvm")
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:-50]))
-    (problem,) = [p for p in ingest(path).statements if p.quantity == "truncated"]
+    (problem,) = [p for p in collect([path])[0].statements if p.quantity == "truncated"]
     assert "200 samples, the file holds 150" in problem.text
 
 
@@ -168,7 +168,7 @@ def test_a_footer_of_words_is_no_row(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     rows = "".join(f"{k / 1000},{k % 7},{k % 5}\n" for k in range(50))
     path.write_text("time [s],voltage [V],pos [um]\n" + rows + "\nend of data\n")
-    recording = ingest(path)
+    recording = collect([path])[0]
     assert recording.samples == 50
     assert not recording.breaks
 

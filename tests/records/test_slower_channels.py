@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezoid.records.ingest import ingest
+from piezoid.records.collection import collect
 from tests.records.tables import RESPONSE, SAMPLES, VOLTAGE_V, RATE_Hz, TIME_s, table
 
 HEADINGS = "time [s],voltage [V],position [um]"
@@ -22,7 +22,7 @@ def blanked(step: int, first: int = 0) -> np.ndarray:
 def test_cells_blank_at_a_fixed_interval_are_a_slower_channel(
     step: int, first: int, tmp_path: Path
 ) -> None:
-    recording = ingest(table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, blanked(step, first)))
+    recording = collect([table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, blanked(step, first))])[0]
     assert recording.sampling_rate_Hz == pytest.approx(RATE_Hz / step)
     assert recording.breaks == ()
     np.testing.assert_allclose(
@@ -39,7 +39,7 @@ def test_blanks_without_a_fixed_interval_stay_missing_values(
 ) -> None:
     values = RESPONSE.copy()
     values[rng.choice(SAMPLES, 30, replace=False)] = np.nan
-    recording = ingest(table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, values))
+    recording = collect([table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, values)])[0]
     assert recording.sampling_rate_Hz == RATE_Hz
     assert "missing_values" in {s.quantity for s in recording.statements}
     assert "slower_channel" not in {s.quantity for s in recording.statements}

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from piezoid.records.checks.command_range import DRIVE_VOLTAGE_NOTE
-from piezoid.records.ingest import ingest
+from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
 from piezoid.records.lab_draft import draft_lab
 from piezoid.records.recording import Recording
@@ -21,7 +21,7 @@ def recorded(folder: Path, lab: str, *, most_V: float) -> Recording:
     drive_V = 0.5 * most_V * (1.0 + triangles(5, 240, 0.15))
     place = write(folder / "run.csv", drive_V / 5, drive_V)
     (folder / "lab.toml").write_text(lab)
-    return ingest(place, read_lab(folder / "lab.toml"))
+    return collect([place], read_lab(folder / "lab.toml"))[0]
 
 
 def told(recording: Recording) -> list[str]:

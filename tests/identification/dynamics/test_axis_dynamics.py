@@ -14,7 +14,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.identification.store import read_model, write_model
 from piezoid.numerics.arrays import Array
 from piezoid.operators.linear import resonance, sample
-from piezoid.records.ingest import ingest_all
+from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_reports.page import Page
@@ -170,7 +170,7 @@ def test_a_report_without_dynamics_says_that_the_stated_bandwidth_is_open(
 
 def test_sines_that_determine_no_mode_are_said_to_determine_none() -> None:
     lab = read_lab(piezoid_datasets.LAB)
-    (rates,) = ingest_all(piezoid_datasets.recordings()[2:3], lab)
+    (rates,) = collect(piezoid_datasets.recordings()[2:3], lab).recordings
     axis = estimate_axis([rates], "x", rig_of(lab, "x"), orders=((4, 1),))
     found = with_dynamics(axis, [rates])
     assert found.dynamics is None

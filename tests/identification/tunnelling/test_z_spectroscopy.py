@@ -9,7 +9,7 @@ from piezoid.errors import RecordingError, UnitError
 from piezoid.identification.tunnelling.approach import Direction, read_z_spectroscopy
 from piezoid.identification.tunnelling.junction import curves_of, fit_junction
 from piezoid.records.collection import collect
-from piezoid.records.inspection import inspect_file
+from piezoid.records.inspection import inspect_files
 from piezoid.records.table import Column, RawTable
 from tests.identification.tunnelling.sweeps import real_sweep, real_table
 
@@ -97,7 +97,7 @@ def test_a_text_table_of_height_and_current_is_an_approach_curve(
     path = tmp_path / "iz.csv"
     rows = "".join(f"{z:.6f},{i:.5f}\n" for z, i in zip(z_nm, picoamperes, strict=True))
     path.write_text("Z (nm),Current (pA)\n" + rows)
-    (inspection,) = inspect_file(path)
+    (inspection,) = inspect_files([path])
     assert inspection.refusal is None
     assert "approach_curve" in {statement.quantity for statement in inspection.statements}
     held = collect([path])
