@@ -35,7 +35,7 @@ from piezoid.diagnosis import (
 )
 from piezoid.diagnosis.blocked_regression import paired_z
 from piezoid.diagnosis.initial_state_search import OTHER_INITIAL_STATES
-from piezoid.diagnosis.residual_structure import without_names
+from piezoid.diagnosis.residual_structure import locate_residual
 from piezoid.diagnosis.score_test import score_test
 
 Decision = Callable[..., Any]
@@ -144,8 +144,8 @@ RULES = (
     Rule(
         name="what has no name",
         places=((diagnose, "search_all"),),
-        without=lambda view, hands: without_names(view, selection.search(view, hands)),
-        matters=lambda said, _: said.discovered is not None or said.otherwise is not None,
+        without=lambda view, hands: locate_residual(view, selection.search(view, hands)),
+        matters=lambda said, _: said.structure is not None or said.without_structure is not None,
         dear=True,
     ),
 )

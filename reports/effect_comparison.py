@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding
+from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding
 from piezoid.diagnosis.drive_response import (
     Driven,
     driven_recording,
@@ -22,7 +22,6 @@ from piezoid.diagnosis.effect import Tangent
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.planning.open_questions import suspect_of
 from piezoid.diagnosis.planning.separation import basis_of, block_of, scale_of
-from piezoid.diagnosis.residual_structure import NAME as SOMETHING_ELSE
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import simulate_recording
 from piezoid.numerics.arrays import Array

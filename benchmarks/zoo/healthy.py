@@ -25,7 +25,7 @@ from scipy.stats import kstest
 
 from benchmarks.zoo.score import PAST, diagnosed
 from benchmarks.zoo.stages import NAMES, drawn, stage
-from piezoid.diagnosis.null_distribution import chance_of, score_of
+from piezoid.diagnosis.null_distribution import rank_p_value, structure_score
 from piezoid.errors import PiezoidError
 
 TABLE = Path(__file__).parents[2] / "piezoid/diagnosis/healthy_scores.json"
@@ -85,7 +85,7 @@ def uniformity(scores: Mapping[str, Sequence[float]]) -> str:
     lines, all_of_them = [], []
     for law, own in scores.items():
         others = [s for other, of_it in scores.items() if other != law for s in of_it]
-        chances = [chance_of(score, others) for score in own]
+        chances = [rank_p_value(score, others) for score in own]
         all_of_them += chances
         told = ", ".join(f"{chance:.2f}" for chance in sorted(chances))
         lines.append(f"| {law} | {told} | {kstest(chances, 'uniform').pvalue:.2g} |")
@@ -119,7 +119,7 @@ def _scored(wanted: tuple[str, int], *, first: int, ends_s: float) -> dict[str, 
     left = found.envelope_rms_m / found.noise_floor_rms_m
     return {
         **row,
-        "score": round(score_of(rest.gain, left, 1.0), DIGITS),
+        "score": round(structure_score(rest.gain, left, 1.0), DIGITS),
         "strength": round(max(strengths, default=0.0), DIGITS),
         "said": [[one.effect, one.p_value] for one in found.findings],
         "times_noise": round(left, DIGITS),

@@ -24,6 +24,7 @@ import numpy as np
 
 from piezoid.diagnosis.diagnosis import (
     NOISE_RATIO,
+    SOMETHING_ELSE,
     BudgetPart,
     Diagnosis,
     FinalError,
@@ -35,8 +36,7 @@ from piezoid.diagnosis.diagnosis import (
 )
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
-from piezoid.diagnosis.residual_structure import NAME as SOMETHING_ELSE
-from piezoid.diagnosis.structure_findings import of_residual
+from piezoid.diagnosis.structure_findings import unexplained_finding
 from piezoid.formatting import with_unit
 from piezoid.formatting import words as name_of
 from piezoid.numerics.arrays import Array
@@ -150,7 +150,7 @@ def _with_something_else(
         return diagnosis, powers
     powers[SOMETHING_ELSE] = rest.gain * powers["unexplained"]
     powers["unexplained"] -= powers[SOMETHING_ELSE]
-    finding = of_residual(
+    finding = unexplained_finding(
         rest,
         rms_m=sqrt(powers[SOMETHING_ELSE]),
         scatter=errors.scatter,

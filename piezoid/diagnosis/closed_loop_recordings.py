@@ -16,6 +16,7 @@ from math import erfc, log, sqrt
 
 import numpy as np
 
+from piezoid.diagnosis.coordinate_descriptions import coordinate_profile
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Size, with_finding
 from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.rest_columns import (
@@ -25,7 +26,6 @@ from piezoid.diagnosis.rest_columns import (
     gain_on_blocks,
     held_out_residual,
 )
-from piezoid.diagnosis.structure_findings import seen_in_classes
 from piezoid.formatting import significant, with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.records.checks.feedback import held_span, is_held_throughout
@@ -134,7 +134,7 @@ def _finding(hold: _Hold, diagnosis: Diagnosis, gain_m_per_V: float) -> Finding 
         return None
     effect = effect_named(NAME)
     percent = 100.0 * abs(slope_V * log(10.0) / hold.step_V)
-    seen = seen_in_classes(
+    profile = coordinate_profile(
         np.log10(np.maximum(time_s, scale_s)),
         -gain_m_per_V * drive_V,
         -gain_m_per_V * slope_V * column,
@@ -163,5 +163,5 @@ def _finding(hold: _Hold, diagnosis: Diagnosis, gain_m_per_V: float) -> Finding 
         next_experiment=effect.experiment,
         parameters={"scale_s": scale_s},
         coordinate="time_since_turn",
-        seen=replace(seen, place=tuple(10.0**decade for decade in seen.place)),
+        seen=replace(profile, place=tuple(10.0**decade for decade in profile.place)),
     )

@@ -18,8 +18,9 @@ from math import erfc, sqrt
 import numpy as np
 
 from piezoid.diagnosis.budget import RemainingErrors, relative_scatter, with_budget
-from piezoid.diagnosis.coordinate_tests import highest
+from piezoid.diagnosis.coordinate_descriptions import NEXT_EXPERIMENTS, coordinate_profile
 from piezoid.diagnosis.diagnosis import (
+    SOMETHING_ELSE,
     Diagnosis,
     FinalError,
     Finding,
@@ -31,7 +32,7 @@ from piezoid.diagnosis.diagnosis import (
 )
 from piezoid.diagnosis.effect import ConstantDriveData, Effect
 from piezoid.diagnosis.effects import effect_named, every_effect
-from piezoid.diagnosis.residual_structure import NAME as SOMETHING_ELSE
+from piezoid.diagnosis.periodic_residual import strongest_peaks
 from piezoid.diagnosis.rest_columns import (
     FOLDS,
     MIN_Z,
@@ -45,7 +46,6 @@ from piezoid.diagnosis.rest_columns import (
 )
 from piezoid.diagnosis.segments import Places
 from piezoid.diagnosis.signals import GRIDS_Hz
-from piezoid.diagnosis.structure_findings import NEXT, seen_in_classes
 from piezoid.formatting import significant, with_unit
 from piezoid.identification.hysteresis.sensor_noise import noise_rms
 from piezoid.numerics.arrays import Array
@@ -210,7 +210,7 @@ def _select(rest: RestColumns) -> list[str]:
 
 def _line_Hz(residual: Array, time_s: Array) -> float | None:
     """Return the frequency of the highest line of a residual, or None where none stands out."""
-    lines = highest(_spectrum(residual))
+    lines = strongest_peaks(_spectrum(residual))
     if not lines or lines[0][1] > LINE_P:
         return None
     per_s = (len(residual) - 1) / (len(residual) * float(np.ptp(time_s)))
@@ -307,10 +307,10 @@ def _something_else(
             explanation="No effect of the catalogue stands for it: a line at "
             f"{significant(rest.line_Hz, 5)} Hz, of the floor, a pump or another instrument. "
             f"{size}",
-            next_experiment=NEXT["frequency"],
+            next_experiment=NEXT_EXPERIMENTS["frequency"],
             parameters={"frequency_Hz": rest.line_Hz},
             coordinate="frequency",
-            seen=seen_in_classes((rest.time_s * rest.line_Hz) % 1.0, left_m, curve_m, unit=""),
+            seen=coordinate_profile((rest.time_s * rest.line_Hz) % 1.0, left_m, curve_m, unit=""),
         )
     jump_m = float(coefficient[-1])
     return replace(
@@ -319,10 +319,10 @@ def _something_else(
         explanation="No effect of the catalogue stands for it: one jump by "
         f"{with_unit(jump_m, 'm')} at {with_unit(rest.jump_s, 's')}, of the stage, its mount "
         "or the sensor.",
-        next_experiment=NEXT["time"],
+        next_experiment=NEXT_EXPERIMENTS["time"],
         parameters={"instant_s": rest.jump_s, "jump_m": jump_m},
         coordinate="time",
-        seen=seen_in_classes(rest.time_s, left_m, curve_m, unit="s", recording=rest.recording),
+        seen=coordinate_profile(rest.time_s, left_m, curve_m, unit="s", recording=rest.recording),
     )
 
 
@@ -352,7 +352,7 @@ def _absent(effect: Effect, rest: RestColumns, rms_m: float) -> NotDetected:
 
 def _unexplained(residual_m: Array, noise_m: float) -> Unexplained:
     """Return the residual beyond the noise, and the p-value of its highest line among all."""
-    lines = highest(_spectrum(residual_m))
+    lines = strongest_peaks(_spectrum(residual_m))
     total_m2 = float(np.mean(residual_m**2))
     above_m2 = max(total_m2 - noise_m**2, 0.0)
     line, p_value = (lines[0][0], max(lines[0][1], 1e-12)) if lines else (0.0, 1.0)

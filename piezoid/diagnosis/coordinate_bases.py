@@ -1,12 +1,11 @@
-"""Coordinates: where a remainder may live, each with the columns that a curve along it is made of.
+"""Columns of a curve along one coordinate of the recordings: drive, displacement, speed, time, ...
 
-Three kinds of curves. Hats along anything that has a value at every sample (drive, displacement,
-speed, ...): straight between knots,
+Three kinds of curves: linear splines along a signal, with knots x_j,
 
-    f(x) = sum_j c_j max(1 - |x - x_j| / (x_(j+1) - x_j), 0)
+    f(x) = sum_j c_j max(1 - |x - x_j| / (x_(j+1) - x_j), 0),
 
-waves of one frequency in time or in distance travelled, with a phase of every track; and cells
-that repeat with the index of the sample.
+waves of one frequency in time or along a signal, with a phase for each track, and a value for
+each sample of a period, the same in all recordings.
 
 Source: de Boor (1978) on linear splines; Bretthorst (1988) on waves of unknown frequency.
 """
@@ -20,11 +19,11 @@ from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.segments import Places, Track
 from piezoid.numerics.arrays import Array
 
-KNOTS = 24  # of drive, displacement and reading: a twenty-third of the range is a feature
-FINE_KNOTS = 96  # of displacement, for what is narrow
-SPEED_KNOTS, TURN_KNOTS, OTHER_KNOTS, TIME_KNOTS = 17, 12, 16, 64
-OUTSIDE = 5e-4  # of all samples on either side of the outermost knots
-SLOW = 0.1  # half strokes per second: slower is told on an even scale, faster in decades
+KNOTS = 24  # of drive, displacement and reading: a twenty-third of the range is resolved
+FINE_KNOTS = 96  # of displacement, for narrow features
+SPEED_KNOTS, TURN_KNOTS, OTHER_AXIS_KNOTS, TIME_KNOTS = 17, 12, 16, 64
+OUTSIDE = 5e-4  # share of all samples on either side of the outermost knots
+LINEAR_SPEED = 0.1  # half strokes per second: knots are linear in slower, logarithmic in faster
 
 Signals = tuple[Array, ...]
 
@@ -33,211 +32,226 @@ Signals = tuple[Array, ...]
 class Basis:
     """Columns of a curve along one coordinate.
 
-    coordinate  its name
-    unit        of ``place``
-    place       (samples,) of every track: where each sample stands, in ``unit``
-    columns     (rows, columns)  of the view that it was made for
-    made        (track, coefficients) -> the curve at every sample of a track
-    per_unit    periods in one unit of ``along``, of what repeats; 0 of what does not
-    harmonics   of what repeats
+    coordinate  name
+    unit        of ``position``
+    position    (samples,) of every track: its coordinate at each sample
+    columns     (rows, columns)  at the rows of the view
+    curve       (track, coefficients) -> the curve at every sample of a track
+    per_unit    periods in one unit of ``position``; 0: the curve is not periodic
+    harmonics   number of harmonics of a periodic curve
     """
 
     coordinate: str
     unit: str
-    place: Signals
+    position: Signals
     columns: Array
-    made: Callable[[int, Array], Array]
+    curve: Callable[[int, Array], Array]
     per_unit: float = 0.0
     harmonics: int = 0
 
 
-def along_signals(view: View) -> list[Basis]:
+def signal_bases(view: View) -> list[Basis]:
     """Return the curves along every signal that has a value at each sample."""
-    tracks, static = view.tracks, view.static
-    half_m, half_V = view.stroke_m, view.voltage_V
-    drive = tuple(t.drive - view.rest for t in tracks)  # 0 at 0 V
-    speed = tuple(np.gradient(s) * t.rate_Hz for s, t in zip(static, tracks, strict=True))
-    found = [
-        _hats(view, "drive", "V", drive, KNOTS, half_V),
-        _hats(view, "displacement", "m", static, KNOTS, half_m),
-        _hats(view, "displacement", "m", static, FINE_KNOTS, half_m),
-        _hats(view, "speed", "m/s", speed, SPEED_KNOTS, half_m, bent=SLOW),
-        _since_turn(view),
+    tracks = view.tracks
+    drive = tuple(track.drive - view.rest for track in tracks)  # 0 at 0 V
+    speed = tuple(
+        np.gradient(static) * track.rate_Hz
+        for static, track in zip(view.static, tracks, strict=True)
+    )
+    bases = [
+        _spline_basis(view, "drive", "V", drive, KNOTS, view.voltage_V),
+        displacement_basis(view),
+        _spline_basis(view, "displacement", "m", view.static, FINE_KNOTS, view.stroke_m),
+        _spline_basis(view, "speed", "m/s", speed, SPEED_KNOTS, view.stroke_m, LINEAR_SPEED),
+        _turn_basis(view),
     ]
     for axis in sorted({axis for track in tracks for axis in track.others}):
-        there = tuple(t.others.get(axis, np.full(len(t.drive), np.nan)) for t in tracks)
-        name = f"drive of axis {axis}"
-        found.append(_hats(view, name, "half ranges", there, OTHER_KNOTS, 1.0))
-    return found
+        drives = tuple(
+            track.others.get(axis, np.full(len(track.drive), np.nan)) for track in tracks
+        )
+        coordinate = f"drive of axis {axis}"
+        bases.append(_spline_basis(view, coordinate, "half ranges", drives, OTHER_AXIS_KNOTS, 1.0))
+    return bases
 
 
-def along_displacement(view: View) -> Basis:
+def displacement_basis(view: View) -> Basis:
     """Return the curve along the static response."""
-    return _hats(view, "displacement", "m", view.static, KNOTS, view.stroke_m)
+    return _spline_basis(view, "displacement", "m", view.static, KNOTS, view.stroke_m)
 
 
-def along_reading(view: View, left: Array | None = None) -> Basis:
-    """Return the curve along the reading's own value.
+def reading_basis(view: View, residual: Array | None = None) -> Basis:
+    """Return the curve along the measured value.
 
-    left  (rows,)  what stands in the place of the remainder in it; None: the remainder itself
+    residual  (rows,)  the measured value is the static response plus this; None: as recorded, with
+              the zeros of the recordings aligned
     """
     readings = []
     for k, (track, static) in enumerate(zip(view.tracks, view.static, strict=True)):
-        own = track.response - float(np.median(track.response - static))  # of a common zero
-        if left is not None:
-            rows = slice(view.nuisance.edges[k], view.nuisance.edges[k + 1])
-            own = static.copy()
-            own[track.place] += left[rows]
-        readings.append(own)
-    return _hats(view, "reading", "m", tuple(readings), KNOTS, view.stroke_m)
+        if residual is None:
+            reading = track.response - float(np.median(track.response - static))
+        else:
+            reading = static.copy()
+            reading[track.place] += residual[view.track_rows(k)]
+        readings.append(reading)
+    return _spline_basis(view, "reading", "m", tuple(readings), KNOTS, view.stroke_m)
 
 
-def along_time(view: View, k: int) -> Array:
-    """Return hats of time at the rows of one track, (rows, knots)."""
-    track = view.tracks[k]
-    return hats(track.place.astype(np.float64), np.linspace(0, len(track.drive) - 1, TIME_KNOTS))
+def time_spline(track: Track) -> Array:
+    """Return linear splines in time at the rows of one track, (rows, knots)."""
+    knots = np.linspace(0, len(track.drive) - 1, TIME_KNOTS)
+    return linear_spline_basis(track.place.astype(np.float64), knots)
 
 
-def in_time(view: View) -> Basis:
-    """Return a curve in time of every recording's own; its columns come track by track."""
+def time_basis(view: View) -> Basis:
+    """Return a separate curve in time for each track; its columns are those of `time_spline`."""
     tracks = view.tracks
 
-    def made(k: int, c: Array) -> Array:
+    def curve(k: int, coefficients: Array) -> Array:
         samples = len(tracks[k].drive)
-        own = c[k * TIME_KNOTS : (k + 1) * TIME_KNOTS]
-        return np.interp(np.arange(samples), np.linspace(0, samples - 1, TIME_KNOTS), own)
+        knots = np.linspace(0, samples - 1, TIME_KNOTS)
+        of_track = coefficients[k * TIME_KNOTS : (k + 1) * TIME_KNOTS]
+        return np.interp(np.arange(samples), knots, of_track)
 
     return Basis(
         coordinate="time",
         unit="s",
-        place=tuple(track.time_s for track in tracks),
+        position=tuple(track.time_s for track in tracks),
         columns=np.zeros((len(view.response), 0)),
-        made=made,
+        curve=curve,
     )
 
 
-def waves(
-    view: View, coordinate: str, along: Signals, per_unit: float, unit: str, harmonics: int = 1
+def wave_basis(
+    view: View, coordinate: str, position: Signals, per_unit: float, unit: str, harmonics: int = 1
 ) -> Basis:
-    """Return waves of one frequency along a signal, with amplitudes of every track's own.
+    """Return waves of one frequency along a signal, with separate amplitudes for each track.
 
-    along     (samples,) of every track
+    position  (samples,) of every track
     per_unit  periods in a unit of it
     """
-    orders = range(1, harmonics + 1)
+    orders, width = range(1, harmonics + 1), 2 * harmonics
 
-    def turning(k: int, places: Places | slice) -> Array:
-        turn = 2.0 * np.pi * per_unit * along[k][places]
-        return np.column_stack([w(n * turn) for n in orders for w in (np.cos, np.sin)])
+    def waves(k: int, samples: Places | slice) -> Array:
+        phase = 2.0 * np.pi * per_unit * position[k][samples]
+        return np.column_stack([wave(n * phase) for n in orders for wave in (np.cos, np.sin)])
 
-    tracks, wide = view.tracks, 2 * harmonics
-    columns = np.zeros((len(view.response), wide * len(tracks)))
-    for k, track in enumerate(tracks):
-        rows = slice(view.nuisance.edges[k], view.nuisance.edges[k + 1])
-        columns[rows, k * wide : (k + 1) * wide] = turning(k, track.place)
+    columns = np.zeros((len(view.response), width * len(view.tracks)))
+    for k, track in enumerate(view.tracks):
+        columns[view.track_rows(k), k * width : (k + 1) * width] = waves(k, track.place)
     return Basis(
         coordinate=coordinate,
         unit=unit,
-        place=along,
+        position=position,
         columns=columns,
-        made=lambda k, c: turning(k, slice(None)) @ c[k * wide : (k + 1) * wide],
+        curve=lambda k, c: waves(k, slice(None)) @ c[k * width : (k + 1) * width],
         per_unit=per_unit,
         harmonics=harmonics,
     )
 
 
-def every(view: View, period: int) -> Basis:
+def sample_index_basis(view: View, period: int) -> Basis:
     """Return a value for every sample of a period, the same in all recordings."""
     cell = np.concatenate([track.place % period for track in view.tracks])
     columns = np.zeros((len(cell), period))
     columns[np.arange(len(cell)), cell] = 1.0
-    samples = tuple(np.arange(len(track.drive)) % period for track in view.tracks)
+    cells = tuple(np.arange(len(track.drive)) % period for track in view.tracks)
     return Basis(
         coordinate="sample_index",
         unit=f"samples of {period}",
-        place=tuple(one.astype(np.float64) for one in samples),
+        position=tuple(index.astype(np.float64) for index in cells),
         columns=columns,
-        made=lambda k, c: c[samples[k]],
+        curve=lambda k, c: c[cells[k]],
         per_unit=1.0 / period,
     )
 
 
-def travelled(view: View) -> Signals:
-    """Return the way every track has gone since it began, in half strokes."""
-    return tuple(np.cumsum(np.abs(np.diff(s, prepend=s[:1]))) for s in view.static)
+def distance_travelled(view: View) -> Signals:
+    """Return the distance that the stage has travelled since each track began, half strokes."""
+    return tuple(np.cumsum(np.abs(np.diff(static, prepend=static[:1]))) for static in view.static)
 
 
-def hats(x: Array, knots: Array) -> Array:
-    """Return linear splines that are 1 at one knot each, 0 where there is no place."""
-    there = np.isfinite(x)
-    inside = np.clip(np.where(there, x, knots[0]), knots[0], knots[-1])
-    low = np.clip(np.searchsorted(knots, inside, side="right") - 1, 0, len(knots) - 2)
-    part = (inside - knots[low]) / (knots[low + 1] - knots[low])
-    found, rows = np.zeros((len(x), len(knots))), np.arange(len(x))
-    found[rows, low] = np.where(there, 1.0 - part, 0.0)
-    found[rows, low + 1] = np.where(there, part, 0.0)
-    return found
+def linear_spline_basis(x: Array, knots: Array) -> Array:
+    """Return linear splines that are 1 at one knot each, (values, knots); 0 where x is NaN."""
+    is_finite = np.isfinite(x)
+    inside = np.clip(np.where(is_finite, x, knots[0]), knots[0], knots[-1])
+    below = np.clip(np.searchsorted(knots, inside, side="right") - 1, 0, len(knots) - 2)
+    fraction = (inside - knots[below]) / (knots[below + 1] - knots[below])
+    columns, rows = np.zeros((len(x), len(knots))), np.arange(len(x))
+    columns[rows, below] = np.where(is_finite, 1.0 - fraction, 0.0)
+    columns[rows, below + 1] = np.where(is_finite, fraction, 0.0)
+    return columns
 
 
-def _hats(
-    view: View, name: str, unit: str, x: Signals, count: int, scale: float, bent: float = 0.0
+def _spline_basis(
+    view: View,
+    coordinate: str,
+    unit: str,
+    signals: Signals,
+    count: int,
+    scale: float,
+    linear_below: float = 0.0,
 ) -> Basis:
-    """Return hats along a signal.
+    """Return linear splines along a signal.
 
-    scale  what 1 of it is in ``unit``
-    bent   from where it is told in decades; 0: never
+    count         number of knots
+    scale         value of 1 in ``unit``
+    linear_below  knots are evenly spaced up to this value and logarithmically beyond; 0: evenly
     """
-    told = tuple(np.arcsinh(one / bent) for one in x) if bent else x
-    rows = view.rows(told)
+    x = tuple(np.arcsinh(s / linear_below) for s in signals) if linear_below else signals
+    rows = view.rows(x)
     knots = _knots(rows[np.isfinite(rows)], count)
 
-    def made(k: int, c: Array) -> Array:
-        there = np.isfinite(told[k])
-        return np.where(there, np.interp(np.where(there, told[k], 0.0), knots, c), 0.0)
+    def curve(k: int, coefficients: Array) -> Array:
+        is_finite = np.isfinite(x[k])
+        values = np.interp(np.where(is_finite, x[k], 0.0), knots, coefficients)
+        return np.where(is_finite, values, 0.0)
 
     return Basis(
-        coordinate=name,
+        coordinate=coordinate,
         unit=unit,
-        place=tuple(scale * one for one in x),
-        columns=hats(rows, knots),
-        made=made,
+        position=tuple(scale * signal for signal in signals),
+        columns=linear_spline_basis(rows, knots),
+        curve=curve,
     )
 
 
-def _since_turn(view: View) -> Basis:
-    """Return hats of the time since the drive turned, alike after all turns and by direction."""
-    since, way = zip(*(_turned(track) for track in view.tracks), strict=True)
-    decades = tuple(np.log10(one) for one in since)
-    rows, direction = view.rows(decades), view.rows(way)
-    knots = _knots(rows, TURN_KNOTS)
-    plain = hats(rows, knots)
+def _turn_basis(view: View) -> Basis:
+    """Return splines of the logarithm of the time since the last turn, even and odd in direction.
 
-    def made(k: int, c: Array) -> Array:
-        even = np.interp(decades[k], knots, c[:TURN_KNOTS])
-        return np.asarray(even + way[k] * np.interp(decades[k], knots, c[TURN_KNOTS:]))
+    The curve is the same after all turning points.
+    """
+    elapsed_s, direction = zip(*(_time_since_turn(track) for track in view.tracks), strict=True)
+    decades = tuple(np.log10(time_s) for time_s in elapsed_s)
+    rows = view.rows(decades)
+    knots = _knots(rows, TURN_KNOTS)
+    columns = linear_spline_basis(rows, knots)
+
+    def curve(k: int, coefficients: Array) -> Array:
+        even = np.interp(decades[k], knots, coefficients[:TURN_KNOTS])
+        odd = np.interp(decades[k], knots, coefficients[TURN_KNOTS:])
+        return np.asarray(even + direction[k] * odd)
 
     return Basis(
         coordinate="time_since_turn",
         unit="s",
-        place=since,
-        columns=np.hstack([plain, plain * direction[:, None]]),
-        made=made,
+        position=elapsed_s,
+        columns=np.hstack([columns, columns * view.rows(direction)[:, None]]),
+        curve=curve,
     )
 
 
-def _turned(track: Track) -> tuple[Array, Array]:
-    """Return the time since the drive last turned, and the direction in which it last went."""
+def _time_since_turn(track: Track) -> tuple[Array, Array]:
+    """Return the time since the drive last turned, and the direction in which it last moved."""
     step = np.sign(np.diff(track.drive, prepend=track.drive[:1]))
-    place = np.arange(len(step))
-    moved = np.maximum.accumulate(np.where(step != 0.0, place, 0))
-    way = step[moved]
-    reversals = np.flatnonzero((way[1:] != way[:-1]) & (way[:-1] != 0.0)) + 1
-    last = np.maximum.accumulate(np.where(np.isin(place, reversals), place, 0))
-    return (place - last + 1) / track.rate_Hz, way
+    index = np.arange(len(step))
+    direction = step[np.maximum.accumulate(np.where(step != 0.0, index, 0))]
+    turns = np.flatnonzero((direction[1:] != direction[:-1]) & (direction[:-1] != 0.0)) + 1
+    last_turn = np.maximum.accumulate(np.where(np.isin(index, turns), index, 0))
+    return (index - last_turn + 1) / track.rate_Hz, direction
 
 
-def _knots(rows: Array, count: int) -> Array:
-    if not len(rows):
+def _knots(values: Array, count: int) -> Array:
+    if not len(values):
         return np.linspace(0.0, 1.0, count)
-    low, high = np.quantile(rows, [OUTSIDE, 1.0 - OUTSIDE])
+    low, high = np.quantile(values, [OUTSIDE, 1.0 - OUTSIDE])
     return np.linspace(low, max(high, low + 1e-9), count)

@@ -14,19 +14,24 @@ from piezoid.diagnosis.budget import RemainingErrors, corrected, with_budget
 from piezoid.diagnosis.closed_loop_recordings import with_creep_of_holds
 from piezoid.diagnosis.constant_drive import diagnose_at_rest
 from piezoid.diagnosis.detection_limits import absent, not_sought
-from piezoid.diagnosis.diagnosis import Diagnosis, FinalError, Unexplained, fraction_explained
+from piezoid.diagnosis.diagnosis import (
+    SOMETHING_ELSE,
+    Diagnosis,
+    FinalError,
+    Unexplained,
+    fraction_explained,
+)
 from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.findings import findings_of, held_out
 from piezoid.diagnosis.forward_selection import SLIP
 from piezoid.diagnosis.identified_modes import split_known_modes, with_modes
 from piezoid.diagnosis.ingest_faults import with_ingested
 from piezoid.diagnosis.refit import ModelErrors, attribute_errors, repaired
-from piezoid.diagnosis.residual_structure import NAME as SOMETHING_ELSE
 from piezoid.diagnosis.residual_structure import (
     SearchResult,
+    add_structure,
+    locate_residual,
     search_all,
-    with_it,
-    without_names,
 )
 from piezoid.diagnosis.residual_view import View, view_of
 from piezoid.diagnosis.segments import tracks_of
@@ -136,8 +141,8 @@ class _Selection:
     def repaired(self, recordings: Sequence[Recording]) -> tuple[Recording, ...]:
         """Return the recordings, those searched without the faults repaired."""
         raw, clean = self.result.raw.tracks, self.result.outcome.clean.tracks
-        if self.result.discovered is not None:
-            clean = with_it(self.result.outcome.clean, self.result.discovered).tracks
+        if self.result.structure is not None:
+            clean = add_structure(self.result.outcome.clean, self.result.structure)
         mended = repaired(self.recordings, self.axis, raw, clean, self.scales)
         by_name = {recording.name: recording for recording in mended}
         return tuple(by_name.get(recording.name, recording) for recording in recordings)
@@ -204,12 +209,10 @@ def _prefer_named_effects(
     the end of a sensor's range are not in the search: there its error decides, which was a fifth
     of that with a limit of the amplifier on a Duhem stage whose model errors differ by 1 %.
     """
-    errors, named, curve = attribute(result), result.otherwise, result.discovered
-    if named is None or curve is None:
+    errors, named, structure = attribute(result), result.without_structure, result.structure
+    if named is None or structure is None or structure.range_end is not None:
         return result, errors
-    if curve.end is not None:
-        return result, errors
-    if not curve.is_unheard_of and errors.final_m >= errors.without_m[SOMETHING_ELSE]:
+    if not structure.exceeds_healthy and errors.final_m >= errors.without_m[SOMETHING_ELSE]:
         return named, attribute(named)
     if _names_of(named) - _names_of(result):
         named_errors = attribute(named)
@@ -237,7 +240,7 @@ def _names_of(result: SearchResult) -> set[str]:
 
 
 def _data_faults_only(view: View, rejection: str, executor: Executor) -> SearchResult:
-    return without_names(view, without_causes(view, rejection, executor))
+    return locate_residual(view, without_causes(view, rejection, executor))
 
 
 def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:

@@ -7,6 +7,7 @@ from piezoid.formatting import significant, with_unit, words
 from piezoid.identification.model import AxisModel
 from piezoid.summary import Summarised, Summary
 
+SOMETHING_ELSE = "something_else"  # finding of a residual that no effect of the catalogue explains
 NOISE_RATIO = 1.3  # final error over noise above which the largest remaining part is named
 
 
@@ -20,14 +21,14 @@ class Size:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Seen:
-    """What is left along one coordinate, in classes of it, and the curve fitted to it.
+class CoordinateProfile:
+    """Residual in classes of one coordinate, with the curve fitted to it.
 
     unit               SI, of ``place``; empty: parts of a period
     place              (classes,)
-    low_m, median_m, high_m  (classes,)  quartiles of the remainder
-    fitted_m           (classes,)  mean of what the curve explains
-    recording          whose time ``place`` is, where it is a time; else empty
+    low_m, median_m, high_m  (classes,)  quartiles of the residual
+    fitted_m           (classes,)  mean of the curve
+    recording          whose time ``place`` is, if it is a time; else empty
     """
 
     unit: str
@@ -41,15 +42,15 @@ class Seen:
 
 @dataclass(frozen=True, kw_only=True)
 class Unexplained:
-    """What no effect of the catalogue stands for.
+    """Residual that no effect of the catalogue explains.
 
-    rms_m       beyond the noise, beside hysteresis of the widest class and every cause found;
-                before anything without a name is taken off
-    share       of the power that is left there, noise included
-    p_value     that a healthy stage leaves as much in one coordinate, by its rank among healthy
-                stages of every law of the zoo; at rest: of the highest line, were it noise
-    coordinate  that explains most of it, in blocks left out
-    gain        part of its power, noise included, that this explains
+    rms_m       beyond the noise, beside hysteresis of the widest class and every selected effect,
+                before any structure along a coordinate is subtracted
+    share       of the residual's power, noise included
+    p_value     probability that a healthy stage leaves as systematic a residual, by its rank among
+                healthy stages of every law of the zoo; at rest: of the highest line in white noise
+    coordinate  that explains most of it on left-out blocks
+    gain        share of its power, noise included, that this coordinate explains
     """
 
     rms_m: float
@@ -92,7 +93,7 @@ class Finding:
     next_experiment: str
     coordinate: str = ""
     law: str = ""
-    seen: Seen | None = None
+    seen: CoordinateProfile | None = None
 
     @property
     def share(self) -> float:

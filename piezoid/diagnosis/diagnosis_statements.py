@@ -5,10 +5,9 @@ more than a size.
 """
 
 from piezoid.diagnosis.constant_drive import RESTS
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding
+from piezoid.diagnosis.coordinate_descriptions import coordinate_words
+from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding
 from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
-from piezoid.diagnosis.residual_structure import NAME
-from piezoid.diagnosis.structure_findings import words as coordinate_words
 from piezoid.formatting import significant, with_unit, words
 from piezoid.statement import Kind, Level, Statement
 
@@ -24,7 +23,7 @@ SHAPE_EXPERIMENT = (
 def diagnosis_statements(diagnosis: Diagnosis) -> tuple[Statement, ...]:
     """Return the statements about one diagnosis, most important first."""
     is_tested = any(one.upper_bound_m is not None for one in diagnosis.not_detected)
-    is_named = any(f.effect not in (NAME, LOOP_SHAPE) for f in diagnosis.findings)
+    is_named = any(f.effect not in (SOMETHING_ELSE, LOOP_SHAPE) for f in diagnosis.findings)
     untested = [] if is_tested or is_named else _nothing_found(diagnosis)
     remaining = _remaining(diagnosis) if is_tested or diagnosis.findings else []
     return (
@@ -32,7 +31,7 @@ def diagnosis_statements(diagnosis: Diagnosis) -> tuple[Statement, ...]:
         *(
             _unnamed(diagnosis, finding)
             for finding in diagnosis.findings
-            if finding.effect == NAME
+            if finding.effect == SOMETHING_ELSE
         ),
         *(_confounded(diagnosis, f) for f in diagnosis.findings if f.not_separable_from),
         *remaining,
@@ -42,8 +41,8 @@ def diagnosis_statements(diagnosis: Diagnosis) -> tuple[Statement, ...]:
 
 def largest_first(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     """Return the findings, the unnamed one in front if it is larger than all named ones."""
-    unnamed = [finding for finding in diagnosis.findings if finding.effect == NAME]
-    named = [finding for finding in diagnosis.findings if finding.effect != NAME]
+    unnamed = [finding for finding in diagnosis.findings if finding.effect == SOMETHING_ELSE]
+    named = [finding for finding in diagnosis.findings if finding.effect != SOMETHING_ELSE]
     if all(one.share > other.share for one in unnamed for other in named):
         return (*unnamed, *named)
     return diagnosis.findings
@@ -55,7 +54,7 @@ def _remaining(diagnosis: Diagnosis) -> list[Statement]:
     What one coordinate explains is a finding with a statement of its own.
     """
     part = diagnosis.largest_remaining
-    if part is None or part.part == NAME:
+    if part is None or part.part == SOMETHING_ELSE:
         return []
     level = Level.ACTION if part.part == "extrapolation" else Level.WARNING
     return [_statement(diagnosis, Kind.LIMIT, level, part.part, part.text, part.rms_m, "m")]

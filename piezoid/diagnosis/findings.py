@@ -9,18 +9,17 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.candidate import Candidate
-from piezoid.diagnosis.diagnosis import Finding, HeldOut, Size, held_out_gain
+from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Finding, HeldOut, Size, held_out_gain
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effect_size import size_of
 from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.noise_level import noise_level
-from piezoid.diagnosis.null_distribution import chance_of, strengths_of_healthy
+from piezoid.diagnosis.null_distribution import evidence_p_value
 from piezoid.diagnosis.refit import ModelErrors
-from piezoid.diagnosis.residual_structure import NAME as SOMETHING_ELSE
-from piezoid.diagnosis.residual_structure import SURE, SearchResult
+from piezoid.diagnosis.residual_structure import MAX_P_VALUE, SearchResult
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.selection import Outcome
-from piezoid.diagnosis.structure_findings import of_discovered, of_noise
+from piezoid.diagnosis.structure_findings import noise_finding, structure_finding
 from piezoid.formatting import words
 from piezoid.identification.hysteresis.pieces import Scales
 from piezoid.records.recording import Recording
@@ -50,19 +49,21 @@ def findings_of(
         *(fault_finding(name, fault, errors, stroke_m) for name, fault in outcome.faults.items()),
         *(effect_finding(cause, outcome, errors) for cause in outcome.causes),
     ]
-    if result.discovered is not None:
+    if result.structure is not None:
         findings.append(
-            of_discovered(
-                result.discovered,
+            structure_finding(
+                result.structure,
                 before=held_out(errors.without_m[SOMETHING_ELSE], stroke_m),
                 after=held_out(errors.final_m, stroke_m),
                 scale_m=scales.displacement_m,
-                middle_m=_middle_m(result.discovered.view, recordings, axis, scales),
+                middle_m=_middle_m(result.structure.view, recordings, axis, scales),
             )
         )
-    elif _only_structure(outcome) and (level := noise_level(outcome.final, SURE)) is not None:
+    elif (
+        _only_structure(outcome) and (level := noise_level(outcome.final, MAX_P_VALUE)) is not None
+    ):
         findings.append(
-            of_noise(
+            noise_finding(
                 level,
                 error=held_out(errors.final_m, stroke_m),
                 scale_m=scales.displacement_m,
@@ -123,7 +124,7 @@ def effect_finding(cause: Candidate, outcome: Outcome, errors: ModelErrors) -> F
         held_out_gain=held_out_gain(before_m, after_m),
         held_out_rms_before_m=before_m,
         held_out_rms_after_m=after_m,
-        p_value=chance_of(cause.strength, strengths_of_healthy()),
+        p_value=evidence_p_value(cause.strength),
         rms_percent=100.0 * cause.share,
         size=_extend_to_zero(size_of(cause)) if structure else size_of(cause),
         not_separable_from=(*confounded, *(s.name for s in structure if s.name not in confounded)),

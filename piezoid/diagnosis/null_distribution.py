@@ -1,21 +1,17 @@
-"""How much healthy stages show: the null of what is left, and of every cause that is named.
+"""p-values by rank among healthy stages: of a systematic residual, and of evidence for an effect.
 
-Hysteresis of another law than the class follows leaves a remainder that lives somewhere, and no
-shuffling of it tells that from an effect nobody has named. So its score,
-
-    s = g (rms / noise)^2,
-
-g the part of its power that the best coordinate explains on blocks left out, is held against the
-scores of healthy stages of all laws of the zoo. Its rank among n of them is a probability,
+Hysteresis of another law than the nuisance class leaves a systematic residual, which no shuffling
+distinguishes from an effect outside the catalogue. Its score is therefore compared with the
+scores of healthy stages of all laws of the zoo. Its rank among n of them is a p-value,
 
     p = (1 + #{s_i >= s}) / (n + 1),
 
-exactly uniform for a healthy stage that is exchangeable with these, whatever the score is: no
-threshold is typed in. A cause is held in the same way against the strongest that the diagnosis of
-a healthy stage came upon, named or dismissed: its rms over that of the structure left beside it.
-That probability is of any finding in the whole diagnosis, hence no factor for many effects. What
-goes wrong: these stages have pasts, so evidence of an initial state is left out of the table, and
-a named initial state is only ranked beside the evidence of other effects.
+exactly uniform for a healthy stage that is exchangeable with these, whatever the score is. An
+effect is compared in the same way with the strongest evidence that the diagnosis of a healthy
+stage came upon, named or dismissed: the rms of the effect over that of the structure left beside
+it. That p-value is of any finding in the whole diagnosis, so it needs no factor for the number of
+effects. Limitation: the drives of these stages have unknown histories, so evidence of an initial
+state is not in the table, and an initial state is only ranked among evidence of other effects.
 ``python -m benchmarks.zoo.healthy`` makes the table.
 
 Source: Vovk, Gammerman & Shafer, Algorithmic Learning in a Random World (2005), conformal p.
@@ -27,43 +23,50 @@ from functools import cache
 from importlib.resources import files
 
 
-def score_of(gain: float, rms: float, noise: float) -> float:
-    """Return the power that one coordinate explains, in units of the noise's.
+def structure_score(gain: float, rms: float, noise: float) -> float:
+    """Return the power that one coordinate explains, in units of the noise power.
 
         gain rms^2 / min(noise^2, (1 - gain) rms^2)
 
-    gain  part of the remainder's power that the coordinate explains on blocks left out
+    gain  share of the residual's power that the coordinate explains on left-out blocks
 
-    What repeats within a few samples passes for white noise; what a coordinate explains is none.
+    A residual that repeats within a few samples enters the estimate of the noise; what a
+    coordinate explains is not noise.
     """
     gain = min(max(gain, 0.0), 1.0)
-    left = min(noise**2, (1.0 - gain) * rms**2)
-    return gain * rms**2 / max(left, 1e-300)
+    noise_power = min(noise**2, (1.0 - gain) * rms**2)
+    return gain * rms**2 / max(noise_power, 1e-300)
 
 
-def chance_of(score: float, healthy: Iterable[float] | None = None) -> float:
-    """Return the probability that a healthy stage scores as much.
+def rank_p_value(value: float, null_values: Iterable[float]) -> float:
+    """Return the p-value of a statistic by its rank among values of the null distribution.
 
-    healthy  scores of healthy stages; None: those of the table
-
-    >>> chance_of(3.0, [0.1, 0.5, 4.0])
+    >>> rank_p_value(3.0, [0.1, 0.5, 4.0])
     0.5
     """
-    scores = list(_table("scores") if healthy is None else healthy)
-    return (1.0 + sum(one >= score for one in scores)) / (len(scores) + 1.0)
+    values = list(null_values)
+    return (1.0 + sum(value <= null for null in values)) / (len(values) + 1.0)
 
 
-def strengths_of_healthy() -> tuple[float, ...]:
-    """Return the strength of the strongest evidence in each healthy stage; 0 where none was."""
-    return _table("strengths")
+def structure_p_value(gain: float, rms: float, noise: float) -> float:
+    """Return the probability that a healthy stage leaves as systematic a residual."""
+    return rank_p_value(structure_score(gain, rms, noise), _healthy("scores"))
 
 
-def least_chance() -> float:
-    """Return the smallest probability that the table can say: no healthy stage leaves as much."""
-    return chance_of(float("inf"))
+def smallest_structure_p_value() -> float:
+    """Return the p-value of a residual more systematic than that of every healthy stage."""
+    return rank_p_value(float("inf"), _healthy("scores"))
+
+
+def evidence_p_value(strength: float) -> float:
+    """Return the probability that a healthy stage shows as strong evidence of any effect.
+
+    The strength of a healthy stage without evidence is 0.
+    """
+    return rank_p_value(strength, _healthy("strengths"))
 
 
 @cache
-def _table(kind: str) -> tuple[float, ...]:
+def _healthy(statistic: str) -> tuple[float, ...]:
     table = json.loads(files(__package__).joinpath("healthy_scores.json").read_text("utf-8"))
-    return tuple(one for of_law in table[kind].values() for one in of_law)
+    return tuple(value for of_law in table[statistic].values() for value in of_law)

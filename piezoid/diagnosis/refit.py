@@ -13,9 +13,10 @@ from functools import partial
 import numpy as np
 
 from piezoid.diagnosis.budget import relative_scatter
+from piezoid.diagnosis.diagnosis import SOMETHING_ELSE
 from piezoid.diagnosis.effect import EffectEstimate, scaling_of
 from piezoid.diagnosis.effects import every_effect
-from piezoid.diagnosis.residual_structure import NAME, SearchResult, with_it
+from piezoid.diagnosis.residual_structure import SearchResult, add_structure
 from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.selection import Outcome
 from piezoid.formatting import words
@@ -75,8 +76,8 @@ def attribute_errors(
     outcome, raw = result.outcome, result.raw.tracks
     faults, clean = repaired_faults(outcome), outcome.clean.tracks
     curved = clean
-    if result.discovered is not None:
-        curved = with_it(outcome.clean, result.discovered).tracks
+    if result.structure is not None:
+        curved = add_structure(outcome.clean, result.structure)
     rows_differ = any(len(a.place) > len(b.place) for a, b in zip(curved, clean, strict=True))
     return refitted(
         repaired(recordings, model.axis, raw, clean, scales),
@@ -95,7 +96,7 @@ def attribute_errors(
         raw=recordings,
         faults=faults,
         whole=None
-        if result.discovered is None
+        if result.structure is None
         else repaired(recordings, model.axis, raw, curved, scales),
         places=[track.place for track in clean] if faults or rows_differ else None,
         places_of_whole=[track.place for track in curved] if faults or rows_differ else None,
@@ -172,7 +173,7 @@ def refitted(
         without |= dict.fromkeys(faults, broken)
     if whole is not None:
         progress("refitting without the unnamed structure")
-        without[NAME] = again(
+        without[SOMETHING_ELSE] = again(
             whole, final.model.extensions, structure=structure, places=places_of_whole
         )
     # a zero that moves would be left out by a refit without a drift

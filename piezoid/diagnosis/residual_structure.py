@@ -1,151 +1,54 @@
-"""Something else: what no effect of the catalogue stands for, with the coordinate it lives in.
+"""Search for effects, and for structure of the residual that no effect of the catalogue explains.
 
-The search for causes comes first. Where the remainder then lives in one coordinate, the curve
-along it is taken off the readings and the search is repeated: a name that stood for it finds
-nothing any more, and what it had hidden is seen. A cause in whose place a curve along one
-coordinate leaves clearly less goes the same way, for a wrong name is worse than none. The second
-search is believed where it ends with clearly less than the first one.
-
-A reading may end before the motion does, told by what the rest of the readings foretells:
-
-    y = min(x, L)   or   y = max(x, L)
-
-A limit of the amplifier makes a plateau as well, but the stage leaves it at the drive at which it
-came, and a sensor's at another one: the loop is open there. So the readings on the plateau are
-left out, hysteresis is fitted to the others, and says where the stage was meanwhile.
-
-Source: Tobin (1958) on readings that are censored.
+Effects are searched first. If the residual is then systematic along one coordinate, the curve
+along it is subtracted from the readings and the search is repeated: an effect that had absorbed
+the structure is not found again, and effects that it had hidden are. A curve that explains clearly
+more than a selected effect replaces it, because a wrong name is worse than none. The second search
+is accepted if its error is clearly smaller.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.diagnosis.coordinate_bases import Signals, along_displacement
-from piezoid.diagnosis.coordinate_tests import (
-    SHIFTS,
-    CoordinateScore,
-    Remainder,
-    course,
-    everywhere,
-    of_grid,
+from piezoid.diagnosis.coordinate_bases import Signals, displacement_basis
+from piezoid.diagnosis.coordinate_scores import SURROGATES, CoordinateScore, Residual
+from piezoid.diagnosis.coordinate_tests import fit_time_course, score_coordinates
+from piezoid.diagnosis.null_distribution import (
+    rank_p_value,
+    smallest_structure_p_value,
+    structure_p_value,
 )
-from piezoid.diagnosis.null_distribution import chance_of, least_chance, score_of
-from piezoid.diagnosis.refitted_view import SelectedEffect, extended
+from piezoid.diagnosis.periodic_residual import mains_frequency_Hz
+from piezoid.diagnosis.refitted_view import extended
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.selection import Outcome, search
+from piezoid.diagnosis.sensor_range import SensorRangeEnd, find_sensor_range_end
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
 
-WIDTH = 5.0  # times the noise: how far readings of one plateau differ from its middle
-LEAST_ROWS = 20  # on it, of one recording
-FAR = 8.0  # times the noise: how far beyond it the stage must have gone
-MOVES = 20.0  # times the noise: how far the drive moves over it; at a turn it moves 2 * WIDTH
-MOST = 0.4  # of the rows on the plateau
-NAME = "something_else"
-CONTROL = (
-    "No model of a controller has it. What is in the reading alone the loop will follow, so find "
-    "out first whether the stage moves."
-)
-MAINS, CLIPPED = "mains_interference", "amplifier_saturation"
-OF_LINES = ("frequency", "line_phase")
-ABOVE = 1.1  # times the noise: where less is left, a limit of the amplifier explains a plateau
-SURE = 0.02  # p-value of one coordinate: the least but one of 99 shifts
-UNUSUAL = 0.05  # probability that a healthy stage leaves as much in one coordinate
-CLEARLY = 0.9  # of the error that a cause leaves: what a curve in its place must leave
+MAINS, AMPLIFIER_LIMIT = "mains_interference", "amplifier_saturation"
+MAINS_COORDINATES = ("frequency", "line_phase")
+MIN_NOISE_RATIO = 1.1  # residual/noise; below it a limit of the amplifier explains a plateau
+MAX_P_VALUE = 0.02  # of one coordinate, by surrogates: the second of 99
+MAX_HEALTHY_P_VALUE = 0.05  # that a healthy stage leaves as systematic a residual
+REPLACES = 0.9  # of an effect's error: what a curve in its place must leave
 BETTER = 0.97  # of the error: what the second search must leave
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Ended:
-    """Readings that end at a level.
+class UnexplainedResidual:
+    """Residual of the named effects, in scaled units.
 
-    curve  (samples,) of every track: the reading less where the stage was
-    level  at which it ends, in half strokes from 0 of the static response
-    side   1 at the top, -1 at the bottom
-    """
-
-    curve: Signals
-    level: float
-    side: int
-
-
-def ended(clean: View, others: Sequence[SelectedEffect]) -> Ended | None:
-    """Return the end of the range that the readings show best, None where they show none.
-
-    others  effects at work that are no limit of the amplifier
-    """
-    found = [one for side in (1, -1) if (one := _on_side(clean, others, side)) is not None]
-    return max(found, key=_power, default=None)
-
-
-def _power(found: Ended) -> float:
-    return float(sum(np.sum(one**2) for one in found.curve))
-
-
-def _on_side(clean: View, others: Sequence[SelectedEffect], side: int) -> Ended | None:
-    noise = clean.noise
-    plateaus = [_plateau(track, side, noise) for track in clean.tracks]
-    on = [np.zeros(len(t.place), dtype=bool) if p is None else side * t.response[t.place] > p
-          for t, p in zip(clean.tracks, plateaus, strict=True)]  # fmt: skip
-    count, total = sum(int(one.sum()) for one in on), sum(len(one) for one in on)
-    if not 0 < count < MOST * total:
-        return None
-    tracks = tuple(
-        replace(track, place=track.place[~there], block=track.block[~there])
-        for track, there in zip(clean.tracks, on, strict=True)
-    )
-    view = extended(with_tracks(clean, tracks), others)
-    curve, levels = [], []
-    for k, (track, plateau) in enumerate(zip(clean.tracks, plateaus, strict=True)):
-        where = view.static[k] + _zero(view, k)
-        if plateau is None:
-            curve.append(np.zeros(len(where)))
-            continue
-        there = side * track.response > plateau
-        level = float(np.median(track.response[there]))
-        own = np.where(there, side * np.minimum(side * (level - where), 0.0), 0.0)
-        state = float(np.abs(own).max()) > FAR * noise  # others turned there, and rested
-        curve.append(own if state else np.zeros(len(own)))
-        levels += [level - _zero(view, k)] if state else []
-    if not levels:
-        return None
-    return Ended(curve=tuple(curve), level=float(np.median(levels)), side=side)
-
-
-def _plateau(track: Track, side: int, noise: float) -> float | None:
-    """Return from where on readings, times their side, are on a plateau, if there may be one.
-
-    The readings go no farther, and the drive does: where it rests, the stage does as well.
-    """
-    readings = side * track.response
-    top = float(np.quantile(readings, 1.0 - 20.0 / max(len(readings), 200)))
-    near = readings > top - WIDTH * noise
-    if int(np.sum(near[track.place])) < LEAST_ROWS:
-        return None
-    if np.ptp(readings[near]) > 2.0 * WIDTH * noise or np.ptp(track.drive[near]) < MOVES * noise:
-        return None
-    return float(np.median(readings[near])) - WIDTH * noise
-
-
-def _zero(view: View, k: int) -> float:
-    nuisance = view.nuisance
-    return float(view.null.coefficients[nuisance.shared + nuisance.own * k])
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Rest:
-    """What no name of the catalogue stands for, in scaled units.
-
-    rms         beyond the noise, before anything without a name is taken off
-    share       of the power that the causes leave
-    p_value     that a healthy stage leaves as much of it in one coordinate
+    rms         beyond the noise, before any structure is subtracted
+    share       of the residual's power
+    p_value     probability that a healthy stage leaves as systematic a residual
     coordinate  that explains most of it
-    gain        part of its power that this explains, on blocks left out
+    gain        share of its power that this coordinate explains, on left-out blocks
     """
 
     rms: float
@@ -156,256 +59,234 @@ class Rest:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Discovered:
-    """A remainder that lives in one coordinate.
+class ResidualStructure:
+    """Structure of the residual along one coordinate.
 
-    lives   the curve and what it explains
-    curve   (samples,) of every track
-    share   of the remainder's power above the noise
-    left    (rows,)  the remainder
-    view    of which it is the remainder
-    chance  that a healthy stage leaves as much in one coordinate
-    end     of the sensor's range, where that is what was discovered
+    score            of the curve
+    curve            (samples,) of every track
+    share            of the residual's power above the noise
+    residual         (rows,)
+    view             whose residual this is
+    healthy_p_value  probability that a healthy stage leaves as systematic a residual
+    range_end        of the sensor, if this is the structure
     """
 
-    lives: CoordinateScore
+    score: CoordinateScore
     curve: Signals
     share: float
-    left: Array
+    residual: Array
     view: View
-    chance: float
-    end: Ended | None = None
+    healthy_p_value: float
+    range_end: SensorRangeEnd | None = None
 
     @property
-    def rms(self) -> float:
-        """Return the rms of what it explains on blocks left out."""
-        return float(np.sqrt(self.lives.gain * np.mean(self.left**2)))
+    def exceeds_healthy(self) -> bool:
+        """Whether no healthy stage leaves as systematic a residual."""
+        return self.range_end is None and self.healthy_p_value <= smallest_structure_p_value()
 
-    @property
-    def is_unheard_of(self) -> bool:
-        """Whether no healthy stage leaves as much in one coordinate."""
-        return self.end is None and self.chance <= least_chance()
+    def beyond_range(self, k: int) -> NDArray[np.bool_]:
+        """Tell which samples of a track lie beyond the sensor's range: nothing was measured."""
+        if self.range_end is None:
+            return np.zeros(len(self.curve[k]), dtype=bool)
+        return np.asarray(self.curve[k] != 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SearchResult:
-    """A search, with what it has no name for taken off before.
+    """A search for effects, with structure of the residual subtracted before it if any was found.
 
-    raw          the view of the recordings as they came
-    outcome      of the search, whose first view is without what was discovered
-    unexplained  what no name stands for
-    discovered   None where the remainder lives nowhere
-    otherwise    the same without what was discovered
+    raw                the view of the recordings as they came
+    outcome            of the search; its first view is without the structure
+    unexplained        residual of the named effects
+    structure          None if the residual is not systematic along one coordinate
+    without_structure  the search with nothing subtracted, if there is structure
     """
 
     raw: View
     outcome: Outcome
-    unexplained: Rest
-    discovered: Discovered | None = None
-    otherwise: "SearchResult | None" = None
+    unexplained: UnexplainedResidual
+    structure: ResidualStructure | None = None
+    without_structure: "SearchResult | None" = None
 
 
 def search_all(view: View, executor: Executor) -> SearchResult:
     """Search for effects, and for structure of the residual that no effect explains."""
     first = search(view, executor)
-    return with_something_else(view, first, executor)
-
-
-def without_names(view: View, outcome: Outcome) -> SearchResult:
-    """Locate the residual without naming effects; used where the model class is rejected."""
-    lives = everywhere(Remainder.of(outcome.final, ()))
-    return SearchResult(raw=view, outcome=outcome, unexplained=rest_of(outcome, lives))
-
-
-def with_something_else(view: View, first: Outcome, executor: Executor) -> SearchResult:
-    """Test the residual of a search for structure that no known effect explains.
-
-    view   of the recordings as they came
-    first  the search on it
-    """
     executor.report("locating the unexplained residual")
-    remainder = Remainder.of(first.final, tangents_of(first, first.final))
-    lives = everywhere(remainder)
-    plain = SearchResult(raw=view, outcome=first, unexplained=rest_of(first, lives))
-    best, least = plain, BETTER * first.final.rms
-    for found in _sought(remainder, lives, first):
+    residual = Residual.of(first.final, _unselected_tangents(first, first.final))
+    scores = score_coordinates(residual)
+    plain = SearchResult(raw=view, outcome=first, unexplained=_unexplained(first, scores))
+    curve = _structure_replacing_effect(first) or _first_significant(residual, scores, first)
+    best, best_rms = plain, BETTER * first.final.rms
+    for structure in (_sensor_range_structure(first), curve):
+        if structure is None:
+            continue
         executor.report("searching again without this structure")
-        again = search(without(view, found), executor)
-        if again.final.rms < least:
-            least = again.final.rms
-            best = replace(plain, outcome=again, discovered=found, otherwise=plain)
+        second = search(subtract_structure(view, structure), executor)
+        if second.final.rms < best_rms:
+            best_rms = second.final.rms
+            best = replace(plain, outcome=second, structure=structure, without_structure=plain)
     return best
 
 
-def _sought(
-    remainder: Remainder, lives: Sequence[CoordinateScore], first: Outcome
-) -> Iterator[Discovered]:
-    """Yield what a remainder may be, what stands in the place of a wrong name before the rest."""
-    end = _beyond_range(first)
-    if end is not None:
-        yield end
-    curve = _instead(first) or _named(remainder, lives, first)
-    if curve is not None:
-        yield curve
+def locate_residual(view: View, outcome: Outcome) -> SearchResult:
+    """Locate the residual without naming it; used where the model class is rejected."""
+    scores = score_coordinates(Residual.of(outcome.final))
+    return SearchResult(raw=view, outcome=outcome, unexplained=_unexplained(outcome, scores))
 
 
-def without(view: View, found: Discovered) -> View:
-    """Return the view of readings less a curve.
-
-    Beyond the end of the sensor's range nothing was measured, and those rows are left out.
-    """
+def subtract_structure(view: View, structure: ResidualStructure) -> View:
+    """Return the view without a structure, and without rows beyond the sensor's range."""
     tracks = []
-    for track, one in zip(view.tracks, found.curve, strict=True):
-        kept = ~_beyond(found, one)[track.place]
-        place, block = track.place[kept], track.block[kept]
-        tracks.append(replace(track, response=track.response - one, place=place, block=block))
+    for k, (track, curve) in enumerate(zip(view.tracks, structure.curve, strict=True)):
+        is_measured = ~structure.beyond_range(k)[track.place]
+        place, block = track.place[is_measured], track.block[is_measured]
+        tracks.append(replace(track, response=track.response - curve, place=place, block=block))
     return with_tracks(view, tracks)
 
 
-def with_it(view: View, found: Discovered) -> View:
-    """Return the view with a curve, and its rows, put back."""
+def add_structure(view: View, structure: ResidualStructure) -> tuple[Track, ...]:
+    """Return the tracks of a view with a subtracted structure and its rows put back."""
     tracks = []
-    for track, one, raw in zip(view.tracks, found.curve, found.view.tracks, strict=True):
-        again = raw.place[_beyond(found, one)[raw.place]]
-        place = np.union1d(track.place, again)
+    for k, (track, raw) in enumerate(zip(view.tracks, structure.view.tracks, strict=True)):
+        unmeasured = raw.place[structure.beyond_range(k)[raw.place]]
+        place = np.union1d(track.place, unmeasured)
         block = np.interp(place, raw.place, raw.block).astype(int)
-        tracks.append(replace(track, response=track.response + one, place=place, block=block))
-    return with_tracks(view, tracks)
+        response = track.response + structure.curve[k]
+        tracks.append(replace(track, response=response, place=place, block=block))
+    return tuple(tracks)
 
 
-def _beyond(found: Discovered, curve: Array) -> NDArray[np.bool_]:
-    return (curve != 0.0) if found.end is not None else np.zeros(len(curve), dtype=bool)
+def _unexplained(outcome: Outcome, scores: Sequence[CoordinateScore]) -> UnexplainedResidual:
+    final, best = outcome.final, scores[0]
+    significant = max((s.gain for s in scores if s.p_value <= MAX_P_VALUE), default=0.0)
+    power = _power_above_noise(final.rms**2, final.noise**2, min(significant, 1.0))
+    return UnexplainedResidual(
+        rms=sqrt(power),
+        share=power / max(final.rms**2, 1e-300),
+        p_value=structure_p_value(best.gain, final.rms, final.noise),
+        coordinate=best.coordinate,
+        gain=float(np.clip(best.gain, 0.0, 1.0)),
+    )
 
 
-def tangents_of(outcome: Outcome, view: View, but: str = "") -> list[Array]:
-    """Return the tangents of effects that were not selected, at the rows of a view."""
-    return [
-        seen.trial.columns
-        for name, seen in outcome.screened.items()
-        if name != but and len(seen.trial.columns) == len(view.response)
-    ]
+def _power_above_noise(power: float, noise_power: float, gain: float) -> float:
+    """Return the power above the noise; what a coordinate explains is not noise."""
+    return max(power - min(noise_power, (1.0 - gain) * power), 0.0)
 
 
-def _named(
-    remainder: Remainder, lives: Sequence[CoordinateScore], outcome: Outcome
-) -> Discovered | None:
-    """Return the coordinate that surely explains more than healthy stages leave, if one does."""
-    hum = MAINS in {cause.effect.name for cause in outcome.causes}
-    for one in lives:
-        if hum and one.coordinate in OF_LINES and of_grid(one.basis.per_unit):
-            continue  # a phase that wanders, or harmonics that die out, faster than allowed for
-        if one.p_value <= SURE and _chance(remainder, one) <= UNUSUAL:
-            return _discovered(remainder, one)
-    return None
-
-
-def _chance(remainder: Remainder, lives: CoordinateScore) -> float:
-    """Return the probability that a healthy stage leaves as much in one coordinate."""
-    return chance_of(score_of(lives.gain, remainder.null.rms, remainder.view.noise))
-
-
-def _share(remainder: Remainder, gain: float) -> float:
-    """Return the part of the power above the noise."""
-    power = remainder.null.rms**2
-    above = _above(power, remainder.view.noise**2, gain)
+def _share(residual: Residual, gain: float) -> float:
+    """Return the explained share of the power above the noise."""
+    power = residual.null.rms**2
+    above = _power_above_noise(power, residual.view.noise**2, gain)
     return float(np.clip(gain * power / max(above, 1e-300), 0.0, 1.0))
 
 
-def _above(power: float, noise: float, gain: float) -> float:
-    """Return the power above the noise, as much of which a coordinate explains is none."""
-    return max(power - min(noise, (1.0 - gain) * power), 0.0)
-
-
-def _discovered(remainder: Remainder, lives: CoordinateScore) -> Discovered:
-    """Return the curve once more, with what tangents would have taken of it."""
-    whole = Remainder.of(remainder.view, ())
-    if lives.coordinate == "time":
-        again = course(whole, lives)
-    else:
-        again = whole.lives(lives.basis, lives.p_value)
-    return Discovered(
-        lives=again,
-        curve=tuple(again.basis.made(k, again.coefficient) for k in range(len(again.basis.place))),
-        share=_share(remainder, lives.gain),
-        left=whole.left,
-        view=whole.view,
-        chance=_chance(remainder, lives),
-    )
-
-
-def _beyond_range(outcome: Outcome) -> Discovered | None:
-    """Return an end of the sensor's range, where more is left than the noise."""
-    if outcome.final.rms < ABOVE * outcome.final.noise:
-        return None
-    others = [
-        cause.selected
-        for cause in outcome.causes
-        if cause.effect.name != CLIPPED and cause.effect.structural is None
+def _unselected_tangents(outcome: Outcome, view: View, selected: str = "") -> list[Array]:
+    """Return the tangents, at the rows of a view, of all tested effects but one."""
+    return [
+        test.trial.columns
+        for name, test in outcome.screened.items()
+        if name != selected and len(test.trial.columns) == len(view.response)
     ]
-    found = ended(outcome.clean, others)
-    if found is None:
-        return None
-    view = extended(outcome.clean, others)
-    curve = view.rows(found.curve)
-    left = replace(view.null, response=view.response - curve).residual + curve
-    gains = _gains(curve, left)
-    lives = CoordinateScore(
-        basis=along_displacement(view),
-        gain=float(gains[0]),
-        p_value=(1.0 + float(np.sum(gains[1:] >= gains[0]))) / len(gains),
-        coefficient=np.zeros(0),
-        followed=curve,
-    )
-    share = _share(Remainder(view=view, null=replace(view.null, response=left)), lives.gain)
-    chance = chance_of(score_of(lives.gain, float(np.sqrt(np.mean(left**2))), view.noise))
-    if lives.p_value > SURE or chance > UNUSUAL:
-        return None
-    return Discovered(
-        lives=replace(lives, basis=replace(lives.basis, coordinate="reading")),
-        curve=found.curve,
-        share=share,
-        left=left,
-        view=view,
-        chance=chance,
-        end=found,
-    )
 
 
-def _gains(curve: Array, left: Array) -> Array:
-    """Return which part of the power a curve explains, and explains of shifts of what is left."""
-    shifts = np.linspace(0, len(left), SHIFTS + 1, endpoint=False).astype(int)
-    power = float(np.sum(left**2))
-    return np.array([float(np.sum((2.0 * np.roll(left, s) - curve) * curve)) for s in shifts]) / (
-        max(power, 1e-300)
-    )
-
-
-def _instead(outcome: Outcome) -> Discovered | None:
-    """Return a curve that leaves clearly less in the place of a cause than the cause does."""
-    best, least = None, 1.0
+def _structure_replacing_effect(outcome: Outcome) -> ResidualStructure | None:
+    """Return a curve that leaves a clearly smaller error than the effect it replaces."""
+    best, smallest_ratio = None, REPLACES
     for cause in outcome.causes:
         if cause.effect.structural is not None or cause.selected.from_jumps:
             continue
-        tangents = tangents_of(outcome, cause.without, cause.effect.name)
-        remainder = Remainder.of(cause.without, tangents)
-        found = _named(remainder, everywhere(remainder), outcome)
-        if found is None:
+        tangents = _unselected_tangents(outcome, cause.without, cause.effect.name)
+        residual = Residual.of(cause.without, tangents)
+        structure = _first_significant(residual, score_coordinates(residual), outcome)
+        if structure is None:
             continue
-        left = remainder.null.rms * sqrt(max(1.0 - found.lives.gain, 0.0)) / cause.cv.rms
-        if left < min(CLEARLY, least):
-            best, least = found, left
+        rms = residual.null.rms * sqrt(max(1.0 - structure.score.gain, 0.0))
+        if rms / cause.cv.rms < smallest_ratio:
+            best, smallest_ratio = structure, rms / cause.cv.rms
     return best
 
 
-def rest_of(outcome: Outcome, lives: Sequence[CoordinateScore]) -> Rest:
-    """Return how much is left, how often healthy stages leave as much, and where it lives."""
-    final = outcome.final
-    known = max((one.gain for one in lives if one.p_value <= SURE), default=0.0)
-    above = _above(final.rms**2, final.noise**2, min(known, 1.0))
-    return Rest(
-        rms=sqrt(above),
-        share=above / max(final.rms**2, 1e-300),
-        p_value=chance_of(score_of(lives[0].gain, final.rms, final.noise)),
-        coordinate=lives[0].coordinate,
-        gain=float(np.clip(lives[0].gain, 0.0, 1.0)),
+def _first_significant(
+    residual: Residual, scores: Sequence[CoordinateScore], outcome: Outcome
+) -> ResidualStructure | None:
+    """Return the structure of the largest gain that surrogates and healthy stages rarely show."""
+    has_mains = MAINS in {cause.effect.name for cause in outcome.causes}
+    for score in scores:
+        is_line = score.coordinate in MAINS_COORDINATES
+        if has_mains and is_line and mains_frequency_Hz(score.basis.per_unit):
+            continue  # interference whose phase wanders or harmonics die out faster than modelled
+        healthy_p_value = structure_p_value(score.gain, residual.null.rms, residual.view.noise)
+        if score.p_value <= MAX_P_VALUE and healthy_p_value <= MAX_HEALTHY_P_VALUE:
+            return _structure_along(residual, score, healthy_p_value)
+    return None
+
+
+def _structure_along(
+    residual: Residual, score: CoordinateScore, healthy_p_value: float
+) -> ResidualStructure:
+    """Fit the curve again beside the model alone: tangents of effects absorb a part of it."""
+    full = Residual.of(residual.view)
+    if score.coordinate == "time":
+        fitted = fit_time_course(full, score)
+    else:
+        fitted = full.score(score.basis, score.p_value)
+    return ResidualStructure(
+        score=fitted,
+        curve=tuple(
+            fitted.basis.curve(k, fitted.coefficients) for k in range(len(full.view.tracks))
+        ),
+        share=_share(residual, score.gain),
+        residual=full.values,
+        view=full.view,
+        healthy_p_value=healthy_p_value,
     )
+
+
+def _sensor_range_structure(outcome: Outcome) -> ResidualStructure | None:
+    """Return an end of the sensor's range, if the residual exceeds the noise."""
+    if outcome.final.rms < MIN_NOISE_RATIO * outcome.final.noise:
+        return None
+    effects = [
+        cause.selected
+        for cause in outcome.causes
+        if cause.effect.name != AMPLIFIER_LIMIT and cause.effect.structural is None
+    ]
+    end = find_sensor_range_end(outcome.clean, effects)
+    if end is None:
+        return None
+    view = extended(outcome.clean, effects)
+    error = view.rows(end.error)
+    values = replace(view.null, response=view.response - error).residual + error
+    residual = Residual(view=view, null=replace(view.null, response=values))
+    gain, *surrogate_gains = _gains_of_error(error, values)
+    p_value = rank_p_value(gain, surrogate_gains)
+    rms = float(np.sqrt(np.mean(values**2)))
+    healthy_p_value = structure_p_value(gain, rms, view.noise)
+    if p_value > MAX_P_VALUE or healthy_p_value > MAX_HEALTHY_P_VALUE:
+        return None
+    return ResidualStructure(
+        score=CoordinateScore(
+            basis=replace(displacement_basis(view), coordinate="reading"),
+            gain=gain,
+            p_value=p_value,
+            coefficients=np.zeros(0),
+            fitted=error,
+        ),
+        curve=end.error,
+        share=_share(residual, gain),
+        residual=values,
+        view=view,
+        healthy_p_value=healthy_p_value,
+        range_end=end,
+    )
+
+
+def _gains_of_error(error: Array, residual: Array) -> list[float]:
+    """Return the share of power that a sensor error explains of the residual and of its shifts."""
+    shifts = np.linspace(0, len(residual), SURROGATES + 1, endpoint=False).astype(int)
+    power = max(float(np.sum(residual**2)), 1e-300)
+    return [
+        float(np.sum((2.0 * np.roll(residual, shift) - error) * error)) / power for shift in shifts
+    ]

@@ -116,11 +116,15 @@ class View:
         """Return one column made track by track at the rows."""
         return self.rows([change(k, track) for k, track in enumerate(self.tracks)])
 
+    def track_rows(self, k: int) -> slice:
+        """Return the rows of one track."""
+        edges = self.nuisance.edges
+        return slice(int(edges[k]), int(edges[k + 1]))
+
     def of_track(self, k: int, values: Array) -> Array:
         """Return a column that is zero outside one track."""
-        edges = self.nuisance.edges
-        column = np.zeros(edges[-1])
-        column[edges[k] : edges[k + 1]] = values
+        column = np.zeros(self.nuisance.edges[-1])
+        column[self.track_rows(k)] = values
         return column
 
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from piezoid.diagnosis.diagnosis import (
+    SOMETHING_ELSE,
     Diagnosis,
     FinalError,
     Finding,
@@ -12,7 +13,6 @@ from piezoid.diagnosis.diagnosis import (
     Unexplained,
 )
 from piezoid.diagnosis.effects import every_effect
-from piezoid.diagnosis.residual_structure import NAME
 from piezoid.digests import seal, unseal
 from piezoid.record_json import RecordLayout, fields_of, from_fields, from_json, refusing, to_json
 
@@ -81,7 +81,7 @@ def _read_absent(table: Mapping[str, Any]) -> NotDetected:
 
 
 def _of_known(table: Mapping[str, Any]) -> Mapping[str, Any]:
-    if table["effect"] not in {NAME, *(effect.name for effect in every_effect())}:
+    if table["effect"] not in {SOMETHING_ELSE, *(effect.name for effect in every_effect())}:
         raise ValueError(f"effect {table['effect']!r}, which this version does not know")
     return table
 

@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding, NotDetected
+from piezoid.diagnosis.coordinate_descriptions import CONTROL_ADVICE
+from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding, NotDetected
 from piezoid.diagnosis.diagnosis_statements import largest_first
 from piezoid.diagnosis.effects import effect_named
-from piezoid.diagnosis.residual_structure import CONTROL, NAME
 from piezoid.formatting import words
 from piezoid_reports.effect_comparison import EffectSimulation, compare_effects
 from piezoid_reports.effect_figures import figure_of, unnamed_figure
@@ -83,7 +83,7 @@ def _table(diagnoses: Sequence[Diagnosis]) -> Part:
 
 def _picture(axis: str, finding: Finding, pictures: tuple[EffectSimulation, ...]) -> list[Part]:
     heading = Heading(text=f"Axis {axis}: {words(finding.effect)}")
-    is_unnamed = finding.effect == NAME
+    is_unnamed = finding.effect == SOMETHING_ELSE
     figure = unnamed_figure(finding) if is_unnamed else figure_of(finding, pictures)
     if figure is None:
         return [heading, Prose(text=NO_PICTURE)] if pictures else [heading]
@@ -98,8 +98,8 @@ def _meaning(finding: Finding, described: str, *, is_proposed: bool) -> list[Par
         described: the axis under which its effect is described already, or empty.
         is_proposed: whether a statement proposes its experiment already.
     """
-    if finding.effect == NAME:  # its explanation and experiment are among the statements
-        return [] if described else [Prose(text=f"For control: {CONTROL}")]
+    if finding.effect == SOMETHING_ELSE:  # its explanation and experiment are among the statements
+        return [] if described else [Prose(text=f"For control: {CONTROL_ADVICE}")]
     if described:
         return [Prose(text=f"Described under axis {described}.")]
     control = effect_named(finding.effect).control

@@ -5,13 +5,12 @@ from dataclasses import replace
 import pytest
 
 from piezoid.calibration.stage_statements import stage_statements
-from piezoid.diagnosis.diagnosis import BudgetPart
+from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, BudgetPart
 from piezoid.diagnosis.diagnosis_statements import (
     diagnosis_statements,
     largest_first,
 )
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.residual_structure import NAME
 from piezoid.identification.fit_statements import Grade, fit_statements, grade_of
 from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import Limit
@@ -141,9 +140,9 @@ def test_the_part_that_dominates_the_remaining_error_is_stated(part: str, level:
 
 
 def test_an_unnamed_finding_leads_only_if_it_is_the_largest() -> None:
-    large, small = (finding(NAME, share=share) for share in (5e-3, 1e-3))
+    large, small = (finding(SOMETHING_ELSE, share=share) for share in (5e-3, 1e-3))
     creep = finding("creep", share=3e-3)
-    assert largest_first(diagnosed(creep, large))[0].effect == NAME
+    assert largest_first(diagnosed(creep, large))[0].effect == SOMETHING_ELSE
     assert largest_first(diagnosed(creep, small))[0].effect == "creep"
 
 

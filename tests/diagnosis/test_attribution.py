@@ -14,7 +14,7 @@ from piezoid.diagnosis.effect_size import size_of
 from piezoid.diagnosis.effects import delay, rate_dependence
 from piezoid.diagnosis.refit import attribute_errors, repaired, repaired_faults
 from piezoid.diagnosis.refitted_view import SelectedEffect, extended
-from piezoid.diagnosis.residual_structure import Rest, SearchResult
+from piezoid.diagnosis.residual_structure import SearchResult, UnexplainedResidual
 from piezoid.diagnosis.selection import Outcome
 from piezoid.identification.extensions import Delay
 from piezoid.identification.hysteresis.pieces import scales_of
@@ -61,7 +61,7 @@ def test_a_model_is_returned_with_what_a_search_came_to() -> None:
         effect=delay.EFFECT, parameters={"delay_s": 1.3 * DELAY_s}, free={"delay_s": 1.5}
     )
     outcome = outcome_of(recordings, late)
-    rest = Rest(rms=0.0, share=0.0, p_value=1.0, coordinate="", gain=0.0)
+    rest = UnexplainedResidual(rms=0.0, share=0.0, p_value=1.0, coordinate="", gain=0.0)
     numbers = attribute_errors(
         SearchResult(raw=outcome.first, outcome=outcome, unexplained=rest),
         recordings,

@@ -8,10 +8,11 @@ import pytest
 from scipy.stats import kstest
 
 from piezoid.diagnosis.null_distribution import (
-    chance_of,
-    least_chance,
-    score_of,
-    strengths_of_healthy,
+    evidence_p_value,
+    rank_p_value,
+    smallest_structure_p_value,
+    structure_p_value,
+    structure_score,
 )
 from piezoid_datasets.virtual_lab.truths import ZOO
 
@@ -27,25 +28,25 @@ def test_the_chance_of_one_more_healthy_stage_is_uniform_whatever_scores_are(dra
     chances = []
     for _ in range(400):
         scores = np.abs(getattr(rng, draw)(size=60))
-        chances.append(chance_of(scores[0], scores[1:]))
+        chances.append(rank_p_value(scores[0], scores[1:]))
     assert kstest(chances, "uniform").pvalue > 0.01
 
 
 def test_the_more_is_left_the_smaller_the_chance_and_it_is_never_none() -> None:
-    chances = [chance_of(score) for score in (0.0, 0.01, 0.1, 1.0, 1e6)]
+    chances = [structure_p_value(gain, 1.0, 1.0) for gain in (0.0, 0.01, 0.1, 0.5, 1.0)]
     assert chances == sorted(chances, reverse=True)
     assert chances[0] == 1.0
     assert 0.0 < chances[-1] <= 0.05
 
 
 def test_a_remainder_of_noise_scores_next_to_nothing_and_a_strong_curve_much() -> None:
-    assert score_of(0.001, 1.0, 1.0) == pytest.approx(0.001, rel=0.002)
-    assert score_of(0.9, 5.0, 1.0) == pytest.approx(22.5)
-    assert score_of(-0.1, 5.0, 1.0) == 0.0
+    assert structure_score(0.001, 1.0, 1.0) == pytest.approx(0.001, rel=0.002)
+    assert structure_score(0.9, 5.0, 1.0) == pytest.approx(22.5)
+    assert structure_score(-0.1, 5.0, 1.0) == 0.0
 
 
 def test_what_a_coordinate_explains_is_no_noise() -> None:
-    assert score_of(0.99, 1.0, 1.0) == pytest.approx(99.0)
+    assert structure_score(0.99, 1.0, 1.0) == pytest.approx(99.0)
 
 
 @pytest.mark.parametrize("kind", ["scores", "strengths"])
@@ -61,7 +62,7 @@ def test_healthy_stages_of_a_law_are_not_accused_by_the_other_laws_table() -> No
     chances = []
     for law, own in strengths.items():
         others = [one for other, of_it in strengths.items() if other != law for one in of_it]
-        chances += [chance_of(one, others) for one in own]
+        chances += [rank_p_value(one, others) for one in own]
     count = len(chances)
     assert (
         sum(chance <= 0.05 for chance in chances) <= 0.05 * count + 2.0 * (0.0475 * count) ** 0.5
@@ -69,7 +70,7 @@ def test_healthy_stages_of_a_law_are_not_accused_by_the_other_laws_table() -> No
 
 
 def test_a_cause_is_as_sure_as_the_table_is_large_and_no_surer() -> None:
-    strengths = strengths_of_healthy()
-    assert chance_of(1e9, strengths) == pytest.approx(1.0 / (1.0 + len(strengths)))
-    assert chance_of(0.0, strengths) == 1.0
-    assert least_chance() <= 0.02
+    healthy = sum(len(of_law) for of_law in table("strengths").values())
+    assert evidence_p_value(1e9) == pytest.approx(1.0 / (1.0 + healthy))
+    assert evidence_p_value(0.0) == 1.0
+    assert smallest_structure_p_value() <= 0.02

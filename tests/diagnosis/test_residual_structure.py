@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.diagnose import diagnose
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding
-from piezoid.diagnosis.residual_structure import NAME
+from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding
 from piezoid.diagnosis.sealed_diagnosis import SCHEMA, read_diagnosis, write_diagnosis
 from piezoid.digests import unseal
 from piezoid.identification.fit import fit
@@ -48,17 +47,20 @@ def with_hidden(hidden: str) -> Diagnosis:
 
 def structure_in(diagnosis: Diagnosis) -> Finding:
     """Return the finding that no effect of the catalogue explains."""
-    return next(finding for finding in diagnosis.findings if finding.effect == NAME)
+    return next(finding for finding in diagnosis.findings if finding.effect == SOMETHING_ELSE)
 
 
 @pytest.mark.parametrize("hidden", HIDDEN)
 def test_what_is_in_no_catalogue_is_said_to_be_something_else_with_its_coordinate(hidden):
     diagnosis = with_hidden(hidden)
-    assert set(causes(diagnosis)) <= {NAME, "outliers"}  # single samples that are off, as well
+    assert set(causes(diagnosis)) <= {
+        SOMETHING_ELSE,
+        "outliers",
+    }  # single samples that are off, as well
     structure = structure_in(diagnosis)
     assert structure.coordinate == HIDDEN[hidden][1]
     assert structure.p_value <= 0.05
-    assert NAME not in {absent.effect for absent in diagnosis.not_detected}
+    assert SOMETHING_ELSE not in {absent.effect for absent in diagnosis.not_detected}
     assert diagnosis.unexplained is not None
     assert diagnosis.unexplained.rms_m > diagnosis.noise_floor_rms_m
 
@@ -71,7 +73,7 @@ def test_the_final_error_is_smaller_than_that_of_the_model_without_the_structure
 @pytest.mark.parametrize("truth", ["preisach", "jiles_atherton"])
 def test_a_healthy_stage_has_nothing_else(truth):
     diagnosis = diagnosed(10, truth=truth)
-    assert NAME not in diagnosis.names
+    assert SOMETHING_ELSE not in diagnosis.names
     assert diagnosis.unexplained is not None
     assert 0.0 < diagnosis.unexplained.p_value <= 1.0
 
@@ -85,14 +87,14 @@ def test_what_healthy_stages_leave_as_often_is_nothing_else():
     found = diagnose(recordings, lab=lab)
     assert found.unexplained is not None
     assert found.unexplained.p_value > 0.05
-    assert NAME not in found.names
+    assert SOMETHING_ELSE not in found.names
 
 
 def test_a_reading_that_ends_is_told_with_its_level():
     campaign = draw_campaign(401, truth="bouc_wen", plans=PLANS, uncatalogued={"range_end": 4.0})
     recordings, lab = recorded(campaign)
     found = diagnose(recordings, lab=lab)
-    assert causes(found) == (NAME,)
+    assert causes(found) == (SOMETHING_ELSE,)
     assert structure_in(found).coordinate == "reading"
     level_um = 0.96e6 * campaign.rig.stroke_m
     assert structure_in(found).law.startswith("reading = min(displacement, ")
@@ -106,7 +108,7 @@ def test_something_else_survives_its_file_and_its_picture_shows_where_the_readin
     assert read_diagnosis(written) == dented
     content = unseal(written, SCHEMA, "diagnosis.json")
     assert set(content["unexplained"]) >= {"rms_m", "share", "p_value"}
-    entry = next(entry for entry in content["findings"] if entry["effect"] == NAME)
+    entry = next(entry for entry in content["findings"] if entry["effect"] == SOMETHING_ELSE)
     assert entry["coordinate"] == "displacement"
     assert len(entry["seen"]["place"]) == len(entry["seen"]["fitted_m"])
     seen = structure_in(dented).seen
@@ -121,7 +123,7 @@ def test_what_the_simulation_follows_is_not_taken_off_its_recordings():
     made = recording(drive, stage(drive, np.random.default_rng(5)))
     model = fit([made])["x"]
     found = diagnose([made], model=model)
-    assert NAME not in found.names
+    assert SOMETHING_ELSE not in found.names
     assert found.model is not None
     assert found.model.quality.rms_m < 1.1 * model.quality.rms_m
 
@@ -131,5 +133,5 @@ def test_an_end_of_the_range_is_told_where_the_class_does_not_foretell_the_rest(
     campaign = draw_campaign(407, truth="duhem", plans=PLANS, uncatalogued={"range_end": 16.0})
     recordings, lab = recorded(campaign)
     found = diagnose(recordings, lab=lab)
-    assert causes(found) == (NAME,)
+    assert causes(found) == (SOMETHING_ELSE,)
     assert structure_in(found).coordinate == "reading"
