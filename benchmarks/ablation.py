@@ -36,7 +36,6 @@ from piezoid.diagnosis import (
 from piezoid.diagnosis.blocked_regression import paired_z
 from piezoid.diagnosis.initial_state_search import OTHER_INITIAL_STATES
 from piezoid.diagnosis.residual_structure import locate_residual
-from piezoid.diagnosis.score_test import score_test
 
 Decision = Callable[..., Any]
 Place = tuple[ModuleType | type, str]
@@ -68,11 +67,6 @@ class Rule:
     dear: bool = False
 
 
-def _plain_structure(effect: Any, final: Any) -> Any:
-    found = score_test(effect, final)
-    return None if found is None else (found, candidate._structure_of(found, final))
-
-
 def _surely_close(alternative: Any, cause: Any) -> bool:
     return paired_z(alternative.cv.loss, cause.cv.loss) < model_comparison.SEPARABLE
 
@@ -83,14 +77,10 @@ def _evidence(*, worth: bool = True, placebos: bool = True) -> Decision:
             one.physical
             and one.cv.z > candidate.MINIMUM_Z
             and (one.cv.gain > one.effect.minimum_gain or not worth)
-            and (one._beats_placebo or not placebos)
+            and (one.beats_placebo or not placebos)
         )
 
     return is_significant
-
-
-def _structure_speaks(with_rule: Any, without: Any) -> bool:
-    return with_rule is not None and with_rule[1].is_significant != without[1].is_significant
 
 
 JUDGED = candidate.Candidate

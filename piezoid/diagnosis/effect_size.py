@@ -20,8 +20,13 @@ import numpy as np
 
 from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.diagnosis import Size
-from piezoid.diagnosis.refinement import stepped
-from piezoid.diagnosis.refitted_view import SelectedEffect, driven, offset_of, undisturbed_for
+from piezoid.diagnosis.refinement import with_step
+from piezoid.diagnosis.refitted_view import (
+    SelectedEffect,
+    filter_offset,
+    with_filtered_drive,
+    without_ringing,
+)
 from piezoid.diagnosis.residual_view import View
 from piezoid.numerics.arrays import Array
 
@@ -55,11 +60,11 @@ def _spread(cause: Candidate, value: float) -> float:
     beta = cause.cv.coefficient
     columns = [_nudged(cause, name) for name in one.free]
     gradient = [
-        (effect.size(seen, stepped(one, name, NUDGE).parameters, beta) - value) / NUDGE
+        (effect.size(seen, with_step(one, name, NUDGE).parameters, beta) - value) / NUDGE
         for name in one.free
     ]
     if one.adds_columns and effect.columns is not None:
-        columns += list(effect.columns(undisturbed_for(view, [one]), one.parameters).T)
+        columns += list(effect.columns(without_ringing(view, [one]), one.parameters).T)
         for k in range(len(beta)):
             more = beta + np.eye(len(beta))[k] * max(abs(beta[k]), 1e-9) * NUDGE
             step = more[k] - beta[k]
@@ -75,15 +80,15 @@ def _spread(cause: Candidate, value: float) -> float:
 def _nudged(cause: Candidate, name: str) -> Array:
     """Return how fast the response changes with a free parameter, in parts of its width."""
     one, view = cause.selected, cause.view
-    there = stepped(one, name, NUDGE)
+    there = with_step(one, name, NUDGE)
     effect = one.effect
     if effect.response_filter is not None:
-        change = offset_of(view, [there]) - offset_of(view, [one])
+        change = filter_offset(view, [there]) - filter_offset(view, [one])
     elif effect.drive_filter is not None:
         change = _of_drive(cause, there)
     else:
         assert effect.columns is not None
-        here = undisturbed_for(view, [one])
+        here = without_ringing(view, [one])
         moved = effect.columns(here, there.parameters) - effect.columns(here, one.parameters)
         change = moved @ cause.cv.coefficient
     return np.asarray(change / NUDGE)
@@ -91,7 +96,7 @@ def _nudged(cause: Candidate, name: str) -> Array:
 
 def _of_drive(cause: Candidate, there: SelectedEffect) -> Array:
     view = cause.view
-    other: View = driven(cause.without, [there])
+    other: View = with_filtered_drive(cause.without, [there])
     parts = [
         view.nuisance.static_rows(k, view.weight, track.drive) - view.static[k][track.place]
         for k, track in enumerate(other.tracks)

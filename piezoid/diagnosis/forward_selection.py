@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
-from piezoid.diagnosis.candidate import Candidate, judged
+from piezoid.diagnosis.candidate import Candidate, evaluate
 from piezoid.diagnosis.effect import BETWEEN, Effect, Fault
 from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.initial_state_search import (
@@ -20,8 +20,8 @@ from piezoid.diagnosis.initial_state_search import (
     with_own_initial_states,
     with_shared_initial_state,
 )
-from piezoid.diagnosis.refinement import initial_guess, refined, refined_together, stepped
-from piezoid.diagnosis.refitted_view import SelectedEffect, extended
+from piezoid.diagnosis.refinement import initial_guess, refine, refine_together, with_step
+from piezoid.diagnosis.refitted_view import SelectedEffect, with_effects
 from piezoid.diagnosis.residual_view import (
     View,
     with_bouc_wen,
@@ -79,7 +79,7 @@ class SelectionState:
         return SelectionState(
             clean=clean,
             selected=selected,
-            view=extended(clean, selected),
+            view=with_effects(clean, selected),
             faults=self.faults if faults is None else faults,
             screened=self.screened,
             initial=initial,
@@ -101,7 +101,7 @@ def select_forward(
     state = SelectionState(
         clean=clean,
         selected=selected,
-        view=extended(clean, selected),
+        view=with_effects(clean, selected),
         faults=faults,
         screened={},
         initial=None if selected else initial,
@@ -203,14 +203,14 @@ def _refitted(
     """Return effects with everything refitted, but those that begin far behind the best."""
     clean, selected = state.clean, state.selected
     starts = executor.map(lambda test: _start(test, state), tests)
-    errors = executor.map(lambda start: extended(clean, [*selected, start]).rms, starts)
+    errors = executor.map(lambda start: with_effects(clean, [*selected, start]).rms, starts)
     least = min(errors, default=0.0)
 
     def refit(pair: tuple[SelectedEffect, ScoreTest]) -> Candidate:
         start, test = pair
         executor.report(f"refitting with {words(start.effect.name)}")
-        better, view = refined(start, clean, selected)
-        return _refitted_together(judged(better, view, state.view, seen=test), state, test)
+        better, view = refine(start, clean, selected)
+        return _refitted_together(evaluate(better, view, state.view, test=test), state, test)
 
     near = [
         (start, test)
@@ -232,11 +232,11 @@ def _start(test: ScoreTest, state: SelectionState) -> SelectedEffect:
         return guess
 
     def error(start: SelectedEffect) -> float:
-        return extended(state.clean, [*state.selected, start]).rms
+        return with_effects(state.clean, [*state.selected, start]).rms
 
     trials = [trial for trial in test.effect.trials(state.view) if trial.physical]
     best = min((guess, *(initial_guess(test.effect, trial, 1.0) for trial in trials)), key=error)
-    near = [stepped(best, name, part) for name in best.free for part in ABOUT]
+    near = [with_step(best, name, part) for name in best.free for part in ABOUT]
     return min((best, *near), key=error)
 
 
@@ -255,8 +255,8 @@ def _refitted_together(alone: Candidate, state: SelectionState, test: ScoreTest)
     if not alike or not (free == 1 or (free and alone.physical)):
         return alone
     others = [one for one in state.selected if one not in alike]
-    better, view = refined_together([*alike, alone.selected], state.clean, others)
-    return judged(better[-1], view, alone.without, seen=test)
+    better, view = refine_together([*alike, alone.selected], state.clean, others)
+    return evaluate(better[-1], view, alone.without, test=test)
 
 
 def moved_to_other_side(
@@ -275,7 +275,7 @@ def moved_to_other_side(
         if other is None or not (best is None or one.effect.resembles(best.effect)):
             continue
         before, behind = state.selected[:k], state.selected[k + 1 :]
-        there, view = refined(replace(one, effect=other), state.clean, [*before, *behind], finer=1)
+        there, view = refine(replace(one, effect=other), state.clean, [*before, *behind], finer=1)
         rivals = [state.view.rms] if best is None else [state.view.rms, best.view.rms]
         if view.rms < OTHER_SIDE * min(rivals):
             return (*before, there, *behind)

@@ -92,11 +92,11 @@ def with_shared_where_as_good(view: View) -> View:
     """
     if not view.nuisance.free:
         return view
-    found = view.driven.get("alike")  # trials and null of one effect ask for it
+    found = view.cache.get("alike")  # trials and null of one effect ask for it
     if found is None:
         first, best = cycled(view), with_shared_initial_state(view)
         found = best if shared_does_as_well(best, view, first) else first
-        view.driven["alike"] = found
+        view.cache["alike"] = found
     return found
 
 

@@ -1,9 +1,9 @@
-"""Model comparison: which confounded effect could stand in the place of a selected one.
+"""Model comparison: find the confounded effects that could replace a selected effect.
 
-Each is refitted in its place with everything else at work. Where blocks do not lose significantly
-less with the selected effect (Vuong), the two are not separable on these recordings. Blocks may
-be sure of no more than a drive that turned between two samples, so a small part of what a cause
-explains separates nothing.
+Each confounded effect is refitted in the place of the selected one, with all others in the model.
+The two are not separable on these recordings if the blocks do not lose significantly less with
+the selected effect (Vuong). Blocks may be certain of a difference no larger than that between two
+interpolations of the drive, so a small share of the explained error separates nothing.
 
 Source: Vuong, Econometrica 57 (1989).
 """
@@ -11,112 +11,125 @@ Source: Vuong, Econometrica 57 (1989).
 from collections.abc import Sequence
 
 from piezoid.diagnosis.blocked_regression import paired_z
-from piezoid.diagnosis.candidate import Candidate, judged
+from piezoid.diagnosis.candidate import Candidate, evaluate
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import every_effect
-from piezoid.diagnosis.refinement import initial_guess, refined
-from piezoid.diagnosis.refitted_view import SelectedEffect, extended
+from piezoid.diagnosis.refinement import initial_guess, refine
+from piezoid.diagnosis.refitted_view import SelectedEffect, with_effects
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.step_responses import behind_jumps
 from piezoid.formatting import words
-from piezoid.numerics.executor import SERIAL, Executor
+from piezoid.numerics.executor import Executor
 
-NEAR = 0.5  # of the gain: what a confounded effect's tangent must bring to be refitted
-SEPARABLE = 1.96  # standard errors between two that are told apart
-ALIKE = 0.02  # of what a cause explains, and of what it leaves: so close is no difference
+MIN_TANGENT_GAIN = 0.5  # of the effect's gain, by a confounded effect that is refitted
+SEPARABLE = 1.96  # standard errors between two effects
+ALIKE = 0.02  # of the explained and of the remaining error: no difference
 
-Confounded = dict[str, tuple[str, ...]]
+Confounded = dict[str, tuple[str, ...]]  # names of effects that could replace an effect, by name
 
 
 def compare_models(
     clean: View, selected: Sequence[SelectedEffect], executor: Executor
 ) -> tuple[list[Candidate], Confounded, list[Candidate]]:
-    """Judge every selected effect, and name the effects that do as well.
+    """Evaluate every selected effect beside all others, and find its confounded effects.
 
-    What has no name beside all others goes, the least of it first; it is returned last.
+    Effects that may not be named are dismissed one by one, the smallest gain first.
+
+    Returns effects that may be named, their confounded effects, and the dismissed effects.
     """
     selected = list(selected)
     dismissed: list[Candidate] = []
     while True:
-        causes, confounded = _compare_each(clean, selected, executor)
-        mute = [cause for cause in causes if not cause.has_a_name]
-        if not mute:
-            return causes, confounded, dismissed
-        least = min(mute, key=lambda cause: cause.cv.gain)
-        dismissed.append(least)
-        selected = [cause.selected for cause in causes if cause is not least]
+        candidates, confounded = _compare_each(clean, selected, executor)
+        rejected = [c for c in candidates if not c.may_be_named]
+        if not rejected:
+            return candidates, confounded, dismissed
+        weakest = min(rejected, key=lambda candidate: candidate.cv.gain)
+        dismissed.append(weakest)
+        selected = [c.selected for c in candidates if c is not weakest]
 
 
 def _compare_each(
-    clean: View, selected: list[SelectedEffect], executor: Executor
+    clean: View, selected: Sequence[SelectedEffect], executor: Executor
 ) -> tuple[list[Candidate], Confounded]:
-    causes, near = [], {}
-    for k, one in enumerate(selected):
-        executor.report(f"comparing {words(one.effect.name)} with confounded effects")
-        others = [other for n, other in enumerate(selected) if n != k]
-        there, beside = _where_seen(one, clean, others)
-        # judged once more, refined beside all others
-        better, view = refined(one, there, beside, finer=1)
-        without = extended(there, beside)
-        seen = score_test(one.effect, without)
-        assert seen is not None
-        cause = judged(better, view, without, seen=seen)
-        confounded = confounded_with(cause, there, beside, executor)
-        causes.append(cause)
-        near[cause.effect.name] = tuple(alternative.effect.name for alternative in confounded)
-    return causes, near
+    candidates, confounded = [], {}
+    for k, effect in enumerate(selected):
+        name = effect.effect.name
+        executor.report(f"comparing {words(name)} with confounded effects")
+        view, others = _evaluation_view(effect, clean, [*selected[:k], *selected[k + 1 :]])
+        refined, with_effect = refine(effect, view, others, finer=1)
+        without = with_effects(view, others)
+        test = score_test(effect.effect, without)
+        assert test is not None
+        candidate = evaluate(refined, with_effect, without, test=test)
+        alternatives = _find_confounded(candidate, view, others, executor)
+        candidates.append(candidate)
+        confounded[name] = tuple(alternative.effect.name for alternative in alternatives)
+    return candidates, confounded
 
 
-def _where_seen(
-    one: SelectedEffect, clean: View, others: list[SelectedEffect]
+def _evaluation_view(
+    effect: SelectedEffect, clean: View, others: list[SelectedEffect]
 ) -> tuple[View, list[SelectedEffect]]:
-    """Return where an effect is judged, and which others are yet to be put to work there."""
-    jumps = behind_jumps(extended(clean, others)) if one.from_jumps else None
+    """Return the view on which an effect is evaluated, and the other effects to add to it.
+
+    An effect detected in step responses is evaluated on these, where the drive is filtered.
+    """
+    jumps = behind_jumps(with_effects(clean, others)) if effect.from_jumps else None
     if jumps is None:
         return clean, others
     return jumps, [other for other in others if other.effect.drive_filter is None]
 
 
-def confounded_with(
-    cause: Candidate, clean: View, others: Sequence[SelectedEffect], executor: Executor = SERIAL
+def _find_confounded(
+    candidate: Candidate,
+    clean: View,
+    others: Sequence[SelectedEffect],
+    executor: Executor,
 ) -> tuple[Candidate, ...]:
-    """Return the effects that these recordings do not separate from a cause, the best first."""
-    taken = {one.effect.name for one in others}
-    asked = [
-        e for e in every_effect() if e.name in cause.effect.confounded and e.name not in taken
-    ]
-    tried = executor.map(lambda effect: _in_place(effect, cause, clean, others), asked)
-    near = [
+    """Return the effects that could replace a selected effect, the smallest error first."""
+    in_model = {other.effect.name for other in others}
+    alternatives = executor.map(
+        lambda effect: _evaluate_alternative(effect, candidate, clean, others),
+        [
+            effect
+            for effect in every_effect()
+            if effect.name in candidate.effect.confounded and effect.name not in in_model
+        ],
+    )
+    confounded = [
         alternative
-        for alternative in tried
-        if alternative is not None and is_confounded(alternative, cause)
+        for alternative in alternatives
+        if alternative is not None and is_confounded(alternative, candidate)
     ]
-    return tuple(sorted(near, key=lambda alternative: alternative.cv.rms))
+    return tuple(sorted(confounded, key=lambda alternative: alternative.cv.rms))
 
 
-def is_confounded(alternative: Candidate, cause: Candidate) -> bool:
-    """Tell whether these recordings do not tell a confounded effect from a cause."""
-    if not alternative.physical:
-        # physics does not allow it, and yet it leaves less: something else is not what it seems
-        return alternative.cv.rms < cause.cv.rms
-    worse = alternative.cv.rms**2 - cause.cv.rms**2
-    explained = cause.without.rms**2 - cause.cv.rms**2
-    if worse < ALIKE * explained and alternative.cv.rms < (1.0 + ALIKE) * cause.cv.rms:
-        return True
-    return paired_z(alternative.cv.loss, cause.cv.loss) < SEPARABLE
-
-
-def _in_place(
-    effect: Effect, cause: Candidate, clean: View, others: Sequence[SelectedEffect]
+def _evaluate_alternative(
+    effect: Effect, candidate: Candidate, clean: View, others: Sequence[SelectedEffect]
 ) -> Candidate | None:
-    if effect.trials is None or effect.structural is not None or effect.untestable(cause.without):
+    """Refit a confounded effect in the place of a selected one; None if it has no chance."""
+    without = candidate.without
+    if effect.trials is None or effect.structural is not None or effect.untestable(without):
         return None
-    seen = score_test(effect, cause.without)
-    if seen is None or seen.total_gain < NEAR * cause.cv.gain:
+    test = score_test(effect, without)
+    if test is None or test.total_gain < MIN_TANGENT_GAIN * candidate.cv.gain:
         return None
-    if not seen.physical and seen.separable:
+    if test.separable and not test.physical:
         return None
-    one = initial_guess(effect, seen.trial, float(seen.cv.coefficient[0]))
-    better, view = refined(one, clean, others, finer=1)
-    return judged(better, view, cause.without, seen=seen)
+    guess = initial_guess(effect, test.trial, float(test.cv.coefficient[0]))
+    refined, view = refine(guess, clean, others, finer=1)
+    return evaluate(refined, view, without, test=test)
+
+
+def is_confounded(alternative: Candidate, candidate: Candidate) -> bool:
+    """Tell whether these recordings do not separate an alternative from a selected effect."""
+    if not alternative.physical:
+        # an impossible effect that leaves a smaller error: the selected one is not what it seems
+        return alternative.cv.rms < candidate.cv.rms
+    excess = alternative.cv.rms**2 - candidate.cv.rms**2
+    explained = candidate.without.rms**2 - candidate.cv.rms**2
+    if excess < ALIKE * explained and alternative.cv.rms < (1.0 + ALIKE) * candidate.cv.rms:
+        return True
+    return paired_z(alternative.cv.loss, candidate.cv.loss) < SEPARABLE

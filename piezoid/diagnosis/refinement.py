@@ -1,7 +1,7 @@
-"""Refinement: the nonlinear parameters of an effect, with the whole model refitted at every try.
+"""Refine the nonlinear parameters of an effect, with the whole model refitted at every step.
 
-A tangent tells where to look; what decides is the error with the real thing in place. The search
-walks along one parameter after another by ever smaller steps.
+Tangents only locate an effect; the error with the effect in the model decides. The parameters are
+searched one after the other with decreasing steps.
 """
 
 from collections.abc import Sequence
@@ -10,144 +10,146 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
-from piezoid.diagnosis.refitted_view import SelectedEffect, extended
+from piezoid.diagnosis.refitted_view import SelectedEffect, with_effects
 from piezoid.diagnosis.residual_view import View
 
-PARTS = (1.0, 0.3, 0.1, 0.03)  # of a parameter's width
-STEPS = 6
-LEAST_STEP = 0.05
-FARTHEST = 5.0  # times the way of one round
-BETTER = 5e-4  # of the error: what a step must gain
+STEP_FRACTIONS = (1.0, 0.3, 0.1, 0.03)  # of a parameter's width
+MAX_STEPS = 6
+MIN_VERTEX = 0.05  # of a step: a vertex nearer to its centre is not tried
+MAX_EXTRAPOLATION = 5.0  # of the change in one round
+MIN_GAIN = 5e-4  # of the error, by one step
 
-
-Refined = tuple[SelectedEffect, View]
+Refined = tuple[SelectedEffect, View]  # an effect, and the view with it and all others
 
 
 def initial_guess(effect: Effect, trial: Trial, coefficient: float) -> SelectedEffect:
-    """Return an effect as its best tangent has it.
+    """Return an effect with the parameters of its best tangent.
 
-    Of a filter that all passes, a tangent with a share of 1.7 means a time 1.7 times as long.
+    A coefficient of 1.7 of a filter of the response means a time constant 1.7 times as long.
     """
     parameters = dict(trial.parameters)
     if effect.response_filter is not None:
-        stretch = float(np.clip(coefficient, 0.2, 5.0))
-        parameters |= {name: parameters[name] * stretch for name in trial.free}
+        factor = float(np.clip(coefficient, 0.2, 5.0))
+        parameters |= {name: parameters[name] * factor for name in trial.free}
     return SelectedEffect(
         effect=effect, parameters=parameters, free=trial.free, limits=trial.limits
     )
 
 
-def refined(
-    one: SelectedEffect,
+def refine(
+    effect: SelectedEffect,
     clean: View,
     others: Sequence[SelectedEffect],
     *,
     finer: int = 0,
-    near: View | None = None,
-) -> tuple[SelectedEffect, View]:
-    """Return an effect with better parameters beside others, and the view with all at work.
+    start: View | None = None,
+) -> Refined:
+    """Refine the parameters of an effect beside others.
 
-    finer  how many of the coarse steps to leave out, for parameters that are nearly right
-    near   a view with nearly the same at work
+    finer  number of coarse steps to leave out, for parameters that are nearly right
+    start  a view with similar effects
     """
-    best = (one, _settled(clean, [*others, one], near))
-    for part in PARTS[finer:]:
-        for name in one.free:
-            best = _walked(best, clean, others, name, part)
+    best = effect, _settled_view(clean, [*others, effect], start)
+    for fraction in STEP_FRACTIONS[finer:]:
+        for name in effect.free:
+            best = _line_search(best, clean, others, name, fraction)
     return best
 
 
-def _settled(clean: View, selected: Sequence[SelectedEffect], near: View | None) -> View:
-    """Return the view a round beyond where rounds from afar end: steps begin from here."""
-    return extended(clean, selected, near or extended(clean, selected))
-
-
-def refined_together(
-    several: Sequence[SelectedEffect], clean: View, others: Sequence[SelectedEffect]
+def refine_together(
+    effects: Sequence[SelectedEffect], clean: View, others: Sequence[SelectedEffect]
 ) -> tuple[list[SelectedEffect], View]:
-    """Return effects with parameters that are better together, and the view with all at work.
+    """Refine the parameters of several effects together.
 
-    One after the other creeps along a valley: a limit found without the lag behind it follows a
-    part of the lag. So the way they went in one round is gone on, as far as a parabola says.
+    One after the other follows a curved valley slowly: a limit found without the lag behind it
+    absorbs a part of the lag. The change of one round is therefore extrapolated to the minimum of
+    a parabola.
 
     Source: Hooke & Jeeves, J. ACM 8 (1961), the pattern move.
     """
-    there, start = list(several), _settled(clean, [*others, *several], None)
+    refined, start = list(effects), _settled_view(clean, [*others, *effects], None)
     view = start
-    for k, one in enumerate(several):
-        rest = [*others, *there[:k], *there[k + 1 :]]
-        there[k], view = refined(one, clean, rest, finer=1, near=view)
+    for k, effect in enumerate(effects):
+        beside = [*others, *refined[:k], *refined[k + 1 :]]
+        refined[k], view = refine(effect, clean, beside, finer=1, start=view)
 
-    def onward(length: float) -> tuple[list[SelectedEffect], View]:
-        state = [_beyond(a, b, length) for a, b in zip(several, there, strict=True)]
-        return state, extended(clean, [*others, *state], view)
+    def extrapolated(length: float) -> tuple[list[SelectedEffect], View]:
+        moved = [_extrapolate(a, b, length) for a, b in zip(effects, refined, strict=True)]
+        return moved, with_effects(clean, [*others, *moved], view)
 
-    twice = onward(1.0)
-    length = _lowest(start.rms**2, view.rms**2, twice[1].rms ** 2) - 1.0
-    return min((there, view), twice, onward(length), key=lambda found: found[1].rms)
-
-
-def _lowest(none: float, once: float, twice: float) -> float:
-    """Return how many steps lead to the lowest place of a parabola through three errors."""
-    bend = twice - 2.0 * once + none
-    slope = once - none - 0.5 * bend
-    return float(np.clip(-slope / bend, 1.0, FARTHEST)) if bend > 0.0 else FARTHEST
+    twice = extrapolated(1.0)
+    length = _vertex(start.rms**2, view.rms**2, twice[1].rms ** 2) - 1.0
+    return min((refined, view), twice, extrapolated(length), key=lambda result: result[1].rms)
 
 
-def _beyond(before: SelectedEffect, now: SelectedEffect, length: float) -> SelectedEffect:
-    """Return an effect as many times as far on as it came."""
-    parameters = dict(now.parameters)
-    for name, width in now.free.items():
-        a, b = before.parameters[name], now.parameters[name]
-        state = b * (b / a) ** length if width > 1.0 else b + length * (b - a)
-        low, high = now.limits.get(name, (-float("inf"), float("inf")))
-        parameters[name] = min(max(state, low), high)
-    return replace(now, parameters=parameters)
+def with_step(effect: SelectedEffect, name: str, step: float) -> SelectedEffect:
+    """Return an effect with one parameter changed by a fraction of its width, within limits.
+
+    A width above 1 is a factor, one below 1 a difference.
+    """
+    width, value = effect.free[name], effect.parameters[name]
+    moved = value * width**step if width > 1.0 else value + step * width
+    parameters: Parameters = {**effect.parameters, name: _limited(effect, name, moved)}
+    return replace(effect, parameters=parameters)
 
 
-def _walked(
-    best: Refined, clean: View, others: Sequence[SelectedEffect], name: str, part: float
+def _limited(effect: SelectedEffect, name: str, value: float) -> float:
+    low, high = effect.limits.get(name, (-float("inf"), float("inf")))
+    return min(max(value, low), high)
+
+
+def _settled_view(clean: View, effects: Sequence[SelectedEffect], start: View | None) -> View:
+    """Return the view one round beyond where rounds without a start end: steps compare to it."""
+    return with_effects(clean, effects, start or with_effects(clean, effects))
+
+
+def _line_search(
+    best: Refined, clean: View, others: Sequence[SelectedEffect], name: str, fraction: float
 ) -> Refined:
-    """Step on to the side that gets better, or to where a parabola through three errors ends."""
+    """Step to the side that reduces the error, else to the vertex of a parabola through three."""
 
-    def tried(step: float) -> Refined:
-        there = stepped(best[0], name, step)
-        return there, extended(clean, [*others, there], best[1])
+    def trial(origin: Refined, step: float) -> Refined:
+        moved = with_step(origin[0], name, step)
+        return moved, with_effects(clean, [*others, moved], origin[1])
 
-    sides = []
-    for sign in (1.0, -1.0):
-        there = tried(sign * part)
-        if there[1].rms < best[1].rms * (1.0 - BETTER):
-            return _onward(there, clean, others, name, sign * part)
-        sides.append(there[1].rms)
-    bend = sides[0] + sides[1] - 2.0 * best[1].rms
-    vertex = 0.5 * part * (sides[1] - sides[0]) / bend if bend > 0.0 else 0.0
-    vertex = min(max(vertex, -part), part)  # of sides that are as good as equal it is anywhere
-    there = tried(vertex) if abs(vertex) > LEAST_STEP * part else best
-    return min(best, there, key=lambda one: one[1].rms)
-
-
-def _onward(
-    best: Refined, clean: View, others: Sequence[SelectedEffect], name: str, step: float
-) -> Refined:
-    for _ in range(STEPS):
-        there = stepped(best[0], name, step)
-        view = extended(clean, [*others, there], best[1])
-        if not view.rms < best[1].rms * (1.0 - BETTER):
-            break
-        best = there, view
-    return best
+    errors = []
+    for step in (fraction, -fraction):
+        result = trial(best, step)
+        errors.append(result[1].rms)
+        if not _is_better(result, best):
+            continue
+        for _ in range(MAX_STEPS):
+            following = trial(result, step)
+            if not _is_better(following, result):
+                break
+            result = following
+        return result
+    curvature = errors[0] + errors[1] - 2.0 * best[1].rms
+    vertex = 0.5 * fraction * (errors[1] - errors[0]) / curvature if curvature > 0.0 else 0.0
+    vertex = min(max(vertex, -fraction), fraction)  # errors that are nearly equal put it anywhere
+    if abs(vertex) <= MIN_VERTEX * fraction:
+        return best
+    return min(best, trial(best, vertex), key=lambda result: result[1].rms)
 
 
-def stepped(one: SelectedEffect, name: str, part: float) -> SelectedEffect:
-    """Return an effect with one parameter a part of its width farther on."""
-    parameters: Parameters = {**one.parameters, name: moved(one, name, part)}
-    return replace(one, parameters=parameters)
+def _is_better(result: Refined, reference: Refined) -> bool:
+    return result[1].rms < reference[1].rms * (1.0 - MIN_GAIN)
 
 
-def moved(one: SelectedEffect, name: str, part: float) -> float:
-    """Return a parameter a part of its width farther on: by a factor, or by a step below 1."""
-    width, value = one.free[name], one.parameters[name]
-    there = value * width**part if width > 1.0 else value + part * width
-    low, high = one.limits.get(name, (-float("inf"), float("inf")))
-    return min(max(there, low), high)
+def _extrapolate(before: SelectedEffect, after: SelectedEffect, length: float) -> SelectedEffect:
+    """Return an effect changed further by a multiple of its change in one round."""
+    parameters = dict(after.parameters)
+    for name, width in after.free.items():
+        a, b = before.parameters[name], after.parameters[name]
+        moved = b * (b / a) ** length if width > 1.0 else b + length * (b - a)
+        parameters[name] = _limited(after, name, moved)
+    return replace(after, parameters=parameters)
+
+
+def _vertex(start: float, once: float, twice: float) -> float:
+    """Return the minimum of the parabola through errors after 0, 1 and 2 rounds, in rounds."""
+    curvature = twice - 2.0 * once + start
+    slope = once - start - 0.5 * curvature
+    if curvature <= 0.0:
+        return MAX_EXTRAPOLATION
+    return float(np.clip(-slope / curvature, 1.0, MAX_EXTRAPOLATION))

@@ -1,40 +1,32 @@
-"""Extended: tracks with the effects that were selected, refitted with all of them in place."""
+"""Views with selected effects: the nuisance class refitted with all of them in the model."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
 from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.effect import Effect, Parameters
-from piezoid.diagnosis.residual_view import View, with_let_through
+from piezoid.diagnosis.residual_view import View, with_filtered_commands
 from piezoid.numerics.arrays import Array
 
-CURVE = 3  # degree
-CALM = 0.03  # of the power of the recording that rings most
-FEWEST = 2  # rows for a column
-ROUNDS = 6  # of static response and what effects make of it
-SETTLED = 2e-3  # of the rms
-EDGE = 0.03  # of a limit: so near it is at it
-
-
-def without_memory(view: View) -> View:
-    """Return the view with curves of the drive for static responses, where none were given."""
-    if view.guess is not None:
-        return view
-    drive, static = view.of(lambda _, t: t.drive), view.rows(view.static)
-    curve = np.polyfit(drive, static, CURVE)
-    return replace(view, guess=tuple(np.asarray(np.polyval(curve, t.drive)) for t in view.tracks))
+POLYNOMIAL_DEGREE = 3
+QUIET = 0.03  # of the power of ringing in the recording that rings most
+ROWS_PER_COLUMN = 2  # of quiet recordings
+MAX_ROUNDS = 6  # of fitting the static response and applying effects to it
+SETTLED = 2e-3  # change of the rms below which the rounds end
+AT_LIMIT = 0.03  # of a limit: a parameter as near counts as at it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SelectedEffect:
     """An effect with its nonlinear parameters.
 
-    free    which of them are worth refining: by which factor (above 1) or step (below) to try
-    limits  ranges of these
-    from_jumps  whether it was seen behind jumps of the drive, where it is judged then
+    free        parameters to refine: by which factor (above 1) or step (below) to try
+    limits      ranges of these
+    from_jumps  whether it was detected in step responses, on which it is then evaluated
     """
 
     effect: Effect
@@ -47,7 +39,7 @@ class SelectedEffect:
     def within_limits(self) -> bool:
         """Whether no parameter lies at its limit."""
         return all(
-            low * (1.0 + EDGE) < self.parameters[name] < high * (1.0 - EDGE)
+            low * (1.0 + AT_LIMIT) < self.parameters[name] < high * (1.0 - AT_LIMIT)
             for name, (low, high) in self.limits.items()
         )
 
@@ -62,105 +54,119 @@ class SelectedEffect:
         )
 
 
-def extended(clean: View, selected: Sequence[SelectedEffect], near: View | None = None) -> View:
-    """Return the view in which these effects are at work.
+def with_effects(
+    clean: View, effects: Sequence[SelectedEffect], start: View | None = None
+) -> View:
+    """Return the view with these effects in the model.
 
-    What acts on the drive changes the drive, for good. Filters and columns are made of a static
-    response that itself is fitted beside them, round after round until the error settles.
+    Effects on the drive change the drive. Filters of the response and columns are made from a
+    static response that is itself fitted beside them, round after round until the error settles.
 
-    near  a view with nearly the same at work: its static response is where the rounds begin
+    start  a view with similar effects, at whose static response the rounds begin
     """
-    view = driven(clean, selected)
-    behind = [one for one in selected if one.effect.drive_filter is None]
-    if not behind:
+    view = with_filtered_drive(clean, effects)
+    on_response = [effect for effect in effects if effect.effect.drive_filter is None]
+    if not on_response:
         return view
-    calm = undisturbed_for(view, behind)
-    here, last = view, view.rms
-    if near is not None:
-        here, last = replace(view, guess=near.static), near.rms
-    for _ in range(ROUNDS):
-        offset, columns = offset_of(here, behind), columns_of(here, behind, calm)
-        here = view = replace(view, offset=offset, selected=columns)
-        if abs(view.rms / last - 1.0) < SETTLED:
+    ringing_source = without_ringing(view, on_response)
+    source, last_rms = view, view.rms
+    if start is not None:
+        source, last_rms = replace(view, guess=start.static), start.rms
+    for _ in range(MAX_ROUNDS):
+        offset = filter_offset(source, on_response)
+        columns = effect_columns(source, on_response, ringing_source)
+        source = view = replace(view, offset=offset, selected=columns)
+        if abs(view.rms / last_rms - 1.0) < SETTLED:
             break
-        last = view.rms
+        last_rms = view.rms
     return view
 
 
-def driven(clean: View, selected: Sequence[SelectedEffect]) -> View:
-    """Return the view with the commands that these effects let through.
+def with_filtered_drive(clean: View, effects: Sequence[SelectedEffect]) -> View:
+    """Return the view with the drive behind the effects that act on it.
 
-    The last one is kept: what is refined behind a limit asks for the same again and again.
+    The last such view is cached: refining effects of the response asks for it again and again.
     """
-    limits = [one for one in selected if one.effect.drive_filter is not None]
-    asked = tuple((one.effect.name, *sorted(one.parameters.items())) for one in limits)
-    found = clean.driven.get(asked) if limits else clean
-    if found is None:  # another thread may take the room at any time
-        found = _behind_limits(clean, limits)
-        clean.driven.clear()
-        clean.driven[asked] = found
-    return found
+    filters = [effect for effect in effects if effect.effect.drive_filter is not None]
+    if not filters:
+        return clean
+    key = tuple((effect.effect.name, *sorted(effect.parameters.items())) for effect in filters)
+    view = clean.cache.get(key)
+    if view is None:
+        view = with_filtered_commands(clean, partial(_filter_drive, filters))
+        clean.cache.clear()  # another thread may do the same at any time
+        clean.cache[key] = view
+    return view
 
 
-def _behind_limits(clean: View, limits: Sequence[SelectedEffect]) -> View:
-    def let_through(command: Array, rate_Hz: float) -> Array:
-        for one in limits:
-            assert one.effect.drive_filter is not None
-            command = one.effect.drive_filter(command, rate_Hz, one.parameters)
-        return command
-
-    return with_let_through(clean, let_through)
+def _filter_drive(filters: Sequence[SelectedEffect], command: Array, rate_Hz: float) -> Array:
+    for limit in filters:
+        assert limit.effect.drive_filter is not None
+        command = limit.effect.drive_filter(command, rate_Hz, limit.parameters)
+    return command
 
 
-def offset_of(view: View, selected: Sequence[SelectedEffect]) -> Array:
-    """Return what all filters together make of the static response, less that, at the rows."""
-    parts = []
+def filter_offset(view: View, effects: Sequence[SelectedEffect]) -> Array:
+    """Return the change of the static response by all filters of the response, at the rows."""
+    offsets = []
     for track, static in zip(view.tracks, view.static, strict=True):
-        read = static
-        for one in selected:
-            if one.effect.response_filter is not None:
-                read = one.effect.response_filter(read, track.rate_Hz, one.parameters)
-        parts.append((read - static)[track.place])
-    return np.concatenate(parts)
+        filtered = static
+        for effect in effects:
+            if effect.effect.response_filter is not None:
+                filtered = effect.effect.response_filter(
+                    filtered, track.rate_Hz, effect.parameters
+                )
+        offsets.append((filtered - static)[track.place])
+    return np.concatenate(offsets)
 
 
-def undisturbed_for(view: View, selected: Sequence[SelectedEffect]) -> View:
-    """Return the view of which the columns of those are made that ring; itself where none does.
+def effect_columns(view: View, effects: Sequence[SelectedEffect], ringing_source: View) -> Array:
+    """Return the columns of all effects that act on the response.
 
-    Its static responses know nothing of ringing, where none were given. A drive that repeats puts
-    its harmonics on a mode, and plays follow ringing that repeats as if it were hysteresis. A mode
-    as sharp as Q makes Q times as much of what they followed, so columns made of that fit lead
-    away from the mode. Slow recordings know the hysteresis without it; where there are none, a
-    curve of the drive, which cannot ring, is nearer to what drives it.
+    ringing_source  the view from which columns of modes are made
     """
-    rings = [one for one in selected if one.effect.may_be_absorbed]
-    if not rings or view.guess is not None:
+    columns = [np.zeros((len(view.offset), 0))]
+    for effect in effects:
+        if effect.adds_columns and effect.effect.columns is not None:
+            source = ringing_source if effect.effect.may_be_absorbed else view
+            columns.append(effect.effect.columns(source, effect.parameters))
+        if effect.effect.covariates is not None:
+            columns.append(effect.effect.covariates(view))
+    return np.hstack(columns)
+
+
+def without_ringing(view: View, effects: Sequence[SelectedEffect]) -> View:
+    """Return a view whose static response contains no ringing; the same if no effect is a mode.
+
+    A periodic drive puts its harmonics on a mode, and plays follow periodic ringing as if it were
+    hysteresis. A mode of quality factor Q amplifies the ringing in that static response Q times,
+    so that columns made from it lead away from the mode. The hysteresis is therefore taken from
+    slow recordings, or from a polynomial of the drive, which cannot ring, if there are none.
+    """
+    modes = [effect for effect in effects if effect.effect.may_be_absorbed]
+    if not modes or view.guess is not None:
         return view
-    plain = without_memory(view)
-    power = np.sum(columns_of(plain, rings, plain) ** 2, axis=1)
+    polynomial = with_polynomial_response(view)
+    power = np.sum(effect_columns(polynomial, modes, polynomial) ** 2, axis=1)
     edges = view.nuisance.edges
     mean = np.array([power[a:b].mean() for a, b in pairwise(edges)])
-    calm = np.repeat(mean < CALM * mean.max(), np.diff(edges))
+    is_quiet = np.repeat(mean < QUIET * mean.max(), np.diff(edges))
     columns = view.nuisance.columns
-    if np.count_nonzero(calm) < FEWEST * columns.shape[1]:
-        return plain
-    null = Null(columns=columns[calm], response=view.response[calm], block=view.block[calm])
+    if np.count_nonzero(is_quiet) < ROWS_PER_COLUMN * columns.shape[1]:
+        return polynomial
+    null = Null(
+        columns=columns[is_quiet], response=view.response[is_quiet], block=view.block[is_quiet]
+    )
     weight = null.fit(null.response)[: view.nuisance.shared]
     static = [view.nuisance.static(k, weight) for k in range(len(view.tracks))]
     return replace(view, guess=tuple(static))
 
 
-def columns_of(view: View, selected: Sequence[SelectedEffect], calm: View) -> Array:
-    """Return the columns of all selected effects that act on the response.
-
-    calm  the view of which the columns of those are made that ring
-    """
-    parts = [np.zeros((len(view.offset), 0))]
-    for one in selected:
-        if one.adds_columns and one.effect.columns is not None:
-            parts.append(
-                one.effect.columns(calm if one.effect.may_be_absorbed else view, one.parameters)
-            )
-        if one.effect.covariates is not None:
-            parts.append(one.effect.covariates(view))
-    return np.hstack(parts)
+def with_polynomial_response(view: View) -> View:
+    """Return the view with polynomials of the drive as static responses, if none were given."""
+    if view.guess is not None:
+        return view
+    drive, static = view.of(lambda _, track: track.drive), view.rows(view.static)
+    polynomial = np.polyfit(drive, static, POLYNOMIAL_DEGREE)
+    guess = tuple(np.asarray(np.polyval(polynomial, track.drive)) for track in view.tracks)
+    return replace(view, guess=guess)

@@ -23,7 +23,7 @@ from piezoid.diagnosis.null_distribution import (
     structure_p_value,
 )
 from piezoid.diagnosis.periodic_residual import mains_frequency_Hz
-from piezoid.diagnosis.refitted_view import extended
+from piezoid.diagnosis.refitted_view import with_effects
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.selection import Outcome, search
@@ -256,7 +256,7 @@ def _sensor_range_structure(outcome: Outcome) -> ResidualStructure | None:
     end = find_sensor_range_end(outcome.clean, effects)
     if end is None:
         return None
-    view = extended(outcome.clean, effects)
+    view = with_effects(outcome.clean, effects)
     error = view.rows(end.error)
     values = replace(view.null, response=view.response - error).residual + error
     residual = Residual(view=view, null=replace(view.null, response=values))

@@ -1,7 +1,6 @@
-"""View: what effects may look at, and the null they must beat.
+"""View of the recordings: nuisance class and selected effects, fitted, with their residual.
 
-The nuisance class fitted to the tracks beside what was selected before, its static response at
-every sample, and its residual at the rows.
+Effects are tested on the static response of the fit at every sample and on its residual at rows.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,22 +20,22 @@ from piezoid.numerics.executor import Once
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.sample_statistics import step_size
 
-SLOWLY_Hz = 1e-9  # of turns before a recording: nothing is too fast for what lets them through
-DIGITS = 9  # of half the stroke that count: a step is the same however it was rounded
+PAST_RATE_Hz = 1e-9  # sampling rate of turning points before a recording: no limit acts on them
+DIGITS = 9  # of half the stroke: steps of a converter are equal beyond rounding
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class View:
-    """Tracks, their nuisance class, and what effects that were selected already make of them.
+    """Tracks with their nuisance class and the selected effects.
 
-    selected  (rows, columns)  added to the null
-    offset    (rows,)          what filters that all of the response passes change
-    stroke_m  half the range of the displacement: what the number 1 means
-    voltage_V half the range of the drive
-    rest      the drive at 0 V, in half ranges from its middle
-    guess     static responses to take in place of the fitted ones, (samples,) for each track
-    one_speed whether like branches were all driven at one speed and nothing jumps: there all that
-              needs time is a width of the loop
+    selected   (rows, columns)  of selected effects, part of the null
+    offset     (rows,)          change of the response by selected filters
+    stroke_m   half the range of the displacement: 1 in scaled units
+    voltage_V  half the range of the drive
+    rest       the drive at 0 V, in half ranges from its middle
+    guess      static responses in place of the fitted ones, (samples,) for each track
+    one_speed  whether like branches were all driven at one speed and the drive has no jumps: any
+               effect that needs time is then a width of the loop
     """
 
     nuisance: NuisanceClass
@@ -54,13 +53,13 @@ class View:
         return self.nuisance.tracks
 
     @Once
-    def driven(self) -> dict[object, "View"]:
-        """Return room for this view with other commands or initial states, by what changed."""
+    def cache(self) -> dict[object, "View"]:
+        """Return a cache of this view with other drives or initial states, by what differs."""
         return {}
 
     @Once
     def response(self) -> Array:
-        """Return the measured response at the rows, as it was in front of such filters."""
+        """Return the measured response at the rows, in front of the selected filters."""
         return np.concatenate([t.response[t.place] for t in self.tracks]) - self.offset
 
     @Once
@@ -100,21 +99,21 @@ class View:
     def noise(self) -> float:
         """Return the white noise of the response or of a coarse converter, rms.
 
-        What repeats every other sample passes for noise; where less is left, it was none.
+        An error that repeats every other sample looks like noise; a smaller residual shows that it
+        is none.
         """
         rows = np.diff(self.nuisance.edges)
-        left = np.add.reduceat(self.null.residual**2, self.nuisance.edges[:-1]) / rows
+        residual = np.add.reduceat(self.null.residual**2, self.nuisance.edges[:-1]) / rows
         noise = np.square([_noise(track.response) for track in self.tracks])
-        return float(np.sqrt(np.average(np.minimum(noise, left), weights=rows)))
+        return float(np.sqrt(np.average(np.minimum(noise, residual), weights=rows)))
 
     def rows(self, signals: Sequence[Array]) -> Array:
         """Return one column: signals of all tracks at the rows."""
-        picked = [s[t.place] for s, t in zip(signals, self.tracks, strict=True)]
-        return np.concatenate(picked)
+        return np.concatenate([s[t.place] for s, t in zip(signals, self.tracks, strict=True)])
 
-    def of(self, change: Callable[[int, Track], Array]) -> Array:
-        """Return one column made track by track at the rows."""
-        return self.rows([change(k, track) for k, track in enumerate(self.tracks)])
+    def of(self, signal: Callable[[int, Track], Array]) -> Array:
+        """Return one column: a signal computed for each track, at the rows."""
+        return self.rows([signal(k, track) for k, track in enumerate(self.tracks)])
 
     def track_rows(self, k: int) -> slice:
         """Return the rows of one track."""
@@ -129,13 +128,13 @@ class View:
 
 
 def _noise(response: Array) -> float:
-    # readings that stay on one step for long differ by nothing, and err by a part of the step
+    # readings that stay on one step of a converter do not differ, and err by a part of the step
     step = step_size(np.round(response, DIGITS))
     return max(white_noise_rms(response), step / sqrt(12.0))
 
 
 def view_of(tracks: Sequence[Track], *, stroke_m: float, voltage_V: float, rest: float) -> View:
-    """Fit the nuisance class to tracks whose drives were cycled before."""
+    """Return the view of tracks whose drives were cycled over their range before."""
     histories = tuple(
         History(track=track, reversals=hypotheses(track.drive)[0]) for track in tracks
     )
@@ -152,12 +151,12 @@ def view_of(tracks: Sequence[Track], *, stroke_m: float, voltage_V: float, rest:
 
 
 def cycled(view: View) -> View:
-    """Return the view as it is if every drive was cycled over its range before."""
+    """Return the view with every drive cycled over its range before."""
     return with_shared_reversals(view, tuple(hypotheses(track.drive)[0] for track in view.tracks))
 
 
 def with_free_memory(view: View) -> View:
-    """Return the view in which the first states of every track may be corrected."""
+    """Return the view with fitted corrections of the first states of every track."""
     return replace(view, nuisance=replace(view.nuisance, free=True))
 
 
@@ -169,7 +168,7 @@ def with_reversals(view: View, reversals: tuple[Reversals, ...]) -> View:
 
 
 def with_shared_reversals(view: View, reversals: tuple[Reversals, ...]) -> View:
-    """Return the view with other initial states of its tracks that nobody corrects."""
+    """Return the view with other initial states of its tracks and no fitted corrections."""
     histories = _after(view, reversals)
     return replace(view, nuisance=replace(view.nuisance, histories=histories, free=False))
 
@@ -183,14 +182,14 @@ def with_bouc_wen(view: View, bouc_wen: BoucWenLaw | None) -> View:
     return replace(view, nuisance=replace(view.nuisance, bouc_wen=bouc_wen))
 
 
-def with_let_through(view: View, let_through: Callable[[Array, float], Array]) -> View:
-    """Return the view of what is let through of commands, and nothing selected.
+def with_filtered_commands(view: View, drive_filter: Callable[[Array, float], Array]) -> View:
+    """Return the view with filtered commands, and no selected effects.
 
-    let_through  (drive, rate_Hz) -> what reaches the stage
+    drive_filter  (drive, rate_Hz) -> drive of the stage
 
-    What does not reach the stage did not before a recording either, when all was slow.
+    Turning points before a recording, slow by assumption, are filtered as well.
     """
-    commands = [let_through(track.command, track.rate_Hz) for track in view.tracks]
+    commands = [drive_filter(track.command, track.rate_Hz) for track in view.tracks]
     if all(a is b.command for a, b in zip(commands, view.tracks, strict=True)):
         return view
     tracks = tuple(
@@ -200,14 +199,14 @@ def with_let_through(view: View, let_through: Callable[[Array, float], Array]) -
         for track, command in zip(view.tracks, commands, strict=True)
     )
     before = tuple(
-        tuple(let_through(np.array(reversals), SLOWLY_Hz).tolist()) if reversals else ()
+        tuple(drive_filter(np.array(reversals), PAST_RATE_Hz).tolist()) if reversals else ()
         for reversals in view.nuisance.reversals
     )
     return with_tracks(with_reversals(view, before), tracks)
 
 
 def with_tracks(view: View, tracks: Sequence[Track]) -> View:
-    """Return the view of other tracks, and nothing selected."""
+    """Return the view of other tracks, and no selected effects."""
     histories = tuple(
         h.on(track) for h, track in zip(view.nuisance.histories, tracks, strict=True)
     )

@@ -33,7 +33,7 @@ import numpy as np
 
 from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.effect import Fault
-from piezoid.diagnosis.refitted_view import SelectedEffect, extended
+from piezoid.diagnosis.refitted_view import SelectedEffect, with_effects
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.segments import Places, Track
 from piezoid.diagnosis.signals import answers_of_others
@@ -325,21 +325,21 @@ def slips_in_place(
     cause   the view with the filter at work
     known   what slipped elsewhere
     """
-    without = extended(clean, others)
+    without = with_effects(clean, others)
     could = _rms_of_tracks(without, beside(without))
     there = clean
     found: list[Slip] = []
     for slip in strongest(without, without.null):
         if slip.gain < TAKES:
             break
-        view = extended(there, others)
+        view = with_effects(there, others)
         one = placed(view, slip, again=partial(_again, there, others))
         better = undone(there, one)
-        after = extended(better, others)
+        after = with_effects(better, others)
         follows = _rms_of_tracks(after, after.null)[slip.track] < ENOUGH * could[slip.track]
         if follows and after.rms < view.rms:
             there, found = better, [*found, one]
-    if not found or extended(there, others).rms >= cause.rms:
+    if not found or with_effects(there, others).rms >= cause.rms:
         return None
     first = max(found, key=lambda slip: slip.gain)
     if abs(first.samples) != abs(known.value):
@@ -358,7 +358,7 @@ def slips_in_place(
 
 
 def _again(clean: View, others: Sequence[SelectedEffect], tracks: Sequence[Track]) -> View:
-    return extended(with_tracks(clean, tracks), others)
+    return with_effects(with_tracks(clean, tracks), others)
 
 
 def _rms_of_tracks(view: View, null: Null) -> list[float]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from piezoid.diagnosis.candidate import (
     Candidate,
-    part_explained,
+    explained_share,
     structural_candidate,
 )
 from piezoid.diagnosis.effect import Effect, Fault
@@ -26,7 +26,7 @@ from piezoid.diagnosis.initial_state_search import (
     with_shared_initial_state,
 )
 from piezoid.diagnosis.model_comparison import Confounded, compare_models
-from piezoid.diagnosis.refitted_view import extended
+from piezoid.diagnosis.refitted_view import with_effects
 from piezoid.diagnosis.residual_view import View, with_shared_reversals, with_tracks
 from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.formatting import words
@@ -70,7 +70,7 @@ def search(view: View, executor: Executor = SERIAL) -> Outcome:
     clean, faults, initial = repaired(view, executor)
     state = select_forward(clean, faults, executor, initial)
     causes, confounded, dismissed = compare_models(state.clean, state.selected, executor)
-    final = extended(state.clean, [cause.selected for cause in causes])
+    final = with_effects(state.clean, [cause.selected for cause in causes])
     named = {cause.effect.name for cause in causes}
     found = Outcome(
         first=view,
@@ -127,7 +127,7 @@ def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
         if judgement is None:
             continue
         found, structure = judgement
-        if structure.has_a_name and stands(structure, final):
+        if structure.may_be_named and stands(structure, final):
             outcome = replace(outcome, causes=(*outcome.causes, structure))
             continue
         outcome = replace(outcome, screened={**outcome.screened, effect.name: found})
@@ -143,7 +143,7 @@ def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
 
 def stands(structure: Candidate, final: View) -> bool:
     """Tell whether structure may be named: what a class that does not fit leaves looks like it."""
-    clear = part_explained(structure.cv.gain, final.rms, final.noise) > MOST
+    clear = explained_share(structure.cv.gain, final.rms, final.noise) > MOST
     own = structure.effect.structural
     return clear or own is None or final.rms < own.largest_noise_ratio * final.noise
 

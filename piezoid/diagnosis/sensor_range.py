@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.diagnosis.coordinate_bases import Signals
-from piezoid.diagnosis.refitted_view import SelectedEffect, extended
+from piezoid.diagnosis.refitted_view import SelectedEffect, with_effects
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.segments import Track
 
@@ -66,7 +66,7 @@ def _end_on_side(
         replace(track, place=track.place[~on], block=track.block[~on])
         for track, on in zip(view.tracks, rows, strict=True)
     )
-    fitted = extended(with_tracks(view, tracks), effects)
+    fitted = with_effects(with_tracks(view, tracks), effects)
     errors, levels = [], []
     for k, (track, on) in enumerate(zip(view.tracks, is_on, strict=True)):
         error = np.zeros(len(track.response))

@@ -13,12 +13,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from piezoid.diagnosis.candidate import judged
+from piezoid.diagnosis.candidate import evaluate
 from piezoid.diagnosis.drive_history import History
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
 from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.nuisance import NuisanceClass
-from piezoid.diagnosis.refinement import initial_guess, refined
+from piezoid.diagnosis.refinement import initial_guess, refine
 from piezoid.diagnosis.refitted_view import SelectedEffect
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.score_test import score_test
@@ -143,6 +143,6 @@ def _struck(effect: Effect, scope: View) -> SelectedEffect | None:
     if seen is None or not seen.physical:
         return None
     one = initial_guess(effect, seen.trial, float(seen.cv.coefficient[0]))
-    better, view = refined(one, scope, [])
-    found = judged(better, view, scope, seen=seen)
+    better, view = refine(one, scope, [])
+    found = evaluate(better, view, scope, test=seen)
     return replace(better, from_jumps=True) if found.is_significant else None

@@ -13,7 +13,7 @@ from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effect_size import size_of
 from piezoid.diagnosis.effects import delay, rate_dependence
 from piezoid.diagnosis.refit import attribute_errors, repaired, repaired_faults
-from piezoid.diagnosis.refitted_view import SelectedEffect, extended
+from piezoid.diagnosis.refitted_view import SelectedEffect, with_effects
 from piezoid.diagnosis.residual_structure import SearchResult, UnexplainedResidual
 from piezoid.diagnosis.selection import Outcome
 from piezoid.identification.extensions import Delay
@@ -31,7 +31,7 @@ def outcome_of(recordings: Sequence[Recording], *found: SelectedEffect) -> Outco
     view = view_on(recordings, axis="x", lab=Lab())
     causes = []
     for one in found:
-        there = extended(view, [one])
+        there = with_effects(view, [one])
         causes.append(
             Candidate(
                 selected=one,

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import piezoid.diagnosis.effects as folder
-from piezoid.diagnosis.candidate import judged, structural_candidate
+from piezoid.diagnosis.candidate import evaluate, structural_candidate
 from piezoid.diagnosis.effect import HEADINGS, Effect, Filter
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.refinement import initial_guess, refined
+from piezoid.diagnosis.refinement import initial_guess, refine
 from piezoid.diagnosis.score_test import score_test
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
@@ -34,10 +34,10 @@ def speaks(effect: Effect, view) -> bool:
     if effect.structural is not None:
         _, structure = structural_candidate(effect, view)
         return structure.is_significant
-    one, there = refined(
+    one, there = refine(
         initial_guess(effect, found.trial, float(found.cv.coefficient[0])), view, []
     )
-    return judged(one, there, view, seen=found).is_significant
+    return evaluate(one, there, view, test=found).is_significant
 
 
 def test_every_file_of_the_folder_is_registered_under_its_own_name():

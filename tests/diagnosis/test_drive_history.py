@@ -17,8 +17,8 @@ from piezoid.diagnosis.nuisance_columns import (
     states_under,
 )
 from piezoid.diagnosis.residual_view import (
+    with_filtered_commands,
     with_free_memory,
-    with_let_through,
     with_reversals,
     with_tracks,
 )
@@ -115,7 +115,7 @@ def test_a_recording_too_long_to_keep_its_states_has_the_same_static_response() 
 
 def test_states_are_known_again_where_drive_and_past_are_the_same() -> None:
     whole = healthy_view()
-    view = with_let_through(
+    view = with_filtered_commands(
         whole, lambda command, rate_Hz: command * (1.0 if rate_Hz < 1.0 else 0.5)
     )
     first = view.nuisance.histories[0]
@@ -129,10 +129,10 @@ def test_states_are_known_again_where_drive_and_past_are_the_same() -> None:
 
 def test_what_ends_a_drive_ended_it_before_the_recording_as_well() -> None:
     whole = healthy_view()
-    limited = with_let_through(whole, lambda command, _: np.minimum(command, 0.6))
+    limited = with_filtered_commands(whole, lambda command, _: np.minimum(command, 0.6))
     assert limited.nuisance.reversals[0] == (whole.nuisance.reversals[0][0], 0.6)
     assert max(float(track.drive.max()) for track in limited.tracks) == pytest.approx(0.6)
-    assert with_let_through(whole, lambda command, _: command) is whole
+    assert with_filtered_commands(whole, lambda command, _: command) is whole
 
 
 def test_branches_lead_from_turns_to_where_the_drive_is_away_from_them() -> None:

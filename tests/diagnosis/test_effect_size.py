@@ -8,10 +8,10 @@ import pytest
 from scipy.signal import lfilter
 
 import piezoid
-from piezoid.diagnosis.candidate import judged
+from piezoid.diagnosis.candidate import evaluate
 from piezoid.diagnosis.effect_size import size_of
 from piezoid.diagnosis.effects import amplifier_saturation, cross_coupling
-from piezoid.diagnosis.refinement import initial_guess, refined
+from piezoid.diagnosis.refinement import initial_guess, refine
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.signals import with_displacement
 from piezoid_datasets.virtual_lab.campaign import Campaign, draw_campaign
@@ -43,8 +43,8 @@ def test_the_size_of_a_clip_is_the_part_of_the_drives_range_that_is_cut_off(seed
     view = view_of_recordings(*recorded(campaign))
     seen = score_test(amplifier_saturation.EFFECT, view)
     start = initial_guess(amplifier_saturation.EFFECT, seen.trial, float(seen.cv.coefficient[0]))
-    one, there = refined(start, view, [])
-    cause = judged(one, there, view, seen=seen)
+    one, there = refine(start, view, [])
+    cause = evaluate(one, there, view, test=seen)
     size, true = size_of(cause), cut_off_percent(campaign)
     assert cause.is_significant
     assert true > 1.0
@@ -142,8 +142,8 @@ def test_a_parameter_that_moves_nothing_leaves_a_size_its_interval() -> None:
     view = view_of_recordings(*recorded(campaign))
     seen = score_test(amplifier_saturation.EFFECT, view)
     start = initial_guess(amplifier_saturation.EFFECT, seen.trial, float(seen.cv.coefficient[0]))
-    one, there = refined(start, view, [])
+    one, there = refine(start, view, [])
     idle = replace(one, parameters={**one.parameters, "idle": 1.0}, free={**one.free, "idle": 2.0})
-    sizes = [size_of(judged(cause, there, view, seen=seen)) for cause in (one, idle)]
+    sizes = [size_of(evaluate(cause, there, view, test=seen)) for cause in (one, idle)]
     assert sizes[1].value == sizes[0].value
     assert sizes[1].ci95 == pytest.approx(sizes[0].ci95, rel=1e-3)

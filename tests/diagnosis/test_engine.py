@@ -8,15 +8,15 @@ import pytest
 
 from piezoid.diagnosis.blocked_regression import Null, paired_z
 from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
-from piezoid.diagnosis.candidate import is_consistent, judged
+from piezoid.diagnosis.candidate import evaluate, is_consistent
 from piezoid.diagnosis.effects import delay, lag, non_congruence, thermal_drift
 from piezoid.diagnosis.initial_state_search import (
     with_own_initial_states,
     with_shared_initial_state,
 )
 from piezoid.diagnosis.nuisance_columns import PLAYS, REACH, SHARED, shape, shape_columns
-from piezoid.diagnosis.refinement import initial_guess, refined
-from piezoid.diagnosis.refitted_view import SelectedEffect, extended
+from piezoid.diagnosis.refinement import initial_guess, refine
+from piezoid.diagnosis.refitted_view import SelectedEffect, with_effects
 from piezoid.diagnosis.residual_view import View, cycled
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.signals import with_displacement
@@ -50,7 +50,7 @@ def test_the_response_without_columns_is_the_response_with_them():
 
 def test_a_delay_is_found_though_its_tangent_was_at_another_time():
     seen = score_test(delay.EFFECT, late_view())
-    one, view = refined(
+    one, view = refine(
         initial_guess(delay.EFFECT, seen.trial, float(seen.cv.coefficient[0])), late_view(), []
     )
     assert seen.trial.parameters["delay_s"] != pytest.approx(LATE_s, rel=0.1)
@@ -62,7 +62,7 @@ def test_a_delay_leaves_less_than_a_lag_where_the_reading_was_late():
     errors = {}
     for effect, name in ((delay.EFFECT, "delay_s"), (lag.EFFECT, "time_s")):
         start = SelectedEffect(effect=effect, parameters={name: LATE_s}, free={name: 1.5})
-        _, view = refined(start, late_view(), [], finer=2)
+        _, view = refine(start, late_view(), [], finer=2)
         errors[name] = view
     assert errors["delay_s"].rms < 0.8 * errors["time_s"].rms
     assert paired_z(errors["time_s"].null.energy, errors["delay_s"].null.energy) > 2.0
@@ -70,7 +70,7 @@ def test_a_delay_leaves_less_than_a_lag_where_the_reading_was_late():
 
 def test_nothing_accepted_changes_nothing():
     view = late_view()
-    assert extended(view, []) is view
+    assert with_effects(view, []) is view
 
 
 def test_the_memory_of_cycled_drives_is_left_alone_and_another_one_is_found():
@@ -90,7 +90,7 @@ def test_an_effect_of_which_nothing_is_left_once_all_is_refitted_is_none():
     view = healthy_view()
     seen = score_test(thermal_drift.EFFECT, view)
     gone = replace(thermal_drift.EFFECT, columns=lambda v, _: np.zeros((len(v.response), 0)))
-    one = judged(SelectedEffect(effect=gone, parameters={}), view, view, seen=seen)
+    one = evaluate(SelectedEffect(effect=gone, parameters={}), view, view, test=seen)
     assert not one.is_significant
     assert one.share == 0.0
 
@@ -135,12 +135,12 @@ def test_a_reading_that_is_late_in_one_recording_is_no_delay_of_the_stage():
     ]
     view = view_of_recordings(tuple(one_late), lab)
     seen = score_test(delay.EFFECT, view)
-    found, there = refined(initial_guess(delay.EFFECT, seen.trial, 1.0), view, [])
+    found, there = refine(initial_guess(delay.EFFECT, seen.trial, 1.0), view, [])
     assert not is_consistent(found, there)
     start = SelectedEffect(
         effect=delay.EFFECT, parameters={"delay_s": LATE_s}, free={"delay_s": 1.5}
     )
-    assert is_consistent(*refined(start, late_view(), []))
+    assert is_consistent(*refine(start, late_view(), []))
 
 
 def test_one_frequency_does_not_tell_a_lag_from_a_width_of_the_loop():

@@ -5,8 +5,8 @@ import pytest
 
 from piezoid.diagnosis.effect import EffectEstimate, SearchScaling
 from piezoid.diagnosis.effects import amplifier_saturation, lag, slew_limit
-from piezoid.diagnosis.refinement import initial_guess, refined, stepped
-from piezoid.diagnosis.refitted_view import SelectedEffect, driven, extended
+from piezoid.diagnosis.refinement import initial_guess, refine, with_step
+from piezoid.diagnosis.refitted_view import SelectedEffect, with_effects, with_filtered_drive
 
 from .bench import healthy_view
 
@@ -19,21 +19,21 @@ def limited(speed: float) -> SelectedEffect:
 
 def test_the_drive_behind_a_limit_is_made_once_while_it_stays_the_same() -> None:
     clean = healthy_view()
-    slow = driven(clean, [limited(30.0), LAG])
-    assert driven(clean, [limited(30.0)]) is slow
-    faster = driven(clean, [limited(40.0)])
+    slow = with_filtered_drive(clean, [limited(30.0), LAG])
+    assert with_filtered_drive(clean, [limited(30.0)]) is slow
+    faster = with_filtered_drive(clean, [limited(40.0)])
     assert faster is not slow
-    assert driven(clean, [limited(30.0)]).rms == pytest.approx(slow.rms)
-    assert driven(clean, [LAG]) is clean
+    assert with_filtered_drive(clean, [limited(30.0)]).rms == pytest.approx(slow.rms)
+    assert with_filtered_drive(clean, [LAG]) is clean
 
 
 def test_a_refinement_begins_nearer_to_where_all_rounds_end_than_rounds_from_afar_come() -> None:
     clean, slow = healthy_view(), SelectedEffect(effect=lag.EFFECT, parameters={"time_s": 2e-3})
-    from_afar = extended(clean, [slow])
+    from_afar = with_effects(clean, [slow])
     settled = from_afar
     for _ in range(8):
-        settled = extended(clean, [slow], settled)
-    initial_guess = refined(slow, clean, [])[1]  # nothing of it is free
+        settled = with_effects(clean, [slow], settled)
+    initial_guess = refine(slow, clean, [])[1]  # nothing of it is free
     assert abs(initial_guess.rms - settled.rms) < 0.5 * abs(from_afar.rms - settled.rms)
 
 
@@ -50,7 +50,7 @@ def test_no_limit_that_is_tried_stops_the_drive_altogether() -> None:
         one = initial_guess(effect, trial, 1.0)
         for name in one.free:
             for part in (-60.0, -6.0, 0.0, 6.0, 60.0):
-                limits = stepped(one, name, part).parameters
+                limits = with_step(one, name, part).parameters
                 left = [effect.drive_filter(t.command, t.rate_Hz, limits) for t in view.tracks]
                 assert max(map(np.ptp, left)) > 0.04 * width
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.candidate import judged
+from piezoid.diagnosis.candidate import evaluate
 from piezoid.diagnosis.effects import resonance
-from piezoid.diagnosis.refinement import initial_guess, refined
-from piezoid.diagnosis.refitted_view import SelectedEffect, undisturbed_for
+from piezoid.diagnosis.refinement import initial_guess, refine
+from piezoid.diagnosis.refitted_view import SelectedEffect, without_ringing
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.signals import mode
@@ -49,8 +49,8 @@ def test_a_sharp_mode_on_a_harmonic_of_the_drive_is_found_at_its_frequency_and_a
     # nearer than two of the grid are to each other
     assert seen.trial.parameters["frequency_Hz"] == pytest.approx(FREQUENCY_Hz, rel=0.5 / QUALITY)
     start = initial_guess(resonance.EFFECT, seen.trial, float(seen.cv.coefficient[0]))
-    one, there = refined(start, view, [])
-    cause = judged(one, there, view, seen=seen)
+    one, there = refine(start, view, [])
+    cause = evaluate(one, there, view, test=seen)
     assert cause.physical
     assert cause.is_significant
     assert one.parameters["frequency_Hz"] == pytest.approx(FREQUENCY_Hz, rel=0.005)
@@ -63,7 +63,7 @@ def test_what_drives_a_mode_is_told_by_the_recordings_it_leaves_alone() -> None:
     view = ringing_view()
     parameters = {"frequency_Hz": FREQUENCY_Hz, "quality": QUALITY}
     ringing = SelectedEffect(effect=resonance.EFFECT, parameters=parameters)
-    calm = undisturbed_for(view, [ringing])
+    calm = without_ringing(view, [ringing])
     assert calm.guess is not None
     drive = view.tracks[2].drive
     truth, _ = moved(drive, memory_after(cycled, float(drive[0])))
@@ -73,4 +73,4 @@ def test_what_drives_a_mode_is_told_by_the_recordings_it_leaves_alone() -> None:
         for static in (calm.guess[2], view.static[2])
     ]
     assert off[0] < 0.3 * off[1]
-    assert undisturbed_for(view, []) is view
+    assert without_ringing(view, []) is view

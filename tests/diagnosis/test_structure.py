@@ -82,5 +82,5 @@ def test_a_part_that_no_bouc_wen_state_does_as_well_is_judged_without_one() -> N
     view = with_tracks(view, few)
     found, structure = structural_candidate(non_congruence.EFFECT, view)
     assert structure.view is view
-    assert structure.has_a_name
+    assert structure.may_be_named
     assert found.cv.gain > 0.2

@@ -3,8 +3,8 @@
 import pytest
 
 from piezoid.diagnosis.effects import lag, slew_limit
-from piezoid.diagnosis.refinement import initial_guess, refined, refined_together
-from piezoid.diagnosis.refitted_view import SETTLED, extended
+from piezoid.diagnosis.refinement import initial_guess, refine, refine_together
+from piezoid.diagnosis.refitted_view import SETTLED, with_effects
 from piezoid.diagnosis.score_test import score_test
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
@@ -22,11 +22,11 @@ def test_a_limit_and_the_lag_behind_it_are_found_together_and_not_one_after_the_
     for effect in (slew_limit.EFFECT, lag.EFFECT):
         seen = score_test(effect, view)
         one = initial_guess(effect, seen.trial, float(seen.cv.coefficient[0]))
-        better, view = refined(one, clean, found)
+        better, view = refine(one, clean, found)
         found.append(better)
-    together, left = refined_together(found, clean, [])
+    together, left = refine_together(found, clean, [])
     true_s = float(numbers["lag"]["time_constant_s"])
     apart_s, found_s = (pair[1].parameters["time_s"] for pair in (found, together))
     assert abs(found_s / true_s - 1.0) < 0.5 * abs(apart_s / true_s - 1.0)
     assert left.rms < 0.8 * view.rms
-    assert left.rms == pytest.approx(extended(clean, together).rms, rel=SETTLED)
+    assert left.rms == pytest.approx(with_effects(clean, together).rms, rel=SETTLED)

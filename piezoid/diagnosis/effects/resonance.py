@@ -26,7 +26,7 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
-from piezoid.diagnosis.refitted_view import without_memory
+from piezoid.diagnosis.refitted_view import with_polynomial_response
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import filtered_change, mode, through
 from piezoid.identification.extensions.extension import Extension
@@ -74,7 +74,7 @@ def _trials(view: View) -> list[Trial]:
     best, taken = _best(view, trials)
     if taken < TELLING:
         return trials
-    plain = without_memory(view)
+    plain = with_polynomial_response(view)
     return trials + [_trial(plain, way, highest_Hz) for way in _closer(best.parameters)]
 
 
