@@ -66,7 +66,7 @@ def test_noise_that_grows_with_speed_is_told_by_the_speed() -> None:
     noisy, lab, _ = noisy_stage(by_speed)
     level = level_in(noisy, lab)
     assert level is not None
-    assert level.lives.basis.coordinate == "speed"
+    assert level.score.basis.coordinate == "speed"
     assert level.range[1] > 3.0 * level.range[0]
 
 
