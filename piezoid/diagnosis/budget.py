@@ -37,12 +37,11 @@ from piezoid.diagnosis.diagnosis import (
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
 from piezoid.diagnosis.structure_findings import unexplained_finding
-from piezoid.formatting import with_unit
-from piezoid.formatting import words as name_of
+from piezoid.formatting import with_unit, words
 from piezoid.numerics.arrays import Array
 
-RESONANCE = "resonance"  # unresolved, it widens loops as another shape would
-BLOCKS = 20  # of the residual, for the scatter of its mean square
+RESONANCE = "resonance"  # an unresolved mode widens loops as another loop shape does
+BLOCKS = 20  # of the residual, for the standard error of its mean square
 ONE_SIDED_95 = 1.645
 ALPHA = 0.05  # of the rank among 52 healthy stages, whose smallest p-value is 1/53
 EXTRAPOLATION_TEXT = (
@@ -53,7 +52,7 @@ EXTRAPOLATION_TEXT = (
 
 @dataclass(frozen=True, kw_only=True)
 class RemainingErrors:
-    """Errors of the final model from which the budget takes the parts that no effect explains.
+    """Errors of the final model that determine the parts of the budget which no effect explains.
 
     explained_m  in sample, corrected for the number of parameters
     wide_m       of the widest class of hysteresis with every effect, corrected in the same way
@@ -86,7 +85,7 @@ def with_budget(
     errors: RemainingErrors,
     other_recordings: Mapping[str, str] = MappingProxyType({}),
 ) -> Diagnosis:
-    """Return a diagnosis with its error budget, and with a name for the largest remaining part.
+    """Return a diagnosis with its error budget, and with the largest remaining part named.
 
     Args:
         diagnosis: with every effect that was found; ``final`` is of the model that ships.
@@ -106,25 +105,20 @@ def with_budget(
     explained = float(np.clip(errors.explained_m**2, noise, after))
     wide = float(np.clip(errors.wide_m**2, noise, explained))
     remaining = {"extrapolation": after - explained, "unexplained": wide - noise}
+    in_sequence = {}  # gains of parts that were added to the model one after another
     if errors.before_m is None:
         remaining[LOOP_SHAPE] = explained - wide
     else:
         remaining["unexplained"] += explained - wide
+        in_sequence[LOOP_SHAPE] = float(np.clip(errors.before_m**2, after, total)) - after
     if errors.is_compared:
-        largest = max(remaining, key=lambda name: remaining[name])
-        diagnosis = _with_loop_shape(
-            diagnosis, errors, explained - wide, is_largest=largest == LOOP_SHAPE
-        )
+        is_largest = max(remaining, key=lambda name: remaining[name]) == LOOP_SHAPE
+        diagnosis = _with_loop_shape(diagnosis, errors, explained - wide, is_largest=is_largest)
     diagnosis, remaining = _with_something_else(diagnosis, errors, remaining)
-    gains = {}
-    if errors.before_m is not None:
-        gains[LOOP_SHAPE] = float(np.clip(errors.before_m**2, after, total)) - after
-    effects = _effect_parts(
-        diagnosis, total - after - sum(gains.values()), gains, other_recordings
-    )
-    effects = [part for part in effects if part.part not in remaining]
+    together = total - after - sum(in_sequence.values())
+    effects = _effect_parts(diagnosis, together, in_sequence, other_recordings)
     parts = [
-        *effects,
+        *(part for part in effects if part.part not in remaining),
         *(_remaining_part(name, power, diagnosis) for name, power in remaining.items()),
         BudgetPart(part="noise", rms_m=sqrt(noise), is_explained=False, text="Sensor noise."),
     ]
@@ -138,20 +132,22 @@ def _with_something_else(
 
     A coordinate that healthy stages show as often is not named: the budget states the size alone.
 
-    Returns the diagnosis with that finding, and the parts with its own taken off ``unexplained``.
+    Returns the diagnosis with that finding, and the parts, ``unexplained`` without its own.
     """
-    powers = dict(remaining)
-    rest, dominant = diagnosis.unexplained, max(powers, key=lambda name: powers[name])
-    far = diagnosis.final.rms_m > NOISE_RATIO * diagnosis.noise_floor_rms_m
-    is_named = SOMETHING_ELSE in diagnosis.names
-    if rest is None or is_named or not far or dominant != "unexplained":
+    powers, unexplained = dict(remaining), diagnosis.unexplained
+    exceeds_noise = diagnosis.final.rms_m > NOISE_RATIO * diagnosis.noise_floor_rms_m
+    if (
+        unexplained is None
+        or unexplained.p_value > ALPHA
+        or SOMETHING_ELSE in diagnosis.names
+        or not exceeds_noise
+        or max(powers, key=lambda name: powers[name]) != "unexplained"
+    ):
         return diagnosis, powers
-    if rest.p_value > ALPHA:
-        return diagnosis, powers
-    powers[SOMETHING_ELSE] = rest.gain * powers["unexplained"]
+    powers[SOMETHING_ELSE] = unexplained.gain * powers["unexplained"]
     powers["unexplained"] -= powers[SOMETHING_ELSE]
     finding = unexplained_finding(
-        rest,
+        unexplained,
         rms_m=sqrt(powers[SOMETHING_ELSE]),
         scatter=errors.scatter,
         final=diagnosis.final,
@@ -161,35 +157,36 @@ def _with_something_else(
 
 
 def _effect_parts(
-    diagnosis: Diagnosis, power: float, gains: Mapping[str, float], apart: Mapping[str, str]
+    diagnosis: Diagnosis,
+    power: float,
+    in_sequence: Mapping[str, float],
+    other_recordings: Mapping[str, str],
 ) -> list[BudgetPart]:
     """Divide the gain of the model among the findings; loop shape outside the model has none.
 
-    power  gain of all effects together, of the model without loop shape
-    gains  of single parts that were measured one after another, by name
+    power        gain of all effects together, of the model without loop shape
+    in_sequence  gains of parts that were measured one after another, by name
     """
     rises = {
         finding.effect: max(
             finding.held_out_rms_before_m**2 - finding.held_out_rms_after_m**2, 0.0
         )
         for finding in diagnosis.findings
-        if finding.effect not in apart and finding.effect not in gains
+        if finding.effect not in other_recordings and finding.effect not in in_sequence
     }
-    whole = sum(rises.values())
-    if whole == 0.0 and power > 0.0:
-        # the model's lag, which is no finding where it cannot be told from a width of the loop
-        rises["lag"] = whole = power
+    total_rise = sum(rises.values())
+    if total_rise == 0.0 and power > 0.0:
+        # the model's lag, which is no finding if it cannot be separated from a width of the loop
+        rises["lag"] = total_rise = power
     parts = []
-    names = dict.fromkeys((*(finding.effect for finding in diagnosis.findings), *rises, *gains))
-    for name in names:
-        share = rises.get(name, 0.0) / whole if whole > 0.0 else 0.0
-        gain = gains.get(name, power * share)
+    for name in dict.fromkeys((*diagnosis.names, *rises, *in_sequence)):
+        share = rises.get(name, 0.0) / total_rise if total_rise > 0.0 else 0.0
         parts.append(
             BudgetPart(
                 part=name,
-                rms_m=sqrt(gain),
+                rms_m=sqrt(in_sequence.get(name, power * share)),
                 is_explained=True,
-                text=apart.get(name, _effect_text(name)),
+                text=other_recordings.get(name, _effect_text(name)),
             )
         )
     return sorted(parts, key=lambda part: -part.rms_m)
@@ -199,7 +196,7 @@ def _effect_text(name: str) -> str:
     if name == SOMETHING_ELSE:
         return "Residual along one coordinate, taken off the data."
     is_fault = effect_named(name).fault is not None
-    return f"{name_of(name).capitalize()}, {'repaired in the data' if is_fault else 'modelled'}."
+    return f"{words(name).capitalize()}, {'repaired in the data' if is_fault else 'modelled'}."
 
 
 def _remaining_part(name: str, power: float, diagnosis: Diagnosis) -> BudgetPart:
@@ -219,42 +216,43 @@ def _with_loop_shape(
 ) -> Diagnosis:
     """Return the diagnosis with loop shape among its findings, or among what was not detected.
 
-    It is found where the error without it is above the noise, and the model has a wider class of
+    It is a finding if the error without it is above the noise, and the model has a wider class of
     hysteresis, or loop shape is the largest part, or a significant half of the explained error.
+
+    power  explained by the widest class of hysteresis and not by the model
     """
     noise_m, after_m = diagnosis.noise_floor_rms_m, diagnosis.final.rms_m
+    in_model = errors.before_m is not None
     if errors.before_m is None:
-        before_m = after_m
-        doubt = max(errors.scatter, 1e-6) * errors.explained_m**2
+        before_m, power_std = after_m, max(errors.scatter, 1e-6) * errors.explained_m**2
         is_half = power > 0.5 * (errors.explained_m**2 - noise_m**2)
-        is_named = is_largest or (is_half and power > ONE_SIDED_95 * doubt)
+        is_named = is_largest or (is_half and power > ONE_SIDED_95 * power_std)
     else:
-        before_m = errors.before_m
+        before_m, is_named = errors.before_m, True
         power = max(before_m**2 - after_m**2, 0.0)
-        doubt = max(errors.scatter, 1e-6) * before_m**2
-        is_named = True
+        power_std = max(errors.scatter, 1e-6) * before_m**2
     if before_m <= NOISE_RATIO * noise_m or not is_named:
-        return _without_loop_shape(diagnosis, sqrt(max(power, 0.0) + ONE_SIDED_95 * doubt))
+        return _without_loop_shape(diagnosis, sqrt(max(power, 0.0) + ONE_SIDED_95 * power_std))
     effect = effect_named(LOOP_SHAPE)
-    low, high = (sqrt(max(power + side * 1.96 * doubt, 0.0)) for side in (-1.0, 1.0))
+    low, high = (sqrt(max(power + side * 1.96 * power_std, 0.0)) for side in (-1.0, 1.0))
+    evidence = (
+        "The model simulates with the wider class."
+        if in_model
+        else f"In sample the model reaches {with_unit(errors.explained_m, 'm')}, the widest "
+        f"class of hysteresis {with_unit(errors.wide_m, 'm')}."
+    )
     finding = Finding(
         effect=LOOP_SHAPE,
         held_out_gain=held_out_gain(before_m, after_m),
         held_out_rms_before_m=before_m,
         held_out_rms_after_m=after_m,
-        p_value=0.5 * erfc(power / doubt / sqrt(2.0)) if doubt > 0.0 else 0.0,
+        p_value=0.5 * erfc(power / power_std / sqrt(2.0)) if power_std > 0.0 else 0.0,
         rms_percent=100.0 * sqrt(power) / diagnosis.stroke_m,
         size=Size(value=1e9 * sqrt(power), unit=effect.unit, ci95=(1e9 * low, 1e9 * high)),
         not_separable_from=tuple(
             f.effect for f in diagnosis.findings if f.effect == RESONANCE and not f.held_out_gain
         ),
-        explanation=f"{effect.summary} "
-        + (
-            "The model simulates with the wider class."
-            if errors.before_m is not None
-            else f"In sample the model reaches {with_unit(errors.explained_m, 'm')}, the widest "
-            f"class of hysteresis {with_unit(errors.wide_m, 'm')}."
-        ),
+        explanation=f"{effect.summary} {evidence}",
         next_experiment=effect.experiment,
         parameters={},
     )
@@ -262,13 +260,14 @@ def _with_loop_shape(
 
 
 def _without_loop_shape(diagnosis: Diagnosis, bound_m: float) -> Diagnosis:
-    absent = NotDetected(
+    effect = effect_named(LOOP_SHAPE)
+    bounded = NotDetected(
         effect=LOOP_SHAPE,
         upper_bound_m=bound_m,
         detection_limit_m=bound_m,
         reason="the widest class of hysteresis takes at most "
         f"{with_unit(bound_m, 'm')} rms off the error of the model",
-        next_experiment=effect_named(LOOP_SHAPE).experiment,
+        next_experiment=effect.experiment,
     )
-    others = [n for n in diagnosis.not_detected if n.effect != LOOP_SHAPE]
-    return replace(diagnosis, not_detected=(*others, absent))
+    others = [absence for absence in diagnosis.not_detected if absence.effect != LOOP_SHAPE]
+    return replace(diagnosis, not_detected=(*others, bounded))

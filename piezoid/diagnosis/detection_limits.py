@@ -1,4 +1,4 @@
-"""Absence: how large an effect may be that was not named, and the size that would have shown."""
+"""Effects that were not detected: an upper bound of each, and the size that would be detected."""
 
 from math import sqrt
 
@@ -13,24 +13,20 @@ SPEEDS = (
     "Record the same loops at half the speed or less as well: what needs time shrinks with speed, "
     "hysteresis stays."
 )
-POWER = 2.8 / 1.645  # bound for one-sided 95 % to limit for four cases of five
+POWER = 2.8 / 1.645  # limit for four cases in five, in units of a one-sided 95 % bound
 
 
-def absent(effect: Effect, outcome: Outcome) -> NotDetected:
-    """Return what is known of an effect that is not among the causes."""
-    found = _sought(effect, outcome)
-    untestable = effect.untestable(outcome.final)
-    width = "" if found is None or found.separable or untestable else _width(effect, outcome)
-    if found is not None and not untestable and not width:
-        return _bounded(found, outcome)
-    if untestable or width or effect.fault is None:
-        return NotDetected(
-            effect=effect.name,
-            upper_bound_m=None,
-            detection_limit_m=None,
-            reason=untestable or width or "nothing in these recordings excites it",
-            next_experiment=SPEEDS if width else effect.experiment,
-        )
+def not_detected(effect: Effect, outcome: Outcome) -> NotDetected:
+    """Return the upper bound and the detection limit of an effect that was not selected."""
+    test, untestable = _last_test(effect, outcome), effect.untestable(outcome.final)
+    if untestable:
+        return _untested(effect, untestable, effect.experiment)
+    if test is not None and not test.separable:
+        return _untested(effect, _inseparable_reason(effect, outcome), SPEEDS)
+    if test is not None:
+        return _bounded(test, outcome)
+    if effect.fault is None:
+        return _untested(effect, "nothing in these recordings excites it", effect.experiment)
     limit_m = effect.fault.bound(outcome.clean) * 2.0 * outcome.final.stroke_m
     return NotDetected(
         effect=effect.name,
@@ -41,81 +37,80 @@ def absent(effect: Effect, outcome: Outcome) -> NotDetected:
     )
 
 
-def not_sought(effect: Effect, against: str) -> NotDetected:
-    """Say of an effect that it was not tested, because the model class does not apply."""
+def not_tested(effect: Effect, rejection: str) -> NotDetected:
+    """State that an effect was not tested because the model class does not apply."""
+    reason = f"not tested, because the model class does not apply: {rejection}"
+    return _untested(effect, reason, effect.experiment)
+
+
+def _untested(effect: Effect, reason: str, next_experiment: str) -> NotDetected:
     return NotDetected(
         effect=effect.name,
         upper_bound_m=None,
         detection_limit_m=None,
-        reason=f"not tested, because the model class does not apply: {against}",
-        next_experiment=effect.experiment,
+        reason=reason,
+        next_experiment=next_experiment,
     )
 
 
-def _sought(effect: Effect, outcome: Outcome) -> ScoreTest | None:
-    """Return where the effect was sought: of two ways, the one in which more may be hidden."""
-    ways = (effect.name, f"{effect.name} {BETWEEN}")
-    sought = [outcome.screened[way] for way in ways if way in outcome.screened]
-    return max(sought, key=lambda one: one.absorption * one.bound, default=None)
+def _last_test(effect: Effect, outcome: Outcome) -> ScoreTest | None:
+    """Return the last score test, within or between recordings: that of the larger bound."""
+    names = (effect.name, f"{effect.name} {BETWEEN}")
+    tests = [outcome.screened[name] for name in names if name in outcome.screened]
+    return max(tests, key=lambda test: test.absorption * test.bound, default=None)
 
 
-def _width(effect: Effect, outcome: Outcome) -> str:
-    """Say what an effect is not separable from where the drive has one speed."""
-    alike = [
+def _inseparable_reason(effect: Effect, outcome: Outcome) -> str:
+    confounded = [
         words(name)
-        for name, found in outcome.screened.items()
-        if name in effect.confounded and not found.separable
+        for name, test in outcome.screened.items()
+        if name in effect.confounded and not test.separable
     ]
     return (
-        f"not separable from hysteresis{''.join(f', {name}' for name in alike)}: like branches "
+        f"not separable from {', '.join(('hysteresis', *confounded))}: like branches "
         "were all driven at one speed, and there each is a width of the loop"
     )
 
 
-def _bounded(found: ScoreTest, outcome: Outcome) -> NotDetected:
-    # what hysteresis takes up is there all the same
-    across_m = found.absorption * 2.0 * outcome.final.stroke_m
-    doubt = found.bound - found.share
-    needed = outcome.final.rms / 2.0 * sqrt(2.0 * found.effect.minimum_gain)
-    bound_m = across_m * found.bound
-    # what may be there and was not named has not shown either
-    limit_m = max(across_m * max(POWER * doubt, needed, MINIMUM_SHARE, found.floor), bound_m)
+def _bounded(test: ScoreTest, outcome: Outcome) -> NotDetected:
+    """Return the bounds of a tested effect, with the part that hysteresis absorbs.
+
+    The limit is not below the bound: an effect of that size may be present and was not named.
+    """
+    effect, final = test.effect, outcome.final
+    scale_m = test.absorption * 2.0 * final.stroke_m
+    bound_m = scale_m * test.bound
+    min_share = final.rms / 2.0 * sqrt(2.0 * effect.minimum_gain)
+    margin = POWER * (test.bound - test.share)
+    limit_m = max(scale_m * max(margin, min_share, MINIMUM_SHARE, test.floor), bound_m)
+    placebo = "" if test.placebo is None else f", its placebo {100 * test.placebo.gain:.2g} %"
     return NotDetected(
-        effect=found.effect.name,
+        effect=effect.name,
         upper_bound_m=bound_m,
         detection_limit_m=limit_m,
         reason=(
             f"at most {with_unit(bound_m, 'm')} rms; it reduces the held-out error by "
-            f"{100 * found.cv.gain:.2g} % ({found.cv.z:.2g} standard errors)"
-            f"{_beside_placebo(found)}"
-            f"{_held_back(found, outcome) or _in_spite_of(found, outcome)}"
+            f"{100 * test.cv.gain:.2g} % ({test.cv.z:.2g} standard errors)"
+            f"{placebo}{_why_not_named(test, outcome)}"
         ),
-        next_experiment=found.effect.experiment,
+        next_experiment=effect.experiment,
     )
 
 
-def _beside_placebo(found: ScoreTest) -> str:
-    if found.placebo is None:
+def _why_not_named(test: ScoreTest, outcome: Outcome) -> str:
+    """State why an effect was not named although its score test alone is significant."""
+    effect, final = test.effect, outcome.final
+    causes = ", ".join(words(cause.effect.name) for cause in outcome.causes)
+    if effect.name in outcome.held_back:
+        other = (
+            f"a residue of {causes}" if causes else "structure that no hysteresis class explains"
+        )
+        return f": not named, because these recordings cannot separate it from {other}"
+    if test.cv.gain < effect.minimum_gain or test.cv.z < MINIMUM_Z:
         return ""
-    return f", its placebo {100 * found.placebo.gain:.2g} %"
-
-
-def _in_spite_of(found: ScoreTest, outcome: Outcome) -> str:
-    """Say why what seems to be evidence by itself was not named."""
-    if found.cv.gain < found.effect.minimum_gain or found.cv.z < MINIMUM_Z:
-        return ""
-    if not found.physical:
+    if not test.physical:
         return ": not named, because this size is physically impossible"
-    if not exceeds_structure(found.share, outcome.final.rms, outcome.final.noise):
+    if not exceeds_structure(test.share, final.rms, final.noise):
         return ": not named, because structure that no hysteresis class explains is as large"
-    causes = ", ".join(words(cause.effect.name) for cause in outcome.causes)
-    rest = f", or it is a residue of {causes}" if causes else ""
-    return f": not named, because it is not significant beside the other effects{rest}"
-
-
-def _held_back(found: ScoreTest, outcome: Outcome) -> str:
-    if found.effect.name not in outcome.held_back:
-        return ""
-    causes = ", ".join(words(cause.effect.name) for cause in outcome.causes)
-    beside = f"a residue of {causes}" if causes else "structure that no hysteresis class explains"
-    return f": not named, because these recordings cannot separate it from {beside}"
+    residue = f", or it is a residue of {causes}" if causes else ""
+    return f": not named, because it is not significant beside the other effects{residue}"

@@ -13,7 +13,7 @@ import numpy as np
 from piezoid.diagnosis.budget import RemainingErrors, corrected, with_budget
 from piezoid.diagnosis.closed_loop_recordings import with_creep_of_holds
 from piezoid.diagnosis.constant_drive import diagnose_at_rest
-from piezoid.diagnosis.detection_limits import absent, not_sought
+from piezoid.diagnosis.detection_limits import not_detected, not_tested
 from piezoid.diagnosis.diagnosis import (
     SOMETHING_ELSE,
     Diagnosis,
@@ -26,7 +26,7 @@ from piezoid.diagnosis.findings import findings_of, held_out
 from piezoid.diagnosis.forward_selection import SLIP
 from piezoid.diagnosis.identified_modes import split_known_modes, with_modes
 from piezoid.diagnosis.ingest_faults import with_ingested
-from piezoid.diagnosis.refit import ModelErrors, attribute_errors, repaired
+from piezoid.diagnosis.refit import ModelErrors, attribute_errors, repair_recordings
 from piezoid.diagnosis.residual_structure import (
     SearchResult,
     add_structure,
@@ -143,8 +143,8 @@ class _Selection:
         raw, clean = self.result.raw.tracks, self.result.outcome.clean.tracks
         if self.result.structure is not None:
             clean = add_structure(self.result.outcome.clean, self.result.structure)
-        mended = repaired(self.recordings, self.axis, raw, clean, self.scales)
-        by_name = {recording.name: recording for recording in mended}
+        repaired = repair_recordings(self.recordings, self.axis, raw, clean, self.scales)
+        by_name = {recording.name: recording for recording in repaired}
         return tuple(by_name.get(recording.name, recording) for recording in recordings)
 
 
@@ -282,7 +282,9 @@ def _assembled(
         ),
         findings=searched,
         not_detected=tuple(
-            not_sought(effect, outcome.against) if outcome.against else absent(effect, outcome)
+            not_tested(effect, outcome.against)
+            if outcome.against
+            else not_detected(effect, outcome)
             for effect in every_effect()
             if effect.name not in named
         ),

@@ -1,12 +1,12 @@
-"""Refit the shipped model with the effects of a search, and measure what each one is worth.
+"""Refit the shipped model with the selected effects, and measure the contribution of each.
 
-Each effect becomes extensions of the axis model, started where the search ended. Everything is
-refitted together, and again without each effect; all errors are of the same left-out rows. The
-baseline is the static model with the declared rig alone. A fault is repaired in the recordings
-themselves, so that the model meets what the search met.
+Each effect becomes extensions of the axis model, whose start values are those of the search. All
+are refitted together, and again without each effect; all errors are of the same held-out rows. The
+baseline is the static model with the declared rig alone. A fault of the data is repaired in the
+recordings themselves, as it was in the search.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -15,7 +15,7 @@ import numpy as np
 from piezoid.diagnosis.budget import relative_scatter
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE
 from piezoid.diagnosis.effect import EffectEstimate, scaling_of
-from piezoid.diagnosis.effects import every_effect
+from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.residual_structure import SearchResult, add_structure
 from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.selection import Outcome
@@ -34,21 +34,21 @@ from piezoid.identification.piece_start import wandering_zeros
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 
-FREE_RUNGS = 0.85  # of the error: what free shares of a creep ladder must leave to be kept
-LEFT_OF_LAG = 0.1  # of a lag beside the mode that it had stood for
+FREE_RUNGS = 0.85  # of the error: what free shares of a creep ladder must leave
+SMALL_LAG = 0.1  # of the model's lag: start value beside a mode that it had stood for
 STATIC = Structure(lag=False)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelErrors:
-    """Held-out errors of the model that ships, rms in m.
+    """Held-out errors of the model, rms in m.
 
     baseline_m  of the static model on the recordings as they came
     final_m     with every effect, faults repaired
     without_m   with every effect but one, by its name
     scatter     relative standard error of the mean square of the final error
-    model       what ships: with the fitted lag where no lag or delay was found; as it was given
-                where its class does not apply
+    model       that ships: with the fitted lag where no lag or delay was found; unchanged where
+                its class does not apply
     """
 
     baseline_m: float
@@ -73,38 +73,38 @@ def attribute_errors(
     model       the axis as fitted to them, or to earlier ones
     scales      of the search
     """
-    outcome, raw = result.outcome, result.raw.tracks
-    faults, clean = repaired_faults(outcome), outcome.clean.tracks
-    curved = clean
-    if result.structure is not None:
-        curved = add_structure(outcome.clean, result.structure)
-    rows_differ = any(len(a.place) > len(b.place) for a, b in zip(curved, clean, strict=True))
-    return refitted(
-        repaired(recordings, model.axis, raw, clean, scales),
-        [
-            EffectEstimate(
-                effect=cause.effect.name,
-                parameters=cause.selected.parameters,
-                coefficient=cause.cv.coefficient,
-                from_jumps=cause.selected.from_jumps,
-            )
-            for cause in outcome.causes
-        ],
+    outcome, structure = result.outcome, result.structure
+    raw, tracks, faults = result.raw.tracks, outcome.clean.tracks, repaired_faults(outcome)
+    full = tracks if structure is None else add_structure(outcome.clean, structure)
+    rows_differ = any(len(a.place) > len(b.place) for a, b in zip(full, tracks, strict=True))
+    has_rows = bool(faults) or rows_differ
+    estimates = [
+        EffectEstimate(
+            effect=cause.effect.name,
+            parameters=cause.selected.parameters,
+            coefficient=cause.cv.coefficient,
+            from_jumps=cause.selected.from_jumps,
+        )
+        for cause in outcome.causes
+    ]
+    return refit_model(
+        repair_recordings(recordings, model.axis, raw, tracks, scales),
+        estimates,
         model=model,
         lab=lab,
         scales=scales,
         raw=recordings,
         faults=faults,
-        whole=None
-        if result.structure is None
-        else repaired(recordings, model.axis, raw, curved, scales),
-        places=[track.place for track in clean] if faults or rows_differ else None,
-        places_of_whole=[track.place for track in curved] if faults or rows_differ else None,
+        rows=[track.place for track in tracks] if has_rows else None,
+        with_structure=None
+        if structure is None
+        else repair_recordings(recordings, model.axis, raw, full, scales),
+        structure_rows=[track.place for track in full] if has_rows else None,
         progress=progress,
     )
 
 
-def refitted(
+def refit_model(
     recordings: Sequence[Recording],
     estimates: Sequence[EffectEstimate],
     *,
@@ -113,98 +113,115 @@ def refitted(
     scales: Scales,
     raw: Sequence[Recording],
     faults: Sequence[str] = (),
-    whole: Sequence[Recording] | None = None,
-    places: Sequence[Samples] | None = None,
-    places_of_whole: Sequence[Samples] | None = None,
+    rows: Sequence[Samples] | None = None,
+    with_structure: Sequence[Recording] | None = None,
+    structure_rows: Sequence[Samples] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> ModelErrors:
     """Refit a model with effects, and again without each of them.
 
-    recordings  in which the axis moves, faults repaired, in the order in which they were made
-    estimates   of the effects, by the search
-    model       the axis as fitted: where all refits begin
-    lab         its clock is part of the rig
-    raw         the recordings as they came
-    faults      names of faults that were repaired: without them everything is fitted to ``raw``
-    whole       the same with something in them that no effect stands for; None: nothing is
-    places      samples that may count, track by track; None: all, spread thinly
-    places_of_whole  those of ``whole``
+    recordings      in which the axis moves, faults repaired, in the order of their recording
+    estimates       of the effects, by the search
+    model           the axis as fitted: all refits begin there
+    lab             its clock is part of the rig
+    raw             the recordings as they came
+    faults          names of repaired faults: without them the model is fitted to ``raw``
+    rows            samples that count, for each track; None: all, thinned evenly
+    with_structure  the recordings with structure that no effect explains; None: there is none
+    structure_rows  samples of these that count
     """
-    scaling = scaling_of(model, recordings, scales)
-    clock_Hz = lab.acquisition.sampling_rate_Hz
-    declared = () if clock_Hz is None else (ConverterHold(hold_s=0.5 / clock_Hz),)
-    effects = {effect.name: effect for effect in every_effect()}
-    given: dict[str, tuple[Extension, ...]] = {}
-    structure = STATIC
-    for estimate in estimates:
-        effect = effects[estimate.effect]
-        if effect.extend is not None:
-            given[estimate.effect] = effect.extend(estimate, scaling)
-        if effect.structural is not None:
-            structure = effect.structural.structure(structure, model, True)
-    every = in_order([*declared, *(part for parts in given.values() for part in parts)])
+    extensions, starts, structure = _with_effects(model, recordings, estimates, lab, scales)
     progress("refitting the simulation")
+    declared = _declared_hold(lab)
     baseline = fit_extended(model, raw, declared, structure=STATIC)
-    final = _with_free_rungs(
-        fit_extended(
-            model, recordings, every, others=(baseline.model,), structure=structure, places=places
-        ),
-        recordings,
-        structure,
-        places,
+    others = (baseline.model,)
+    final = fit_extended(
+        model, recordings, extensions, others=others, structure=structure, places=rows
     )
-    again = partial(fit_extended, final.model, others=(baseline.model,))
+    final = _with_free_rungs(final, recordings, structure, rows)
+    fitted = final.model.extensions
+    again = partial(fit_extended, final.model, others=others)
     without = {}
     for estimate in estimates:
         progress(f"refitting without {words(estimate.effect)}")
-        effect = effects[estimate.effect]
-        own = given.get(estimate.effect, ())
-        rest = [
-            fitted
-            for start, fitted in zip(every, final.model.extensions, strict=True)
-            if not any(start is part for part in own)
+        removed = starts.get(estimate.effect, ())
+        remaining = [
+            extension
+            for start, extension in zip(extensions, fitted, strict=True)
+            if not any(start is part for part in removed)
         ]
-        bare = structure
-        if effect.structural is not None:
-            bare = effect.structural.structure(structure, model, False)
-        without[estimate.effect] = again(recordings, rest, structure=bare, places=places)
+        reduced = _structure_of(structure, estimate, model, has_effect=False)
+        without[estimate.effect] = again(recordings, remaining, structure=reduced, places=rows)
     if faults:
-        broken = again(raw, final.model.extensions, structure=structure)
-        without |= dict.fromkeys(faults, broken)
-    if whole is not None:
+        unrepaired = again(raw, fitted, structure=structure)
+        without |= dict.fromkeys(faults, unrepaired)
+    if with_structure is not None:
         progress("refitting without the unnamed structure")
         without[SOMETHING_ELSE] = again(
-            whole, final.model.extensions, structure=structure, places=places_of_whole
+            with_structure, fitted, structure=structure, places=structure_rows
         )
-    # a zero that moves would be left out by a refit without a drift
+    # a refit without a drift would drop a zero that moves
     drifts = wandering_zeros(model.starts, model.quality.rms_m, model.quality.range_m)
-    ships = given or (not drifts and (model.verdict.applies or estimates))
+    ships = starts or (not drifts and (model.verdict.applies or estimates))
     return ModelErrors(
         baseline_m=baseline.held_out_rms_m,
         final_m=final.held_out_rms_m,
-        without_m={name: error.held_out_rms_m for name, error in without.items()},
+        without_m={name: fit.held_out_rms_m for name, fit in without.items()},
         scatter=relative_scatter(final.held_m),
-        model=_shipped(model, recordings, final, structure, places) if ships else model,
+        model=_shipped(model, recordings, final, structure, rows) if ships else model,
     )
+
+
+def _declared_hold(lab: Lab) -> tuple[ConverterHold, ...]:
+    clock_Hz = lab.acquisition.sampling_rate_Hz
+    return () if clock_Hz is None else (ConverterHold(hold_s=0.5 / clock_Hz),)
+
+
+def _with_effects(
+    model: AxisModel,
+    recordings: Sequence[Recording],
+    estimates: Sequence[EffectEstimate],
+    lab: Lab,
+    scales: Scales,
+) -> tuple[tuple[Extension, ...], dict[str, tuple[Extension, ...]], Structure]:
+    """Return all extensions in their order, those of each effect, and the static structure."""
+    scaling, structure = scaling_of(model, recordings, scales), STATIC
+    starts: dict[str, tuple[Extension, ...]] = {}
+    for estimate in estimates:
+        extend = effect_named(estimate.effect).extend
+        if extend is not None:
+            starts[estimate.effect] = extend(estimate, scaling)
+        structure = _structure_of(structure, estimate, model, has_effect=True)
+    parts = (part for of_effect in starts.values() for part in of_effect)
+    return tuple(in_order([*_declared_hold(lab), *parts])), starts, structure
+
+
+def _structure_of(
+    structure: Structure, estimate: EffectEstimate, model: AxisModel, *, has_effect: bool
+) -> Structure:
+    """Return the static structure with or without an effect that is a part of it."""
+    structural = effect_named(estimate.effect).structural
+    if structural is None:
+        return structure
+    return structural.structure(structure, model, has_effect)
 
 
 def _with_free_rungs(
     final: Extended,
     recordings: Sequence[Recording],
     structure: Structure,
-    places: Sequence[Samples] | None,
+    rows: Sequence[Samples] | None,
 ) -> Extended:
-    """Free the share of each rung of a creep ladder where the error is clearly smaller.
+    """Free the share of each rung of a creep ladder if the error is then clearly smaller.
 
-    Free rungs follow hysteresis that differs a little from the model's, so they must earn it.
+    Free rungs also follow hysteresis that differs a little from the model's.
     """
-    free = tuple(
-        replace(e, even=False) if isinstance(e, CreepLadder) else e for e in final.model.extensions
-    )
-    if not any(isinstance(e, CreepLadder) for e in free):
+    extensions = final.model.extensions
+    if not any(isinstance(extension, CreepLadder) for extension in extensions):
         return final
-    loose = fit_extended(final.model, recordings, free, structure=structure, places=places)
-    return loose if loose.held_out_rms_m < FREE_RUNGS * final.held_out_rms_m else final
+    free = [replace(e, even=False) if isinstance(e, CreepLadder) else e for e in extensions]
+    refit = fit_extended(final.model, recordings, free, structure=structure, places=rows)
+    return refit if refit.held_out_rms_m < FREE_RUNGS * final.held_out_rms_m else final
 
 
 def _shipped(
@@ -212,80 +229,83 @@ def _shipped(
     recordings: Sequence[Recording],
     final: Extended,
     structure: Structure,
-    places: Sequence[Samples] | None,
+    rows: Sequence[Samples] | None,
 ) -> AxisModel:
     """Return the final model with its one lag where the runtime looks for it.
 
-    A lag that was fitted before any effect was found stands for a mode as well: beside the mode it
-    begins also as what may be left of it.
+    A lag that was fitted before any effect was found stands for a mode as well, so beside a mode
+    it also starts from a fraction of its value.
     """
-    late = next((e for e in final.model.extensions if isinstance(e, Delay | FirstOrderLag)), None)
-    if late is None:
-        lags = (model.lag, replace(model.lag, time_s=LEFT_OF_LAG * model.lag.time_s))
-        start, other = (replace(final.model, lag=lag) for lag in lags)
+    extensions = final.model.extensions
+    lag = next((e for e in extensions if isinstance(e, Delay | FirstOrderLag)), None)
+    if lag is None:
+        small = replace(model.lag, time_s=SMALL_LAG * model.lag.time_s)
         return fit_extended(
-            start,
+            replace(final.model, lag=model.lag),
             recordings,
-            final.model.extensions,
-            others=(other,),
+            extensions,
+            others=(replace(final.model, lag=small),),
             structure=replace(structure, lag=True),
-            places=places,
+            places=rows,
         ).model
-    if isinstance(late, FirstOrderLag):
-        lag = Lag(kind="first_order", time_s=late.lag_s)
-    elif late.delay_samples > 0.0:
+    if isinstance(lag, FirstOrderLag):
+        model_lag = Lag(kind="first_order", time_s=lag.lag_s)
+    elif lag.delay_samples > 0.0:
         return final.model
     else:
-        lag = Lag(kind="delay", time_s=late.delay_s)
-    std_s = late.std[0] if late.std else 0.0
+        model_lag = Lag(kind="delay", time_s=lag.delay_s)
+    std_s = lag.std[0] if lag.std else 0.0
     return replace(
         final.model,
-        lag=lag,
-        extensions=tuple(e for e in final.model.extensions if e is not late),
-        uncertainty=final.model.uncertainty.known_anew("lag_s", lag.time_s, std_s),
+        lag=model_lag,
+        extensions=tuple(e for e in extensions if e is not lag),
+        uncertainty=final.model.uncertainty.known_anew("lag_s", model_lag.time_s, std_s),
     )
 
 
 def repaired_faults(outcome: Outcome) -> tuple[str, ...]:
-    """Return the faults that were repaired; the others ask for a new measurement."""
-    before, names = outcome.first.tracks, []
+    """Return the faults that were repaired; the others need a new measurement."""
+    tracks, names = outcome.first.tracks, []
     for name, fault in outcome.faults.items():
-        if any(a is not b for a, b in zip(before, fault.tracks, strict=True)):
+        if any(a is not b for a, b in zip(tracks, fault.tracks, strict=True)):
             names.append(name)
-        before = fault.tracks
+        tracks = fault.tracks
     return tuple(names)
 
 
-def repaired(
+def repair_recordings(
     recordings: Sequence[Recording],
     axis: str,
     before: Sequence[Track],
     after: Sequence[Track],
     scales: Scales,
 ) -> tuple[Recording, ...]:
-    """Return recordings with the changes that repairs made to their tracks."""
+    """Apply the changes that a search made to its tracks to the recordings."""
     pairs = iter(zip(before, after, strict=True))
-    mended = []
-    for recording in recordings:
-        change = {
-            Quantity.VOLTAGE: np.zeros(recording.samples),
-            Quantity.DISPLACEMENT: np.zeros(recording.samples),
-        }
-        for part in recording.pieces:
-            if part.stop - part.start < MINIMUM_SAMPLES:
-                continue
-            old, new = next(pairs)
-            change[Quantity.VOLTAGE][part] = scales.voltage_V * (new.drive - old.drive)
-            change[Quantity.DISPLACEMENT][part] = scales.displacement_m * (
-                new.response - old.response
-            )
-        if any(values.any() for values in change.values()):
-            channels = tuple(
-                replace(channel, values=channel.values + change[channel.quantity])
-                if channel.axis == axis and channel.quantity in change
-                else channel
-                for channel in recording.channels
-            )
-            recording = replace(recording, channels=channels)
-        mended.append(recording)
-    return tuple(mended)
+    return tuple(_repair(recording, axis, pairs, scales) for recording in recordings)
+
+
+def _repair(
+    recording: Recording, axis: str, pairs: Iterator[tuple[Track, Track]], scales: Scales
+) -> Recording:
+    change = {
+        Quantity.VOLTAGE: np.zeros(recording.samples),
+        Quantity.DISPLACEMENT: np.zeros(recording.samples),
+    }
+    for piece in recording.pieces:
+        if piece.stop - piece.start < MINIMUM_SAMPLES:
+            continue  # too short for a track
+        old, new = next(pairs)
+        change[Quantity.VOLTAGE][piece] = scales.voltage_V * (new.drive - old.drive)
+        change[Quantity.DISPLACEMENT][piece] = scales.displacement_m * (
+            new.response - old.response
+        )
+    if not any(values.any() for values in change.values()):
+        return recording
+    channels = tuple(
+        replace(channel, values=channel.values + change[channel.quantity])
+        if channel.axis == axis and channel.quantity in change
+        else channel
+        for channel in recording.channels
+    )
+    return replace(recording, channels=channels)

@@ -12,7 +12,7 @@ from piezoid.diagnosis.diagnose import diagnose, view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effect_size import size_of
 from piezoid.diagnosis.effects import delay, rate_dependence
-from piezoid.diagnosis.refit import attribute_errors, repaired, repaired_faults
+from piezoid.diagnosis.refit import attribute_errors, repair_recordings, repaired_faults
 from piezoid.diagnosis.refitted_view import SelectedEffect, with_effects
 from piezoid.diagnosis.residual_structure import SearchResult, UnexplainedResidual
 from piezoid.diagnosis.selection import Outcome
@@ -94,7 +94,7 @@ def test_a_repair_changes_the_recording_where_it_was_and_nothing_else() -> None:
     view = view_on(spiked, axis="x", lab=Lab())
     mended = view_on(recordings, axis="x", lab=Lab())
     scales = scales_of(spiked, "x")
-    first, second = repaired(spiked, "x", view.tracks, mended.tracks, scales)
+    first, second = repair_recordings(spiked, "x", view.tracks, mended.tracks, scales)
     np.testing.assert_allclose(
         first.displacement_m(), recordings[0].displacement_m(), rtol=0, atol=1e-15
     )

@@ -8,7 +8,7 @@ import pytest
 
 import piezoid.diagnosis.effects as effects
 from piezoid.diagnosis.effect import EffectEstimate
-from piezoid.diagnosis.refit import refitted
+from piezoid.diagnosis.refit import refit_model
 from piezoid.identification.extensions import CreepLadder, Delay, SlewLimit
 from piezoid.identification.hysteresis.pieces import Scales
 from piezoid.identification.simulation import simulate_recording
@@ -28,7 +28,7 @@ FOUND = (
 
 def _refitted(recordings: Sequence[Recording], found: Sequence[EffectEstimate], **asked: Any):
     known = {"model": known_model(), "lab": Lab(), "scales": SCALES, "raw": recordings}
-    return refitted(recordings, found, **{**known, **asked})
+    return refit_model(recordings, found, **{**known, **asked})
 
 
 def test_every_effect_but_faults_of_the_data_has_its_place_in_the_model() -> None:
