@@ -28,8 +28,8 @@ from piezoid.diagnosis.residual_view import (
     with_free_memory,
     with_reversals,
 )
-from piezoid.diagnosis.sample_slips import slips_in_place
 from piezoid.diagnosis.score_test import ScoreTest, score_test
+from piezoid.diagnosis.slip_replacement import replace_filter_by_slips
 from piezoid.diagnosis.step_responses import modes_behind_jumps
 from piezoid.formatting import words
 from piezoid.numerics.executor import Executor
@@ -291,7 +291,7 @@ def _with_slips_in_place(state: SelectionState) -> SelectionState | None:
         if one.effect.response_filter is None:
             continue
         others = tuple(other for other in state.selected if other is not one)
-        slips = slips_in_place(state.clean, others, state.view, known)
+        slips = replace_filter_by_slips(state.clean, others, state.view, known)
         if slips is not None:
             clean, fault = slips
             faults = {**state.faults, SLIP: fault.after(known)}

@@ -7,9 +7,15 @@ import pytest
 
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effects import timestamp_fault
-from piezoid.diagnosis.effects.timestamp_fault import evidence_of
+from piezoid.diagnosis.effects.timestamp_fault import slip_evidence
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.sample_slips import Slip, beside, longest, placed, strongest
+from piezoid.diagnosis.sample_slips import (
+    Slip,
+    delay_like_null,
+    max_slip,
+    refine_slip,
+    strongest_slips,
+)
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
@@ -37,24 +43,24 @@ def view_of(*recordings: Recording) -> View:
 @pytest.mark.parametrize("seed", [2, 7, 9])
 def test_a_recording_that_hardly_moves_promises_no_slip_longer_than_may_be(seed) -> None:
     view = view_of(recording("sweep"), recording("walk"), wandering(seed, 1.3, 0.05))
-    slips = strongest(view, beside(view))
+    slips = strongest_slips(view, delay_like_null(view))
     assert slips
     for slip in slips:
-        assert abs(slip.samples) <= longest(len(view.tracks[slip.track].drive))
+        assert abs(slip.samples) <= max_slip(len(view.tracks[slip.track].drive))
     assert timestamp_fault.EFFECT.fault.find(view) is None
 
 
 def test_stretches_of_equal_speed_that_tell_of_too_long_a_slip_are_not_believed() -> None:
     """What was placed at 683 samples would be one of 939 of 9000, clear by all other signs."""
     view = view_of(recording("sweep"), wandering(154, 2.2, 0.03))
-    null = beside(view)
-    wanders = next(slip for slip in strongest(view, null) if slip.track == 1)
-    judged = evidence_of(view, null, placed(view, wanders))
+    null = delay_like_null(view)
+    wanders = next(slip for slip in strongest_slips(view, null) if slip.track == 1)
+    judged = slip_evidence(view, null, refine_slip(view, wanders))
     assert judged is not None
     told = round(judged.step)
-    assert abs(judged.slip.samples) < longest(SAMPLES) < abs(told)
-    long = placed(view, replace(wanders, samples=told), fixed=True)
-    asked = evidence_of(view, null, long)
+    assert abs(judged.slip.samples) < max_slip(SAMPLES) < abs(told)
+    long = refine_slip(view, replace(wanders, samples=told), has_length=True)
+    asked = slip_evidence(view, null, long)
     assert asked is not None
     assert asked.is_significant
     assert timestamp_fault.EFFECT.fault.find(view) is None
@@ -64,5 +70,5 @@ def test_stretches_of_equal_speed_that_tell_of_too_long_a_slip_are_not_believed(
 def test_a_slip_is_not_made_longer_than_may_be_where_it_is_placed(sign) -> None:
     view = view_with(walk=slipped(clean("walk")[2], 4100, sign * 960))
     slip = Slip(track=1, instant=4100, samples=sign * 850.0, gain=0.5)
-    there = placed(view, slip)
-    assert sign * there.samples == longest(SAMPLES)
+    there = refine_slip(view, slip)
+    assert sign * there.samples == max_slip(SAMPLES)

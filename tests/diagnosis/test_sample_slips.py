@@ -10,10 +10,10 @@ from benchmarks.zoo.stages import drawn, stage
 from piezoid.diagnosis.diagnose import diagnose, view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import timestamp_fault
-from piezoid.diagnosis.effects.timestamp_fault import evidence_of
+from piezoid.diagnosis.effects.timestamp_fault import slip_evidence
 from piezoid.diagnosis.ingest_faults import with_ingested
 from piezoid.diagnosis.residual_view import with_tracks
-from piezoid.diagnosis.sample_slips import Slip, beside, places_of, strongest
+from piezoid.diagnosis.sample_slips import Slip, delay_like_null, slip_places, strongest_slips
 from piezoid.diagnosis.selection import Outcome
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Channel, Quantity
@@ -74,9 +74,9 @@ def test_a_delay_that_only_fast_stretches_have_is_no_slip():
     late_m = late_m + np.random.default_rng(8).normal(0.0, NOISE_m, 9000)
     recordings = [recording("sweep"), recording("walk"), recording("waves", late_m, field)]
     view = view_on(recordings, axis="x", lab=Lab())
-    null = beside(view)
-    for slip in strongest(view, null):
-        judged = evidence_of(view, null, replace(slip, samples=round(slip.samples) or 1))
+    null = delay_like_null(view)
+    for slip in strongest_slips(view, null):
+        judged = slip_evidence(view, null, replace(slip, samples=round(slip.samples) or 1))
         assert judged is None or not judged.is_significant
 
 
@@ -136,7 +136,7 @@ def test_a_time_is_told_only_of_recordings_that_are_whole():
     track = healthy().tracks[0]
     tracks = [replace(track, name=name, rate_Hz=100.0) for name in ("a", "b", "b")]
     slips = [Slip(track=k, instant=250, samples=1.0, gain=0.5) for k in range(3)]
-    assert places_of(slips, tracks) == ("a from 2.5 s on", "b", "b")
+    assert slip_places(slips, tracks) == ("a from 2.5 s on", "b", "b")
 
 
 @pytest.mark.slow

@@ -25,264 +25,270 @@ from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.effect import Effect, Fault, FaultTest
 from piezoid.diagnosis.effects.outliers import without_spikes
 from piezoid.diagnosis.residual_view import View, with_tracks
-from piezoid.diagnosis.sample_slips import FEWEST as FEWEST_ROWS
 from piezoid.diagnosis.sample_slips import (
-    OWN,
-    Searched,
+    MIN_ROWS,
+    MIN_UNSHARED,
     Slip,
-    beside,
+    SlipScan,
+    delay_change,
+    delay_like_null,
     in_step,
-    late,
-    longest,
-    placed,
-    places_of,
-    strongest,
-    undone,
-    width_of,
+    instant_error,
+    max_slip,
+    refine_slip,
+    slip_places,
+    strongest_slips,
+    undo_slip,
 )
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
-WHOLE = 0.4  # how far beta may be from one
-GAIN = 0.33  # of the track's squared residual: what a slip must take
-SURE = 6.0  # standard errors of the step among stretches of equal speed
-LEAST_SHARE = 3e-4  # of half the stroke: what the slip must be worth in rms
+MAX_BETA_ERROR = 0.4  # largest deviation of beta from one, and of the step from the length
+MIN_GAIN = 0.33  # of the track's squared residual
+MIN_STEP_Z = 6.0  # standard errors of the step among windows of equal speed
+MIN_RMS = 3e-4  # of half the stroke
 WINDOWS = 36
-EQUAL = 1.6  # speeds within this ratio are equal
-FEWEST = 3  # stretches on either side
-ONE_WAY = 0.08  # of the squared speed
-DRAWN = 2000  # orders of the stretches
-MOST = 8  # slips
-CLEAR = 0.6  # of a track's squared residual: so much a slip takes that is clear by itself
-KEPT = 0.6  # of what the tangent promised
-LOOK = 0.05  # of a track's squared residual, to look closer
+EQUAL_SPEED = 1.6  # speeds within this ratio count as equal
+MIN_WINDOWS = 3  # on either side
+MIN_REVERSE_MOTION = 0.08  # of the squared speed
+PERMUTATIONS = 2000
+MAX_SLIPS = 8
+EVIDENT_GAIN = 0.6  # of a track's squared residual: evident beside slips of other tracks
+MIN_KEPT = 0.6  # of the gain of the tangent, by the refitted slip
+MIN_TRIAL_GAIN = 0.05  # of a track's squared residual, for a slip that is refined
 
 
 @dataclass(frozen=True, kw_only=True)
 class SlipEvidence:
-    """A slip with what speaks for it: the delay of stretches of equal speed before and behind it.
+    """Evidence of a slip: the delay of windows of equal speed before and after it.
 
-    A limit of the amplifier, a lag or hysteresis that knows rate delays fast stretches more than
-    slow ones, whenever they come. A slip delays all that follows and nothing before.
+    A limit of the amplifier, a lag or rate-dependent hysteresis delays fast windows more than slow
+    ones, whenever they come. A slip delays everything after it and nothing before.
 
-    beta       estimate over length
-    step       of the delay among stretches of equal speed, in samples, and its standard error
-    p_value    of a step this clear where the stretches come in any other order
-    worth      rms of what it changes, of half the stroke
+    beta     estimated length over length
+    step     of the delay among windows of equal speed, in samples
+    std      standard error of this step
+    p_value  of such a step if the windows are in random order
+    rms      of the change by the slip, of half the stroke
     """
 
     slip: Slip
     beta: float
     step: float
-    deviation: float
+    std: float
     p_value: float
-    worth: float
+    rms: float
 
     @property
     def is_significant(self) -> bool:
-        """Tell whether this is evidence of a slip."""
-        away = abs(self.step - self.slip.samples)
+        """Whether the step is significant, and agrees with the length of a slip of some size."""
+        deviation = abs(self.step - self.slip.samples)
         return (
-            self.worth > LEAST_SHARE
-            and away < WHOLE * abs(self.slip.samples) + 2.0 * self.deviation
-            and self.slip.gain > GAIN
-            and abs(self.step) > SURE * self.deviation
-            and abs(self.beta - 1.0) < WHOLE
+            self.rms > MIN_RMS
+            and deviation < MAX_BETA_ERROR * abs(self.slip.samples) + 2.0 * self.std
+            and self.slip.gain > MIN_GAIN
+            and abs(self.step) > MIN_STEP_Z * self.std
+            and abs(self.beta - 1.0) < MAX_BETA_ERROR
         )
 
 
-def hidden(view: View) -> float:
-    """Return the rms of the largest slip that could be there unseen, of the stroke.
+def largest_undetected(view: View) -> float:
+    """Return the rms of the largest slip that could be present undetected, of the stroke.
 
-    A slip is evident if it takes the part g of a track's squared residual R^2; where nothing else
-    stands for the part f of its own square,
+    A slip is evident if it explains the share g of a track's squared residual R^2. If nothing else
+    follows the share f of its own square,
 
         rms^2 < g R^2 / f,
 
-    f for a slip in the middle of all places at which one is looked for.
+    f for a slip at the median of all instants that are tried.
     """
-    null, worst = beside(view), LEAST_SHARE
+    null, largest = delay_like_null(view), MIN_RMS
     for k in range(len(view.tracks)):
-        track = Searched.of(view, null, k)
-        if len(track.place) < FEWEST_ROWS:
+        scan = SlipScan.of(view, null, k)
+        if len(scan.place) < MIN_ROWS:
             continue
-        first = track.instants()
+        first = scan.instants()
         if len(first):
-            share = max(float(np.median(track.own_share(1, first))), OWN)
-            worst = max(worst, float(np.sqrt(GAIN / share * np.mean(track.residual**2))))
-    return worst / 2.0
+            unshared = max(float(np.median(scan.unshared_part(1, first))), MIN_UNSHARED)
+            power = MIN_GAIN / unshared * np.mean(scan.residual**2)
+            largest = max(largest, float(np.sqrt(power)))
+    return largest / 2.0
 
 
-def evidence_of(view: View, null: Null, slip: Slip) -> SlipEvidence | None:
-    """Compare the delay of stretches of equal speed before and behind a slip.
+def slip_evidence(view: View, null: Null, slip: Slip) -> SlipEvidence | None:
+    """Compare the delay of windows of equal speed before and after a slip.
 
-    None where no speed was met on both sides, or the stage moved one way only.
+    Returns None if no speed occurs on both sides, or the stage moves one way only.
     """
-    track = Searched.of(view, null, slip.track)
-    n, samples = len(track.place), int(slip.samples)
-    first = int(np.searchsorted(track.place, slip.instant))
-    if not FEWEST < first < n - FEWEST:
+    scan = SlipScan.of(view, null, slip.track)
+    n, samples = len(scan.place), int(slip.samples)
+    first = int(np.searchsorted(scan.place, slip.instant))
+    if not MIN_WINDOWS < first < n - MIN_WINDOWS:
         return None
-    gain, beta = (float(v[0]) for v in track.score(samples, np.array([first])))
-    change = late(track.static, track.place, samples)
+    gain, beta = (float(values[0]) for values in scan.score(samples, np.array([first])))
+    change = delay_change(scan.static, scan.place, samples)
     column = np.zeros(len(null.residual))
-    column[track.rows] = np.where(np.arange(n) >= first, change, 0.0)
-    left = (null.residual - beta * null.without(column))[track.rows]
-    parts = _stretches(change, first)
-    square = np.array([change[p] @ change[p] for p in parts]) + 1e-300
-    behind = np.array([p.start >= first for p in parts])
-    delay = samples * (np.array([change[p] @ left[p] for p in parts]) / square + beta * behind)
-    speed = np.sqrt(np.array([np.sum(change[p] ** 4) for p in parts]) / square) + 1e-150
-    equal = _equal(speed, behind)
-    if _fewer(behind[equal]) < FEWEST or not _both_ways(change, first):
+    column[scan.rows] = np.where(np.arange(n) >= first, change, 0.0)
+    residual = (null.residual - beta * null.without(column))[scan.rows]
+    windows = _windows(change, first)
+    square = np.array([change[w] @ change[w] for w in windows]) + 1e-300
+    is_after = np.array([w.start >= first for w in windows])
+    product = np.array([change[w] @ residual[w] for w in windows])
+    delay = samples * (product / square + beta * is_after)
+    speed = np.sqrt(np.array([np.sum(change[w] ** 4) for w in windows]) / square) + 1e-150
+    is_common = _occurs_on_both_sides(speed, is_after)
+    sides = is_after[is_common]
+    if min(sides.sum(), (~sides).sum()) < MIN_WINDOWS or not _moves_both_ways(change, first):
         return None
-    step, deviation = _step(delay[equal], behind[equal], np.sqrt(square[equal]))
+    weight = np.sqrt(square[is_common])
+    step, std = _step(delay[is_common], sides, weight)
     return SlipEvidence(
         slip=replace(slip, gain=gain),
         beta=beta,
         step=step,
-        deviation=deviation,
-        p_value=_chance(delay[equal], np.sqrt(square[equal])),
-        worth=float(np.sqrt(np.mean(change[first:] ** 2) * (n - first) / n)),
+        std=std,
+        p_value=_permutation_p_value(delay[is_common], weight),
+        rms=float(np.sqrt(np.mean(change[first:] ** 2) * (n - first) / n)),
     )
 
 
-def _both_ways(change: Array, first: int) -> bool:
-    """Tell whether the stage moves to and fro on either side: one way only may be an offset."""
-    parts = (change[:first], change[first:])
-    forth = [
-        float(np.sum(np.maximum(part, 0.0) ** 2) / max(part @ part, 1e-300)) for part in parts
-    ]
-    return all(ONE_WAY < share < 1.0 - ONE_WAY for share in forth)
+def _windows(change: Array, first: int) -> list[slice]:
+    """Cut a track's rows into windows of equal motion, none across the slip."""
+    motion = np.cumsum(change**2)
+    edges = np.searchsorted(motion, np.linspace(0.0, motion[-1], WINDOWS + 1)[1:-1])
+    edges = np.unique(np.concatenate([[0, first, len(change)], edges]))
+    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
 
-def _fewer(behind: NDArray[np.bool_]) -> int:
-    """Return how many stretches lie on the side that has fewer."""
-    return int(min(behind.sum(), (~behind).sum()))
+def _occurs_on_both_sides(speed: Array, is_after: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Tell of which windows the speed occurs on the other side of the slip as well."""
+    is_equal = np.abs(np.log(speed[:, None] / speed[None, :])) < np.log(EQUAL_SPEED)
+    is_across = is_after[:, None] != is_after[None, :]
+    return np.asarray(np.any(is_equal & is_across, axis=1))
 
 
-def _stretches(change: Array, first: int) -> list[slice]:
-    """Cut a track's rows into stretches that tell as much as each other, none across a slip."""
-    told = np.cumsum(change**2)
-    edges = np.searchsorted(told, np.linspace(0.0, told[-1], WINDOWS + 1)[1:-1])
-    whole = np.unique(np.concatenate([[0, first, len(change)], edges]))
-    return [slice(int(a), int(b)) for a, b in pairwise(whole)]
+def _moves_both_ways(change: Array, first: int) -> bool:
+    """Tell whether the stage reverses on either side: otherwise a slip may be an offset."""
+    for side in (change[:first], change[first:]):
+        forward = np.sum(np.maximum(side, 0.0) ** 2) / max(side @ side, 1e-300)
+        if not MIN_REVERSE_MOTION < forward < 1.0 - MIN_REVERSE_MOTION:
+            return False
+    return True
 
 
-def _equal(speed: Array, behind: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the stretches whose speed was met on the other side as well."""
-    near = np.abs(np.log(speed[:, None] / speed[None, :])) < np.log(EQUAL)
-    across = behind[:, None] != behind[None, :]
-    return np.asarray(np.any(near & across, axis=1))
-
-
-def _step(delay: Array, behind: NDArray[np.bool_], weight: Array) -> tuple[float, float]:
+def _step(delay: Array, is_after: NDArray[np.bool_], weight: Array) -> tuple[float, float]:
     """Return the difference of the weighted means of two groups, and its standard error."""
-    means, squares = [], []
-    for group in (behind, ~behind):
+    means, variances = [], []
+    for group in (is_after, ~is_after):
         w = weight[group] / weight[group].sum()
         means.append(float(w @ delay[group]))
-        # each counts as often as its share of the weight
-        count = 1.0 / float(w @ w)
-        squares.append(float(w @ (delay[group] - means[-1]) ** 2) / max(count - 1.0, 0.5))
-    return means[0] - means[1], float(np.sqrt(sum(squares))) + 1e-6
+        effective_count = 1.0 / float(w @ w)
+        variance = float(w @ (delay[group] - means[-1]) ** 2)
+        variances.append(variance / max(effective_count - 1.0, 0.5))
+    return means[0] - means[1], float(np.sqrt(sum(variances))) + 1e-6
 
 
-def _chance(delay: Array, weight: Array) -> float:
-    """Return how often the stretches in any other order have as clear a step somewhere."""
-    draw = np.random.default_rng(len(delay))
-    orders = np.array([draw.permutation(len(delay)) for _ in range(DRAWN)])
+def _permutation_p_value(delay: Array, weight: Array) -> float:
+    """Return how often windows in random order have as significant a step at some instant."""
+    rng = np.random.default_rng(len(delay))
+    orders = np.array([rng.permutation(len(delay)) for _ in range(PERMUTATIONS)])
     orders[0] = np.arange(len(delay))
     w = weight[orders]
-    moved = np.cumsum(w * (delay[orders] - np.average(delay, weights=weight)), axis=1)[:, :-1]
+    deviation = delay[orders] - np.average(delay, weights=weight)
+    total = np.cumsum(w * deviation, axis=1)[:, :-1]
     share = np.cumsum(w, axis=1)[:, :-1] / weight.sum()
-    clear = np.max(moved**2 / np.maximum(share * (1.0 - share), 1e-12), axis=1)
-    return float(np.mean(clear >= clear[0] * (1.0 - 1e-12)))
+    largest = np.max(total**2 / np.maximum(share * (1.0 - share), 1e-12), axis=1)
+    return float(np.mean(largest >= largest[0] * (1.0 - 1e-12)))
 
 
-def _fault(view: View) -> Fault | None:
-    # spikes are another fault; here they would only hide a small slip
-    quiet = [without_spikes(t, s) for t, s in zip(view.tracks, view.static, strict=True)]
-    calm = (
-        view
-        if all(a is b for a, b in zip(quiet, view.tracks, strict=True))
-        else with_tracks(view, quiet)
-    )
-    found: list[SlipEvidence] = []
-    while len(found) < MOST:
-        judged = _next(calm)
-        if judged is None:
+def find_slips(view: View) -> Fault | None:
+    """Find slips one after the other, each with all earlier ones undone."""
+    repaired = _without_spikes(view)
+    slips: list[SlipEvidence] = []
+    while len(slips) < MAX_SLIPS:
+        evidence = _next_slip(repaired)
+        if evidence is None:
             break
-        better = undone(calm, judged.slip)
-        if not _believed(calm, better, judged):
+        trial = undo_slip(repaired, evidence.slip)
+        if not _is_confirmed(repaired, trial, evidence):
             break
-        found.append(judged)
-        calm = better
-    if not found:
+        slips.append(evidence)
+        repaired = trial
+    if not slips:
         return None
     tracks = list(view.tracks)
-    for one in found:
-        tracks[one.slip.track] = in_step(tracks[one.slip.track], one.slip)
-    # what was placed too long or too short while others were in the way is put right later
-    same = [one for one in found if _near(one.slip, found[0].slip, view)]
-    last = same[-1]
+    for evidence in slips:
+        tracks[evidence.slip.track] = in_step(tracks[evidence.slip.track], evidence.slip)
+    # the length of a slip found beside other slips is corrected by another one at its instant
+    first = [evidence for evidence in slips if _is_same(evidence.slip, slips[0].slip, view)]
+    last = first[-1]
     return Fault(
         tracks=tuple(tracks),
-        value=sum(one.slip.samples for one in same),
-        spread=float(np.hypot(last.deviation, last.step - last.slip.samples)),
-        p_value=min(one.p_value for one in found),
-        where=places_of([one.slip for one in found], view.tracks),
+        value=sum(evidence.slip.samples for evidence in first),
+        spread=float(np.hypot(last.std, last.step - last.slip.samples)),
+        p_value=min(evidence.p_value for evidence in slips),
+        where=slip_places([evidence.slip for evidence in slips], view.tracks),
     )
 
 
-def _believed(calm: View, better: View, judged: SlipEvidence) -> bool:
-    """Tell whether less is left with a slip put right; one that is none makes the true one larger.
-
-    Where other tracks slip as well, less may be left only beside all that looks like a delay: then
-    as much must go as the tangent promised.
-    """
-    if better.rms < calm.rms:
-        return True
-    before, after = beside(calm), beside(better)
-    track = slice(*calm.nuisance.edges[judged.slip.track : judged.slip.track + 2])
-    promised = judged.slip.gain * float(np.sum(before.residual[track] ** 2))
-    gone = float(np.sum(before.residual**2) - np.sum(after.residual**2))
-    return judged.slip.gain > CLEAR and gone > KEPT * promised
+def _without_spikes(view: View) -> View:
+    """Return the view without spikes, another fault that would hide a small slip."""
+    tracks = [without_spikes(t, s) for t, s in zip(view.tracks, view.static, strict=True)]
+    if all(a is b for a, b in zip(tracks, view.tracks, strict=True)):
+        return view
+    return with_tracks(view, tracks)
 
 
-def _near(one: Slip, other: Slip, view: View) -> bool:
-    """Tell whether two slips are one, found in two goes."""
-    width = width_of(len(view.tracks[other.track].drive))
-    return one.track == other.track and abs(one.instant - other.instant) <= width
-
-
-def _next(view: View) -> SlipEvidence | None:
-    """Return the clearest slip that is left."""
-    null = beside(view)
-    for slip in strongest(view, null):
-        if slip.gain < LOOK:
+def _next_slip(view: View) -> SlipEvidence | None:
+    """Return the strongest significant slip; None if there is none."""
+    null = delay_like_null(view)
+    for slip in strongest_slips(view, null):
+        if slip.gain < MIN_TRIAL_GAIN:
             break
-        judged = evidence_of(view, null, placed(view, slip))
-        if judged is not None and abs(judged.step - judged.slip.samples) > 2.0 * judged.deviation:
-            # fitted in the midst of other slips: stretches of equal speed know the length better
-            length = round(judged.step) or int(np.sign(slip.samples))
-            if abs(length) > longest(len(view.tracks[slip.track].drive)):
+        evidence = slip_evidence(view, null, refine_slip(view, slip))
+        if evidence is not None and abs(evidence.step - evidence.slip.samples) > 2 * evidence.std:
+            # beside other slips the step of windows of equal speed is the better length
+            length = round(evidence.step) or int(np.sign(slip.samples))
+            if abs(length) > max_slip(len(view.tracks[slip.track].drive)):
                 continue
-            judged = evidence_of(
-                view, null, placed(view, replace(slip, samples=length), fixed=True)
-            )
-        if judged is not None and judged.is_significant and _alone(view, judged):
-            return judged
+            resized = refine_slip(view, replace(slip, samples=length), has_length=True)
+            evidence = slip_evidence(view, null, resized)
+        if (
+            evidence is not None
+            and evidence.is_significant
+            and _is_significant_beside_other_axes(view, evidence.slip)
+        ):
+            return evidence
     return None
 
 
-def _alone(view: View, judged: SlipEvidence) -> bool:
-    """Tell whether a slip speaks beside what other axes may move as well."""
+def _is_significant_beside_other_axes(view: View, slip: Slip) -> bool:
     if not any(track.others for track in view.tracks):
         return True
-    there = evidence_of(view, beside(view, others=True), judged.slip)
-    return there is not None and there.is_significant
+    evidence = slip_evidence(view, delay_like_null(view, other_axes=True), slip)
+    return evidence is not None and evidence.is_significant
+
+
+def _is_confirmed(before: View, after: View, evidence: SlipEvidence) -> bool:
+    """Tell whether undoing a slip reduces the error; undoing a wrong one hides the true one.
+
+    Beside slips of other tracks the error may fall only beside all that resembles a delay: then an
+    evident slip must explain most of what its tangent promised.
+    """
+    if after.rms < before.rms:
+        return True
+    null, undone_null = delay_like_null(before), delay_like_null(after)
+    rows = before.track_rows(evidence.slip.track)
+    promised = evidence.slip.gain * float(np.sum(null.residual[rows] ** 2))
+    explained = float(np.sum(null.residual**2) - np.sum(undone_null.residual**2))
+    return evidence.slip.gain > EVIDENT_GAIN and explained > MIN_KEPT * promised
+
+
+def _is_same(slip: Slip, other: Slip, view: View) -> bool:
+    """Tell whether two slips are the same one, found in two steps."""
+    width = instant_error(len(view.tracks[other.track].drive))
+    return slip.track == other.track and abs(slip.instant - other.instant) <= width
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -306,7 +312,7 @@ EFFECT = Effect(
     shows=OVER_TIME,
     tangent="its remedy is the acquisition's own counter in a column",
     confounded=("delay",),
-    fault=FaultTest(find=_fault, bound=hidden),
+    fault=FaultTest(find=find_slips, bound=largest_undetected),
     detectable_share=1.2e-2,
     inject=inject,
 )
