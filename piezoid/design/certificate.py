@@ -100,7 +100,7 @@ class Certificate:
         """
         if slew_m_per_s > self.reference_slew_m_per_s:
             return float(np.inf)
-        bound_m = max((one.at(slew_m_per_s) for one in self.speed_bounds), default=np.inf)
+        bound_m = max((bound.at(slew_m_per_s) for bound in self.speed_bounds), default=np.inf)
         return min(bound_m, self.guaranteed_error_m)
 
 

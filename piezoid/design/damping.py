@@ -179,7 +179,7 @@ def raise_bandwidth(
 
 def _largest_Hz(
     family: PlantFamily,
-    asked: Callable[[float], Specification],
+    at_bandwidth: Callable[[float], Specification],
     least_Hz: float,
     most_Hz: float,
     form: str,
@@ -187,7 +187,7 @@ def _largest_Hz(
     """Return the largest bandwidth, to three digits, that a loop meets which damps the mode."""
 
     def meets(bandwidth_Hz: float) -> bool:
-        specification = asked(bandwidth_Hz)
+        specification = at_bandwidth(bandwidth_Hz)
         for method in (DAMPED, *METHODS):
             tuned = tune_observer(family, specification, form=form, method=method, until_met=True)
             controller = linear_controller(tuned.observer)

@@ -263,9 +263,9 @@ def _cells(axis: AxisDesign, loop: LoopDesign) -> tuple[str, ...]:
 LAYOUTS = (
     RecordLayout(
         kind=Design,
-        write=lambda one: {
+        write=lambda design: {
             name: value
-            for name, value in fields_of(one).items()
+            for name, value in fields_of(design).items()
             if name != "decoupling" or value is not None
         },
     ),

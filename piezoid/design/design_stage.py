@@ -1,6 +1,6 @@
-"""design_stage: a model in, the controllers of its axes out."""
+"""Design the controllers of all axes of a model."""
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -11,7 +11,8 @@ from piezoid.design.design import AxisDesign, Design
 from piezoid.design.feasibility import at_feasible_bandwidth
 from piezoid.design.junction_task import axis_of, design_vertical, vertical_task
 from piezoid.design.lateral import design_lateral
-from piezoid.design.lateral_task import FORMS, LateralTask, lateral_task
+from piezoid.design.lateral_task import FORMS, lateral_task
+from piezoid.design.plant import PlantFamily
 from piezoid.design.specification import Specification, specifications_from_toml
 from piezoid.errors import DesignError, LabFileError, PiezoidError, TemplateError
 from piezoid.identification.actuator_model import ActuatorModel
@@ -25,7 +26,7 @@ _SLOWEST_Hz, _FASTEST_Hz = 1.0, 1e7  # of the runtime
 
 @dataclass(frozen=True, kw_only=True)
 class SpecificationText:
-    """What somebody asks for, over the defaults; the text and the name of ``design.toml``."""
+    """Requested specifications, over the defaults: the text and the name of ``design.toml``."""
 
     text: str = ""
     source: str = "design.toml"
@@ -33,7 +34,7 @@ class SpecificationText:
 
 @dataclass(frozen=True, kw_only=True)
 class AxisDesignResult:
-    """What comes of designing one axis: a controller, a refusal or an obstacle.
+    """Result of designing one axis: a controller, a refusal or an obstacle.
 
     design    the controller
     slower    the same axis before its bandwidth was raised beyond a mode; None: it was not
@@ -50,9 +51,9 @@ class AxisDesignResult:
 
 @dataclass(frozen=True, kw_only=True)
 class _Task:
-    """How one axis is designed, and what it is asked for by default.
+    """Design function of one axis, and its default specification.
 
-    raised  what a default may become where a mode can be damped; a tip's stays as it is
+    raised  raises the bandwidth of a default where a mode can be damped; not for a tip
     """
 
     design: Callable[[Specification], AxisDesign]
@@ -155,10 +156,11 @@ def design_of(
         raise next(iter([*refused.values(), *obstacles]))
     decoupling = None
     if coupled is not None:
-        coupled_axes = [
-            axis_design for axis_design in designed if axis_design.axis in coupled.outputs
+        bandwidths_Hz = [
+            axis_design.recommended.bandwidth_Hz
+            for axis_design in designed
+            if axis_design.axis in coupled.outputs
         ]
-        bandwidths_Hz = [axis_design.recommended.bandwidth_Hz for axis_design in coupled_axes]
         decoupling = decoupling_of(coupled, min(bandwidths_Hz, default=coupled.band_Hz[0]))
     remarks = () if decoupling is None else (decoupling.text,)
     unused = _unused(lab or Lab(), [outcome.axis for outcome in outcomes])
@@ -193,16 +195,16 @@ def without_damping(
     A loop that damps a mode rests on its frequency; one below it does not.
     """
     return tuple(
-        replace(one, design=one.slower, slower=None)
-        if one.axis in axes and one.slower is not None
-        else one
-        for one in outcomes
+        replace(outcome, design=outcome.slower, slower=None)
+        if outcome.axis in axes and outcome.slower is not None
+        else outcome
+        for outcome in outcomes
     )
 
 
 def _outcome(name: str, task: _Task, specification: Specification) -> AxisDesignResult:
-    """Design exactly what somebody asks for; a default may give way in its bandwidth,
-    and goes beyond it where damping a mode allows that.
+    """Design a requested specification exactly; adapt the bandwidth of a default, downwards to
+    what is feasible and upwards where damping a mode allows that.
     """
     try:
         if specification is not task.specification:
@@ -247,20 +249,23 @@ def _lateral_task(
             remedy="Read in the report why it does not apply, and record again.",
         )
     task = lateral_task(axis, controller_rate_Hz(model, rate_Hz), forms=forms)
-    specification = _between_converters(name, task.specification, lab)
+    recommended = next(form for form in FORMS if form in task.families)
+
+    def design(families: Mapping[str, PlantFamily], specification: Specification) -> AxisDesign:
+        return design_lateral(
+            name, families, specification, bounds=task.bounds, disturbances=task.disturbances
+        )
+
+    def raised(base: AxisDesign, default: Specification) -> AxisDesign:
+        """Return the axis with its recommended loop beyond a mode; the loops beside it stay."""
+        family = task.families[recommended]
+        recommended_only = partial(design, {recommended: family})
+        return raise_bandwidth(base, family, default, recommended_only, form=recommended)
+
     return _Task(
-        design=partial(_lateral, name, task),
-        specification=specification,
-        raised=partial(_raised, name, task),
-    )
-
-
-def _raised(name: str, task: LateralTask, base: AxisDesign, default: Specification) -> AxisDesign:
-    """Return the axis with its recommended loop beyond a mode; loops to compare it with stay."""
-    form = next(form for form in FORMS if form in task.families)
-    single_form = replace(task, families={form: task.families[form]})
-    return raise_bandwidth(
-        base, task.families[form], default, partial(_lateral, name, single_form), form=form
+        design=partial(design, task.families),
+        specification=_between_converters(name, task.specification, lab),
+        raised=raised,
     )
 
 
@@ -271,11 +276,11 @@ def _between_converters(name: str, default: Specification, lab: Lab) -> Specific
     not those at the converter.
     """
     converters = converters_of(lab, name)
-    known = [v for v in (default.voltage_slew_V_per_s, converters.command_slew_V_per_s) if v]
+    slews = [v for v in (default.voltage_slew_V_per_s, converters.command_slew_V_per_s) if v]
     stepped = replace(
         default,
         voltage_step_V=converters.command_step_V,
-        voltage_slew_V_per_s=min(known, default=None),
+        voltage_slew_V_per_s=min(slews, default=None),
     )
     if converters.command_V is None:
         return stepped
@@ -324,13 +329,3 @@ def controller_rate_Hz(model: ActuatorModel, asked_Hz: float | None) -> float:
             remedy="Correct sampling_rate_Hz in lab.toml and fit again, or --rate.",
         )
     return rate_Hz
-
-
-def _lateral(name: str, task: LateralTask, specification: Specification) -> AxisDesign:
-    return design_lateral(
-        name,
-        task.families,
-        specification,
-        bounds=task.bounds,
-        disturbances=task.disturbances,
-    )

@@ -53,11 +53,11 @@ def _bandwidth(design: AxisDesign, axis: AxisModel) -> list[Statement]:
     if limit_Hz is None or bandwidth_Hz < NEAR_LIMIT * limit_Hz:
         return []
     until_Hz = MAX_CHIRP_SHARE * design.sampling_rate_Hz
-    known = unseen(axis)
-    if known.peak >= FIRST_MODE:
+    unknown = unseen(axis)
+    if unknown.peak >= FIRST_MODE:
         reason, level = "no resonance was recorded", Level.ACTION
     else:
-        reason = f"the recordings show the response only up to {with_unit(known.from_Hz, 'Hz')}"
+        reason = f"the recordings show the response only up to {with_unit(unknown.from_Hz, 'Hz')}"
         level = Level.WARNING
     text = (
         f"Bandwidth limited to {with_unit(bandwidth_Hz, 'Hz')}: {reason}. Record a chirp or "

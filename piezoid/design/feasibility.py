@@ -77,15 +77,15 @@ def refuse(
     axis: str,
     specification: Specification,
     violations: tuple[Violation, ...],
-    nearest: NearestFeasible,
+    attempt: Attempt,
     *,
     because: str = "",
 ) -> NoReturn:
-    """Raise ``TemplateError`` for a specification no candidate meets.
+    """Raise ``TemplateError`` with the nearest specification that candidates meet.
 
     because  what about the plant stands in the way, a whole sentence
     """
-    worst = violations[0]
+    worst, nearest = violations[0], nearest_feasible(specification, violations, attempt)
     relaxed = "relax " + " and ".join(
         f"'{name}' by {np.ceil(excess_dB * 100.0) / 100.0:.2f} dB"
         for name, excess_dB in sorted(nearest.relaxation_dB.items(), key=lambda item: -item[1])
@@ -121,17 +121,18 @@ def at_feasible_bandwidth(
     For defaults, which nobody asked for in particular. Raises the refusal where no bandwidth is
     feasible.
     """
-    asked = specification
+    attempted = specification
     for _ in range(_GIVEN_WAY):
         try:
-            return design(asked)
+            return design(attempted)
         except TemplateError as refusal:
             nearest_Hz = refusal.numbers["nearest_bandwidth_Hz"]
             if not isinstance(nearest_Hz, float):
                 raise
             # a search for the least error may stop where one for any solution went on
-            asked = replace(specification, bandwidth_Hz=min(nearest_Hz, 0.97 * asked.bandwidth_Hz))
-    return design(asked)
+            bandwidth_Hz = min(nearest_Hz, 0.97 * attempted.bandwidth_Hz)
+            attempted = replace(specification, bandwidth_Hz=bandwidth_Hz)
+    return design(attempted)
 
 
 def rounded_down(value: float) -> float:
@@ -144,7 +145,7 @@ def unmet(
     members: Sequence[Fraction], R: ArrayLike, S: ArrayLike, specification: Specification
 ) -> tuple[Violation, ...]:
     """Return everything the specification asks and some member does not reach, worst first."""
-    violations_of_all = list(
+    missed = list(
         violations(
             members,
             R,
@@ -155,13 +156,24 @@ def unmet(
         )
     )
     limit = specification.noise_limit_rms
-    if limit is not None:
-        violations_of_all += [
-            violation
-            for violation in (_noise(member, R, S, specification, limit) for member in members)
-            if violation.excess_dB > 0.0
-        ]
-    return tuple(sorted(violations_of_all, key=lambda violation: -violation.excess_dB))
+    if limit is None:
+        return tuple(missed)
+    for member in members:
+        is_stable = margins(member, R, S).is_stable
+        rms = noise_rms(member, R, S, specification) if is_stable else 1e3 * limit
+        if rms > limit:
+            missed.append(
+                Violation(
+                    template="noise budget",
+                    member=member.label,
+                    frequency_Hz=0.5 * member.sampling_rate_Hz,
+                    found=rms,
+                    limit=limit,
+                    unit="rms",
+                    excess_dB=float(decibel(rms / limit)),
+                )
+            )
+    return tuple(sorted(missed, key=lambda violation: -violation.excess_dB))
 
 
 def severity(violations: tuple[Violation, ...]) -> float:
@@ -182,20 +194,4 @@ def noise_rms(member: Fraction, R: ArrayLike, S: ArrayLike, specification: Speci
             sensor * specification.sensor_noise_rms**2
             + converter * specification.voltage_step_V**2 / 12.0
         )
-    )
-
-
-def _noise(
-    member: Fraction, R: ArrayLike, S: ArrayLike, specification: Specification, limit: float
-) -> Violation:
-    reached = margins(member, R, S)
-    rms = noise_rms(member, R, S, specification) if reached.is_stable else 1e3 * limit
-    return Violation(
-        template="noise budget",
-        member=member.label,
-        frequency_Hz=0.5 * member.sampling_rate_Hz,
-        found=rms,
-        limit=limit,
-        unit="rms",
-        excess_dB=float(decibel(rms / limit)),
     )

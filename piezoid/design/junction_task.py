@@ -23,7 +23,7 @@ from piezoid.design.design import (
     reached_margins,
     rejections,
 )
-from piezoid.design.feasibility import nearest_feasible, refuse, severity, unmet
+from piezoid.design.feasibility import refuse, severity, unmet
 from piezoid.design.feedforward import fit_reference_path
 from piezoid.design.plant import PlantFamily
 from piezoid.design.shaping import ShapedController, shape
@@ -79,10 +79,10 @@ def vertical_task(tunnelling: TunnellingModel, lab: Lab) -> VerticalTask:
     low_V, high_V = _command_V(lab, converters)
     members = junction_family(loop, lab)
     _refuse_instantaneous(members[0], axis)
-    chains = [_chain(member, place) for place, member in enumerate(members)]
+    chains = [_chain(member, index) for index, member in enumerate(members)]
     family = family_from_chains(chains[0], chains[1:])
     noise = reading_noise_A(loop.plant, lab, axis) / set_point_A(lab)
-    asked = default_specification(
+    default = default_specification(
         family,
         voltage_min_V=low_V,
         voltage_max_V=high_V,
@@ -93,9 +93,9 @@ def vertical_task(tunnelling: TunnellingModel, lab: Lab) -> VerticalTask:
         axis=axis,
         family=family,
         specification=replace(
-            asked,
+            default,
             voltage_step_V=converters.command_step_V,
-            templates=(*asked.templates, *_limit_at_modes(loop.modes, loop.plant)),
+            templates=(*default.templates, *_limit_at_modes(loop.modes, loop.plant)),
         ),
     )
 
@@ -110,12 +110,12 @@ def _limit_at_modes(modes: Sequence[DriveMode], plant: JunctionPlant) -> tuple[T
     if not modes:
         return ()
     f = np.geomspace(_LOWEST_SHARE * plant.sampling_rate_Hz, 0.5 * plant.sampling_rate_Hz, 200)
-    moved = [
+    deviations = [
         np.abs(mode.response(f * (1.0 + shift)) - 1.0)
         for mode in modes
         for shift in np.linspace(-DECLARED_SPREAD, DECLARED_SPREAD, 21)
     ]
-    largest = np.max(moved, axis=0)
+    largest = np.max(deviations, axis=0)
     limited = largest > MODE_MARGIN
     if not limited.any():
         return ()
@@ -277,8 +277,7 @@ def design_vertical(
     feasible = [name for name in solutions if not missed[name]]
     if not feasible:
         least_missed = min(missed.values(), key=severity)
-        nearest = nearest_feasible(specification, least_missed, partial(_attempt, family, taps))
-        refuse(axis, specification, least_missed, nearest)
+        refuse(axis, specification, least_missed, partial(_attempt, family, taps))
     chosen = min(feasible, key=lambda name: solutions[name].rejection)
     members, best = family.fractions, solutions[chosen].controller
     R, S, T = best.R, best.S, np.array([best.R.sum()])

@@ -17,7 +17,6 @@ from piezoid.design.design import (
 )
 from piezoid.design.feasibility import (
     at_feasible_bandwidth,
-    nearest_feasible,
     refuse,
     severity,
     unmet,
@@ -152,7 +151,7 @@ class _LoopDesigner:
                 self.axis,
                 specification,
                 missed,
-                nearest_feasible(specification, missed, self._least_missed),
+                self._least_missed,
                 because=describe_obstacle(self.family, specification.bandwidth_Hz),
             )
         best = min(feasible, key=lambda tuning: tuning.error)

@@ -93,7 +93,7 @@ def _reached(
     voltage_V = np.linspace(-reach_V, reach_V, steps + 1)
     model_branches, low_m, high_m = _branches(model, voltage_V)
     truth_branches = [_branches(truth, voltage_V) for truth in truths]
-    truth_rises = np.array([one[0] for one in truth_branches])
+    truth_rises = np.array([rises for rises, _, _ in truth_branches])
     tilted, none = 1.0 + _TILT, np.zeros(2)
     of_truth = np.concatenate([np.ones_like(tilted), -np.ones_like(tilted), none])
     of_model = np.concatenate([-tilted, tilted, [1.0, -1.0]])

@@ -208,7 +208,7 @@ class ObserverFrame:
             state_gain=np.concatenate([state_gain, self._past @ disturbance_gain]),
             disturbance_gain=disturbance_gain,
             feedback_gain=K,
-            reference_gain=float((1.0 + K @ self._rest) / (C @ self._rest)),
+            reference_gain=float((1.0 + K @ self._rest_state) / (C @ self._rest_state)),
         )
 
     @cached_property
@@ -231,7 +231,7 @@ class ObserverFrame:
         return placement_form(A_e.T, C_e @ A_e)
 
     @cached_property
-    def _rest(self) -> Array:
+    def _rest_state(self) -> Array:
         """State at rest under one volt: N = (1 + K x) / (C x), x = (I - A)^-1 B makes y = r.
 
         These are the runtime's own words. 1 / (C (I - A + B K)^-1 B) is the same number, but

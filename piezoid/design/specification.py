@@ -207,12 +207,12 @@ def _is_number(value: object) -> bool:
 def _harmonics(value: object, source: str) -> tuple[int, ...]:
     harmonics = value if isinstance(value, list) else [value]
     if not all(type(h) is int and 0 < h <= _LAST_HARMONIC for h in harmonics):
-        found = f"resonant_harmonics is {short(value)}"
-        raise _unusable(source, found, f"a list of whole numbers from 1 to {_LAST_HARMONIC}")
+        fault = f"resonant_harmonics is {short(value)}"
+        raise _unusable(source, fault, f"a list of whole numbers from 1 to {_LAST_HARMONIC}")
     if len(harmonics) > _MOST_HARMONICS:
-        found = f"resonant_harmonics holds {len(harmonics)} numbers"
+        fault = f"resonant_harmonics holds {len(harmonics)} numbers"
         raise _unusable(
-            source, found, f"at most {_MOST_HARMONICS}: an observer has no more states"
+            source, fault, f"at most {_MOST_HARMONICS}: an observer has no more states"
         )
     return tuple(harmonics)
 

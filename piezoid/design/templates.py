@@ -114,16 +114,17 @@ def violations(
     """Check every member on a fine grid against every limit; worst first."""
     checks: list[Violation] = []
     for plant in members:
-        checks += _margin_violations(plant, R, S, modulus_margin, delay_margin_s)
+        checks += _margin_checks(plant, R, S, modulus_margin, delay_margin_s)
         for template in templates:
-            checks += _template_violation(plant, R, S, template)
-    violated = [violation for violation in checks if violation.excess_dB > 0.0]
+            checks += _template_check(plant, R, S, template)
+    violated = [check for check in checks if check.excess_dB > 0.0]
     return tuple(sorted(violated, key=lambda violation: -violation.excess_dB))
 
 
-def _template_violation(
+def _template_check(
     plant: Fraction, R: ArrayLike, S: ArrayLike, template: Template
 ) -> list[Violation]:
+    """Return where a plant comes nearest to a template, or leaves it most; none without lines."""
     lowest_Hz = float(template.frequency_Hz[0])
     grid = grid_Hz(plant.sampling_rate_Hz, lowest_Hz=min(1.0, lowest_Hz), count=2000)
     knots_Hz = template.frequency_Hz[template.frequency_Hz < 0.5 * plant.sampling_rate_Hz]
@@ -135,20 +136,21 @@ def _template_violation(
     level_dB = decibel(np.abs(getattr(functions, template.function)))
     limit_dB = template.limit_dB(frequency_Hz)
     worst = int(np.argmax(level_dB - limit_dB))
+    level, limit = float(level_dB[worst]), float(limit_dB[worst])
     return [
         Violation(
             template=template.name,
             member=plant.label,
             frequency_Hz=float(frequency_Hz[worst]),
-            found=float(level_dB[worst]),
-            limit=float(limit_dB[worst]),
+            found=level,
+            limit=limit,
             unit="dB",
-            excess_dB=float(level_dB[worst] - limit_dB[worst]),
+            excess_dB=level - limit,
         )
     ]
 
 
-def _margin_violations(
+def _margin_checks(
     plant: Fraction, R: ArrayLike, S: ArrayLike, modulus_margin: float, delay_margin_s: float
 ) -> list[Violation]:
     reached = margins(plant, R, S)

@@ -18,8 +18,7 @@ from piezoid.export.bundle import SAMPLES
 from piezoid.export.c_header import plain_ascii
 from piezoid.export.fmu import Unit, variables
 from piezoid.numerics.arrays import Array
-from piezoid.verification.loop_library import Linear, LoopPlant, Map
-from piezoid.verification.loop_plant import SettledPlant
+from piezoid.verification.loop_plant import Linear, LoopPlant, Map, SettledPlant
 from piezoid.verification.plant import AxisPlant, Junction
 
 _SCALARS = (

@@ -185,8 +185,8 @@ class _LateralTask:
             scaled = min(float(np.exp(SPREAD * size)), MOST) * discrepancy.weight_m
             discrepancy = replace(discrepancy, weight_m=scaled)
         past_V = _past_V(rng, *self._model.voltage_V)
-        drawn = replace(response, discrepancy=discrepancy, history_V=past_V)
-        return replace(plant, label="drawn", response=drawn)
+        response = replace(response, discrepancy=discrepancy, history_V=past_V)
+        return replace(plant, label="drawn", response=response)
 
     def error(self, plant: AxisPlant, path: Array, rng: np.random.Generator) -> float | None:
         """Return the largest error on a path, m; None outside of the conditions."""
@@ -223,11 +223,11 @@ class _TipTask:
         axis: AxisParameters,
         plant: AxisPlant,
         loop: LoopDesign,
-        others: Sequence[AxisPlant],
+        variations: Sequence[AxisPlant],
         noise_ln: float,
     ) -> None:
         assert isinstance(plant.response, Junction)
-        self.nominal, self._axis, self._stages = plant, axis, (plant, *others)
+        self.nominal, self._axis, self._stages = plant, axis, (plant, *variations)
         self._loop, self._noise_ln, self._response = loop, noise_ln, plant.response
 
     def draw(self, rng: np.random.Generator, is_extreme: bool) -> AxisPlant:

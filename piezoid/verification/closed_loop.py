@@ -13,8 +13,7 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Controller
-from piezoid.verification.loop_library import LoopRun, loop_library
-from piezoid.verification.loop_plant import SettledPlant
+from piezoid.verification.loop_plant import LoopRun, SettledPlant, loop_library
 from piezoid.verification.plant import AxisPlant, Junction
 
 if TYPE_CHECKING:

@@ -37,20 +37,20 @@ def coupling_rows(runner: ScenarioRunner, coupled: CoupledStage | None) -> tuple
     G = coupled.response(np.clip(f, *coupled.band_Hz), level_V)
     G[f > coupled.band_Hz[1]] = 0.0
     rows = []
-    for k, moved in enumerate(axes):
+    for k, driven in enumerate(axes):
         percent = _amplitudes(runner, axes, k, D, _transmission(D @ G))
         without = _amplitudes(runner, axes, k, np.eye(len(axes)), _transmission(G))
         if percent is None:
             continue
         rows += [
             CouplingRow(
-                moved=moved,
-                answers=other,
+                moved=driven,
+                answers=axis,
                 frequency_Hz=runner.limits.judged_Hz,
                 percent=float(percent[i]),
                 without_percent=None if without is None else float(without[i]),
             )
-            for i, other in enumerate(axes)
+            for i, axis in enumerate(axes)
             if i != k
         ]
     return tuple(rows)
@@ -65,15 +65,15 @@ def _transmission(response: ComplexArray) -> ComplexArray:
 
 
 def _amplitudes(
-    runner: ScenarioRunner, axes: tuple[str, ...], moved: int, D: Array, T: ComplexArray
+    runner: ScenarioRunner, axes: tuple[str, ...], driven: int, D: Array, T: ComplexArray
 ) -> Array | None:
-    """Return the amplitude of every axis in percent of the moved one, None if it diverges."""
+    """Return the amplitude of every axis in percent of the driven one, None if it diverges."""
     samples = len(T) - 1
     time_s = np.arange(samples) / runner.rate_Hz
     sine = np.sin(2.0 * np.pi * runner.limits.judged_Hz * time_s)
-    amplitude_m = runner.radius_m / float(np.abs(D[:, moved]).max())
+    amplitude_m = runner.radius_m / float(np.abs(D[:, driven]).max())
     reference_m = np.stack(
-        [runner.centre_m[a] + amplitude_m * D[i, moved] * sine for i, a in enumerate(axes)]
+        [runner.centre_m[a] + amplitude_m * D[i, driven] * sine for i, a in enumerate(axes)]
     )
     coupled_m = np.zeros_like(reference_m)
     for _ in range(_MAX_ITERATIONS):

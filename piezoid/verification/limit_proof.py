@@ -9,7 +9,7 @@ of every run.
 
 import csv
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import which
@@ -182,23 +182,20 @@ def _alarms(table: Path, harness: Sequence[str]) -> tuple[tuple[str, ...], str]:
     states = {row["line"]: row["status"] for row in rows if row["file"] == "harness.c"}
     silent = sorted(stated - set(states), key=int)
     dead = sorted((line for line in stated & set(states) if "ead" in states[line]), key=int)
-    alarms = tuple(_open_alarms(row for row in rows if "ead" not in row["status"]))
+    alarms = tuple(
+        "{file}:{line} ({function}) {property kind}: {property}".format_map(row)
+        for row in rows
+        if "ead" not in row["status"] and row["status"] not in _VALID
+    )
     if not alarms and (silent or dead):  # behind an operation that must fail nothing is reached
-        places = ", ".join(f"harness.c:{line}" for line in (*silent, *dead))
-        return (), f"never reached: {places}"
+        lines = ", ".join(f"harness.c:{line}" for line in (*silent, *dead))
+        return (), f"never reached: {lines}"
     return alarms, ""
 
 
-def _open_alarms(rows: Iterable[Mapping[str, str]]) -> Iterable[str]:
-    for row in rows:
-        if row["status"] not in _VALID:
-            place = f"{row['file']}:{row['line']} ({row['function']})"
-            yield f"{place} {row['property kind']}: {row['property']}"
-
-
-def _duration_s(place: Path) -> int:
-    """Return what the tool says it took; 0 where it was stopped before it could."""
-    words = place.read_text(encoding="utf-8").split() if place.is_file() else []
+def _duration_s(times: Path) -> int:
+    """Return the duration that the tool reports; 0 where it was stopped before it could."""
+    words = times.read_text(encoding="utf-8").split() if times.is_file() else []
     return round(float(words[-1])) if words else 0
 
 
@@ -260,13 +257,13 @@ def _tip_claims(axis: AxisParameters) -> dict[str, str]:
     within = "p->current_floor_A <= state.reference_m <= p->current_ceiling_A"
     taps = range(int(axis.values["rst_S_count"]))
     ends_V = [float(axis.values[f"voltage_{end}_V"]) for end in ("minimum", "maximum")]
-    most = f"{_ROUNDED * (ends_V[1] - ends_V[0])!r}"
+    widest = f"{_ROUNDED * (ends_V[1] - ends_V[0])!r}"
     return {
         "the reference stays between floor and ceiling": within,
         "the gain ratio stays inside the schedule's limit": "\\is_finite(state.gain_ratio) && "
         "1 / p->schedule_limit <= state.gain_ratio <= p->schedule_limit",
         "no remembered change of voltage is larger than the window": " && ".join(
-            f"-{most} <= state.rst_change_V[{k}] <= {most}" for k in taps
+            f"-{widest} <= state.rst_change_V[{k}] <= {widest}" for k in taps
         ),
     }
 

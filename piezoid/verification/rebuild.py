@@ -161,14 +161,14 @@ def compare(
         np.frombuffer(content, dtype=np.uint8).reshape(shape) for content in (answers, expected)
     ]
     numbers = [[int(word) for word in line.split()] for line in printed.splitlines()]
-    counted = [(file.axes[axis].axis, total, most) for axis, total, most, *_ in numbers if total]
+    counted = [(file.axes[axis].axis, total, peak) for axis, total, peak, *_ in numbers if total]
     return Proof(
         build=build,
         is_built=True,
         samples=samples,
         differing=int(np.any(rows[0] != rows[1], axis=1).sum()),
         instructions_per_sample={axis: total / ordinary for axis, total, _ in counted} or None,
-        most_instructions={axis: most for axis, _, most in counted} or None,
+        most_instructions={axis: peak for axis, _, peak in counted} or None,
         stack_bytes=max(stack for *_, stack, _ in numbers) if counted else None,
         state_bytes=numbers[0][4],
     )

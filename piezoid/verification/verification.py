@@ -255,8 +255,9 @@ def _check_pictures(verification: Verification) -> None:
         sizes_m += map(abs, _positions_m(motion))
     if verification.traces and not verification.radius_m >= _SMALLEST_m:
         raise ValueError(f"radius_m is {verification.radius_m}")
-    if max([verification.radius_m, *sizes_m]) > _LARGEST_m:
-        raise ValueError(f"a path reaches {max([verification.radius_m, *sizes_m])} m")
+    largest_m = max([verification.radius_m, *sizes_m])
+    if largest_m > _LARGEST_m:
+        raise ValueError(f"a path reaches {largest_m} m")
     if max((abs(verdict.limit) for verdict in verification.verdicts), default=0.0) > _FASTEST_Hz:
         raise ValueError("a limit is larger than anything that is judged")
 

@@ -65,8 +65,7 @@ def verify_stage(
     where lab.toml declares other guards or another rig than those that ship.
     """
     declared = lab or Lab()
-    plants, drawn = stage_plants(file, model, declared, draws=draws, seed=seed)
-    variations = list(zip(*drawn, strict=False))  # as many sets as the axis with the fewest
+    plants, variations = stage_plants(file, model, declared, draws=draws, seed=seed)
     exported = file.sources.get("control")
     if exported is not None and exported != declared.control_digest:
         raise ParameterFileError(
@@ -80,7 +79,7 @@ def verify_stage(
     verification = verify(
         file,
         plants,
-        variations=variations,
+        variations=list(zip(*variations, strict=False)),  # as many sets as the axis with fewest
         limits=limits or limits_from(declared.verification, stated_in),
         proofs=proofs,
         limit_proofs=limit_proofs,
@@ -91,7 +90,9 @@ def verify_stage(
     )
     if design is None or not bounds:
         return verification
-    largest_errors = error_bounds(file, design, model, plants, drawn, seed=seed, threads=threads)
+    largest_errors = error_bounds(
+        file, design, model, plants, variations, seed=seed, threads=threads
+    )
     return replace(verification, bounds=largest_errors)
 
 
@@ -104,15 +105,15 @@ def stage_plants(
     """
     rng = np.random.default_rng([seed, draws])
     plants: list[AxisPlant] = []
-    drawn: list[tuple[AxisPlant, ...]] = []
+    variations: list[tuple[AxisPlant, ...]] = []
     for axis in file.axes:
         plants.append(plant_of(axis, model, lab))
         if axis.method == "rst":
             loop = _loop_of(axis, model.tunnelling)
-            drawn.append(_family(plants[-1], loop, lab, draws))
+            variations.append(_family(plants[-1], loop, lab, draws))
         else:
-            drawn.append(varied_plants(plants[-1], model[axis.axis], count=draws, rng=rng))
-    return plants, drawn
+            variations.append(varied_plants(plants[-1], model[axis.axis], count=draws, rng=rng))
+    return plants, variations
 
 
 def plant_of(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:

@@ -11,7 +11,7 @@ import pytest
 
 from piezoid.operators.library import KERNELS
 from piezoid.runtime.library import library as runtime
-from piezoid.verification.loop_library import loop_library
+from piezoid.verification.loop_plant import loop_library
 
 ROOT = Path(__file__).resolve().parents[2]
 SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
