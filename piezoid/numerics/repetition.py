@@ -29,6 +29,12 @@ class Repetition:
     period_samples: int
     periods: int
 
+    def last_periods(self, signal: Array, periods: int) -> Array:
+        """Return the last periods of a signal side by side, (period_samples, periods)."""
+        start = self.first + (self.periods - periods) * self.period_samples
+        stop = start + periods * self.period_samples
+        return np.asarray(signal[start:stop].reshape(periods, self.period_samples).T)
+
 
 @dataclass(frozen=True, kw_only=True)
 class EqualCycles:

@@ -7,12 +7,12 @@ from piezoid.formatting import UNKNOWN
 from piezoid.identification.dynamics.behind_hysteresis import measure_behind_hysteresis
 from piezoid.identification.dynamics.excitation import excites_dynamics
 from piezoid.identification.dynamics.fit_dynamics import resolved_modes
-from piezoid.identification.dynamics.frequency_response import ComplexArray, FrequencyResponse
+from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.records import JointFit
 from piezoid.identification.fit_statements import DYNAMICS
 from piezoid.identification.model import AxisModel
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.frequency import decibel
 from piezoid.numerics.robust import NORMAL_95
 from piezoid_reports.coupling_figures import coupling_parts

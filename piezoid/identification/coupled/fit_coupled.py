@@ -33,7 +33,8 @@ LAGS_PER_DECADE = 1.3  # real poles below the first mode, for creep
 SMOOTHED_LINES = 5  # of the response that the start is fitted to: single lines give poles of noise
 START_DAMPING = (0.003, 0.3)  # below, a pole follows noise; above, a slope
 DISTINCT = 0.02  # relative distance of modes: levels of 1 to 3 move one by up to half as much
-FULL, LEFT_OUT = Rule(tolerance=2e-3, iterations=12), Rule(tolerance=2e-3, iterations=3)
+FINAL_RULE = Rule(tolerance=2e-3, iterations=12)
+JACKKNIFE_RULE = Rule(tolerance=2e-3, iterations=3)
 
 
 @on_one_thread
@@ -64,7 +65,7 @@ def fit_coupled(
     is_left_out = intervals and count > len(data[0].inputs) + 1
     fits = [(shape, residues)] * count
     if is_left_out:
-        fits = [fit_modal_sum(_without(problem, r), shape, LEFT_OUT) for r in range(count)]
+        fits = [fit_modal_sum(_without(problem, r), shape, JACKKNIFE_RULE) for r in range(count)]
     errors_m = []
     for level in problem.levels:
         power = [
@@ -88,9 +89,9 @@ def fit_coupled(
             [fit.log_frequency for fit, _ in (fits if is_left_out else fits[:1])]
         ),
         moved_rms_m=np.stack(
-            [_rms(one.displacement_m - one.displacement_m.mean(axis=0)) for one in data]
+            [_rms(level.displacement_m - level.displacement_m.mean(axis=0)) for level in data]
         ),
-        noise_rms_m=np.stack([_period_noise(one) for one in data]),
+        noise_rms_m=np.stack([_period_noise(level) for level in data]),
         error_rms_m=np.stack(errors_m),
         error_is_left_out=is_left_out,
     )
@@ -140,16 +141,16 @@ def _fit_all_levels(
         log_damping=np.stack([poles[1], still]),
         delay_s=0.0,
     )
-    largest, residues = fit_modal_sum(replace(problem, levels=levels[-1:]), shape, FULL)
+    largest, residues = fit_modal_sum(replace(problem, levels=levels[-1:]), shape, FINAL_RULE)
     if len(levels) == 1:
         return problem, largest, residues
-    smallest, _ = fit_modal_sum(replace(problem, levels=levels[:1]), largest, FULL)
+    smallest, _ = fit_modal_sum(replace(problem, levels=levels[:1]), largest, FINAL_RULE)
     shape = replace(
         largest,
         log_frequency=_line(smallest.log_frequency[0], largest.log_frequency[0]),
         log_damping=_line(smallest.log_damping[0], largest.log_damping[0]),
     )
-    shape, residues = fit_modal_sum(problem, shape, FULL)
+    shape, residues = fit_modal_sum(problem, shape, FINAL_RULE)
     # Each realisation counts by one over the power of its residual.
     residuals = [residual_spectra(problem, level, shape, residues) for level in levels]
     reweighted = tuple(
@@ -157,7 +158,7 @@ def _fit_all_levels(
         for level, residual in zip(levels, residuals, strict=True)
     )
     problem = replace(problem, levels=reweighted)
-    return problem, *fit_modal_sum(problem, shape, FULL)
+    return problem, *fit_modal_sum(problem, shape, FINAL_RULE)
 
 
 def _line(low: Array, high: Array) -> Array:
@@ -181,7 +182,7 @@ def _start_shape(levels: Sequence[LevelSpectra], modes: int) -> Array:
 
 def _start_of_level(level: LevelSpectra, modes: int) -> Array:
     """Return log frequencies and dampings of the modes of a smoothed response, (2, modes)."""
-    U, Y = level.drive, level.moved
+    U, Y = level.drive, level.displacement
     kernel = np.ones(SMOOTHED_LINES) / SMOOTHED_LINES
 
     def smoothed(values: ComplexArray) -> ComplexArray:

@@ -9,7 +9,7 @@ left.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -32,14 +32,6 @@ from piezoid.records.lab_tables import Coupled
 from piezoid.records.recording import Quantity, Recording
 
 
-@dataclass(frozen=True, kw_only=True)
-class PeriodicRecording:
-    """A recording in which all axes are driven at once, and where that repeats."""
-
-    recording: Recording
-    repetition: Repetition
-
-
 def identify_coupled(
     recordings: Sequence[Recording],
     lab: Lab,
@@ -55,7 +47,7 @@ def identify_coupled(
     """
     if not lab.coupled.axes:
         return None
-    periodic = [p for r in recordings if (p := _periodic_recording(r, lab.coupled)) is not None]
+    periodic = _periodic_recordings(recordings, lab.coupled)
     axes = ", ".join(lab.coupled.axes)
     if not periodic:
         raise ExcitationError(
@@ -69,7 +61,7 @@ def identify_coupled(
         )
     progress(f"fitting the coupled axes {axes}")
     fitted = fit_coupled(_levels_of(periodic, lab.coupled))
-    return replace(fitted, recordings=tuple(p.recording.name for p in periodic))
+    return replace(fitted, recordings=tuple(recording.name for recording, _ in periodic))
 
 
 def decoupled_responses(
@@ -80,7 +72,7 @@ def decoupled_responses(
     At the largest level, where the modes are nearest to those of the drives that follow; the best
     linear approximation, with its coherence. None where the realisations are too few for it.
     """
-    periodic = [p for r in recordings if (p := _periodic_recording(r, declared)) is not None]
+    periodic = _periodic_recordings(recordings, declared)
     data = _levels_of(periodic, declared)[-1]
     decoupled_m = np.einsum("ij,njrp->nirp", coupled.decoupling, data.displacement_m)
     if data.voltage_V.shape[2] <= len(data.inputs):
@@ -89,7 +81,7 @@ def decoupled_responses(
     return (
         FrequencyResponseRecord(
             name=f"{', '.join(coupled.outputs)} together",
-            digest=digest_of_json([p.recording.digest for p in periodic]),
+            digest=digest_of_json([recording.digest for recording, _ in periodic]),
             frequency_Hz=measured.frequency_Hz,
             paths=tuple(
                 ResponsePath(
@@ -118,20 +110,18 @@ def decoupled(recordings: Sequence[Recording], coupled: CoupledStage) -> tuple[R
 def as_single_axes(
     recordings: Sequence[Recording],
     lab: Lab | None,
-    known: CoupledStage | None = None,
+    coupled: CoupledStage | None = None,
     *,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Recording, ...]:
     """Return recordings as single axes see them, as far as their coupling is known.
 
-    known  of an earlier fit; None: of these recordings, where lab.toml names coupled axes and they
-           tell the coupling; else they stay as they are
+    coupled  of an earlier fit; None: of these recordings, where lab.toml names coupled axes and
+             they determine the coupling; else they stay as they are
     """
-    coupled = known
     declared = Coupled() if lab is None else lab.coupled
-    if coupled is None and lab is not None and declared.axes:
-        is_periodic = any(_periodic_recording(r, declared) is not None for r in recordings)
-        coupled = identify_coupled(recordings, lab, progress=progress) if is_periodic else None
+    if coupled is None and lab is not None and _periodic_recordings(recordings, declared):
+        coupled = identify_coupled(recordings, lab, progress=progress)
     return (
         tuple(recordings)
         if coupled is None
@@ -181,8 +171,18 @@ def driven_axes(recording: Recording, axes: Sequence[str]) -> list[str]:
     return [axis for axis, reach_V in reach.items() if reach_V > STILL * widest]
 
 
-def _periodic_recording(recording: Recording, declared: Coupled) -> PeriodicRecording | None:
+def _periodic_recordings(
+    recordings: Sequence[Recording], declared: Coupled
+) -> list[tuple[Recording, Repetition]]:
+    """Return the recordings in which all coupled axes are driven at once and repeat."""
+    pairs = [(recording, _repetition(recording, declared)) for recording in recordings]
+    return [(recording, repetition) for recording, repetition in pairs if repetition is not None]
+
+
+def _repetition(recording: Recording, declared: Coupled) -> Repetition | None:
     axes, settling = declared.axes, declared.settling_periods
+    if not axes:
+        return None
     quantities = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
     complete = all(
         recording.find(quantity, axis) is not None for quantity in quantities for axis in axes
@@ -197,20 +197,19 @@ def _periodic_recording(recording: Recording, declared: Coupled) -> PeriodicReco
     if len(repetitions) < len(axes) or len({r.period_samples for r in repetitions}) > 1:
         return None
     first, period = max(r.first for r in repetitions), repetitions[0].period_samples
-    end = min(r.first + r.periods * period for r in repetitions)
-    periods = (end - first) // period
+    periods = (min(r.first + r.periods * period for r in repetitions) - first) // period
     if periods < settling + FEWEST:
         return None
-    return PeriodicRecording(
-        recording=recording,
-        repetition=Repetition(first=first, period_samples=period, periods=periods),
-    )
+    return Repetition(first=first, period_samples=period, periods=periods)
 
 
-def _levels_of(periodic: Sequence[PeriodicRecording], declared: Coupled) -> list[PeriodicData]:
+def _levels_of(
+    periodic: Sequence[tuple[Recording, Repetition]], declared: Coupled
+) -> list[PeriodicData]:
     """Return what was recorded at each level, realisations side by side."""
-    periods = min(p.repetition.periods for p in periodic) - declared.settling_periods
-    shapes = {(p.recording.sampling_rate_Hz, p.repetition.period_samples) for p in periodic}
+    axes = declared.axes
+    periods = min(repetition.periods for _, repetition in periodic) - declared.settling_periods
+    shapes = {(r.sampling_rate_Hz, repetition.period_samples) for r, repetition in periodic}
     if len(shapes) > 1:
         listed = "; ".join(f"{count} samples at {rate:g} Hz" for rate, count in sorted(shapes))
         raise ExcitationError(
@@ -218,30 +217,22 @@ def _levels_of(periodic: Sequence[PeriodicRecording], declared: Coupled) -> list
             needed="one rate and one period for all levels and realisations",
             remedy="Leave out the recordings of another period.",
         )
-    cuts = [(_cut(p, declared.axes, periods, "voltage_V"), p) for p in periodic]
+
+    def cut(signal_of: Callable[[str], Array], repetition: Repetition) -> Array:
+        """Return the last periods of every axis, (samples, axes, periods)."""
+        return np.stack([repetition.last_periods(signal_of(axis), periods) for axis in axes], 1)
+
+    cuts = [(cut(r.voltage_V, rep), cut(r.displacement_m, rep)) for r, rep in periodic]
     cuts.sort(key=lambda pair: float(pair[0].std()))
-    sizes = [float(drive.std()) for drive, _ in cuts]
+    sizes = [float(drive_V.std()) for drive_V, _ in cuts]
     steps = [k for k, (a, b) in enumerate(pairwise(sizes), 1) if b > LEVEL_TOLERANCE * a]
-    edges = [0, *steps, len(cuts)]
     return [
         PeriodicData(
-            sampling_rate_Hz=periodic[0].recording.sampling_rate_Hz,
-            inputs=declared.axes,
-            outputs=declared.axes,
-            voltage_V=np.stack([drive for drive, _ in cuts[a:b]], axis=2),
-            displacement_m=np.stack(
-                [_cut(p, declared.axes, periods, "displacement_m") for _, p in cuts[a:b]],
-                axis=2,
-            ),
+            sampling_rate_Hz=periodic[0][0].sampling_rate_Hz,
+            inputs=axes,
+            outputs=axes,
+            voltage_V=np.stack([drive_V for drive_V, _ in cuts[a:b]], axis=2),
+            displacement_m=np.stack([displacement_m for _, displacement_m in cuts[a:b]], axis=2),
         )
-        for a, b in pairwise(edges)
+        for a, b in pairwise([0, *steps, len(cuts)])
     ]
-
-
-def _cut(periodic: PeriodicRecording, axes: Sequence[str], periods: int, quantity: str) -> Array:
-    """Return the last periods of every axis, (samples, axes, periods)."""
-    repetition, P = periodic.repetition, periodic.repetition.period_samples
-    start = repetition.first + (repetition.periods - periods) * P
-    signals = [getattr(periodic.recording, quantity)(axis) for axis in axes]
-    cut = [signal[start : start + periods * P].reshape(periods, P).T for signal in signals]
-    return np.stack(cut, axis=1)

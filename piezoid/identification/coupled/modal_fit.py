@@ -32,7 +32,7 @@ class LevelSpectra:
     samples       of one period
     frequency_Hz  (lines,)
     drive         (lines, inputs, realisations)   of ``numpy.fft.rfft``
-    moved         (lines, outputs, realisations)
+    displacement         (lines, outputs, realisations)
     weight        (realisations,)
     """
 
@@ -40,7 +40,7 @@ class LevelSpectra:
     samples: int
     frequency_Hz: Array
     drive: ComplexArray
-    moved: ComplexArray
+    displacement: ComplexArray
     weight: Array
 
     @staticmethod
@@ -53,7 +53,7 @@ class LevelSpectra:
             samples=len(data.voltage_V),
             frequency_Hz=data.frequency_Hz(lines),
             drive=np.fft.rfft(data.voltage_V.mean(axis=3), axis=0)[lines],
-            moved=response,
+            displacement=response,
             weight=1.0 / (np.abs(response) ** 2).sum(axis=(0, 1)),
         )
 
@@ -63,7 +63,7 @@ class LevelSpectra:
         return replace(
             self,
             drive=self.drive[..., remaining],
-            moved=self.moved[..., remaining],
+            displacement=self.displacement[..., remaining],
             weight=self.weight[remaining],
         )
 
@@ -139,7 +139,7 @@ def residual_spectra(
     coordinate = problem.coordinate(level)
     response = shape.response(level.frequency_Hz, problem.lag_Hz, coordinate, residues)
     advance = np.exp(2j * np.pi * level.frequency_Hz * shape.delay_s)[:, None, None]
-    return np.asarray(advance * level.moved - response @ level.drive)
+    return np.asarray(advance * level.displacement - response @ level.drive)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -152,7 +152,7 @@ class _WeightedLevel:
     frequency_Hz: Array
     columns: Columns
     drive: ComplexArray
-    moved: ComplexArray
+    displacement: ComplexArray
     spread: Array
 
     def gram(self) -> Array:
@@ -191,10 +191,10 @@ class Point:
     def __init__(self, problem: ModalProblem, x: Array) -> None:
         self.problem, shape = problem, problem.unpack(x)
         self.levels = [_weighted(problem, level, shape) for level in problem.levels]
-        gram = sum((level.gram() for level in self.levels), np.zeros(()))
-        target = sum(
-            (level.products(level.moved[None])[..., 0] for level in self.levels), np.zeros(())
-        )
+        gram, target = np.zeros(()), np.zeros(())
+        for level in self.levels:
+            gram = gram + level.gram()
+            target = target + level.products(level.displacement[None])[..., 0]
         curvature = np.diag(gram)
         count = len(gram) // problem.orders
         penalty = np.concatenate([np.zeros(count), LEVEL_PENALTY * curvature[:count]])[: len(gram)]
@@ -205,7 +205,7 @@ class Point:
         by_order = solution.reshape(problem.orders, -1, inputs, outputs)
         self.residues[: problem.orders] = by_order.transpose(0, 1, 3, 2)
         self.residuals = [
-            level.moved
+            level.displacement
             - np.einsum("fc,coi->foi", level.columns.value, self._residues_at(level)) @ level.drive
             for level in self.levels
         ]
@@ -249,7 +249,8 @@ class Point:
             ]
         )
         by_sample = -2j * np.pi * level.frequency_Hz[:, None, None] / self.problem.rate_Hz
-        tangents = [*(share * by_pole for share in level.spread), (by_sample * level.moved)[None]]
+        by_delay = (by_sample * level.displacement)[None]
+        tangents = [*(share * by_pole for share in level.spread), by_delay]
         return np.ascontiguousarray(np.concatenate(tangents))
 
 
@@ -260,6 +261,6 @@ def _weighted(problem: ModalProblem, level: LevelSpectra, shape: ModalShape) -> 
         frequency_Hz=level.frequency_Hz,
         columns=shape.columns(level.frequency_Hz, problem.lag_Hz, coordinate),
         drive=level.drive * root,
-        moved=level.moved * root * advance,
+        displacement=level.displacement * root * advance,
         spread=np.array([1.0, coordinate])[: problem.orders],
     )

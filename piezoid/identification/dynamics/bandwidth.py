@@ -20,7 +20,7 @@ AT_REST_deg = 22.5  # at rest a stage has turned by less
 PHASELESS_deg = -37.0
 CLEAR_PEAK = 1.2  # a first-order pole never rises; noise and distortion do a little
 PEAK_SIGMAS = 4.0  # standard deviations: the peak is the largest of many lines
-REST = 2.0  # the gain at rest is the median up to so many times the lowest line
+LOW_BAND = 2.0  # the gain at rest is the median up to so many times the lowest line
 UNKNOWN_DELAY_s = (0.0, np.inf)
 
 UNDECIDED = "These recordings do not show whether a pole or a resonance limits the stage"
@@ -85,7 +85,7 @@ def decide_bandwidth(
     f = measured.frequency_Hz[usable]
     response = measured.response[usable, 0, 0]
     spread = np.sqrt(measured.variance[usable, 0, 0]) / np.abs(response)
-    is_low = f <= REST * f[0]
+    is_low = f <= LOW_BAND * f[0]
     sign = np.sign(np.median(response[is_low].real)) or 1.0
     declared = declaration.response(f, measured.sampling_rate_Hz)
     relative = sign * response / (declared * np.exp(-2j * np.pi * f * delay_s[0]))
@@ -94,7 +94,7 @@ def decide_bandwidth(
     runs = np.convolve(gain < FALLEN, np.ones(IN_A_ROW), "valid") == IN_A_ROW
     fallen = int(np.argmax(runs)) if runs.any() else None
     turned_deg = float(np.degrees(np.abs(np.angle(relative[0]))))
-    if turned_deg >= AT_REST_deg or (fallen is not None and f[fallen] <= REST * f[0]):
+    if turned_deg >= AT_REST_deg or (fallen is not None and f[fallen] <= LOW_BAND * f[0]):
         return unmeasured(stated_Hz, f"lines from {f[0]:.4g} Hz do not show the gain at rest")
     peak = int(np.argmax(gain[: None if fallen is None else fallen + 1]))
     peak_Hz, ratio = float(f[peak]), float(gain[peak])

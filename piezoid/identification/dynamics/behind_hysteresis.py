@@ -9,10 +9,10 @@ amplitude; a, the middle of the operator's slope sector, only gives v the unit o
 import numpy as np
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.dynamics.frequency_response import ComplexArray, FrequencyResponse
+from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.periodic_estimate import smoothed
 from piezoid.identification.model import AxisModel
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.records.recording import Recording
 
 MIN_COHERENCE = 0.8
@@ -83,18 +83,18 @@ def estimate_response_by_coherence(
     rejected below ``MIN_COHERENCE``, or where the drive has no power.
     """
     U, Y = (_windowed(signal, segment_samples) for signal in (voltage_V, displacement_m))
-    drive, moved = (np.abs(U) ** 2).sum(axis=1), (np.abs(Y) ** 2).sum(axis=1)
+    drive, output = (np.abs(U) ** 2).sum(axis=1), (np.abs(Y) ** 2).sum(axis=1)
     cross = (Y * U.conj()).sum(axis=1)
     is_driven = drive > MIN_POWER * drive.max()
     inverse = np.where(is_driven, 1.0 / np.where(is_driven, drive, 1.0), 0.0)
     explained = np.abs(cross) ** 2 * inverse
-    coherence = np.where(is_driven, explained / np.maximum(moved, TINY), 0.0)
+    coherence = np.where(is_driven, explained / np.maximum(output, TINY), 0.0)
     # How many windows really drove each line: a chirp passes through few of them. Power is first
     # smoothed over lines, so that the luck of random drives does not count.
     power = smoothed(np.abs(U) ** 2, min(LEVEL_LINES, (len(U) - 1) // 2 * 2 + 1))
     squared = np.maximum((power**2).sum(axis=1), TINY)
     freedom = np.maximum(power.sum(axis=1) ** 2 / squared / OVERLAP_LOSS - 1.0, 0.5)
-    variance = np.maximum(moved - explained, 0.0) / freedom * inverse
+    variance = np.maximum(output - explained, 0.0) / freedom * inverse
     lines = np.arange(MAIN_LOBE_LINES, segment_samples // 2)
     coherence = np.clip(coherence[lines], 0.0, 1.0)[:, None]
     return FrequencyResponse(

@@ -128,8 +128,8 @@ def detect_distortion(data: PeriodicData) -> DetectionLines:
     response = estimate_response(data)
     frequency_Hz = data.frequency_Hz(silent)
     G = interpolated(response.response, response.frequency_Hz, frequency_Hz)
-    drive, moved = data.spectra(silent)
-    residual = moved - np.einsum("koi,kirp->korp", G, drive)
+    drive, displacement = data.spectra(silent)
+    residual = displacement - np.einsum("koi,kirp->korp", G, drive)
     spread = residual.var(axis=3, ddof=1).mean(axis=2) / periods
     _, answered = data.spectra(excited)
     return DetectionLines(
@@ -201,16 +201,14 @@ def _cut(group: Sequence[tuple[Recording, Repetition]], axis: str) -> PeriodicDa
     a straight line fitted to the samples themselves would take part of the motion away.
     """
     periods = min(repetition.periods for _, repetition in group) - SETTLING
+    samples = group[0][1].period_samples
+    number = np.arange(periods) - 0.5 * (periods - 1)
+    time = np.arange(samples * periods).reshape(periods, samples).T / samples
     voltages_V, displacements_m = [], []
     for recording, repetition in group:
-        P = repetition.period_samples
-        start = repetition.first + (repetition.periods - periods) * P
-        rows = slice(start, start + periods * P)
-        voltages_V.append(recording.voltage_V(axis)[rows].reshape(periods, P).T)
-        measured_m = recording.displacement_m(axis)[rows].reshape(periods, P).T
-        number = np.arange(periods) - 0.5 * (periods - 1)
+        voltages_V.append(repetition.last_periods(recording.voltage_V(axis), periods))
+        measured_m = repetition.last_periods(recording.displacement_m(axis), periods)
         drift_m = float(number @ measured_m.mean(axis=0) / (number @ number))
-        time = np.arange(P * periods).reshape(periods, P).T / P
         displacements_m.append(measured_m - drift_m * (time - time.mean()))
     return PeriodicData(
         sampling_rate_Hz=group[0][0].sampling_rate_Hz,

@@ -2,7 +2,6 @@
 
 1. Vector fitting after several trial delays gives a start.
 2. The weighted output error is minimised over the shape, the gains eliminated.
-3. A mode that vector fitting misplaced moves to the largest residual, and 2 is repeated.
 """
 
 from dataclasses import replace
@@ -12,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.errors import IdentificationError
-from piezoid.identification.dynamics.frequency_response import ComplexArray, FrequencyResponse
+from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Declaration, ModalBasis, Structure
-from piezoid.identification.dynamics.periodic_estimate import smoothed
 from piezoid.identification.dynamics.records import SlowPart
 from piezoid.identification.dynamics.vector_fitting import (
     stacked,
@@ -23,7 +21,7 @@ from piezoid.identification.dynamics.vector_fitting import (
     vector_fit,
     weighted_misfit,
 )
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, eliminated, minimise
 
 # Half of ``enough`` is the gain in log likelihood: a tenth of a standard deviation.
@@ -32,11 +30,6 @@ STEP = 1e-5  # of the central differences: truncation 1e-10, rounding 1e-11
 MAX_LOG_STEP = 0.3
 OUT_OF_BAND = 4.0  # largest damping, and how far beyond the band a pole may lie
 MIN_DAMPING = 1e-5
-EXCHANGES = 3
-GOOD_COST = 1.05  # cost over its expected value at which no mode is moved
-MIN_GAIN = 1e-3  # relative fall of the cost below which moving modes ends
-NEW_DAMPING = 0.015
-LOCAL_PARTS = 100  # of the band, over which the residual is averaged
 START_LINES = 500  # on which trial delays are compared
 START_ROUNDS, FINAL_ROUNDS = 6, 12
 TINY = float(np.finfo(float).tiny)
@@ -66,7 +59,6 @@ def fit_dynamics(
         declaration=declaration,
     )
     fit = _maximise_likelihood(measured, basis, _start_shape(measured, structure, declaration))
-    fit = _exchange_modes(measured, fit, _expected_cost(measured, basis))
     return _linear_dynamics(measured, fit)[0]
 
 
@@ -219,12 +211,6 @@ class _Point:
         curvature, scores, _ = self.projected()
         return NormalEquations(gram=curvature, slope=-scores.sum(axis=0), cost=self.cost)
 
-    def mode_worth(self) -> Array:
-        """Return the rise of the cost if a mode were left out, (modes,): g^2 / |K|^2."""
-        modes = slice(self.basis.structure.modes)
-        gains, root = self.path.coefficients[modes], self.path.root[modes]
-        return np.asarray(gains**2 / np.sum(root**2, axis=1))
-
 
 def _maximise_likelihood(measured: FrequencyResponse, basis: ModalBasis, shape: Array) -> _Point:
     """Minimise sum |weight (response - columns(shape) gains)|^2 over shape and gains.
@@ -247,33 +233,6 @@ def _maximise_likelihood(measured: FrequencyResponse, basis: ModalBasis, shape: 
         rule=RULE,
         longest=longest,
     ).point
-
-
-def _exchange_modes(measured: FrequencyResponse, fit: _Point, expected_cost: float) -> _Point:
-    """Move modes while that lowers the cost, and return the best fit.
-
-    Vector fitting from noisy data may leave two modes where one is, and none where another is;
-    maximum likelihood cannot cross the valley between. The mode of the least worth is put at the
-    largest local residual, and everything is fitted again.
-    """
-    basis, modes = fit.basis, fit.basis.structure.modes
-    for _ in range(EXCHANGES if modes > 1 else 0):
-        if fit.cost <= GOOD_COST * expected_cost:
-            break
-        power = (fit.path.residual**2).reshape(2, -1).sum(axis=0)
-        width = max(len(power) // LOCAL_PARTS // 2 * 2 + 1, 3)
-        peak = int(np.argmax(smoothed(power[:, None], width)[:, 0]))
-        shape, worst = np.array(fit.shape), int(np.argmin(fit.mode_worth()))
-        shape[worst] = np.log(basis.frequency_Hz[peak])
-        shape[modes + worst] = np.log(NEW_DAMPING)
-        try:
-            exchanged = _maximise_likelihood(measured, basis, shape)
-        except IdentificationError:
-            break  # the new place makes two terms alike
-        if exchanged.cost > fit.cost * (1 - MIN_GAIN):
-            break
-        fit = exchanged
-    return fit
 
 
 def _covariances(fit: _Point) -> tuple[Array, float]:

@@ -14,8 +14,6 @@ from piezoid.numerics.arrays import (
     strictly_increasing,
 )
 
-__all__ = ("ComplexArray", "FrequencyResponse")
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrequencyResponse:

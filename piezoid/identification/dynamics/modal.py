@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from piezoid.identification.dynamics.frequency_response import ComplexArray
 from piezoid.identification.dynamics.modal_basis import Filter, Hold
-from piezoid.numerics.arrays import Array, expect_shapes, freeze
+from piezoid.numerics.arrays import Array, ComplexArray, expect_shapes, freeze
 from piezoid.numerics.robust import NORMAL_95
 from piezoid.operators.linear import (
     ContinuousSystem,

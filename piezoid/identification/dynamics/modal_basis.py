@@ -6,8 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from piezoid.identification.dynamics.frequency_response import ComplexArray
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.operators.linear import ContinuousSystem, butterworth, sampled_fractions
 
 Hold = Literal["band_limited", "zero_order"]

@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.dynamics.frequency_response import ComplexArray, FrequencyResponse
-from piezoid.numerics.arrays import Array, freeze
+from piezoid.identification.dynamics.frequency_response import FrequencyResponse
+from piezoid.numerics.arrays import Array, ComplexArray, freeze
 
-Spectrum = NDArray[np.complex128]
 EXCITED_FRACTION = 0.02  # designed lines differ by less; what leaks onto the others lies below
 
 WANTED_FREEDOM = 30  # smoothed over so many; the weights of a fit must not be random themselves
@@ -61,7 +60,7 @@ class PeriodicData:
             displacement_m=self.displacement_m[:, :, indices, :],
         )
 
-    def spectra(self, lines: NDArray[np.int64]) -> tuple[Spectrum, Spectrum]:
+    def spectra(self, lines: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray]:
         """Return the Fourier coefficients of drive and response at these lines.
 
         returned  (lines, inputs or outputs, realisations, periods)  peak amplitudes, V and m
@@ -96,11 +95,7 @@ class PeriodicData:
         return np.asarray(lines * self.sampling_rate_Hz / len(self.voltage_V))
 
 
-def estimate_response(
-    data: PeriodicData,
-    *,
-    lines: NDArray[np.int64] | None = None,
-) -> FrequencyResponse:
+def estimate_response(data: PeriodicData) -> FrequencyResponse:
     """Return the best linear approximation and the two variances of its estimate.
 
         G = Y U^H (U U^H)^-1,   E = Y - G U              [Pintelon & Schoukens 2012]
@@ -109,7 +104,6 @@ def estimate_response(
     a realisation is noise; what is left of it between realisations is nonlinear distortion.
 
     data             realisations >= inputs; more of either realisations or periods for variances
-    lines            which to use; None takes those the drive occupies
     LEAST_COHERENCE  below, an output's line is rejected; so are single lines whose residual
                      stands out of their neighbourhood, where something else interferes
 
@@ -117,14 +111,20 @@ def estimate_response(
     distortion cannot be seen; with one period, noise cannot be told from it and all variance is
     called distortion.
     """
-    used_lines = data.excited_lines() if lines is None else np.asarray(lines, dtype=np.int64)
-    drive, response = data.spectra(used_lines)
+    lines = data.excited_lines()
+    drive, response = data.spectra(lines)
     inputs, realisations, periods = drive.shape[1:]
-    _check_enough(inputs, realisations, periods)
+    if realisations < inputs or (realisations == inputs and periods < 2):
+        raise ExcitationError(
+            f"{realisations} realisations of {periods} periods for {inputs} inputs",
+            needed="as many realisations as inputs, and one realisation or one period more to "
+            "see the variance",
+            remedy="Record orthogonal multisines: twice as many realisations as inputs.",
+        )
     U, Y = drive.mean(axis=3), response.mean(axis=3)
-    gram = U @ _adjoint(U)
-    inverse = np.linalg.inv(gram)
-    G = Y @ _adjoint(U) @ inverse
+    adjoint = np.conj(np.swapaxes(U, 1, 2))
+    inverse = np.linalg.inv(U @ adjoint)
+    G = Y @ adjoint @ inverse
     total, noise, freedom, is_interference = _output_variances(drive, response, G)
     per_input = np.einsum("kjj->kj", inverse).real[:, None, :]
     power = (np.abs(Y) ** 2).mean(axis=2)
@@ -133,7 +133,7 @@ def estimate_response(
         inputs=data.inputs,
         outputs=data.outputs,
         sampling_rate_Hz=data.sampling_rate_Hz,
-        frequency_Hz=data.frequency_Hz(used_lines),
+        frequency_Hz=data.frequency_Hz(lines),
         response=G,
         noise_variance=noise[:, :, None] * per_input,
         distortion_variance=np.maximum(total - noise, 0.0)[:, :, None] * per_input,
@@ -146,20 +146,6 @@ def estimate_response(
         realisations=realisations,
         periods=periods,
     )
-
-
-def _check_enough(inputs: int, realisations: int, periods: int) -> None:
-    if realisations < inputs or (realisations == inputs and periods < 2):
-        raise ExcitationError(
-            f"{realisations} realisations of {periods} periods for {inputs} inputs",
-            needed="as many realisations as inputs, and one realisation or one period more to "
-            "see the variance",
-            remedy="Record orthogonal multisines: twice as many realisations as inputs.",
-        )
-
-
-def _adjoint(matrix: ComplexArray) -> ComplexArray:
-    return np.conj(np.swapaxes(matrix, 1, 2))
 
 
 def _output_variances(

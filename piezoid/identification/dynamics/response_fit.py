@@ -41,7 +41,7 @@ from piezoid.records.response_summary import apparent_modes
 NOISE_RATIOS = np.concatenate([[0.0], np.geomspace(1e-8, 1e4, 61)])  # a^2 over median b^2 |G|^2
 COHERENCE_LINES = 5  # over which a measured coherence is smoothed: each scatters by itself
 MIN_SHARE = 0.1  # of the median of (1 - coherence) / coherence: printed 1.000 is no certainty
-ROUGH_LINES, ROUGH_FLOOR = 21, 1e-3  # of the first guess of the variance; the floor is of the gain
+FIRST_NOISE = 0.01  # of the response: a first guess, which decides only the weights of round one
 OUTLIER, NEIGHBOUR = 6.0, 3.0  # standard deviations: one line of 10^8 by chance, and beside it
 MIN_LINES = 20
 MAX_DELAY_PERIODS = 10.0  # of the highest line
@@ -132,8 +132,7 @@ def fit_response(
     slow = slow_part(f, response, path)
     fast = response if slow is None else response / slow.response(f)
     is_outlier = np.zeros(len(f), dtype=np.bool_)
-    variance = np.ones(len(f))
-    variance[is_coherent] = _rough_variance(fast[is_coherent])
+    variance = (FIRST_NOISE * np.abs(fast)) ** 2
     for _ in range(NOISE_ROUNDS):
         is_used = is_coherent & ~is_outlier
         lines = _lines(record, axis, fast, variance, is_outlier)
@@ -145,10 +144,10 @@ def fit_response(
     lines = _lines(record, axis, fast, variance, is_outlier)
     dynamics = _best_fit(lines, declared)
     if slow is not None and slow.is_taken:
-        whole = _used(_lines(record, axis, response, variance, is_outlier))
-        dynamics, slow = fit_with_slow_part(whole, dynamics, slow)
+        measured = _usable_lines(_lines(record, axis, response, variance, is_outlier))
+        dynamics, slow = fit_with_slow_part(measured, dynamics, slow)
         lines = _lines(record, axis, response / slow.response(f), variance, is_outlier)
-    used_lines = _used(lines)
+    used_lines = _usable_lines(lines)
     f, values = used_lines.frequency_Hz, used_lines.response[:, 0, 0]
     at_rest = abs(dynamics.static_gain_m_per_V)
     relative = np.abs(values - dynamics.response(f))
@@ -205,7 +204,7 @@ def _lines(
     )
 
 
-def _used(lines: FrequencyResponse) -> FrequencyResponse:
+def _usable_lines(lines: FrequencyResponse) -> FrequencyResponse:
     return lines.at_lines(np.flatnonzero(~lines.is_rejected[:, 0]))
 
 
@@ -214,7 +213,7 @@ def _best_fit(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearD
 
     A structure with a mode that is not resolved counts only where there is no other.
     """
-    usable = _used(lines)
+    usable = _usable_lines(lines)
     declaration = Declaration(
         hold="band_limited",
         filters=declared,
@@ -287,17 +286,6 @@ def _regression(columns: Array, values: Array) -> tuple[float, float]:
     spare = max(len(values) - columns.shape[1], 1)
     inverse = np.linalg.inv(columns.T @ columns)
     return float(coefficients[0]), float(np.sqrt(inverse[0, 0] * (residual @ residual) / spare))
-
-
-def _rough_variance(response: ComplexArray) -> Array:
-    """Return a first guess from how the logarithm of the response bends from line to line."""
-    log = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response))
-    bend = np.abs(np.diff(log, 2)) ** 2 / 6.0 * 2.0
-    bend = np.concatenate([bend[:1], bend, bend[-1:]])
-    half = min(ROUGH_LINES, len(bend)) // 2
-    padded = np.pad(bend, half, mode="reflect" if len(bend) > half else "edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
-    return np.asarray(np.abs(response) ** 2 * (np.median(windows, axis=1) + ROUGH_FLOOR**2))
 
 
 def _variance(response: ComplexArray, residual: ComplexArray, coherence: Array | None) -> Array:

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from piezoid.identification.dynamics.frequency_response import ComplexArray
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, ComplexArray
 
 SETTLED = 1e-6  # relative motion of the poles at which relocating stops
 

@@ -18,12 +18,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.operators.linear import ContinuousSystem, recursive_filter, resonance
-
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, kw_only=True)

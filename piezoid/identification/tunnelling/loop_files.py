@@ -60,14 +60,14 @@ class LoopRecord:
         if not self.floor_A > 0.0:
             raise ValueError(f"{self.label}: floor_A is {self.floor_A}, expected more than 0")
         upright_A = math.copysign(1.0, self.set_point_A) * self.current_A
-        lost = int(np.count_nonzero(upright_A < self.floor_A))
-        if lost > _LOST_FRACTION * self.samples:
+        below = int(np.count_nonzero(upright_A < self.floor_A))
+        if below > _LOST_FRACTION * self.samples:
             raise ExcitationError(
-                f"{self.label}: {lost} of {self.samples} currents lie below {self.floor_A:.3g} A "
+                f"{self.label}: {below} of {self.samples} currents lie below {self.floor_A:.3g} A "
                 "of the set point's sign",
                 needed="a tip that tunnels throughout",
                 remedy="Check the set point's sign, or cut the record where the tip was lost.",
-                lost=lost,
+                lost=below,
             )
 
     @property
@@ -179,10 +179,10 @@ def loops_of(recordings: Sequence[Recording], lab: Lab) -> tuple[LoopRig, tuple[
             remedy="Record each tick, or correct sampling_rate_Hz under [acquisition].",
         )
     rig = rig_of_loop(lab, axis)
-    return rig, tuple(read_loop(recording, rig, place=lab.place) for recording in loops)
+    return rig, tuple(read_loop(recording, rig, lab_file=lab.place) for recording in loops)
 
 
-def read_loop(recording: Recording, rig: LoopRig, *, place: str = "lab.toml") -> LoopRecord:
+def read_loop(recording: Recording, rig: LoopRig, *, lab_file: str = "lab.toml") -> LoopRecord:
     """Take the longest uninterrupted stretch of a recording as a closed-loop record.
 
     A reference that repeats itself is used period by period; any other as it is.
@@ -193,8 +193,8 @@ def read_loop(recording: Recording, rig: LoopRig, *, place: str = "lab.toml") ->
     median_A = float(np.median(current_A))
     if not 1.0 / _SET_POINT_FACTOR < abs(median_A / rig.set_point_A) < _SET_POINT_FACTOR:
         raise LabFileError(
-            f"{place}: [tunnelling] set_point_A is {rig.set_point_A:.3g} A, the median current of "
-            f"{recording.name} is {median_A:.3g} A",
+            f"{lab_file}: [tunnelling] set_point_A is {rig.set_point_A:.3g} A, the median current "
+            f"of {recording.name} is {median_A:.3g} A",
             needed=f"a set point within a factor of {_SET_POINT_FACTOR:g} of that current",
             remedy="Correct the set point, or the unit of the current's column.",
         )
