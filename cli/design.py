@@ -11,7 +11,6 @@ from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, hand_over, sa
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from piezoid.design.certificate import Certificate
     from piezoid.design.design import Design
     from piezoid.identification.actuator_model import ActuatorModel
 
@@ -80,14 +79,8 @@ def design(
 
 
 def _table(design: "Design", model: "ActuatorModel") -> "Table":
-    from piezoid.design.design_statements import useful_bound_m
+    from piezoid.design.design_statements import guaranteed_error_m
     from piezoid.formatting import with_unit
-
-    def bound(axis: str, certificate: "Certificate | None") -> str:
-        if axis not in model.axes or certificate is None or not certificate.is_guaranteed:
-            return "none"
-        bound_m = useful_bound_m(certificate, model.axes[axis])
-        return "no useful bound" if bound_m is None else with_unit(bound_m, "m")
 
     rows = []
     for axis in design.axes:
@@ -95,7 +88,10 @@ def _table(design: "Design", model: "ActuatorModel") -> "Table":
             delay_s, margin = loop.worst_delay_margin_s, f"{loop.worst_modulus_margin:.3f}"
             delay = "any" if delay_s is None else with_unit(delay_s, "s")
             bandwidth = with_unit(loop.bandwidth_Hz, "Hz")
-            limit = bound(axis.axis, loop.certificate)
-            rows.append((axis.axis, loop.method, bandwidth, margin, delay, limit))
+            bound_m: float | str = "none"
+            if axis.axis in model.axes:
+                bound_m = guaranteed_error_m(loop.certificate, model.axes[axis.axis])
+            bound = bound_m if isinstance(bound_m, str) else with_unit(bound_m, "m")
+            rows.append((axis.axis, loop.method, bandwidth, margin, delay, bound))
     headings = ("axis", "method", "bandwidth", "modulus margin", "delay margin", "bound")
     return table("controllers, worst member of each plant family", headings, rows)

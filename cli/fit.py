@@ -211,7 +211,7 @@ def _loop_cells(
     calibration: "Calibration", name: str, loop: "LoopDesign | None"
 ) -> tuple[str, str, str]:
     """Return bandwidth, guaranteed error and verdict."""
-    from piezoid.design.design_statements import useful_bound_m
+    from piezoid.design.design_statements import guaranteed_error_m
     from piezoid.formatting import with_unit
     from piezoid.identification.fit_statements import grade_of
     from piezoid.raw_counts import in_counts
@@ -220,10 +220,11 @@ def _loop_cells(
     grade = "" if axis is None else f"{grade_of(axis).value}; "
     if loop is None:
         return "", "", f"{grade}no controller"
-    bound_m = None if axis is None else useful_bound_m(loop.certificate, axis)
-    bound = "" if axis is None else "no useful bound"
-    if axis is not None and bound_m is not None:
-        bound = in_counts(with_unit(bound_m, "m"), axis.counted) if ships else "not verified"
+    bound = ""
+    if axis is not None:
+        bound_m = guaranteed_error_m(loop.certificate, axis, is_verified=ships)
+        text = bound_m if isinstance(bound_m, str) else with_unit(bound_m, "m")
+        bound = in_counts(text, axis.counted)
     return (
         with_unit(loop.bandwidth_Hz, "Hz"),
         bound,

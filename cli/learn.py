@@ -63,12 +63,12 @@ def learn(
     check_folder(out, force=force, new=True, inputs=inputs)
     with shown(quiet=quiet or json) as progress:
         progress("reading the stage")
+        from piezoid.control_verbs import learn as learn_table
         from piezoid.design.design_stage import controller_rate_Hz
         from piezoid.learning.files import learned_files, read_reference
         from piezoid.learning.learn import learned_from_json
         from piezoid.records.collection import collect
         from piezoid.records.lab import Lab
-        from piezoid.verbs import learn as learn_table
 
         folder = StageFolder(stage, lab)
         declared, model = folder.lab, folder.model

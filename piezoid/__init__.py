@@ -25,10 +25,13 @@ __version__ = "0.2.0"
 _PUBLIC = {
     **dict.fromkeys(
         (
-            *("calibrate", "design", "diagnose", "export", "fit", "learn", "plan"),
-            *("read", "read_lab", "report", "simulate_loop", "verify"),
+            *("calibrate", "diagnose", "fit", "plan"),
+            *("read", "read_lab", "report"),
         ),
         "piezoid.verbs",
+    ),
+    **dict.fromkeys(
+        ("design", "export", "learn", "simulate_loop", "verify"), "piezoid.control_verbs"
     ),
     "ActuatorModel": "piezoid.identification.actuator_model",
     "AxisDesign": "piezoid.design.design",
@@ -66,6 +69,11 @@ _PUBLIC = {
 
 if TYPE_CHECKING:  # what is imported when it is first used
     from piezoid.calibration.calibrate import Calibration as Calibration
+    from piezoid.control_verbs import design as design
+    from piezoid.control_verbs import export as export
+    from piezoid.control_verbs import learn as learn
+    from piezoid.control_verbs import simulate_loop as simulate_loop
+    from piezoid.control_verbs import verify as verify
     from piezoid.design.design import AxisDesign as AxisDesign
     from piezoid.design.design import Design as Design
     from piezoid.design.design import LoopDesign as LoopDesign
@@ -93,17 +101,12 @@ if TYPE_CHECKING:  # what is imported when it is first used
     from piezoid.sealed_files import load as load
     from piezoid.sealed_files import save as save
     from piezoid.verbs import calibrate as calibrate
-    from piezoid.verbs import design as design
     from piezoid.verbs import diagnose as diagnose
-    from piezoid.verbs import export as export
     from piezoid.verbs import fit as fit
-    from piezoid.verbs import learn as learn
     from piezoid.verbs import plan as plan
     from piezoid.verbs import read as read
     from piezoid.verbs import read_lab as read_lab
     from piezoid.verbs import report as report
-    from piezoid.verbs import simulate_loop as simulate_loop
-    from piezoid.verbs import verify as verify
     from piezoid.verification.closed_loop import LoopRecord as LoopRecord
     from piezoid.verification.release import Shipping as Shipping
     from piezoid.verification.verification import Verification as Verification

@@ -18,6 +18,7 @@ from piezoid.identification import store
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.store import write_model
 from piezoid.learning.learn import Learned, learned_from_json
+from piezoid.records.lab import Lab, read_lab
 from piezoid.verification.verification import Verification, verification_from_json
 
 Place = str | Path
@@ -131,3 +132,8 @@ def path_of(given: object) -> Path:
         needed="the path of a file",
         remedy="Pass a string or a pathlib.Path.",
     )
+
+
+def lab_of(given: object) -> Lab | None:
+    """Return a ``Lab`` as it is given, or read it from its path; None without one."""
+    return given if given is None or isinstance(given, Lab) else read_lab(path_of(given))

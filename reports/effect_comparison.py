@@ -1,8 +1,9 @@
 """The residual without and with one effect, and its look-alike put into a healthy simulation.
 
-Where the model carries the effect as an extension, ``before`` is the measurement minus the model
-without it. Where it does not, the effect's tangent columns are fitted to the residual beside the
-model's own Jacobian, all findings together, and ``before`` is what is left plus its own part.
+If the model contains the effect as an extension, the residual without it is the measurement minus
+the model without that extension. If it does not, the tangent columns of all such effects are
+fitted to the residual beside the model's own Jacobian, and the residual without an effect is the
+remaining residual plus the part of that effect.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,25 +30,25 @@ from piezoid.records.recording import Channel, Quantity
 from piezoid_reports.traces import Trace, rms
 
 ROWS = 3000  # of each recording
-LEAST_SHARE = 1e-6  # of a recording's stroke, below which nothing is put in
-RECORDINGS = 6  # of those fitted worst
+MIN_SHARE = 1e-6  # of a recording's stroke: a smaller effect is not simulated
+RECORDINGS = 6  # those with the largest residuals
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EffectSimulation:
-    """One recording, at rows that every part of it has.
+    """Residuals of one recording without and with an effect.
 
-    rows       (rows,)  which samples
-    before_m   (rows,)  residual without the effect in the model
-    after_m    (rows,)  with it
-    injected_m (rows,)  residual of a healthy simulation with the effect put in, and noise
+    rows         (rows,)  indices of the samples
+    without_m    (rows,)  residual without the effect in the model
+    with_m       (rows,)  residual with it
+    lookalike_m  (rows,)  residual of a healthy stage with the effect added, and noise
     """
 
     trace: Trace
     rows: NDArray[np.int_]
-    before_m: Array
-    after_m: Array
-    injected_m: Array
+    without_m: Array
+    with_m: Array
+    lookalike_m: Array
 
 
 def compare_effects(
@@ -57,30 +58,30 @@ def compare_effects(
     worst = traces[:RECORDINGS]
     if not worst:
         return {}
-    drawn = [f for f in diagnosis.findings if f.effect != SOMETHING_ELSE]  # has its own picture
+    effects = [f for f in diagnosis.findings if f.effect != SOMETHING_ELSE]
     missing = [
-        f for f in drawn if effect_named(f.effect).without(axis, worst[0].recording) is None
+        f for f in effects if effect_named(f.effect).without(axis, worst[0].recording) is None
     ]
     fitted = _linearised(axis, worst, missing, diagnosis.stroke_m)
     return {
-        finding.effect: _turned(
+        finding.effect: _aligned(
             [_simulation(axis, finding, trace, fitted[k]) for k, trace in enumerate(worst)]
         )
-        for finding in drawn
+        for finding in effects
     }
 
 
 def _simulation(
-    axis: AxisModel, finding: Finding, trace: Trace, fitted: "Fitted"
+    axis: AxisModel, finding: Finding, trace: Trace, fitted: "TangentFit"
 ) -> EffectSimulation:
     if effect_named(finding.effect).shows.kind == "spectrum":
         rows = np.flatnonzero(np.isfinite(trace.modelled_m))
         full_m = fitted.whole_m.get(finding.effect)
         linear_m = np.zeros(len(rows)) if full_m is None else full_m[rows]
         part_m = linear_m + carried_part(axis, finding.effect, trace)[rows]
-        after_m = trace.residual_m[rows] - linear_m
+        with_m = trace.residual_m[rows] - linear_m
     else:
-        rows, after_m = fitted.rows, fitted.after_m
+        rows, with_m = fitted.rows, fitted.with_m
         separate_m = fitted.part_m.get(finding.effect)
         part_m = (
             carried_part(axis, finding.effect, trace)[rows] if separate_m is None else separate_m
@@ -88,49 +89,49 @@ def _simulation(
     return EffectSimulation(
         trace=trace,
         rows=rows,
-        before_m=after_m + part_m,
-        after_m=after_m,
-        injected_m=_injected(finding.effect, axis, trace, rms(part_m))[rows],
+        without_m=with_m + part_m,
+        with_m=with_m,
+        lookalike_m=_lookalike(finding.effect, axis, trace, rms(part_m))[rows],
     )
 
 
-def _turned(pictures: Sequence[EffectSimulation]) -> tuple[EffectSimulation, ...]:
-    """Mirror the look-alikes where that makes them like what was found."""
+def _aligned(pictures: Sequence[EffectSimulation]) -> tuple[EffectSimulation, ...]:
+    """Return the simulations with look-alikes of the sign of the effect."""
     likeness = 0.0
     for picture in pictures:
-        injected_m = picture.injected_m - picture.injected_m.mean()
-        likeness += float(np.nansum((picture.before_m - picture.after_m) * injected_m))
+        lookalike_m = picture.lookalike_m - picture.lookalike_m.mean()
+        likeness += float(np.nansum((picture.without_m - picture.with_m) * lookalike_m))
     sign = -1.0 if likeness < 0.0 else 1.0
-    return tuple(replace(picture, injected_m=sign * picture.injected_m) for picture in pictures)
+    return tuple(replace(picture, lookalike_m=sign * picture.lookalike_m) for picture in pictures)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Fitted:
-    """What the tangents explain of one recording.
+class TangentFit:
+    """Tangents of the effects that the model lacks, fitted to one recording.
 
-    rows     samples that were compared
-    after_m  (rows,)  what is left with every tangent fitted
-    part_m   (rows,)  by effect, free of what the model could take up itself
-    whole_m  (samples,)  by effect, as it is
+    rows     indices of the samples
+    with_m   (rows,)  residual with every tangent fitted
+    part_m   (rows,)  by effect, its part that the model's parameters cannot imitate
+    whole_m  (samples,)  by effect, all of its part
     """
 
     rows: NDArray[np.int_]
-    after_m: Array
+    with_m: Array
     part_m: Mapping[str, Array] = field(default_factory=dict)
     whole_m: Mapping[str, Array] = field(default_factory=dict)
 
 
 def _linearised(
     axis: AxisModel, traces: Sequence[Trace], missing: Sequence[Finding], stroke_m: float
-) -> list[Fitted]:
-    """Fit the tangents of all effects the model does not carry to what it leaves."""
+) -> list[TangentFit]:
+    """Fit the tangents of all effects that the model lacks to its residual."""
     finite = [np.flatnonzero(np.isfinite(trace.modelled_m)) for trace in traces]
     rows = [np.asarray(samples[rows_of(len(samples), ROWS)]) for samples in finite]
     residuals_m = [trace.residual_m[k] for trace, k in zip(traces, rows, strict=True)]
     suspects = [(f, suspect_of(f, stroke_m)) for f in missing]
     pairs = [(f, suspect) for f, suspect in suspects if suspect is not None]
     if not pairs:
-        return [Fitted(rows=k, after_m=m) for k, m in zip(rows, residuals_m, strict=True)]
+        return [TangentFit(rows=k, with_m=m) for k, m in zip(rows, residuals_m, strict=True)]
     drives = [
         replace(driven_recording(axis, trace.recording), rows=k)
         for trace, k in zip(traces, rows, strict=True)
@@ -155,12 +156,12 @@ def _linearised(
     after = np.split(residual_m - np.sum(totals, axis=0), cuts)
     split = [np.split(total, cuts) for total in totals]
     return [
-        Fitted(
+        TangentFit(
             rows=rows[k],
-            after_m=after[k],
+            with_m=after[k],
             part_m={f.effect: split[j][k] for j, (f, _) in enumerate(pairs)},
             whole_m={
-                f.effect: _whole(drive, suspect.tangent, scales[j], shares[j], k)
+                f.effect: _tangent_part(drive, suspect.tangent, scales[j], shares[j], k)
                 for j, (f, suspect) in enumerate(pairs)
             },
         )
@@ -168,15 +169,15 @@ def _linearised(
     ]
 
 
-def _whole(drive: Driven, tangent: Tangent, scale: float, share: Array, k: int) -> Array:
+def _tangent_part(drive: Driven, tangent: Tangent, scale: float, share: Array, k: int) -> Array:
     columns = tangent.columns(drive, scale)
     width = columns.shape[1]
     coefficients = share[k * width : (k + 1) * width] if tangent.own else share[:width]
     return np.asarray(columns @ coefficients)
 
 
-def _injected(name: str, axis: AxisModel, trace: Trace, size_m: float) -> Array:
-    """Return the residual that a healthy stage would leave with this effect, of this size."""
+def _lookalike(name: str, axis: AxisModel, trace: Trace, size_m: float) -> Array:
+    """Return the residual of a healthy stage with this effect of this size."""
     effect = effect_named(name)
     measured_m = trace.recording.displacement_m(axis.axis)
     healthy_m = np.where(np.isfinite(trace.modelled_m), trace.modelled_m, measured_m)
@@ -189,7 +190,7 @@ def _injected(name: str, axis: AxisModel, trace: Trace, size_m: float) -> Array:
     healthy = replace(trace.recording, channels=channels, axis=axis.axis)
     share = size_m / max(float(np.ptp(healthy_m)), 1e-30)
     faulty_m = healthy_m
-    if share > LEAST_SHARE:
+    if share > MIN_SHARE:
         faulty_m = effect.inject(healthy, share).displacement_m(axis.axis)
     count = min(len(faulty_m), len(healthy_m))
     change_m = np.zeros(len(healthy_m))
@@ -199,7 +200,7 @@ def _injected(name: str, axis: AxisModel, trace: Trace, size_m: float) -> Array:
 
 
 def carried_part(axis: AxisModel, effect: str, trace: Trace) -> Array:
-    """Return what the effect adds in the model, about its mean; nothing where it has none."""
+    """Return the contribution of an effect to the model, about its mean; 0 without one."""
     without = effect_named(effect).without(axis, trace.recording)
     if without is None:
         return np.zeros(len(trace.time_s))

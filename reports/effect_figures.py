@@ -19,47 +19,48 @@ DECADES = ("time_since_turn",)
 PHASES = "part of a period"
 
 CLASSES = 48
-LEAST_ROWS = 12  # of a class
+MIN_ROWS = 12  # of a class
 BANDS = 160  # of a spectrum, evenly over the decades
-SHOWS = 1e-3  # of the residual: what a picture needs to show anything
+MIN_CHANGE = 1e-3  # of the residual: a smaller change is not visible
 HEIGHT = 280
-ROLES, NAMES = ("rising", "falling"), ("without it", "with it")
 
 
 def figure_of(finding: Finding, pictures: tuple[EffectSimulation, ...]) -> Figure | None:
     """Return the residual without and with an effect; None if no recording shows a difference."""
     effect = effect_named(finding.effect)
     appearance, is_fault = effect.shows, effect.fault is not None
-    is_visible = any(not np.array_equal(picture.before_m, picture.after_m) for picture in pictures)
+    is_visible = any(not np.array_equal(picture.without_m, picture.with_m) for picture in pictures)
     if not pictures or not (is_visible or is_fault):
         return None
     if appearance.kind == "spectrum":
         clearest = _clearest(pictures)
-        before, after = rms(clearest.before_m), rms(clearest.after_m)
+        without, with_effect = rms(clearest.without_m), rms(clearest.with_m)
         # A resonance may lie where the fit leaves samples out.
-        is_shown = abs(before - after) > SHOWS * before
+        is_shown = abs(without - with_effect) > MIN_CHANGE * without
         return _spectrum(finding, appearance, clearest) if is_shown else None
     if appearance.kind == "time":
         return _over_time(finding, appearance, _clearest(pictures))
-    drawn = _in_classes(finding, appearance, pictures)
-    return drawn or _over_time(finding, over_time(appearance), _clearest(pictures))
+    figure = _in_classes(finding, appearance, pictures)
+    return figure or _over_time(finding, over_time(appearance), _clearest(pictures))
 
 
 def _clearest(pictures: tuple[EffectSimulation, ...]) -> EffectSimulation:
     """Return the recording in which the effect is largest."""
-    return max(pictures, key=lambda picture: rms(picture.before_m) - rms(picture.after_m))
+    return max(pictures, key=lambda picture: rms(picture.without_m) - rms(picture.with_m))
 
 
 def _over_time(finding: Finding, appearance: Appearance, picture: EffectSimulation) -> Figure:
-    place, sign = (values[picture.rows] for values in appearance.along(picture.trace.recording))
-    x = _axis(appearance, place)
-    curves = [sign * values for values in (picture.before_m, picture.after_m, picture.injected_m)]
+    coordinate, sign = (
+        values[picture.rows] for values in appearance.along(picture.trace.recording)
+    )
+    x = _axis(appearance, coordinate)
+    curves = [sign * values for values in (picture.without_m, picture.with_m, picture.lookalike_m)]
     y = axis_over("residual", curves, "m", even=True)
     canvas = Canvas(x=x, y=y, height=HEIGHT)
-    before, after, injected = curves
+    without, with_effect, lookalike = curves
     # A running mean: a slow curve is seen through the noise.
-    width = max(len(injected) // 150, 1)
-    padded = np.pad(injected, (width // 2, width - 1 - width // 2), mode="edge")
+    width = max(len(lookalike) // 150, 1)
+    padded = np.pad(lookalike, (width // 2, width - 1 - width // 2), mode="edge")
     slow = np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
     return _titled(
         finding,
@@ -67,35 +68,37 @@ def _over_time(finding: Finding, appearance: Appearance, picture: EffectSimulati
         canvas,
         picture.trace.recording.name,
         (
-            canvas.range_over_time("before", "without it", place, before),
-            canvas.range_over_time("model", "with it", place, after),
-            canvas.line("limit", "look-alike", place, slow),
+            canvas.range_over_time("before", "without it", coordinate, without),
+            canvas.range_over_time("model", "with it", coordinate, with_effect),
+            canvas.line("limit", "look-alike", coordinate, slow),
         ),
-        (rms(before), rms(after)),
+        (rms(without), rms(with_effect)),
     )
 
 
-def _axis(appearance: Appearance, place: Array) -> Axis:
+def _axis(appearance: Appearance, coordinate: Array) -> Axis:
     make_axis = decades_over if appearance.decades else axis_over
-    return make_axis(appearance.label, [place], appearance.unit)
+    return make_axis(appearance.label, [coordinate], appearance.unit)
 
 
 def _in_classes(
     finding: Finding, appearance: Appearance, pictures: tuple[EffectSimulation, ...]
 ) -> Figure | None:
-    places, signs = zip(
+    coordinates, signs = zip(
         *(appearance.along(picture.trace.recording) for picture in pictures), strict=True
     )
-    place = np.concatenate([p[picture.rows] for p, picture in zip(places, pictures, strict=True)])
-    sign = np.concatenate([s[picture.rows] for s, picture in zip(signs, pictures, strict=True)])
-    before, after, injected = (
-        sign * np.concatenate([getattr(picture, name) for picture in pictures])
-        for name in ("before_m", "after_m", "injected_m")
+    coordinate = np.concatenate(
+        [p[picture.rows] for p, picture in zip(coordinates, pictures, strict=True)]
     )
-    classes = [_classes(place, values) for values in (before, after, injected)]
+    sign = np.concatenate([s[picture.rows] for s, picture in zip(signs, pictures, strict=True)])
+    without, with_effect, lookalike = (
+        sign * np.concatenate([getattr(picture, name) for picture in pictures])
+        for name in ("without_m", "with_m", "lookalike_m")
+    )
+    classes = [_classes(coordinate, values) for values in (without, with_effect, lookalike)]
     if any(len(rows) < 2 for rows in classes):
         return None
-    x = _axis(appearance, place)
+    x = _axis(appearance, coordinate)
     y = axis_over(
         "residual", [classes[0][:, 1:], classes[1][:, 1:], classes[2][:, 2]], "m", even=True
     )
@@ -112,32 +115,32 @@ def _in_classes(
     title = (
         f"{len(pictures)} recordings" if len(pictures) > 1 else pictures[0].trace.recording.name
     )
-    is_finite = np.isfinite(place)
+    is_finite = np.isfinite(coordinate)
     return _titled(
         finding,
         appearance,
         canvas,
         title,
         tuple(layers),
-        (rms(before[is_finite]), rms(after[is_finite])),
+        (rms(without[is_finite]), rms(with_effect[is_finite])),
     )
 
 
-def _classes(place: Array, values: Array) -> Array:
+def _classes(coordinate: Array, values: Array) -> Array:
     """Return middle and quartiles of classes: some of equal count, some of equal width."""
-    is_finite = np.isfinite(place) & np.isfinite(values)
-    place, values = place[is_finite], values[is_finite]
-    if len(place) < 4 * LEAST_ROWS:
+    is_finite = np.isfinite(coordinate) & np.isfinite(values)
+    coordinate, values = coordinate[is_finite], values[is_finite]
+    if len(coordinate) < 4 * MIN_ROWS:
         return np.zeros((0, 4))
     share = np.linspace(0.0, 1.0, CLASSES // 2 + 1)
-    even = place.min() + share * np.ptp(place)
-    edges = np.unique(np.concatenate([np.quantile(place, share), even]))
+    even = coordinate.min() + share * np.ptp(coordinate)
+    edges = np.unique(np.concatenate([np.quantile(coordinate, share), even]))
     rows = []
     for low, high in pairwise(edges):
-        inside = (place >= low) & ((place < high) | (high == edges[-1]))
-        if inside.sum() >= LEAST_ROWS:
+        inside = (coordinate >= low) & ((coordinate < high) | (high == edges[-1]))
+        if inside.sum() >= MIN_ROWS:
             quartiles = np.quantile(values[inside], [0.25, 0.5, 0.75])
-            rows.append([float(np.median(place[inside])), *quartiles.tolist()])
+            rows.append([float(np.median(coordinate[inside])), *quartiles.tolist()])
     return np.array(rows).reshape(-1, 4)
 
 
@@ -147,7 +150,7 @@ def _spectrum(
     rate_Hz = picture.trace.recording.sampling_rate_Hz
     curves = [
         _density(values, rate_Hz)
-        for values in (picture.before_m, picture.after_m, picture.injected_m)
+        for values in (picture.without_m, picture.with_m, picture.lookalike_m)
     ]
     if len(curves[0]) < 2:
         return None
@@ -162,7 +165,7 @@ def _spectrum(
     layers = tuple(canvas.line(role, name, c[:, 0], c[:, 1]) for role, name, c in drawn)
     name = picture.trace.recording.name
     return _titled(
-        finding, appearance, canvas, name, layers, (rms(picture.before_m), rms(picture.after_m))
+        finding, appearance, canvas, name, layers, (rms(picture.without_m), rms(picture.with_m))
     )
 
 
@@ -190,12 +193,12 @@ def _titled(
     layers: tuple[Layer, ...],
     errors_m: tuple[float, float],
 ) -> Figure:
-    before_m, after_m = errors_m
+    without_m, with_m = errors_m
     return Figure(
         title=f"{words(finding.effect).capitalize()}, {recording}: "
         f"residual against {appearance.label}",
-        caption=f"Residual {number(before_m, 'm')} rms without the effect, "
-        f"{number(after_m, 'm')} with it.",
+        caption=f"Residual {number(without_m, 'm')} rms without the effect, "
+        f"{number(with_m, 'm')} with it.",
         guide=appearance.reading,
         canvas=canvas,
         layers=layers,

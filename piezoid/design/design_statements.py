@@ -42,6 +42,21 @@ def useful_bound_m(certificate: Certificate | None, axis: AxisModel) -> float | 
     return error_m if isfinite(error_m) and error_m <= limit_m else None
 
 
+def guaranteed_error_m(
+    certificate: Certificate | None, axis: AxisModel, *, is_verified: bool = True
+) -> float | str:
+    """Return the guaranteed error of a loop, or in words why there is none of use.
+
+    is_verified  whether the controller passed its verification
+    """
+    if certificate is None or not certificate.is_guaranteed:
+        return "none"
+    if not is_verified:
+        return "not verified"
+    bound_m = useful_bound_m(certificate, axis)
+    return "no useful bound" if bound_m is None else bound_m
+
+
 def bandwidth_limit_Hz(design: AxisDesign, axis: AxisModel) -> float | None:
     """Return the largest bandwidth that was tried, or None if a known resonance sets the limit."""
     is_guarded = any(limit.name == BEYOND for limit in design.specification.templates)

@@ -6,7 +6,7 @@ import numpy as np
 
 from piezoid.design.damping import describe_mode
 from piezoid.design.design import AxisDesign, LoopDesign
-from piezoid.design.design_statements import error_parts_m, useful_bound_m
+from piezoid.design.design_statements import error_parts_m, guaranteed_error_m, useful_bound_m
 from piezoid.design.lateral_task import assumptions_of
 from piezoid.design.sensitivity import sensitivities
 from piezoid.design.templates import delay_limit
@@ -113,13 +113,12 @@ def _loops(page: Page) -> Table:
 
 
 def _bound(page: Page, axis: AxisDesign, loop: LoopDesign) -> str:
-    model = page.model.axes.get(axis.axis)
-    if model is None or loop.certificate is None or not loop.certificate.is_guaranteed:
+    model, is_verified = page.model.axes.get(axis.axis), page.ships(axis.axis)
+    if model is None:
         return "none"
-    if page.verification is not None and not page.ships(axis.axis):
-        return "not verified"
-    bound_m = useful_bound_m(loop.certificate, model)
-    return "no useful bound" if bound_m is None else number(bound_m, "m")
+    is_verified = is_verified or page.verification is None
+    bound_m = guaranteed_error_m(loop.certificate, model, is_verified=is_verified)
+    return bound_m if isinstance(bound_m, str) else number(bound_m, "m")
 
 
 def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from piezoid.design.design import LoopDesign
-from piezoid.design.design_statements import useful_bound_m
+from piezoid.design.design_statements import guaranteed_error_m
 from piezoid.formatting import words
 from piezoid.identification.fit_statements import Grade, grade_of
 from piezoid.identification.model import AxisModel
@@ -158,16 +158,14 @@ def _speed(page: Page, axis: str, loop: LoopDesign | None) -> tuple[str, str]:
 
 def guarantee(page: Page, axis: AxisModel, loop: LoopDesign | None) -> str:
     """Return the guaranteed error of a loop, or why there is none of use."""
-    verification = page.verification
-    if loop is None or loop.certificate is None or not loop.certificate.is_guaranteed:
-        return "none proven"
-    if verification is None or not page.ships(axis.axis):
-        return "not verified"
-    bound_m = useful_bound_m(loop.certificate, axis)
-    if bound_m is None:
-        return "no useful bound"
+    certificate, verification = None if loop is None else loop.certificate, page.verification
+    bound_m = guaranteed_error_m(certificate, axis, is_verified=page.ships(axis.axis))
+    if isinstance(bound_m, str):
+        return bound_m
+    assert certificate is not None
+    assert verification is not None
     speed_m_per_s = spiral_speed_m_per_s(TRACKED_Hz, verification.radius_m)
-    slow_m = loop.certificate.guaranteed_at(speed_m_per_s)
+    slow_m = certificate.guaranteed_at(speed_m_per_s)
     at_most = f"{number(bound_m, 'm')} at most"
     return (
         f"{number(slow_m, 'm')} at {TRACKED_Hz:g} Hz, {at_most}" if slow_m < bound_m else at_most

@@ -53,7 +53,7 @@ def test_what_is_not_public_is_told() -> None:
 
 
 def test_importing_the_package_loads_none_of_what_it_offers() -> None:
-    heavy = ("numpy", "scipy", "pandas", "matplotlib", "piezoid.verbs")
+    heavy = ("numpy", "scipy", "pandas", "matplotlib", "piezoid.verbs", "piezoid.control_verbs")
     code = f"import sys, piezoid; print([name for name in {heavy} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout.strip() == "[]"
