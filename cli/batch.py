@@ -196,9 +196,9 @@ def _show(fleet: "Fleet", n_earlier: int, out: str) -> None:
     n_omitted = len(fleet.stages) - count.get(PASSED, 0) - MAX_REASONS
     if n_omitted > 0:
         console.print(f"and {n_omitted} more, with their reasons in parameters.parquet")
-    summary, *others = (f"{out.rstrip('/')}/{name}" for name in (*SUMMARY[:2], f"{STAGES}/"))
+    summary, *paths = (f"{out.rstrip('/')}/{name}" for name in (*SUMMARY[:2], f"{STAGES}/"))
     console.print(plain(f"summary: {summary}"))
-    console.print(plain(f"also: {', '.join(others)}"))
+    console.print(plain(f"also: {', '.join(paths)}"))
 
 
 def write_table(fleet: "Fleet", stream: BinaryIO) -> None:

@@ -16,17 +16,17 @@ if TYPE_CHECKING:
     from piezoid.statement import Statement
 
 
-_MOST_PEAKS = 8
-_FIRST_LINE_s = 2.0  # without a terminal
+MAX_PEAKS = 8
+FIRST_LINE_s = 2.0  # without a terminal
 
 # Only these take a prefix: a unit of the file may have its own, and kilo-nanonewtons are none.
-_TAKE_PREFIX = ("s", "V", "m", "A", "K", "Hz")
+PREFIXED_UNITS = ("s", "V", "m", "A", "K", "Hz")
 HEADINGS = ("#", "column", "is", "unit", "from", "to", "noise rms", "step", "state")
-_LABEL, _MEANING = 1, 2  # of words
-_ALWAYS = 6  # of them; the others are left out where no column has anything to say
-_GAP, _NARROW = 2, 24  # characters: between columns, and of both columns of words at least
-_EXACT = 1e-10  # of a column's range: what ten digits in a file round off is no noise
-_LONGEST = 600  # a damaged file's heading fills a hundred screens
+LABEL, MEANING = 1, 2  # indices of the headings of words
+N_ALWAYS = 6  # headings that are always shown; the others only with an entry
+GAP, MIN_WORDS = 2, 24  # characters: between columns, and of both columns of words
+ROUNDING = 1e-10  # of a column's range: what ten digits in a file round off is no noise
+MAX_TEXT = 600  # a damaged file's heading fills a hundred screens
 
 
 def inspect(
@@ -51,7 +51,7 @@ def inspect(
     from piezoid.records.inspection import inspect_files
     from piezoid.records.lab import read_lab
 
-    with shown(quiet=quiet or json, every_s=_FIRST_LINE_s) as report:
+    with shown(quiet=quiet or json, every_s=FIRST_LINE_s) as report:
         names = files[0].name if len(files) == 1 else f"{len(files)} files"
         report(f"reading {names}")
         inspections = inspect_files(files, None if lab is None else read_lab(lab))
@@ -132,29 +132,22 @@ def _clock_line(inspection: "Inspection") -> str:
 
 
 def _table(columns: "tuple[ColumnSummary, ...]", width: int) -> "RenderableType":
-    """Return a row for each column; no word is broken where the terminal has room for it.
+    """Return a row for each column of a file; numbers are not broken if the terminal has room.
 
     width  of the terminal, characters
     """
     from rich.table import Table
 
     rows = [_cells(column) for column in columns]
-    kept = [k for k, name in enumerate(HEADINGS) if k < _ALWAYS or any(row[k] for row in rows)]
-    cells = [HEADINGS, *rows]
-    numbers = [k for k in kept if k not in (_LABEL, _MEANING)]
-    spent = sum(max(len(row[k]) for row in cells) for k in numbers) + _GAP * len(kept)
-    room = width - spent
-    longest = {k: max(len(w) for row in cells for w in row[k].split()) for k in (_LABEL, _MEANING)}
-    meaning = min(longest[_MEANING], room // 2)
-    least = {_LABEL: min(longest[_LABEL], room - meaning), _MEANING: meaning}
-    fits = room >= _NARROW  # else everything folds: what is cut off is worse than what is broken
-    table = Table(box=None, pad_edge=False, padding=(0, _GAP, 0, 0))
-    for k in kept:
-        width_of = least.get(k) if fits else None
-        whole = fits and k in numbers
-        table.add_column(HEADINGS[k], overflow="fold", no_wrap=whole, min_width=width_of)
+    shown = [k for k in range(len(HEADINGS)) if k < N_ALWAYS or any(row[k] for row in rows)]
+    numbers = [k for k in shown if k not in (LABEL, MEANING)]
+    spent = sum(max(len(row[k]) for row in (HEADINGS, *rows)) for k in numbers)
+    has_room = width - spent - GAP * len(shown) >= MIN_WORDS
+    table = Table(box=None, pad_edge=False, padding=(0, GAP, 0, 0))
+    for k in shown:
+        table.add_column(HEADINGS[k], overflow="fold", no_wrap=has_room and k in numbers)
     for row in rows:
-        table.add_row(*(plain(row[k]) for k in kept))
+        table.add_row(*(plain(row[k]) for k in shown))
     return table
 
 
@@ -181,11 +174,11 @@ def _noise(column: "ColumnSummary") -> float | None:
     noise, low, high = column.noise_rms, column.minimum, column.maximum
     if noise is None or low is None or high is None:
         return noise
-    return noise if noise > _EXACT * (high - low) else None
+    return noise if noise > ROUNDING * (high - low) else None
 
 
 def _cut(text: str) -> str:
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
+    return text if len(text) <= MAX_TEXT else f"{text[:MAX_TEXT]} ..."
 
 
 def _quantity(value: float | None, unit: str) -> str:
@@ -193,7 +186,7 @@ def _quantity(value: float | None, unit: str) -> str:
 
     if value is None:
         return ""
-    if unit not in _TAKE_PREFIX:
+    if unit not in PREFIXED_UNITS:
         return f"{number(value, '', 4)} {unit}".strip()
     return number(value, unit, 4).replace(NARROW, " ")
 
@@ -242,8 +235,8 @@ def _path(path: "PathSummary", lines: int) -> str:
         f"{path.coherent} of {lines} lines coherent" if path.has_coherence else "no coherence"
     )
     if path.peaks:
-        peaks = "possible resonances at " + ", ".join(map(_peak, path.peaks[:_MOST_PEAKS]))
-        peaks += f" and {len(path.peaks) - _MOST_PEAKS} more" * (len(path.peaks) > _MOST_PEAKS)
+        peaks = "possible resonances at " + ", ".join(map(_peak, path.peaks[:MAX_PEAKS]))
+        peaks += f" and {len(path.peaks) - MAX_PEAKS} more" * (len(path.peaks) > MAX_PEAKS)
     else:
         peaks = "no peak"
     gain = f"{with_unit(path.gain_m_per_V, 'm')}/V at low frequency"

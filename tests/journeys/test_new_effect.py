@@ -213,7 +213,7 @@ def test_the_report_draws_it_where_it_shows_and_says_what_it_means(known: Known)
     axis = known.model["x"]
     pictures = compare_effects(axis, traces_of(axis, known.recordings), known.found)["charge_leak"]
     for one in pictures:
-        assert rms(one.before_m) > 1.2 * rms(one.after_m)
+        assert rms(one.without_m) > 1.2 * rms(one.with_m)
 
 
 def test_injected_by_its_file_it_is_the_leak_of_the_test(known: Known) -> None:

@@ -60,8 +60,8 @@ def test_the_picture_of_hum_shows_it_without_and_not_with_the_effect() -> None:
     axis = axis_model()
     found = diagnosed(finding("mains_interference"))
     (one,) = compare_effects(axis, traces_of(axis, [hummed]), found)["mains_interference"]
-    assert rms(one.before_m) > 3e-8
-    assert rms(one.after_m) < 0.3 * rms(one.before_m)
+    assert rms(one.without_m) > 3e-8
+    assert rms(one.with_m) < 0.3 * rms(one.without_m)
 
 
 def test_a_mode_that_the_fitted_samples_do_not_show_has_a_sentence_for_a_picture() -> None:
@@ -77,9 +77,9 @@ def test_a_lag_the_model_carries_is_taken_out_to_be_seen() -> None:
     axis = replace(axis_model(), lag=Lag(kind="first_order", time_s=4e-3))
     found = diagnosed(finding("lag"))
     (one,) = compare_effects(axis, traces_of(axis, [_with(np.zeros(1))]), found)["lag"]
-    part_m = one.before_m - one.after_m
+    part_m = one.without_m - one.with_m
     assert rms(part_m) > 1e-8
-    alike = np.corrcoef(part_m, one.injected_m)[0, 1]
+    alike = np.corrcoef(part_m, one.lookalike_m)[0, 1]
     assert alike > 0.6
 
 
@@ -160,8 +160,8 @@ def test_a_memory_that_was_wrong_is_shown_against_that_of_a_drive_cycled_before(
     axis = axis_model()
     found = diagnosed(finding("initial_state"))
     (one,) = compare_effects(axis, traces_of(axis, [recording()]), found)["initial_state"]
-    assert rms(one.after_m) < 2.0 * axis.quality.noise_rms_m
-    assert rms(one.before_m) > 10.0 * rms(one.after_m)
+    assert rms(one.with_m) < 2.0 * axis.quality.noise_rms_m
+    assert rms(one.without_m) > 10.0 * rms(one.with_m)
 
 
 def test_creep_without_a_hold_is_drawn_over_time_and_says_so() -> None:
