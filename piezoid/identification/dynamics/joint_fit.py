@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from piezoid.identification.dynamics.fit_dynamics import sorted_terms
+from piezoid.identification.dynamics.fit_dynamics import STEP, sorted_terms
 from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.modal_basis import Structure
+from piezoid.identification.dynamics.modal_basis import Declaration, ModalBasis, Structure
 from piezoid.identification.dynamics.records import JointFit
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, behind_pole
 from piezoid.identification.model import AxisModel
@@ -77,20 +77,21 @@ def fit_jointly(
     start_names = {start.recording for start in axis.starts}
     if exciting.name not in start_names:
         return None
+    structure = Structure(
+        modes=len(dynamics.mode_frequency_Hz), lags=len(dynamics.lag_frequency_Hz)
+    )
     coarse_V = axis.hysteresis.plays.threshold
     threshold_V = _with_small_plays(coarse_V, exciting.voltage_V(axis.axis))
     segments = [
         segment
         for recording in recordings
         if recording.name in start_names
-        for segment in _segments(axis, recording, threshold_V, dynamics)
+        for segment in _segments(axis, recording, threshold_V, dynamics, structure)
     ]
     layout = Layout(
         plays=len(threshold_V),
         threshold_m=axis.hysteresis.dead_zones.threshold,
-        structure=Structure(
-            modes=len(dynamics.mode_frequency_Hz), lags=len(dynamics.lag_frequency_Hz)
-        ),
+        structure=structure,
     )
     start = layout.start(axis.hysteresis, dynamics, np.searchsorted(threshold_V, coarse_V))
     is_coarse = np.isin(threshold_V, coarse_V)
@@ -138,7 +139,7 @@ class Segment:
     recording     its name
     states_V      (plays, samples)  of the operator's plays
     measured_m    (samples,)  rising with the drive
-    frequency_Hz  (lines,)  of the padded spectrum
+    basis         modes and lags of unit gain at the lines of the padded spectrum
     sensor        (lines,)  response of the declared sensor
     padded        samples of the padded signal
     """
@@ -146,7 +147,7 @@ class Segment:
     recording: str
     states_V: Array
     measured_m: Array
-    frequency_Hz: Array
+    basis: ModalBasis
     sensor: ComplexArray
     padded: int
 
@@ -165,7 +166,11 @@ class Segment:
 
 
 def _segments(
-    axis: AxisModel, recording: Recording, threshold_V: Array, dynamics: LinearDynamics
+    axis: AxisModel,
+    recording: Recording,
+    threshold_V: Array,
+    dynamics: LinearDynamics,
+    structure: Structure,
 ) -> list[Segment]:
     """Return the segments of a recording whose initial memory the static fit found."""
     rate_Hz, operator = recording.sampling_rate_Hz, axis.hysteresis
@@ -194,7 +199,12 @@ def _segments(
                 recording=recording.name,
                 states_V=np.ascontiguousarray(states_V.T),
                 measured_m=axis.polarity * recording.displacement_m(axis.axis)[rows],
-                frequency_Hz=frequency_Hz,
+                basis=ModalBasis(
+                    structure=structure,
+                    frequency_Hz=frequency_Hz,
+                    sampling_rate_Hz=rate_Hz,
+                    declaration=Declaration(hold="band_limited"),
+                ),
                 sensor=np.asarray(np.ones(len(frequency_Hz)) / (1.0 + 1j * lag)),
                 padded=padded,
             )
@@ -295,22 +305,11 @@ class Layout:
             np.append(shares, 1.0 - shares.sum()),
         )
 
-    def fractions(self, shape: Array, frequency_Hz: Array) -> ComplexArray:
-        """Return modes and lags of unit gain, the delay included, (lines, terms)."""
-        n = self.structure.modes
-        s = 2j * np.pi * frequency_Hz[:, None]
-        w, zeta = 2.0 * np.pi * np.exp(shape[:n]), np.exp(shape[n : 2 * n])
-        pole = 2.0 * np.pi * np.exp(shape[2 * n : -1])
-        modes = w**2 / (s**2 + 2.0 * zeta * w * s + w**2)
-        return np.asarray(
-            np.concatenate([modes, pole / (s + pole)], axis=1) * np.exp(-s * shape[-1])
-        )
-
     def simulate(self, theta: Array, segment: Segment) -> Array:
         """Return the model's displacement, (samples,), about its first value."""
         weight, zones, shape, shares = self.split(theta)
         static_m = zones.run(weight @ segment.states_V)
-        response = segment.sensor * (self.fractions(shape, segment.frequency_Hz) @ shares)
+        response = segment.sensor * (segment.basis.columns(shape) @ shares)
         return segment.signal(response * segment.spectrum(static_m))
 
     def tangents(self, theta: Array, segment: Segment) -> Array:
@@ -318,34 +317,15 @@ class Layout:
         weight, zones, shape, shares = self.split(theta)
         inner = weight @ segment.states_V
         static_m, slope = zones.run_with_slope(inner)
-        fractions = self.fractions(shape, segment.frequency_Hz)
+        fractions = segment.basis.columns(shape)
         response = segment.sensor * (fractions @ shares)
         outer = np.delete(zones.columns(inner).T, zones.zero, axis=0)
         static = [*(slope * states for states in segment.states_V), *outer]
-        changes = self._response_slopes(shape, shares, fractions, segment.frequency_Hz)
+        by_shape = segment.basis.derivatives(shape, STEP) @ shares
+        changes = [*by_shape, *(fractions[:, :-1] - fractions[:, -1:]).T]
         spectrum = segment.sensor * segment.spectrum(static_m)
         signals = [segment.signal(response * segment.spectrum(signal)) for signal in static]
         return np.array([*signals, *(segment.signal(change * spectrum) for change in changes)])
-
-    def _response_slopes(
-        self, shape: Array, shares: Array, fractions: ComplexArray, frequency_Hz: Array
-    ) -> list[ComplexArray]:
-        """Derivatives of G by each entry of the linear shape, w^2/D, p/(s + p), delay, shares."""
-        n, s = self.structure.modes, 2j * np.pi * frequency_Hz
-        by_frequency: list[ComplexArray] = []
-        by_damping: list[ComplexArray] = []
-        for m in range(n):
-            w, zeta = 2.0 * np.pi * np.exp(shape[m]), np.exp(shape[n + m])
-            denominator = s**2 + 2.0 * zeta * w * s + w**2
-            mode = shares[m] * fractions[:, m]
-            by_frequency.append(mode * (2.0 - (2.0 * zeta * w * s + 2.0 * w**2) / denominator))
-            by_damping.append(mode * (-2.0 * zeta * w * s / denominator))
-        by_lag = [
-            shares[n + k] * np.exp(-s * shape[-1]) * pole * s / (s + pole) ** 2
-            for k, pole in enumerate(2.0 * np.pi * np.exp(shape[2 * n : -1]))
-        ]
-        by_share = [fractions[:, k] - fractions[:, -1] for k in range(len(shares) - 1)]
-        return [*by_frequency, *by_damping, *by_lag, -s * (fractions @ shares), *by_share]
 
 
 def _fit(segments: Sequence[Segment], layout: Layout, start: Array) -> tuple[Array, list[Array]]:
