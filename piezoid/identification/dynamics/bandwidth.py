@@ -104,8 +104,7 @@ def decide_bandwidth(
     if fallen is not None:
         pair = slice(fallen - 1, fallen + 1)
         fallen_Hz = float(np.interp(-FALLEN, -gain[pair], f[pair]))
-        at = np.interp(fallen_Hz, f, relative.real) + 1j * np.interp(fallen_Hz, f, relative.imag)
-        phase_deg = float(np.degrees(np.angle(at)))
+        phase_deg = float(np.degrees(np.angle(np.interp(fallen_Hz, f, relative))))
         phase_deg -= 360.0 if phase_deg > 90.0 else 0.0
         half = NORMAL_95 * float(np.degrees(np.interp(fallen_Hz, f, spread) / np.sqrt(2.0)))
         later = 360.0 * fallen_Hz * (delay_s[1] - delay_s[0])

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.special import gammainccinv
 
 from piezoid.errors import ExcitationError
@@ -190,9 +191,7 @@ def _standing_out(variance: Array, power: Array, freedom: int) -> NDArray[np.boo
     limit = gammainccinv(freedom, FALSE_ALARMS / variance.size) / gammainccinv(freedom, 0.5)
     stands_out = np.ones(variance.shape, dtype=np.bool_)
     for quantity in (variance, variance / np.maximum(power, np.finfo(float).tiny)):
-        padded = np.pad(quantity, ((width // 2, width // 2), (0, 0)), mode="reflect")
-        windows = np.lib.stride_tricks.sliding_window_view(padded, width, axis=0)
-        stands_out &= quantity > limit * np.median(windows, axis=2)
+        stands_out &= quantity > limit * median_filter(quantity, (width, 1), mode="mirror")
     return stands_out
 
 
@@ -211,8 +210,6 @@ def smoothed(variance: Array, width: int) -> Array:
 
 def interpolated(values: ComplexArray, known_Hz: Array, frequency_Hz: Array) -> ComplexArray:
     """Return a complex response between its lines, straight from line to line."""
-    flat = values.reshape(len(values), -1)
-    real = [np.interp(frequency_Hz, known_Hz, column) for column in flat.real.T]
-    imaginary = [np.interp(frequency_Hz, known_Hz, column) for column in flat.imag.T]
-    interpolated_values = np.stack(real, axis=1) + 1j * np.stack(imaginary, axis=1)
-    return np.asarray(interpolated_values.reshape(len(frequency_Hz), *values.shape[1:]))
+    columns = values.reshape(len(values), -1).T
+    between = np.stack([np.interp(frequency_Hz, known_Hz, column) for column in columns], axis=1)
+    return np.asarray(between.reshape(len(frequency_Hz), *values.shape[1:]))

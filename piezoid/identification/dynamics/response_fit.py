@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from piezoid.errors import ExcitationError, IdentificationError
 from piezoid.identification.dynamics.fit_dynamics import (
@@ -152,8 +153,7 @@ def fit_response(
     at_rest = abs(dynamics.static_gain_m_per_V)
     relative = np.abs(values - dynamics.response(f))
     relative /= np.maximum(np.abs(values), at_rest)
-    padded = np.pad(relative, RESIDUAL_LINES // 2, mode="edge")
-    typical = np.median(np.lib.stride_tricks.sliding_window_view(padded, RESIDUAL_LINES), axis=1)
+    typical = median_filter(relative, RESIDUAL_LINES, mode="nearest")
     worst = int(np.argmax(typical))
     spread = np.sqrt(used_lines.variance[:, 0, 0]) / np.abs(values)
     return FittedResponse(

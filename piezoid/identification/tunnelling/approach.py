@@ -18,6 +18,7 @@ from enum import Enum
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import median_filter
 
 from piezoid.errors import ExcitationError, RecordingError, UnitError
 from piezoid.numerics.arrays import Array, freeze, same_length
@@ -247,8 +248,7 @@ def rows_at_limit(current_A: Array) -> int:
     limit_A = float(np.median(upright_A[:_MIN_PLATEAU]))
     if not limit_A > 0.0:
         return 0
-    padded = np.pad(upright_A, _SMOOTHED // 2, mode="edge")
-    smooth_A = np.median(np.lib.stride_tricks.sliding_window_view(padded, _SMOOTHED), axis=1)
+    smooth_A = median_filter(upright_A, _SMOOTHED, mode="nearest")
 
     def first_below(share: float) -> int:
         below = np.flatnonzero(smooth_A < share * limit_A)
