@@ -19,6 +19,12 @@ class Size:
     unit: str
     ci95: tuple[float, float]
 
+    @property
+    def half_width(self) -> float:
+        """Return half the width of the interval."""
+        low, high = self.ci95
+        return 0.5 * (high - low)
+
 
 @dataclass(frozen=True, kw_only=True)
 class CoordinateProfile:

@@ -1,42 +1,42 @@
-"""What a diagnosis left open, most pressing first: what the next experiment is to answer.
+"""Questions that a diagnosis leaves open, and how much of each a drive leaves.
 
-What a drive leaves of a question is 1 where nothing is gained and 0 where all is answered: of a
-size, half its expected interval over half the present one; of an effect not seen, the rms from
-which it would show over that from which it shows now; of two that look alike, the error of the
-less known size, with the other free beside it, over what it is now.
+The share that a drive leaves is 1 if nothing is gained and 0 if the question is answered. For a
+size it is the expected interval over the present one; for an effect that was not detected, the
+expected detection limit over the present one; for two confounded effects, the error of the less
+certain size, with the other free, over its present value.
 
-The errors of separation.py are rather too small, so that their ratios are trusted: where the
-recordings are at hand, what a diagnosis says now is taken to shrink as its standard error does.
+The errors of ``separation`` are too small, but their ratios are reliable: with the recordings at
+hand, the interval of the diagnosis is taken to shrink in proportion to the standard error.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import isfinite, sqrt
+from math import inf, isfinite, sqrt
 
 from piezoid.diagnosis.candidate import MINIMUM_SHARE
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding, NotDetected, Size
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding, NotDetected
 from piezoid.diagnosis.effect import Tangent
 from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.planning.separation import SeparationEstimate, Suspect
 from piezoid.errors import ExcitationError
 
 HALF_95 = 1.96  # standard errors
-POWER = 2.8  # standard errors of the smallest size that is found in four of five cases
-WORTHWHILE = 0.8  # of what is open: a recording that leaves more is not worth its time
-WIDE = 0.25  # half an interval over the size: from here on it is worth a recording
-VISIBLE = 2e-3  # of the stroke, of an effect these recordings could not have shown
-ABOVE = 1.25  # times the least that is ever named: from here on a limit can be lowered
+POWER = 2.8  # standard errors of the smallest size that is detected in four cases of five
+MAX_LEFT = 0.8  # share that a recording worth its time may leave
+WIDE = 0.25  # half the interval over the size, from which on a size is worth a recording
+UNTESTED_SHARE = 2e-3  # of the stroke, of an effect that these recordings could not show
+LOWERABLE = 1.25  # detection limit over the smallest size that is named
 
 
 @dataclass(frozen=True, kw_only=True)
 class Question:
-    """What the experiment is to answer.
+    """A question that an experiment may answer.
 
     kind      ``separate``, ``tighten`` or ``detect``
-    suspects  the effect asked about first, then those it is mistaken for
-    finding   where it was found
-    absent    where it was not
-    floor_m   rms below which the diagnosis names no such effect, however well it shows
+    suspects  the effect in question, then those it may be confounded with
+    finding   of the effect, if it was found
+    absent    why it was not found
+    floor_m   rms below which the diagnosis does not name the effect
     """
 
     kind: str
@@ -47,22 +47,34 @@ class Question:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Return the names."""
+        """Return the names of the effects."""
         return tuple(suspect.name for suspect in self.suspects)
+
+    @property
+    def limit_m(self) -> float | None:
+        """Return the present detection limit; None if the effect was found or not tested."""
+        return None if self.absent is None else self.absent.detection_limit_m
 
 
 def questions_of(diagnosis: Diagnosis, effect: str | None) -> tuple[Question, ...]:
-    """Return what was left open, most pressing first, or what can be asked about one effect.
+    """Return the open questions of a diagnosis, or all about one effect, most pressing first.
 
-    Raises ``ExcitationError`` where nothing is left to ask, and for a name that is no question.
+    Raises ``ExcitationError`` if no question is open, or none is about the effect.
     """
-    questions = [
-        *_to_separate(diagnosis),
-        *_to_tighten(diagnosis),
-        *_to_detect(diagnosis),
-    ]
-    if effect is None:
-        return _pressing(questions)
+    questions = [*_to_separate(diagnosis), *_to_tighten(diagnosis), *_to_detect(diagnosis)]
+    if effect is not None:
+        return _about(effect, questions)
+    pressing = tuple(question for question in questions if is_open(question))
+    if not pressing:
+        raise ExcitationError(
+            "the diagnosis leaves nothing open that a drive could show better",
+            needed="effects not told apart, wide intervals, or effects that could hide",
+            remedy="No recording is needed; name one with --effect to ask all the same.",
+        )
+    return pressing
+
+
+def _about(effect: str, questions: Sequence[Question]) -> tuple[Question, ...]:
     tangent = _tangent_of(effect)
     if isinstance(tangent, str):
         raise ExcitationError(
@@ -70,83 +82,71 @@ def questions_of(diagnosis: Diagnosis, effect: str | None) -> tuple[Question, ..
             needed="an effect that a drive can expose",
             remedy=f"No drive helps: {tangent}.",
         )
-    asked = tuple(q for q in questions if q.effects[0] == effect)
-    if not asked:
+    about = tuple(question for question in questions if question.effects[0] == effect)
+    if not about:
         raise ExcitationError(
             f"the diagnosis says nothing of {effect!r}",
             needed="one of " + ", ".join(sorted({q.effects[0] for q in questions})),
             remedy="Name one of these.",
         )
-    return asked
-
-
-def _pressing(questions: Sequence[Question]) -> tuple[Question, ...]:
-    found = tuple(one for one in questions if is_open(one))
-    if not found:
-        raise ExcitationError(
-            "the diagnosis leaves nothing open that a drive could show better",
-            needed="effects not told apart, wide intervals, or effects that could hide",
-            remedy="No recording is needed; name one with --effect to ask all the same.",
-        )
-    return found
+    return about
 
 
 def is_open(question: Question) -> bool:
-    """Tell whether a question is worth asking unasked."""
+    """Tell whether a question is worth a recording."""
     if question.kind == "tighten":
-        return _width(question.finding) > WIDE
-    limit_m = None if question.absent is None else question.absent.detection_limit_m
-    return limit_m is None or limit_m > ABOVE * question.floor_m
+        return question.finding is not None and _relative_width(question.finding) > WIDE
+    return question.limit_m is None or question.limit_m > LOWERABLE * question.floor_m
 
 
 def suspect_of(finding: Finding, stroke_m: float) -> Suspect | None:
-    """Return what was found as a plan and a picture take it, or None for a fault of the data."""
-    own = _suspect(finding.effect, finding.share, stroke_m)
-    return own and replace(own, scale=finding.parameters.get(own.tangent.found))
+    """Return the suspect of a finding, or None for a fault of the data."""
+    suspect = _suspect(finding.effect, finding.share, stroke_m)
+    return suspect and replace(suspect, scale=finding.parameters.get(suspect.tangent.found))
 
 
 def _to_separate(diagnosis: Diagnosis) -> list[Question]:
-    found = {finding.effect: finding for finding in diagnosis.findings}
+    shares = {finding.effect: finding.share for finding in diagnosis.findings}
     questions = []
     for finding in diagnosis.findings:
-        own = suspect_of(finding, diagnosis.stroke_m)
-        for alternative in finding.not_separable_from:
-            share = found[alternative].share if alternative in found else finding.share
-            other = _suspect(alternative, share, diagnosis.stroke_m)
-            if own and other:
-                questions.append(Question(kind="separate", suspects=(own, other), finding=finding))
+        suspect = suspect_of(finding, diagnosis.stroke_m)
+        for name in finding.not_separable_from:
+            other = _suspect(name, shares.get(name, finding.share), diagnosis.stroke_m)
+            if suspect and other:
+                questions.append(
+                    Question(kind="separate", suspects=(suspect, other), finding=finding)
+                )
     return questions
 
 
 def _to_tighten(diagnosis: Diagnosis) -> list[Question]:
+    suspects = [suspect_of(finding, diagnosis.stroke_m) for finding in diagnosis.findings]
     questions = []
-    for finding in sorted(diagnosis.findings, key=_width, reverse=True):
-        own = suspect_of(finding, diagnosis.stroke_m)
-        beside = [suspect_of(f, diagnosis.stroke_m) for f in diagnosis.findings]
-        others = tuple(s for s in beside if s and s.name != finding.effect)
-        if own:
-            questions.append(Question(kind="tighten", suspects=(own, *others), finding=finding))
+    for finding in sorted(diagnosis.findings, key=_relative_width, reverse=True):
+        suspect = suspect_of(finding, diagnosis.stroke_m)
+        if suspect:
+            others = tuple(s for s in suspects if s and s.name != finding.effect)
+            questions.append(
+                Question(kind="tighten", suspects=(suspect, *others), finding=finding)
+            )
     return questions
 
 
 def _to_detect(diagnosis: Diagnosis) -> list[Question]:
-    def openness(absent: NotDetected) -> float:
-        limit_m = absent.detection_limit_m
-        return float("inf") if limit_m is None else limit_m
+    def limit_m(absent: NotDetected) -> float:
+        return inf if absent.detection_limit_m is None else absent.detection_limit_m
 
-    questions = []
-    for absent in sorted(diagnosis.not_detected, key=openness, reverse=True):
-        limit_m = absent.detection_limit_m
-        share = VISIBLE if limit_m is None else limit_m / diagnosis.stroke_m
-        own = _suspect(absent.effect, share, diagnosis.stroke_m)
-        # below which the diagnosis itself names no such effect
-        effect = effect_named(absent.effect)
-        worth_m = diagnosis.envelope_rms_m * sqrt(2.0 * effect.minimum_gain)
-        floor_m = max(MINIMUM_SHARE * diagnosis.stroke_m, worth_m)
-        if own:
-            questions.append(
-                Question(kind="detect", suspects=(own,), absent=absent, floor_m=floor_m)
-            )
+    stroke_m, questions = diagnosis.stroke_m, []
+    for absent in sorted(diagnosis.not_detected, key=limit_m, reverse=True):
+        share = UNTESTED_SHARE if limit_m(absent) == inf else limit_m(absent) / stroke_m
+        suspect = _suspect(absent.effect, share, stroke_m)
+        if suspect is None:
+            continue
+        min_gain = effect_named(absent.effect).minimum_gain
+        floor_m = max(MINIMUM_SHARE * stroke_m, diagnosis.envelope_rms_m * sqrt(2.0 * min_gain))
+        questions.append(
+            Question(kind="detect", suspects=(suspect,), absent=absent, floor_m=floor_m)
+        )
     return questions
 
 
@@ -158,82 +158,71 @@ def _suspect(name: str, share: float, stroke_m: float) -> Suspect | None:
 
 
 def _tangent_of(name: str) -> Tangent | str | None:
-    """Return the tangent of a name, or why it has none; None for a name that is no effect."""
+    """Return the tangent of an effect, or why it has none; None if there is no such effect."""
     return next((effect.tangent for effect in every_effect() if effect.name == name), None)
 
 
-def _width(finding: Finding | None) -> float:
-    """Return half an interval over its size."""
-    if finding is None:
-        return 0.0
-    low, high = finding.size.ci95
-    return 0.5 * (high - low) / max(abs(finding.size.value), 1e-30)
+def _relative_width(finding: Finding) -> float:
+    """Return half the interval of a size over the size."""
+    return finding.size.half_width / max(abs(finding.size.value), 1e-30)
 
 
 def answers(
     question: Question, before: SeparationEstimate | None, after: SeparationEstimate
 ) -> bool:
     """Tell whether a drive answers enough of a question to be worth playing."""
-    stand_out = question.kind != "separate" or POWER * after.worst <= 1.0
-    return stand_out and left_open(question, before, after) <= WORTHWHILE
+    exceed_errors = question.kind != "separate" or POWER * after.worst <= 1.0
+    return exceed_errors and left_open(question, before, after) <= MAX_LEFT
 
 
 def left_open(
     question: Question, before: SeparationEstimate | None, after: SeparationEstimate
 ) -> float:
-    """Return how much of a question a drive leaves, 0 to 1."""
+    """Return the share of a question that a drive leaves, 0 to 1."""
     if question.kind == "separate":
-        now = 1.0 / POWER if before is None else before.worst
-        return _ratio(after.worst, now)
-    if question.finding is not None:
-        return _ratio(expected_half(question, before, after), _half(question.finding.size))
-    held_m = None if question.absent is None else question.absent.detection_limit_m
-    now_m = question.suspects[0].rms_m if held_m is None else held_m
-    return _ratio(expected_limit_m(question, before, after), now_m)
-
-
-def _ratio(after: float, now: float) -> float:
-    if not isfinite(after):
+        expected, present = after.worst, 1.0 / POWER if before is None else before.worst
+    elif question.finding is not None:
+        expected = expected_half(question, before, after)
+        present = question.finding.size.half_width
+    else:
+        expected = expected_limit_m(question, before, after)
+        present = question.suspects[0].rms_m if question.limit_m is None else question.limit_m
+    if not isfinite(expected) or present <= 0.0:
         return 1.0
-    return min(after / now, 1.0) if now > 0.0 else 1.0
-
-
-def _half(size: Size) -> float:
-    low, high = size.ci95
-    return 0.5 * (high - low)
+    return min(expected / present, 1.0)
 
 
 def expected_half(
     question: Question, before: SeparationEstimate | None, after: SeparationEstimate
 ) -> float:
-    """Return half the interval to expect of the size that was diagnosed, in its own unit.
+    """Return the expected half width of the interval of a diagnosed size, in its own unit.
 
-    Without the recordings, what the planned drive alone would say is added to what was known.
+    Without the recordings, the information of the planned drive is added to that of the diagnosis.
     """
-    finding = question.finding
-    if finding is None:
+    if question.finding is None:
         raise TypeError("no size was diagnosed")
-    half, error = _half(finding.size), after.errors[0]
+    size, error = question.finding.size, after.errors[0]
+    half = size.half_width
     if before is not None and isfinite(before.errors[0]):
         return half * min(error / before.errors[0], 1.0)
     if not isfinite(error):
         return half
-    alone = HALF_95 * error * abs(finding.size.value)
+    alone = HALF_95 * error * abs(size.value)
     return half * alone / sqrt(half**2 + alone**2) if half > 0.0 else 0.0
 
 
 def expected_limit_m(
     question: Question, before: SeparationEstimate | None, after: SeparationEstimate
 ) -> float:
-    """Return the rms from which an effect would show, m.
+    """Return the expected detection limit of an effect, rms in m.
 
-    Never less than what the diagnosis asks of an effect before it names it, however often a drive
-    repeats it: below that, shapes of the model's own error pass for causes.
+    It is never below the size that the diagnosis requires of a name, however often a drive is
+    repeated: smaller shapes may be the model's own error.
     """
-    held_m = None if question.absent is None else question.absent.detection_limit_m
-    alone_m = POWER * after.errors[0] * question.suspects[0].rms_m
-    if held_m is None:
-        return max(alone_m, question.floor_m)
+    present_m = question.limit_m
+    expected_m = POWER * after.errors[0] * question.suspects[0].rms_m
+    if present_m is None:
+        return max(expected_m, question.floor_m)
     if before is not None and isfinite(before.errors[0]):
-        alone_m = held_m * after.errors[0] / before.errors[0]
-    return min(max(alone_m, question.floor_m), held_m)
+        expected_m = present_m * after.errors[0] / before.errors[0]
+    return min(max(expected_m, question.floor_m), present_m)

@@ -1,6 +1,6 @@
 """A plan in sentences, and as files: drive.csv and plan.json."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import Any
 
@@ -13,7 +13,6 @@ from piezoid.diagnosis.planning.open_questions import (
     expected_limit_m,
     is_open,
 )
-from piezoid.diagnosis.planning.plan_ranking import Alternative
 from piezoid.diagnosis.planning.separation import SeparationEstimate
 from piezoid.digests import digest_of_bytes, seal
 from piezoid.formatting import significant, with_unit, words
@@ -21,113 +20,128 @@ from piezoid.formatting import significant, with_unit, words
 SCHEMA = "piezoid.plan/1"
 
 
-def plan_files(found: Plan, *, model_digest: str, diagnosis_digest: str) -> dict[str, bytes]:
+def plan_files(plan: Plan, *, model_digest: str, diagnosis_digest: str) -> dict[str, bytes]:
     """Return drive.csv and plan.json by name."""
-    drive = found.drive.to_csv().encode()
+    drive = plan.drive.to_csv().encode()
     content = {
         "model": model_digest,
         "diagnosis": diagnosis_digest,
         "drive_csv": digest_of_bytes(drive),
-        **plan_json(found),
+        **plan_json(plan),
     }
     return {"drive.csv": drive, "plan.json": seal(SCHEMA, content)}
 
 
-def plan_json(found: Plan) -> dict[str, Any]:
+def plan_json(plan: Plan) -> dict[str, Any]:
     """Return the content of plan.json without digests."""
-    question, drive = found.question, found.drive
+    question, drive, limits = plan.question, plan.drive, plan.limits
     return {
-        "axis": found.axis,
-        "question": {"kind": question.kind, "effects": list(question.effects)},
-        "why": " ".join(sentences(found)),
+        "axis": plan.axis,
+        "question": _question_json(question),
+        "why": " ".join(sentences(plan)),
         "drive": {
             "name": drive.name,
             "why": drive.why,
             "axes": list(drive.axes),
             "sampling_rate_Hz": drive.sampling_rate_Hz,
             "samples": len(drive.voltage_V),
-            "duration_s": found.duration_s,
+            "duration_s": plan.duration_s,
         },
         "limits": {
-            "voltage_min_V": found.limits.voltage_min_V,
-            "voltage_max_V": found.limits.voltage_max_V,
-            "slew_V_per_s": found.limits.slew_V_per_s,
-            "from": found.limits_from,
+            "voltage_min_V": limits.voltage_min_V,
+            "voltage_max_V": limits.voltage_max_V,
+            "slew_V_per_s": limits.slew_V_per_s,
+            "from": plan.limits_from,
         },
-        "answers": found.answers,
-        "forbids": found.forbids,
-        "set_aside": [{"kind": one.kind, "effects": list(one.effects)} for one in found.set_aside],
-        "before": _estimate_json(found, found.before),
-        "after": _estimate_json(found, found.after),
-        "size": _size(found),
-        "alternatives": [_alternative(found, one) for one in found.alternatives],
+        "answers": plan.answers,
+        "forbids": plan.forbids,
+        "set_aside": [_question_json(question) for question in plan.set_aside],
+        "before": _estimate_json(question, plan.before),
+        "after": _estimate_json(question, plan.after),
+        "size": _size_json(plan),
+        "alternatives": [
+            {
+                "name": alternative.name,
+                "why": alternative.why,
+                "duration_s": alternative.duration_s,
+                "score": alternative.score,
+                "expected": _estimate_json(question, alternative.estimate),
+                "refusal": alternative.refusal,
+            }
+            for alternative in plan.alternatives
+        ],
     }
 
 
-def _estimate_json(found: Plan, estimate: SeparationEstimate | None) -> dict[str, Any] | None:
+def _question_json(question: Question) -> dict[str, Any]:
+    return {"kind": question.kind, "effects": list(question.effects)}
+
+
+def _estimate_json(
+    question: Question, estimate: SeparationEstimate | None
+) -> dict[str, Any] | None:
     """Return separability, and of each effect half its expected interval over its size."""
     if estimate is None:
         return None
-    halves = zip(found.question.effects, estimate.errors, strict=True)
     return {
         "separability": estimate.separability if len(estimate.errors) > 1 else None,
         "half_interval_over_size": {
-            name: HALF_95 * error if isfinite(error) else None for name, error in halves
+            name: HALF_95 * error if isfinite(error) else None
+            for name, error in zip(question.effects, estimate.errors, strict=True)
         },
     }
 
 
-def _size(found: Plan) -> Mapping[str, Any]:
-    """Return the size that was diagnosed, and the interval expected of it or of its limit."""
-    finding = found.question.finding
-    if finding is None:
-        absent = found.question.absent
-        expected_m = expected_limit_m(found.question, found.before, found.after)
+def _size_json(plan: Plan) -> Mapping[str, Any]:
+    """Return the diagnosed size or detection limit, and the expected one."""
+    question = plan.question
+    if question.finding is None:
         return {
             "unit": "m, rms",
-            "detection_limit": None if absent is None else absent.detection_limit_m,
-            "expected_detection_limit": expected_m,
+            "detection_limit": question.limit_m,
+            "expected_detection_limit": expected_limit_m(question, plan.before, plan.after),
         }
-    low, high = finding.size.ci95
+    size = question.finding.size
     return {
-        "unit": finding.size.unit,
-        "value": finding.size.value,
-        "half": 0.5 * (high - low),
-        "expected_half": expected_half(found.question, found.before, found.after),
+        "unit": size.unit,
+        "value": size.value,
+        "half": size.half_width,
+        "expected_half": expected_half(question, plan.before, plan.after),
     }
 
 
-def _alternative(found: Plan, one: Alternative) -> dict[str, Any]:
-    return {
-        "name": one.name,
-        "why": one.why,
-        "duration_s": one.duration_s,
-        "score": one.score,
-        "expected": _estimate_json(found, one.estimate),
-        "refusal": one.refusal,
-    }
+def sentences(plan: Plan) -> tuple[str, ...]:
+    """Return why a drive is planned, which one, what to expect, and which questions remain."""
+    question = plan.question
+    if question.kind == "detect" and not is_open(question):
+        return (
+            f"These recordings show {words(question.effects[0])} from "
+            f"{with_unit(question.limit_m or 0.0, 'm')} rms, the smallest size that a diagnosis "
+            "reports: no recording is needed.",
+            f"The best drive for a check is {_drive_text(plan)}.",
+        )
+    drive = f"{_drive_text(plan)}. {plan.drive.why}"
+    texts = (
+        _reason(question),
+        f"Play {drive}"
+        if plan.answers
+        else f"No drive answers this within these limits; the best is {drive}",
+        _expectation(plan),
+        plan.forbids,
+        _remaining_questions(plan.set_aside),
+    )
+    return tuple(text for text in texts if text)
 
 
-def sentences(found: Plan) -> tuple[str, ...]:
-    """Return why, what, what to expect of it, and what was asked before it in vain."""
-    if found.question.kind == "detect" and not is_open(found.question):
-        return _settled(found)
-    said = (_why(found.question), _what(found), _expected(found), found.forbids, _aside(found))
-    return tuple(filter(None, said))
-
-
-def _settled(found: Plan) -> tuple[str, ...]:
-    absent = found.question.absent
-    limit_m = 0.0 if absent is None else absent.detection_limit_m or 0.0
+def _drive_text(plan: Plan) -> str:
+    drive, limits = plan.drive, plan.limits
     return (
-        f"These recordings show {words(found.question.effects[0])} from "
-        f"{with_unit(limit_m, 'm')} rms, the smallest size that a diagnosis reports: no recording "
-        "is needed.",
-        f"The best drive for a check is {_played(found)}.",
+        f"{drive.name}, {plan.duration_s:.0f} s at {drive.sampling_rate_Hz:g} Hz between "
+        f"{limits.voltage_min_V:.4g} and {limits.voltage_max_V:.4g} V"
     )
 
 
-def _why(question: Question) -> str:
+def _reason(question: Question) -> str:
     first, *others = map(words, question.effects)
     if question.kind == "separate":
         return f"These recordings cannot separate {first} from {others[0]}."
@@ -138,84 +152,58 @@ def _why(question: Question) -> str:
             f"Size of {first} so far: {significant(size.value)} {size.unit}, 95 % interval {low} "
             f"to {high}."
         )
-    limit_m = question.absent.detection_limit_m if question.absent else None
-    if limit_m is None:
+    if question.limit_m is None:
         return f"These recordings cannot show {first} at all."
-    return f"These recordings show {first} only from {with_unit(limit_m, 'm')} rms."
+    return f"These recordings show {first} only from {with_unit(question.limit_m, 'm')} rms."
 
 
-def _what(found: Plan) -> str:
-    played = f"{_played(found)}. {found.drive.why}"
-    if found.answers:
-        return f"Play {played}"
-    return f"No drive answers this within these limits; the best is {played}"
-
-
-def _played(found: Plan) -> str:
-    drive, limits = found.drive, found.limits
-    return (
-        f"{drive.name}, {found.duration_s:.0f} s at {drive.sampling_rate_Hz:g} Hz between "
-        f"{limits.voltage_min_V:.4g} and {limits.voltage_max_V:.4g} V"
-    )
-
-
-def _expected(found: Plan) -> str:
-    question, before, after = found.question, found.before, found.after
+def _expectation(plan: Plan) -> str:
+    question, before, after = plan.question, plan.before, plan.after
     if question.kind == "separate":
-        return f"{_separable(before, after)}{_lost(found)}"
+        return _separability_text(question, before, after)
     if question.finding is not None:
         size = question.finding.size
-        half = 0.5 * (size.ci95[1] - size.ci95[0])
+        expected = significant(expected_half(question, before, after), 2)
         return (
-            f"Expected half width of the 95 % interval: "
-            f"{significant(expected_half(question, before, after), 2)} {size.unit} (now "
-            f"{significant(half, 2)})."
+            f"Expected half width of the 95 % interval: {expected} {size.unit} (now "
+            f"{significant(size.half_width, 2)})."
         )
-    return _shows_from(found)
+    expected_m = expected_limit_m(question, before, after)
+    now = ", as now" if question.limit_m is not None and expected_m >= question.limit_m else ""
+    is_smallest = expected_m <= question.floor_m
+    smallest = ", the smallest size that a diagnosis reports" if is_smallest else ""
+    return f"Expected detection limit: {with_unit(expected_m, 'm', 2)} rms{now}{smallest}."
 
 
-def _shows_from(found: Plan) -> str:
-    question = found.question
-    expected_m = expected_limit_m(question, found.before, found.after)
-    is_least = expected_m <= question.floor_m
-    least = ", the smallest size that a diagnosis reports" if is_least else ""
-    held_m = None if question.absent is None else question.absent.detection_limit_m
-    now = ", as now" if held_m is not None and expected_m >= held_m else ""
-    return f"Expected detection limit: {with_unit(expected_m, 'm', 2)} rms{now}{least}."
-
-
-def _separable(before: SeparationEstimate | None, after: SeparationEstimate) -> str:
-    reached = f"Expected separability of the two: {after.separability:.2g} of 1"
-    if before is None:
-        return f"{reached}."
-    shrinks = after.worst / before.worst if isfinite(before.worst) else 1.0
-    narrower = (
-        f"; the wider interval shrinks to {100 * shrinks:.0f} % of its width"
-        if shrinks < 1.0
-        else ""
-    )
-    return f"{reached} (now {before.separability:.2g}){narrower}."
-
-
-def _lost(found: Plan) -> str:
-    """Say where a size stays lost in its error, however well the two differ."""
-    lost = [
+def _separability_text(
+    question: Question, before: SeparationEstimate | None, after: SeparationEstimate
+) -> str:
+    text = f"Expected separability of the two: {after.separability:.2g} of 1"
+    if before is not None:
+        text += f" (now {before.separability:.2g})"
+        shrinks = after.worst / before.worst if isfinite(before.worst) else 1.0
+        if shrinks < 1.0:
+            text += f"; the wider interval shrinks to {100 * shrinks:.0f} % of its width"
+    uncertain = [
         words(name)
-        for name, error in zip(found.question.effects, found.after.errors, strict=True)
+        for name, error in zip(question.effects, after.errors, strict=True)
         if POWER * error > 1.0
     ]
-    return f" The size of {' and of '.join(lost)} remains smaller than its error." if lost else ""
+    if uncertain:
+        text += f". The size of {' and of '.join(uncertain)} remains smaller than its error"
+    return f"{text}."
 
 
-def _aside(found: Plan) -> str:
-    if not found.set_aside:
+def _remaining_questions(questions: Sequence[Question]) -> str:
+    if not questions:
         return ""
-    asked = "; ".join(map(_asked, found.set_aside))
-    return f"More important, but answered by no drive within these limits: {asked}."
-
-
-def _asked(question: Question) -> str:
-    first, *others = map(words, question.effects)
-    if question.kind == "separate":
-        return f"{first} or {others[0]}"
-    return f"the size of {first}" if question.kind == "tighten" else f"whether there is {first}"
+    texts = []
+    for question in questions:
+        first, *others = map(words, question.effects)
+        if question.kind == "separate":
+            texts.append(f"{first} or {others[0]}")
+        elif question.kind == "tighten":
+            texts.append(f"the size of {first}")
+        else:
+            texts.append(f"whether there is {first}")
+    return f"More important, but answered by no drive within these limits: {'; '.join(texts)}."

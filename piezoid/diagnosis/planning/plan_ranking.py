@@ -1,4 +1,4 @@
-"""Rank candidate drives on a fitted model by what each adds to the recordings there are."""
+"""Rank candidate drives by what each adds to the recordings, simulated on the fitted model."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -7,7 +7,7 @@ import numpy as np
 
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.drive_response import ROWS, Driven, rows_of, scaled_drives
-from piezoid.diagnosis.planning.candidate_drives import MENU, played
+from piezoid.diagnosis.planning.candidate_drives import MENU, Experiment, played
 from piezoid.diagnosis.planning.drive_limits import Bench, Drive
 from piezoid.diagnosis.planning.open_questions import Question, answers, left_open
 from piezoid.diagnosis.planning.separation import Errors, SeparationEstimate, estimate_separation
@@ -15,20 +15,20 @@ from piezoid.diagnosis.planning.waveforms import equal_cycles
 from piezoid.errors import ExcitationError
 from piezoid.identification.model import AxisModel
 
-ENOUGH = 5.0  # standard errors; beyond, it is likeness of shape that misleads, not noise
+ENOUGH = 5.0  # standard errors; beyond these, the similarity of two shapes limits, not the noise
 SLOW_Hz = 0.5
 CYCLE_ROWS = 200.0
-NEARLY = 0.9  # of the best: a shorter drive that reaches it is taken
+NEARLY = 0.9  # of the best score: a shorter drive that reaches it is preferred
 
 
 @dataclass(frozen=True, kw_only=True)
 class Alternative:
-    """One candidate drive and what it would bring.
+    """One candidate drive and what it is expected to show.
 
-    estimate with the recordings there are, where they were given; None where it cannot be played
-    score    standard errors of the size asked about; of two effects to be separated their
-             separability, once both exceed ``ENOUGH`` standard errors
-    refusal  why it cannot be played, or empty
+    estimate  together with the recordings, if they were given; None if it cannot be played
+    score     inverse relative error of the size in question; of two effects to be separated their
+              separability, reduced below ``ENOUGH`` standard errors
+    refusal   why it cannot be played, or empty
     """
 
     name: str
@@ -44,9 +44,9 @@ class Choice:
     """The best drive for one question.
 
     alternatives  all candidates, best first
-    best          of these, the shorter one of two that are nearly as good
-    before        what the recordings there are tell; None without them
-    left          how much of the question it leaves open, 0 to 1
+    best          of these, or a shorter one that is nearly as good
+    before        what the recordings show; None without them
+    left          share of the question that the drive leaves, 0 to 1
     """
 
     question: Question
@@ -56,27 +56,27 @@ class Choice:
     left: float
 
     @property
-    def answers(self) -> bool:
-        """Whether the drive is worth a recording."""
-        estimate = self.best.estimate
-        return (
-            self.shows and estimate is not None and answers(self.question, self.before, estimate)
-        )
-
-    @property
     def shows(self) -> bool:
         """Whether the drive shows the effect of the question at all."""
         return self.best.score > 0.0
 
+    @property
+    def answers(self) -> bool:
+        """Whether the drive is worth a recording."""
+        estimate = self.best.estimate
+        if estimate is None or not self.shows:
+            return False
+        return answers(self.question, self.before, estimate)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Table:
-    """All candidate drives on one bench, simulated.
+    """All candidate drives within the limits of one stage, simulated.
 
-    recorded   drives of the recordings there are
+    recorded   drives of the recordings
     reference  drives along which a diagnosed effect has its size
-    drives     by name: a drive, or why this bench cannot play it
-    driven     response of the model to those it can play
+    drives     by name: a drive, or why it cannot be played
+    driven     response of the model to those that can be played
     """
 
     errors: Errors
@@ -88,56 +88,48 @@ class Table:
     def choice(self, question: Question) -> Choice:
         """Return the best drive for a question, or a shorter one that is nearly as good."""
         before = self._estimate(question) if self.recorded else None
-        ranked = tuple(
-            sorted(self._alternatives(question), key=lambda alternative: -alternative.score)
+        alternatives = [self._alternative(experiment, question) for experiment in MENU]
+        ranked = tuple(sorted(alternatives, key=lambda alternative: -alternative.score))
+        best = ranked[0]
+        choice = Choice(
+            question=question,
+            alternatives=ranked,
+            best=best,
+            before=before,
+            left=_share_left(question, before, best),
         )
+        nearly = [a for a in ranked if a.score >= NEARLY * best.score > 0.0]
+        if not nearly:
+            return choice
+        shortest = min(nearly, key=lambda alternative: alternative.duration_s)
+        shorter = replace(choice, best=shortest, left=_share_left(question, before, shortest))
+        return shorter if shorter.answers else choice
 
-        def choice(best: Alternative) -> Choice:
-            is_shown = best.estimate is not None and best.score > 0.0
-            left = (
-                left_open(question, before, best.estimate) if is_shown and best.estimate else 1.0
-            )
-            return Choice(
-                question=question, alternatives=ranked, best=best, before=before, left=left
-            )
-
-        near = [one for one in ranked if one.score >= NEARLY * ranked[0].score > 0.0]
-        if near:
-            shorter = choice(min(near, key=lambda one: one.duration_s))
-            if shorter.answers:
-                return shorter
-        return choice(ranked[0])
-
-    def _alternatives(self, question: Question) -> list[Alternative]:
-        found = []
-        for one in MENU:
-            drive = self.drives[one.name]
-            if isinstance(drive, str):
-                refused = Alternative(
-                    name=one.name, why=one.why, duration_s=0.0, estimate=None, refusal=drive
-                )
-                found.append(refused)
-                continue
-            estimate = self._estimate(question, self.driven[one.name])
-            score = 1.0 / max(
-                estimate.worst if question.kind == "separate" else estimate.errors[0], 1e-30
-            )
-            if question.kind == "separate":
-                score = estimate.separability * min(score / ENOUGH, 1.0)
-            found.append(
-                Alternative(
-                    name=one.name,
-                    why=one.why,
-                    duration_s=drive.duration_s,
-                    estimate=estimate,
-                    score=score,
-                )
-            )
-        return found
+    def _alternative(self, experiment: Experiment, question: Question) -> Alternative:
+        name, why, drive = experiment.name, experiment.why, self.drives[experiment.name]
+        if isinstance(drive, str):
+            return Alternative(name=name, why=why, duration_s=0.0, estimate=None, refusal=drive)
+        estimate = self._estimate(question, self.driven[name])
+        if question.kind == "separate":
+            certainty = 1.0 / max(estimate.worst, 1e-30)
+            score = estimate.separability * min(certainty / ENOUGH, 1.0)
+        else:
+            score = 1.0 / max(estimate.errors[0], 1e-30)
+        return Alternative(
+            name=name, why=why, duration_s=drive.duration_s, estimate=estimate, score=score
+        )
 
     def _estimate(self, question: Question, *planned: Driven) -> SeparationEstimate:
         drives = [*self.recorded, *planned]
         return estimate_separation(drives, question.suspects, self.reference, self.errors)
+
+
+def _share_left(
+    question: Question, before: SeparationEstimate | None, alternative: Alternative
+) -> float:
+    if alternative.estimate is None or alternative.score <= 0.0:
+        return 1.0
+    return left_open(question, before, alternative.estimate)
 
 
 def table_of(
@@ -145,14 +137,14 @@ def table_of(
 ) -> Table:
     """Simulate all candidate drives on the model of one axis."""
     drives: dict[str, Drive | str] = {}
-    for one in MENU:
+    for experiment in MENU:
         try:
-            drives[one.name] = played(one, bench, seed)
+            drives[experiment.name] = played(experiment, bench, seed)
         except ExcitationError as refusal:
-            drives[one.name] = str(refusal)
-    noise_m, left_m = diagnosis.noise_floor_rms_m, diagnosis.final.rms_m
+            drives[experiment.name] = str(refusal)
+    noise_m, final_m = diagnosis.noise_floor_rms_m, diagnosis.final.rms_m
     return Table(
-        errors=Errors(noise_m=noise_m, structure_m=max(left_m**2 - noise_m**2, 0.0) ** 0.5),
+        errors=Errors(noise_m=noise_m, structure_m=max(final_m**2 - noise_m**2, 0.0) ** 0.5),
         recorded=tuple(recorded),
         reference=tuple(recorded) or usual_drives(axis, bench),
         drives=drives,
@@ -165,7 +157,7 @@ def table_of(
 
 
 def driven_drive(axis: AxisModel, drive: Drive) -> Driven:
-    """Return a planned drive, from an initial state that cycled over the range."""
+    """Return the model's response to a planned drive, after cycles over the range."""
     return Driven(
         name=drive.name,
         model=axis,
