@@ -1,11 +1,10 @@
-"""The next experiment: the drive that answers best what a diagnosis left open.
+"""Plan the next experiment: the drive that best answers what a diagnosis left open.
 
-The questions come first: two effects that could not be separated, else the size with the widest
-interval, else an effect these recordings could hardly have shown. Every drive of the menu is then
-played on the fitted model, and the first question that one of them answers is taken; the drive
-that answers it best is planned, the shorter one where two are nearly as good. Where none answers,
-the plan says how little the best would give and which limit forbids more. Nothing is measured
-here: the expectation is that of separation.py.
+Questions come first: two effects that could not be separated, else the size with the widest
+interval, else an effect that these recordings could hardly show. Every candidate drive is
+simulated on the fitted model. The plan answers the first question that a drive answers, with the
+best drive or a shorter one that is nearly as good. If no drive answers any question, the plan
+states what the best one leaves and which limit prevents more.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,24 +24,21 @@ from piezoid.raw_counts import VOLTAGE, refuse_counts
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 
-LOOSER = 4.0  # times the limit
-FELT = 0.9  # of what is left open: a limit that changes less does not stand in the way
-
-Best = Callable[[Bench], float]
+LOOSER = 4.0  # times a limit, to find the one that prevents an answer
+NOTICEABLE = 0.9  # of the share left open: a limit that changes less does not prevent an answer
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
     """The next experiment.
 
-    before        what the recordings there are can tell; None where they were not given
-    after         with the planned one
+    limits_from   origin of the limits, in words
+    before        what the recordings show; None if they were not given
+    after         what they show together with the planned drive
     answers       whether the drive is worth a recording
-    forbids       where it is not: the limit that forbids more; empty where nothing is missing
-    set_aside     more pressing questions, which no drive of the menu answers
-    alternatives  the whole menu, best first; the first is the one that was chosen
-                  unless a shorter one is nearly as good
-    limits_from   where the limits come from, in words
+    forbids       if it is not, the limit that prevents more, as a sentence; else empty
+    set_aside     more pressing questions, which no drive answers
+    alternatives  all candidate drives, best first
     """
 
     axis: str
@@ -59,7 +55,7 @@ class Plan:
 
     @property
     def duration_s(self) -> float:
-        """Return how long the drive takes."""
+        """Return the duration of the drive."""
         return self.drive.duration_s
 
 
@@ -73,17 +69,17 @@ def plan(
     clock_Hz: float | None = None,
     seed: int = 0,
 ) -> Plan:
-    """Choose the next experiment on the axis that was diagnosed.
+    """Choose the next experiment on the diagnosed axis.
 
-    recordings  those of the diagnosis, where they are at hand: the expectation is then of all
-                recordings together and can say how much better than now that is
-    effect      ask about this one; default: what was left most open
-    clock_Hz    of the converters, where neither lab.toml nor the model say
-    seed        of what is left to chance in a drive
+    recordings  those of the diagnosis: the expectation is then of all recordings together, and is
+                compared with the present precision
+    effect      that is asked about; None: the most pressing open question
+    clock_Hz    of the converters, if neither lab.toml nor the model states it
+    seed        of the random parts of a drive
 
-    Raises ``ExcitationError`` where no drive shows any of it, ``LabFileError`` where the drive was
-    recorded in counts. What goes wrong: an effect whose
-    real shape differs much from its tangent is told apart more or less well than is promised.
+    Raises ``ExcitationError`` if no drive shows the effect, ``LabFileError`` if the drive was
+    recorded in counts. Limitation: the expectation assumes that the shape of an effect is that of
+    its tangent.
     """
     axis = model[diagnosis.axis]
     refuse_counts(axis.axis, axis.counted, quantities=(VOLTAGE,))
@@ -98,61 +94,58 @@ def plan(
     def table_on(bench: Bench) -> Table:
         return table_of(axis, bench, diagnosis, recorded, seed)
 
-    def remaining_share(looser: Bench) -> float:
-        return table_on(looser).choice(chosen.question).left
-
     table = table_on(bench)
-    chosen, set_aside = _first_answered(table, questions_of(diagnosis, effect))
-    is_missing = chosen.question.kind != "detect" or is_open(chosen.question)
-    forbids = (
-        what_forbids(bench, remaining_share, chosen.left)
-        if is_missing and not chosen.answers
-        else ""
-    )
-    drive, estimate = table.drives[chosen.best.name], chosen.best.estimate
-    if not chosen.shows or estimate is None or not isinstance(drive, Drive):
+    choice, set_aside = _first_answered(table, questions_of(diagnosis, effect))
+    question, best = choice.question, choice.best
+    forbids = ""
+    if not choice.answers and (question.kind != "detect" or is_open(question)):
+        forbids = limiting_factor(
+            bench, lambda looser: table_on(looser).choice(question).left, choice.left
+        )
+    drive, estimate = table.drives[best.name], best.estimate
+    if not choice.shows or estimate is None or not isinstance(drive, Drive):
         raise ExcitationError(
-            f"no drive shows {' and '.join(chosen.question.effects)} inside these limits",
+            f"no drive shows {' and '.join(question.effects)} inside these limits",
             needed="a range and speed in which it moves the stage",
             remedy=f"{forbids} Declare wider limits in lab.toml, or the other axes that can be "
             "driven.",
         )
     return Plan(
         axis=bench.axis,
-        question=chosen.question,
+        question=question,
         drive=drive,
         limits=bench.limits,
         limits_from=bench.limits_from,
-        before=chosen.before,
+        before=choice.before,
         after=estimate,
-        answers=chosen.answers,
+        answers=choice.answers,
         forbids=forbids,
         set_aside=set_aside,
-        alternatives=chosen.alternatives,
+        alternatives=choice.alternatives,
     )
 
 
 def _first_answered(
     table: Table, questions: Sequence[Question]
 ) -> tuple[Choice, tuple[Question, ...]]:
-    """Return the first question that a drive answers, and those before it.
+    """Return the first question that a drive answers, and the questions before it.
 
-    Where none is answered: the first of which a drive shows anything, else the first.
+    If none is answered: the first of which a drive shows the effect, else the first.
     """
-    tried: list[Choice] = []
+    unanswered: list[Choice] = []
     for question in questions:
         choice = table.choice(question)
         if choice.answers:
-            return choice, tuple(one.question for one in tried)
-        tried.append(choice)
-    return next((one for one in tried if one.shows), tried[0]), ()
+            return choice, tuple(earlier.question for earlier in unanswered)
+        unanswered.append(choice)
+    return next((choice for choice in unanswered if choice.shows), unanswered[0]), ()
 
 
-def what_forbids(bench: Bench, best: Best, left: float) -> str:
-    """Return which limit forbids more, or that none does, as one sentence.
+def limiting_factor(bench: Bench, share_left: Callable[[Bench], float], left: float) -> str:
+    """Return which limit prevents a better answer, or that none does, as a sentence.
 
-    best  (bench) -> how much of the question the best drive of the menu leaves there
-    left  what it leaves inside the limits there are
+    share_left  (bench) -> share of the question that the best drive leaves within other limits
+    left        share that it leaves within the present limits
     """
     limits, margin_V = bench.limits, 0.5 * (LOOSER - 1.0) * np.ptp(bench.limits.range_V)
     wider = replace(
@@ -170,13 +163,13 @@ def what_forbids(bench: Bench, best: Best, left: float) -> str:
         f"the range, {limits.voltage_min_V:.4g} to {limits.voltage_max_V:.4g} V "
         f"({bench.range_from})": replace(bench, limits=wider),
     }
-    shares = {name: best(one) for name, one in looser.items()}
-    name, least = min(shares.items(), key=lambda pair: pair[1])
-    if least > FELT * left:
+    shares = {name: share_left(looser_bench) for name, looser_bench in looser.items()}
+    name, smallest = min(shares.items(), key=lambda pair: pair[1])
+    if smallest > NOTICEABLE * left:
         return f"{LOOSER:g} times the range, the slew rate or the sampling rate would not help" + (
             "." if bench.others else "; no other axis that can be driven is declared."
         )
     return (
-        f"The limit is {name}: {LOOSER:g} times as much would leave {100 * least:.0f} % of the "
+        f"The limit is {name}: {LOOSER:g} times as much would leave {100 * smallest:.0f} % of the "
         f"uncertainty, not {100 * left:.0f} %."
     )

@@ -1,16 +1,16 @@
-"""How well drives tell effects apart and how narrow an interval they give, before being played.
+"""Expected precision of drives before they are played: separability of effects and their errors.
 
-Every column is first freed from what a refit of the model could take up. Of two effects then
+Every column is first made orthogonal to what a refit of the model could absorb. Of two effects
 
-    separability = 1 - (largest canonical correlation of their columns)^2
+    separability = 1 - (largest canonical correlation of their columns)^2,
 
-is left, and the strength of one, with the other free beside it, has the standard error
+and the strength of one, with the other free, has the standard error
 
     se^2 = d' S d,   d = c_perp / |c_perp|^2,   S = n^2 I + s^2 exp(-|z_i - z_j|^2 / 2 l^2)
 
-n is the sensor's noise. s is what the model gets wrong for good: an error that is a function of
-the plays' states z, so that an equal cycle brings the same error again and nothing new. The
-errors are rather too small, as shapes are never quite those of the tangents: trust their ratios.
+n is the sensor noise. s is the model's own error, a function of the states z of its plays: an
+equal cycle repeats this error and adds nothing new. The errors are too small, because shapes
+differ from the tangents; their ratios are reliable.
 
 Source: least squares with a known covariance of the errors; Cook & Weisberg (1982).
 """
@@ -25,19 +25,19 @@ from piezoid.diagnosis.drive_response import Driven, null_columns, side_by_side
 from piezoid.diagnosis.effect import Tangent
 from piezoid.numerics.arrays import Array
 
-ALIKE = 0.15  # of half the range: how far states may differ for the error to be the same
-ENGINE_ROWS = 12_000  # of all recordings together that a diagnosis compares
-NOTHING = 1e-9  # of a column: what the null may leave of it by rounding
+CORRELATION_LENGTH = 0.15  # of half the range: distance of states with similar model errors
+ENGINE_ROWS = 12_000  # of all recordings together, in a diagnosis
+ROUNDING = 1e-9  # of a column
 
 
 @dataclass(frozen=True, kw_only=True)
 class Suspect:
-    """An effect that may be there.
+    """An effect that may be present.
 
     name     of the effect
-    tangent  what it adds
-    rms_m    how large it is, rms along the reference drives
-    scale    the tangent's scale where a diagnosis found it; None: not found
+    tangent  its columns along a drive
+    rms_m    its size, rms along the reference drives
+    scale    the tangent's scale as diagnosed; None: unknown
     """
 
     name: str
@@ -48,7 +48,7 @@ class Suspect:
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """What is left when the model is right: white noise, and structure the model lacks."""
+    """Residual of a model: white noise, and the model's own error."""
 
     noise_m: float
     structure_m: float
@@ -56,11 +56,11 @@ class Errors:
 
 @dataclass(frozen=True, kw_only=True)
 class SeparationEstimate:
-    """How well effects can be told apart.
+    """Expected precision of effects.
 
-    separability  0 to 1; 1 where there is only one
-    errors        standard error of each effect's strength over that strength, others free;
-                  infinite where these drives do not show it at all
+    separability  0 to 1; 1 for a single effect
+    errors        relative standard error of each effect's strength, the others free; infinite if
+                  the drives do not show it
     """
 
     separability: float
@@ -78,71 +78,74 @@ def estimate_separation(
     reference: Sequence[Driven],
     errors: Errors,
 ) -> SeparationEstimate:
-    """Return how well drives tell suspects apart.
+    """Return the expected precision of suspects on drives.
 
-    drives     all of one model, to be evaluated together
-    reference  along which the suspects have the size that was found
+    drives     all of one model, evaluated together
+    reference  along which the suspects have their size
     """
     scales = [scale_of(suspect, reference) for suspect in suspects]
     weight = row_weights(drives)
-    lag = not any(suspect.tangent.lags for suspect in suspects)
-    basis = basis_of(weight[:, None] * null_columns(drives, lag=lag))
+    has_lag = any(suspect.tangent.lags for suspect in suspects)
+    basis = basis_of(weight[:, None] * null_columns(drives, lag=not has_lag))
     blocks = [
-        freed(weight[:, None] * block_of(suspect.tangent, scale, drives), basis)
+        orthogonal_to(basis, weight[:, None] * block_of(suspect.tangent, scale, drives))
         for suspect, scale in zip(suspects, scales, strict=True)
     ]
-    found = []
+    relative_errors = []
     for k, (suspect, scale) in enumerate(zip(suspects, scales, strict=True)):
-        strength = suspect.rms_m / _moved(suspect.tangent, scale, reference, drives)
-        whole = weight * strength * _sum(suspect.tangent, scale, drives)
-        beside = [basis, *(basis_of(b) for j, b in enumerate(blocks) if j != k)]
-        found.append(_relative_error(whole, np.hstack(beside), weight, drives, errors))
-    return SeparationEstimate(separability=_separability(blocks), errors=tuple(found))
+        strength = suspect.rms_m / _unit_rms(suspect.tangent, scale, reference, drives)
+        sums = np.concatenate(_column_sums(suspect.tangent, scale, drives))
+        others = [basis, *(basis_of(block) for j, block in enumerate(blocks) if j != k)]
+        column = weight * strength * sums
+        relative_errors.append(_relative_error(column, np.hstack(others), weight, drives, errors))
+    return SeparationEstimate(separability=_separability(blocks), errors=tuple(relative_errors))
 
 
 def scale_of(suspect: Suspect, reference: Sequence[Driven]) -> float:
-    """Return the time at which a lag is as large as was found; other scales stay as they are."""
+    """Return the scale of a tangent; of a lag, the time at which it has its size."""
     tangent = suspect.tangent
     if suspect.scale is not None:
         return suspect.scale
     if not tangent.lags or tangent.scale >= 1.0:
         return tangent.scale
-    speed_m_per_s = _rms(np.concatenate([one.speed[:, 0] for one in reference]))
+    speed_m_per_s = _rms(np.concatenate([drive.speed[:, 0] for drive in reference]))
     return suspect.rms_m / max(speed_m_per_s, 1e-30)
 
 
 def row_weights(drives: Sequence[Driven]) -> Array:
-    """Return a weight for every row, so that drives count the same whatever their length."""
-    return np.concatenate([np.full(len(one.rows), len(one.rows) ** -0.5) for one in drives])
+    """Return a weight for every row, so that drives count equally whatever their length."""
+    counts = [len(drive.rows) for drive in drives]
+    return np.concatenate([np.full(count, count**-0.5) for count in counts])
 
 
 def block_of(tangent: Tangent, scale: float, drives: Sequence[Driven]) -> Array:
     """Return an effect's columns at the rows of all drives, (rows, columns)."""
-    parts = [tangent.columns(one, scale)[one.rows] for one in drives]
+    blocks = [tangent.columns(drive, scale)[drive.rows] for drive in drives]
     if tangent.own:
-        return side_by_side(parts)
-    widest = max(part.shape[1] for part in parts)
-    return np.vstack([np.pad(part, ((0, 0), (0, widest - part.shape[1]))) for part in parts])
+        return side_by_side(blocks)
+    width = max(block.shape[1] for block in blocks)
+    return np.vstack([np.pad(b, ((0, 0), (0, width - b.shape[1]))) for b in blocks])
 
 
-def _sum(tangent: Tangent, scale: float, drives: Sequence[Driven]) -> Array:
-    return np.concatenate([tangent.columns(one, scale)[one.rows].sum(axis=1) for one in drives])
+def _column_sums(tangent: Tangent, scale: float, drives: Sequence[Driven]) -> list[Array]:
+    return [tangent.columns(drive, scale)[drive.rows].sum(axis=1) for drive in drives]
 
 
-def _moved(
+def _unit_rms(
     tangent: Tangent, scale: float, reference: Sequence[Driven], drives: Sequence[Driven]
 ) -> float:
-    """Return the rms that a size is given along: of the reference, where the effect moves it at
-    all; else of the drive in which it moves most, as of a coupling that no recording excites.
+    """Return the rms of an effect of strength one along the reference.
+
+    If the reference does not excite it, as a coupling that was never recorded, the rms is that
+    along the drive that excites it most.
     """
-    there = _moves(tangent, scale, reference)
-    return there or max(_moves(tangent, scale, (one,)) for one in drives) or 1.0
+    rms = _centred_rms(tangent, scale, reference)
+    return rms or max(_centred_rms(tangent, scale, (drive,)) for drive in drives) or 1.0
 
 
-def _moves(tangent: Tangent, scale: float, drives: Sequence[Driven]) -> float:
-    """Return the rms of what an effect of strength one adds, each drive about its own mean."""
-    parts = [tangent.columns(one, scale)[one.rows].sum(axis=1) for one in drives]
-    return _rms(np.concatenate([part - part.mean() for part in parts]))
+def _centred_rms(tangent: Tangent, scale: float, drives: Sequence[Driven]) -> float:
+    sums = _column_sums(tangent, scale, drives)
+    return _rms(np.concatenate([values - values.mean() for values in sums]))
 
 
 def _rms(values: Array) -> float:
@@ -150,60 +153,60 @@ def _rms(values: Array) -> float:
 
 
 def basis_of(columns: Array) -> Array:
-    """Return an orthonormal basis of columns, those that rounding made left out."""
-    size = np.linalg.norm(columns, axis=0)
-    kept = columns[:, size > 0.0] / size[size > 0.0]
-    left, strength, _ = np.linalg.svd(kept, full_matrices=False)
-    if not len(strength):
+    """Return an orthonormal basis of columns, up to rounding."""
+    length = np.linalg.norm(columns, axis=0)
+    unit = columns[:, length > 0.0] / length[length > 0.0]
+    left, singular, _ = np.linalg.svd(unit, full_matrices=False)
+    if not len(singular):
         return np.zeros((len(columns), 0))
-    return np.asarray(left[:, strength > NOTHING * strength[0]])
+    return np.asarray(left[:, singular > ROUNDING * singular[0]])
 
 
-def freed(columns: Array, basis: Array) -> Array:
-    """Return columns without what the basis explains, exactly zero where nothing is left."""
-    left = columns - basis @ (basis.T @ columns)
-    left = left - basis @ (basis.T @ left)
-    there = np.linalg.norm(left, axis=0) > 1e3 * NOTHING * np.linalg.norm(columns, axis=0)
-    return np.asarray(left[:, there])
+def orthogonal_to(basis: Array, columns: Array) -> Array:
+    """Return the part of columns orthogonal to a basis, without columns that are in its span."""
+    rest = columns - basis @ (basis.T @ columns)
+    rest = rest - basis @ (basis.T @ rest)
+    length = np.linalg.norm(columns, axis=0)
+    return np.asarray(rest[:, np.linalg.norm(rest, axis=0) > 1e3 * ROUNDING * length])
 
 
 def _separability(blocks: Sequence[Array]) -> float:
-    """Return the least over all pairs."""
-    pairs = [(a, b) for k, a in enumerate(blocks) for b in blocks[k + 1 :]]
-    return min((_is_separable(basis_of(a), basis_of(b)) for a, b in pairs), default=1.0)
+    """Return the smallest separability of any pair."""
+    bases = [basis_of(block) for block in blocks]
+    pairs = [(a, b) for k, a in enumerate(bases) for b in bases[k + 1 :]]
+    return min((_separability_of_pair(a, b) for a, b in pairs), default=1.0)
 
 
-def _is_separable(one: Array, other: Array) -> float:
-    if not one.shape[1] or not other.shape[1]:
+def _separability_of_pair(a: Array, b: Array) -> float:
+    if not a.shape[1] or not b.shape[1]:
         return 0.0
-    largest = float(np.linalg.svd(one.T @ other, compute_uv=False)[0])
-    return float(np.clip(1.0 - largest**2, 0.0, 1.0))
+    correlation = float(np.linalg.svd(a.T @ b, compute_uv=False)[0])
+    return float(np.clip(1.0 - correlation**2, 0.0, 1.0))
 
 
 def _relative_error(
-    whole: Array, beside: Array, weight: Array, drives: Sequence[Driven], errors: Errors
+    column: Array, others: Array, weight: Array, drives: Sequence[Driven], errors: Errors
 ) -> float:
-    left = freed(whole[:, None], basis_of(beside))
-    if not left.shape[1]:
+    rest = orthogonal_to(basis_of(others), column[:, None])
+    if not rest.shape[1]:
         return float("inf")
-    column = left[:, 0]
-    estimator = weight * column / float(column @ column)
-    rows = [len(one.rows) for one in drives]
-    share = ENGINE_ROWS / len(drives)
-    stands_for = [
-        max(min(len(one.voltage_V), share) / n, 1.0) for one, n in zip(drives, rows, strict=True)
+    estimator = weight * rest[:, 0] / float(rest[:, 0] @ rest[:, 0])
+    rows, share = [len(drive.rows) for drive in drives], ENGINE_ROWS / len(drives)
+    samples_per_row = [
+        max(min(len(drive.voltage_V), share) / count, 1.0)
+        for drive, count in zip(drives, rows, strict=True)
     ]
-    white = errors.noise_m**2 * float(np.sum(estimator**2 / np.repeat(stands_for, rows)))
-    structure = errors.structure_m**2 * _alike(drives, estimator)
+    white = errors.noise_m**2 * float(np.sum(estimator**2 / np.repeat(samples_per_row, rows)))
+    structure = errors.structure_m**2 * _correlated_variance(drives, estimator)
     return float(np.sqrt(white + structure))
 
 
-def _alike(drives: Sequence[Driven], estimator: Array) -> float:
-    """Return d' K d with the kernel of equal states."""
+def _correlated_variance(drives: Sequence[Driven], estimator: Array) -> float:
+    """Return d' K d with the kernel of similar states."""
     from scipy.spatial.distance import pdist, squareform
 
-    state = np.vstack([one.state for one in drives])
-    apart = pdist(state / np.sqrt(state.shape[1]), "sqeuclidean")
-    kernel = squareform(np.exp(apart / (-2.0 * ALIKE**2)))
+    state = np.vstack([drive.state for drive in drives])
+    distance = pdist(state / np.sqrt(state.shape[1]), "sqeuclidean")
+    kernel = squareform(np.exp(distance / (-2.0 * CORRELATION_LENGTH**2)))
     np.fill_diagonal(kernel, 1.0)
     return float(cast(float, estimator @ kernel @ estimator))
