@@ -1,4 +1,4 @@
-"""What lab.toml says of the controller's converters, as one axis feels them."""
+"""Converters of one axis as declared in lab.toml."""
 
 from dataclasses import dataclass
 

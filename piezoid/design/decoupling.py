@@ -1,4 +1,4 @@
-"""What decouples the axes of a stage in front of their controllers, and what it leaves.
+"""Static decoupling of a stage in front of its controllers, and the remaining coupling.
 
     r' = D r,  y' = D y,   D G(s) = diag(G_0) + L(s),   L(0) = 0
     T_ij = [D G]_ij / [D G]_jj

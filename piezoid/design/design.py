@@ -1,4 +1,4 @@
-"""Design: the record that leaves this floor, and its file ``design.json``."""
+"""The record of a design, and its file ``design.json``."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -46,7 +46,7 @@ class Rejection:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """One way the loop was computed; all are shown, one is chosen.
+    """One candidate controller of a loop; all are reported, one is chosen.
 
     name         ``placed``, ``kalman``, ``band-stop`` or ``convex``
     is_chosen    exactly one is

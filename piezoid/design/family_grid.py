@@ -1,6 +1,6 @@
 """A plant family sampled on a frequency grid, to judge thousands of candidate loops quickly.
 
-The judgement here steers a search; what leaves the floor is recomputed by ``sensitivity`` on a
+The judgement here steers a search; margins of the record are recomputed by ``sensitivity`` on a
 finer grid with exact crossings.
 """
 
@@ -48,7 +48,7 @@ class FamilyGrid:
 
 @dataclass(frozen=True, kw_only=True)
 class Judgement:
-    """What one candidate reaches on the grid.
+    """Judgement of one candidate on the grid.
 
     excess_dB        the worst amount by which any limit is missed; <= 0 if all are met
     predicted_error  rms, output unit, worst member: scan disturbance, sensor noise, converter
@@ -144,7 +144,7 @@ def judge(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> Judgement:
 
 
 def worst_place(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> WorstPlace:
-    """Say where a loop is worst, over the family."""
+    """Return where a loop is worst, over the family."""
     functions, outside = magnitudes(grid, R, S)
     ratio = (functions / grid.limits[:, None, :]).max(axis=1)
     row, column = np.unravel_index(int(np.argmax(ratio)), ratio.shape)

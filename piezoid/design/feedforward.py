@@ -1,4 +1,4 @@
-"""The reference's path: a short filter and a preview, so that lag is not mistaken for error."""
+"""Fit the filter and the preview of the reference, which make the closed loop a pure delay."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

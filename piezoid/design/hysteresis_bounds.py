@@ -1,6 +1,6 @@
-"""What a linear loop needs to know about hysteresis: a slope sector and a bound of the error.
+"""Bounds of a hysteresis for a linear loop: the sector of its slopes and its largest error.
 
-How steep a true hysteresis can be behind the exact inverse of a model.
+The slope of a true hysteresis behind the exact inverse of a model follows from
 
     Gamma_t o Gamma_m^-1 = Psi_t H_t kappa H_m^-1 Psi_m^-1,   kappa = gamma_t o gamma_m^-1
 
@@ -33,10 +33,6 @@ _DRAWS = 200
 
 Interval = tuple[float, float]
 Operator = ModifiedPrandtlIshlinskii | PreisachPlays
-
-
-_Pieces = tuple[Array, Array]
-"""Edges (pieces + 1,) and the slope between each two."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,6 +106,10 @@ def affine_bounds(
             f"the hysteresis model errs by at most {with_unit(remainder_m, 'm')}",
         ),
     )
+
+
+def _mid_slope(zones: DeadZones) -> float:
+    return 0.5 * float(zones.slope.min() + zones.slope.max())
 
 
 def _farthest_from_line_m(model: ModifiedPrandtlIshlinskii, gain: float, reach_V: float) -> float:
@@ -188,10 +188,6 @@ def _errors_and_sectors(
     return difference.error_m, np.array(sectors)
 
 
-def _mid_slope(zones: DeadZones) -> float:
-    return 0.5 * float(zones.slope.min() + zones.slope.max())
-
-
 def ratio_sector(
     model: ModifiedPrandtlIshlinskii,
     truth: ModifiedPrandtlIshlinskii,
@@ -206,13 +202,9 @@ def ratio_sector(
     """
     bend = _bends(model, truth, difference.voltage_V)
     static = _static_ratios(model.dead_zones, truth.dead_zones, difference, error_m)
-    plays = _ratios(
-        _pieces_of_plays(model, envelope_reach_V(model, reach_V)),
-        _pieces_of_plays(truth, np.inf),
-        stretch=(float(bend[0].min()), float(bend[1].max())),
-    )
-    low, high = float((bend[0] * static[0]).min()), float((bend[1] * static[1]).max())
-    return plays[0] * low, plays[1] * high
+    reach = envelope_reach_V(model, reach_V)
+    low, high = _play_ratios(model.plays, truth.plays, reach, bend[0].min(), bend[1].max())
+    return low * float((bend[0] * static[0]).min()), high * float((bend[1] * static[1]).max())
 
 
 def envelope_reach_V(model: ModifiedPrandtlIshlinskii, reach_V: float) -> float:
@@ -259,24 +251,22 @@ def _static_ratios(
     return smallest, np.where(met, ratio, -np.inf).max(axis=(1, 2))
 
 
-def _pieces_of_plays(model: ModifiedPrandtlIshlinskii, reach_V: float) -> _Pieces:
-    inside = model.plays.threshold < reach_V
-    edges = np.concatenate([model.plays.threshold[inside], [reach_V]])
-    return edges, model.plays.slope[inside]
+def _play_ratios(
+    model: PrandtlIshlinskii, truth: PrandtlIshlinskii, reach: float, low: float, high: float
+) -> Interval:
+    """Return the extremes of the truth's slope over the model's where both may be together.
 
-
-def _ratios(model: _Pieces, truth: _Pieces, *, stretch: Interval) -> Interval:
-    """Return the extremes of truth's slope over the model's where both may be together.
-
-    stretch  factors between the model's place and the truth's
+    reach      of the model's plays
+    low, high  factors between the place of the model and that of the truth
     """
-    low, high = np.inf, 0.0
-    edges, slopes = truth
-    for start, end, slope in zip(model[0][:-1], model[0][1:], model[1], strict=True):
-        met = (edges[:-1] < stretch[1] * end) & (edges[1:] > stretch[0] * start)
-        low = min(low, float(slopes[met].min() / slope))
-        high = max(high, float(slopes[met].max() / slope))
-    return low, high
+    truth_edges = np.append(truth.threshold, np.inf)
+    starts = model.threshold[model.threshold < reach]
+    stops = np.append(starts[1:], reach)
+    ratios = []
+    for start, end, slope in zip(starts, stops, model.slope, strict=False):
+        met = (truth_edges[:-1] < high * end) & (truth_edges[1:] > low * start)
+        ratios += [truth.slope[met].min() / slope, truth.slope[met].max() / slope]
+    return float(min(ratios)), float(max(ratios))
 
 
 def draw_replicates(

@@ -1,4 +1,4 @@
-"""From an identified tunnelling junction to what the design of Z starts from.
+"""Plant family, default specification and design of the tunnelling axis.
 
     y = ln(i / i_0),    dy/du = K wa/(s + wa) wi/(s + wi) e^(-s tau)
 
@@ -52,7 +52,7 @@ _SLOWEST_SHARE = 5.0  # a pole beyond so many sampling rates is instantaneous
 
 @dataclass(frozen=True, kw_only=True)
 class VerticalTask:
-    """What the design of the tunnelling axis is given.
+    """Inputs of the design of the tunnelling axis.
 
     axis           its name
     family         the junctions it has to hold, nominal first

@@ -1,4 +1,4 @@
-"""From an identified axis to what its design starts from: plant families, bounds, a default.
+"""Plant families, hysteresis bounds and the default specification of an identified axis.
 
     y = a (v + delta[v]) behind everything linear that fit and diagnosis found
 
@@ -53,7 +53,7 @@ _MOST_BETWEEN = 7  # members between the ends of a mode's interval
 
 @dataclass(frozen=True, kw_only=True)
 class LateralTask:
-    """What the design of one lateral axis is given.
+    """Inputs of the design of one lateral axis.
 
     families       by form, ``inverse`` and ``affine``
     bounds         of the hysteresis, by form; none where a bound is not known

@@ -1,4 +1,4 @@
-"""How far two models of one hysteresis can ever be apart, whatever was driven before.
+"""Bound the difference of two models of one hysteresis over all histories of the drive.
 
 The fits that one recording allows differ in envelope, plays and dead zones at once, and what one
 part has too much another has too little: bounds of the parts, added up, are ten times what any

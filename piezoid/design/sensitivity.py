@@ -1,4 +1,4 @@
-"""What a loop does, computed from R, S, T and a plant alone, however the loop was designed.
+"""Sensitivity functions and margins of a loop, from R, S and a plant alone.
 
 Landau's notation: S u = T r - R y, P = A S + B R (Longchamp exchanges R and S).
 """
@@ -28,7 +28,7 @@ _REFINED_PEAKS = 3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sensitivities:
-    """The four responses that say what a loop does, (frequencies,) each.
+    """The four sensitivity functions of a loop, (frequencies,) each.
 
     Syp   A S / P     output disturbance to output; 1
     Sup   -A R / P    output disturbance to control; V per output unit
@@ -45,7 +45,7 @@ class Sensitivities:
 
 @dataclass(frozen=True, kw_only=True)
 class Margins:
-    """How far a loop is from instability; recomputed from R, S and one plant.
+    """Stability margins of a loop; recomputed from R, S and one plant.
 
     label               the plant's name
     is_stable           every root of P inside the unit circle

@@ -1,4 +1,4 @@
-"""What is asked of one axis: bandwidth, margins, templates, limits, noise; with defaults."""
+"""Specification of one axis: bandwidth, margins, templates, limits and noise, with defaults."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -30,7 +30,7 @@ _LAST_HARMONIC, _MOST_HARMONICS = 999, 8
 
 @dataclass(frozen=True, kw_only=True)
 class Specification:
-    """What every member of the plant family must reach.
+    """Requirements on every member of the plant family.
 
     bandwidth_Hz        output disturbances are attenuated by 3 dB here, and by 20 dB more for each
                         decade below (template ``attenuation``)

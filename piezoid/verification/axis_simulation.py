@@ -1,4 +1,4 @@
-"""One axis of a stage under its compiled controller, along a reference of one's own."""
+"""Simulate one axis under its compiled controller along any reference."""
 
 from dataclasses import replace
 from json import loads

@@ -1,14 +1,13 @@
-"""Four figures for one error: bounded, probable, the worst that was found, and simulated.
+"""Four figures of the largest error: bound, probable, worst found, and simulated.
 
-The bound of a certificate adds up worst cases that no stage shows together. What is probable is
-asked of the compiled controller itself: it follows references of many kinds on stages that are
-drawn from what the recordings leave open,
+The bound of a certificate adds up worst cases that no stage shows together. The probable error
+follows from runs of the compiled controller along references of many kinds, on stages drawn from
+the uncertainty of the model:
 
     plays, dead zones and envelope   from the fit's covariance
     modes, poles and delays          between the ends of their intervals
-    what the class leaves            the discrepancy of ``identification.discrepancy``, as large as
-                                     recordings that were left out say, times exp(0.64 z)
-    how it was driven before         any turning points within the range
+    discrepancy of the class         as large as in held-out recordings, times exp(0.64 z)
+    history of the drive             any turning points within the range
 
 Of n largest errors of such runs the one at place ceil((n + 1) p) bounds the next with probability
 p, if the stage is one like those that were drawn [Vovk, Gammerman & Shafer 2005]. Whether stages

@@ -1,4 +1,4 @@
-"""Coupled axes under their controllers at the same time, the decoupling matrix in front.
+"""Simulate coupled axes in closed loop at the same time, behind the decoupling matrix.
 
     y'_i = P_i u_i + sum_(j != i) T_ij P_j u_j,   T_ij = [D G]_ij / [D G]_jj
 

@@ -1,4 +1,4 @@
-"""What is controlled, between the converters: one axis as it was identified."""
+"""The identified plant of one axis between its converters."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -24,9 +24,8 @@ class Hysteresis:
     """The identified operator as the response of a lateral axis.
 
     operator       rising with the drive
-    history_V      where the drive turned before every run, before it came to rest; none: the axis
-                   is de-poled
-    pasts_V        histories it may as well have had, for what depends on them
+    history_V      turning points of the drive before every run; none: the axis is de-poled
+    pasts_V        alternatives of that history, for comparison
     polarity       -1 where the displacement falls as the drive rises
     discrepancy    a second hysteresis beside it; None: the operator is all
     low_V, high_V  the drive is clipped to them
@@ -47,7 +46,7 @@ class Hysteresis:
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """Slow motion that the drive does not cause, as far and as fast as recordings showed it.
+    """Slow motion that the drive does not cause, with its largest range and speed in recordings.
 
     half_range_m     m, > 0
     fastest_m_per_s  its fastest change; 0: as fast as another axis is driven
@@ -111,7 +110,7 @@ class AxisPlant:
     reading_zero      what nothing is read as: the offset of the sensor
     reading_step      of the measuring converter, 0 rounds nothing
     reading_range     its ends
-    motions           what else moves the stage
+    motions           further causes of motion
     hums              frequency in Hz and amplitude of lines in the reading
     cyclic            what the sensor says of a position; None: the position
     """
@@ -172,10 +171,9 @@ class AxisPlant:
         return np.asarray(self.noise_rms * recursive_filter([1.0], [1.0, -pole], kicks) + hum)
 
     def motion_m(self, samples: int, other_drive: Array) -> Array:
-        """Return what moves the stage beside its drive, (samples,).
+        """Return the motion that the drive does not cause, (samples,).
 
-        other_drive  (samples,)  how another axis is driven, -1 to 1: what has no speed of its own
-                            follows it
+        other_drive  (samples,)  drive of another axis, -1 to 1; motions without a speed follow it
         """
         time_s = np.arange(samples) / self.sampling_rate_Hz
         moved_m = np.zeros(samples)
@@ -313,11 +311,11 @@ def with_histories(plant: AxisPlant) -> tuple[AxisPlant, ...]:
 
 
 def _pasts_V(model: AxisModel) -> tuple[tuple[float, ...], ...]:
-    """Return how a stage was driven before it came to rest: over all of its range, then to rest
-    from its upper end at once, or from its lower end after a turn at a quarter of the range.
+    """Return two histories over the full range: one with a last turn a quarter below its upper
+    end, and one that comes to rest straight from the upper end.
 
-    The first reading tells a controller of a past with one extreme; of turns within turns it
-    cannot. A stage that starts where the inverse does shows an error that no stage has.
+    A controller can infer one extreme from its first reading, and not turns within turns. On a
+    stage that starts from the state of the inverse the error would be too small.
     """
     low_V, high_V = model.voltage_V
     quarter_V = 0.25 * (high_V - low_V)

@@ -1,4 +1,4 @@
-"""The bundle compiled again: by the host's compiler, and for an emulated Cortex-M4F."""
+"""Compile the bundle by the host's compiler and for an emulated Cortex-M4F, and compare bits."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,13 +11,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from piezoid.errors import ParameterFileError, RuntimeLibraryError
+from piezoid.export.bundle import SAMPLES as ORDINARY_SAMPLES
 from piezoid.export.bundle import bundle, golden_inputs
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Controller
 from piezoid.runtime.library import PRECISIONS
 
-SAMPLES = 6000  # of each axis, the first 1000 of them an ordinary day's
+SAMPLES = 6000  # of each axis, after those of an ordinary day hostile ones
 _HOSTILE = (np.nan, np.inf, -np.inf, 0.0, -0.0, 1e30, -1e30, 1e-42)
 _SECONDS = 60  # after which a build or a run counts as failed
 
@@ -76,23 +77,16 @@ def target_source(name: str) -> bytes:
 
 def write_build_files(
     folder: Path, contents: Mapping[str, bytes], file: ParameterFile, real: str
-) -> int:
-    """Write sources and inputs for one precision; return how many samples are ordinary.
-
-    contents  the bundle's files
-    real      ``double`` or ``float``
-    """
-    for name, content in contents.items():
+) -> None:
+    """Write the bundle's files, replay.c and its inputs for ``double`` or ``float``."""
+    for name, content in {**contents, "replay.c": target_source("replay.c")}.items():
         (folder / name).write_bytes(content)
-    (folder / "replay.c").write_bytes(target_source("replay.c"))
     pairs = [replay_inputs(axis, index) for index, axis in enumerate(file.axes)]
-    ordinary = len(golden_inputs(file.axes[0], np.random.default_rng(0))[0])
-    counts = np.array([SAMPLES, ordinary], dtype="<u4").tobytes()
+    counts = np.array([SAMPLES, ORDINARY_SAMPLES], dtype="<u4").tobytes()
     dtype = "<f8" if real == "double" else "<f4"
     with np.errstate(over="ignore"):
         data = [np.stack(pair, axis=1).astype(dtype).tobytes() for pair in pairs]
     (folder / "inputs.bin").write_bytes(counts + b"".join(data))
-    return ordinary
 
 
 def replay_inputs(axis: AxisParameters, seed: int) -> tuple[Array, Array]:
@@ -131,18 +125,11 @@ def expected_answers(file: ParameterFile, real: str) -> bytes:
 
 
 def compare(
-    folder: Path,
-    command: Sequence[str],
-    file: ParameterFile,
-    real: str,
-    ordinary: int,
-    *,
-    build: str,
+    folder: Path, command: Sequence[str], file: ParameterFile, real: str, *, build: str
 ) -> Proof:
     """Run a build in its folder and compare every sample.
 
-    ordinary  samples of each axis over which instructions are averaged
-    build     compiler, flags and precision, for the record
+    build  compiler, flags and precision, for the record
 
     Raises ``RuntimeLibraryError`` where it fails or answers another number of samples.
     """
@@ -167,7 +154,8 @@ def compare(
         is_built=True,
         samples=samples,
         differing=int(np.any(rows[0] != rows[1], axis=1).sum()),
-        instructions_per_sample={axis: total / ordinary for axis, total, _ in counted} or None,
+        instructions_per_sample={axis: total / ORDINARY_SAMPLES for axis, total, _ in counted}
+        or None,
         most_instructions={axis: peak for axis, _, peak in counted} or None,
         stack_bytes=max(stack for *_, stack, _ in numbers) if counted else None,
         state_bytes=numbers[0][4],
@@ -223,21 +211,19 @@ def emulate(file: ParameterFile, contents: Mapping[str, bytes] | None = None) ->
         return Proof(build=reason, is_built=False)
     with TemporaryDirectory(prefix="piezoid-") as name:
         folder = Path(name)
-        ordinary = build_for_cortex_m4(folder, bundle_files, file)
+        build_for_cortex_m4(folder, bundle_files, file)
         build = f"{_TARGET} {' '.join(_FLAGS)}, Cortex-M4F emulated (mps2-an386), float"
-        command = (_EMULATOR, *_EMULATED)
-        return compare(folder, command, file, "float", ordinary, build=build)
+        return compare(folder, (_EMULATOR, *_EMULATED), file, "float", build=build)
 
 
-def build_for_cortex_m4(folder: Path, contents: Mapping[str, bytes], file: ParameterFile) -> int:
-    """Compile ``replay.elf`` in a folder; return how many samples of its inputs are ordinary."""
-    ordinary = write_build_files(folder, contents, file, "float")
+def build_for_cortex_m4(folder: Path, contents: Mapping[str, bytes], file: ParameterFile) -> None:
+    """Compile ``replay.elf`` in a folder, its inputs beside it."""
+    write_build_files(folder, contents, file, "float")
     for name in ("board.c", "board.ld"):
         (folder / name).write_bytes(target_source(name))
     sources = ("replay.c", "board.c", "piezoid_runtime.c")
     script = ("-T", "board.ld", "-o", "replay.elf")
     run_program((_TARGET, *_FLAGS, *_TARGET_FLAGS, *sources, *script), folder)
-    return ordinary
 
 
 def _on_host(
@@ -246,14 +232,13 @@ def _on_host(
     precision_flags = ("-DPZ_REAL_FLOAT",) if real == "float" else ()
     with TemporaryDirectory(prefix="piezoid-") as name:
         folder = Path(name)
-        ordinary = write_build_files(folder, bundle_files, file, real)
+        write_build_files(folder, bundle_files, file, real)
         run_program(
             (compiler, *_FLAGS, *precision_flags, "replay.c", "piezoid_runtime.c", "-o", "replay"),
             folder,
         )
         build = f"{Path(compiler).name} {' '.join(_FLAGS)}, this machine, {real}"
-        command = (str(folder / "replay"),)
-        return compare(folder, command, file, real, ordinary, build=build)
+        return compare(folder, (str(folder / "replay"),), file, real, build=build)
 
 
 def check_bundle(file: ParameterFile, contents: Mapping[str, bytes] | None) -> Mapping[str, bytes]:

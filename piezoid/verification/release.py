@@ -1,4 +1,4 @@
-"""What may ship: the axes whose own verification passes, and nothing else."""
+"""Release the axes whose verification passes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -15,12 +15,12 @@ _MOST_NAMED = 3  # failed verdicts of an axis that its reason names
 
 @dataclass(frozen=True, kw_only=True)
 class Shipping:
-    """What became of a parameter file that was run against the stage.
+    """Axes of a parameter file that ship, and those that are refused.
 
-    verification  of what ships; of what was refused where nothing does
-    parameters    what ships; None: nothing
-    refused       the axes that do not, with their figures for study; None: all do
-    reasons       by axis, why it does not
+    verification  of the axes that ship; of the refused ones where none does
+    parameters    of the axes that ship; None: none does
+    refused       parameters of the other axes, for study; None: all ship
+    reasons       by axis, why it is refused
     """
 
     verification: Verification
@@ -33,10 +33,10 @@ class Shipping:
 def release(
     file: ParameterFile, model: ActuatorModel, *, lab: Lab | None = None, threads: int = 1
 ) -> Shipping:
-    """Run a parameter file against the identified stage, and keep the axes that pass.
+    """Run a parameter file against the identified stage, and release the axes that pass.
 
-    Where the whole file fails, every axis is run by itself: one that fails alone is refused, and
-    what is left must pass together.
+    If the file fails, every axis is run by itself: those that fail are refused, and the remaining
+    ones must pass together.
     """
     verification = verify_stage(file, model, lab=lab, threads=threads)
     if verification.passed:

@@ -1,4 +1,4 @@
-"""Where the paths of an axis lie, and how the axis is led there from rest."""
+"""The references that an axis may be given, and the approach from rest to a first reference."""
 
 from dataclasses import dataclass
 
@@ -15,14 +15,14 @@ _LED_s, _STAYED_s = 0.4, 0.2  # nine periods of the slowest loop an outsider's s
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceRange:
-    """What an axis may be asked: references about ``centre_m``, at most ``farthest_m`` away."""
+    """References that an axis may be given: at most ``farthest_m`` away from ``centre_m``."""
 
     centre_m: float
     farthest_m: float
 
     @property
     def radius_m(self) -> float:
-        """How far paths go."""
+        """Radius of paths."""
         return _REACH * self.farthest_m
 
 
@@ -33,10 +33,10 @@ def reference_range(axis: AxisParameters) -> ReferenceRange:
 
 
 def approach_path(plant: AxisPlant, begin_m: float) -> Array:
-    """Return how a stage is led from rest to where its path begins, and stays there, (samples,).
+    """Return the reference from rest to the start of a path, and a pause there, (samples,).
 
-    Half a cosine, as a user would go: what the way leaves in the memory is part of the error,
-    the bump of a reference that is suddenly elsewhere is not.
+    Half a cosine, as a user would approach: the hysteresis of the approach is part of the error,
+    the transient of a jump is not.
     """
     rest_m, rate_Hz = rest_position(plant), plant.sampling_rate_Hz
     share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, round(_LED_s * rate_Hz)))

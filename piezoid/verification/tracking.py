@@ -1,4 +1,4 @@
-"""Records of a loop to numbers: how far it was from where it should have been."""
+"""Tracking error of a run: rms, largest error, and the shape error after the best delay."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,12 +16,12 @@ _ANGLES = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Tracking:
-    """How well a path was followed; errors are distances in the plane.
+    """Errors along a path; they are distances in the plane.
 
     rms_m          sqrt(mean(e_x^2 + e_y^2))
     rms_percent    of the path's diameter
     max_m          the largest
-    aligned_rms_m  what is left after the best common delay
+    aligned_rms_m  rms after the best common delay
     delay_s        that delay, positive where the stage is late
     radial_rms_m   of |position| - |reference|, about the middle of the path
     pitch_error    standard deviation of the distance between neighbouring turns, relative to the
@@ -72,9 +72,9 @@ def align(
 
         minimise over tau  sum_axes sum_k |y(t_k) - r(t_k - tau)|^2     by Gauss-Newton from 0
 
-    reference, moved  (axes, samples)  four samples or more
-    longest_s      the delay stays within +- this; as much is left out at both ends, and of a
-                   short record two samples are left
+    reference, position  (axes, samples)  four samples or more
+    longest_s            bound of the delay; both ends of the record are left out by as much, down
+                         to two samples
     """
     samples = reference.shape[1]
     longest = min(longest_s * sampling_rate_Hz, (samples - 2) // 2)
@@ -109,7 +109,7 @@ def _cubic_pieces(signal: Array) -> Array:
 def _earlier(pieces: Array, first: int, count: int, delay: float) -> tuple[Array, Array]:
     """Return signal and slope a delay before so many samples, (axes, count), slope per sample.
 
-    All look at the same share of their intervals, which nobody has to search for one by one.
+    Every sample lies at the same share of its interval, so that no interval is searched for.
     """
     samples = int(np.ceil(delay))
     begin = min(max(first - samples, 0), pieces.shape[2] - count)
@@ -121,10 +121,10 @@ def _earlier(pieces: Array, first: int, count: int, delay: float) -> tuple[Array
 def shape_error(
     reference: Array, position: Array, sampling_rate_Hz: float, delay_s: float
 ) -> Array:
-    """Return the distance from the path that a common delay leaves, sample by sample.
+    """Return the distance from the path after a common delay, sample by sample.
 
-    reference, moved  (axes, samples)
-    returned       (samples,); outside the record the path stands still
+    reference, position  (axes, samples)
+    returned             (samples,); outside the record the path stands still
     """
     from scipy.interpolate import CubicSpline
 
@@ -134,7 +134,7 @@ def shape_error(
 
 
 def _pitch_error(position: Array, path: Path, radius_m: float) -> float | None:
-    """Return how unequal the distances between neighbouring turns are, relative to the pitch."""
+    """Return the standard deviation of the distance between neighbouring turns, over the pitch."""
     angle = np.maximum.accumulate(np.unwrap(np.arctan2(position[1], position[0])))
     r = np.hypot(position[0], position[1])
     turns = int((angle[-1] - angle[0]) / (2.0 * np.pi)) - 1

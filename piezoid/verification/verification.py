@@ -1,4 +1,4 @@
-"""Verification: the record that leaves this floor, and its file ``verification.json``."""
+"""The record of a verification, and its file ``verification.json``."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -40,7 +40,7 @@ class ComparisonRow:
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorBound:
-    """What is known of the largest error of one axis; see ``verification.bounds``.
+    """Figures of the largest error of one axis at one speed; see ``verification.bounds``.
 
     slew_m_per_s   of the fastest reference, or of the surface under a tip
     bound_m        of the certificate, of a tip of its linear loop, each with three standard
@@ -73,7 +73,7 @@ class ErrorBound:
 
 @dataclass(frozen=True, kw_only=True)
 class SpiralRow:
-    """What only spirals have: errors across the turns, by method and frequency."""
+    """Errors across the turns of a spiral, by method and frequency."""
 
     method: str
     frequency_Hz: float
@@ -88,7 +88,7 @@ class CurrentRow:
     ln_current_std     of ln i
     height_rms_m       the same as a distance
     largest_ratio      of the current to its set point
-    retracted_samples  in which the tip fled
+    retracted_samples  with the tip retracted
     """
 
     scenario: str
@@ -100,7 +100,7 @@ class CurrentRow:
 
 @dataclass(frozen=True, kw_only=True)
 class CouplingRow:
-    """What one axis does while another one moves to and fro, both under control.
+    """Motion of one axis while another one moves to and fro, both in closed loop.
 
     moved           axis whose reference moves, in the displacements of the sensors
     answers         the other one
@@ -159,7 +159,7 @@ class Verification(Summarised):
     def passed(self) -> bool:
         """Whether every verdict passed, every build gave the same bits and every proof holds.
 
-        What a machine without compiler, emulator or analyser cannot tell is no failure.
+        A proof for which this machine has no compiler, emulator or analyser is no failure.
         """
         proofs = (*(p.passed for p in self.proofs), *(p.passed for p in self.limit_proofs))
         return all(v.passed for v in self.verdicts) and all(proofs)

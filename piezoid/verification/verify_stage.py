@@ -153,7 +153,7 @@ def _tip(axis: AxisParameters, loop: LoopPlant, lab: Lab) -> AxisPlant:
     chain = CurrentChain(
         bandwidth_Hz=0.5 * np.pi * loop.plant.sensor_pole_Hz, feedback_ohm=declared.feedback_ohm
     )
-    ends_V = (float(values["voltage_minimum_V"]), float(values["voltage_maximum_V"]))
+    middle_V = 0.5 * (float(values["voltage_minimum_V"]) + float(values["voltage_maximum_V"]))
     plant = junction_axis_plant(
         loop.plant,
         axis=axis.axis,
@@ -162,14 +162,14 @@ def _tip(axis: AxisParameters, loop: LoopPlant, lab: Lab) -> AxisPlant:
         noise_rms_A=float(np.hypot(chain.shot_A(set_point_A), chain.johnson_A)),
         modes=loop.modes[:1],
     )
-    rested = replace(plant, rest_voltage_V=0.5 * (ends_V[0] + ends_V[1]))
     converters, resistor_ohm = converters_of(lab, axis.axis), declared.feedback_ohm
     if resistor_ohm is None or converters.reading_V is None:
-        return rested
+        return replace(plant, rest_voltage_V=middle_V)
     return replace(
-        rested,
+        plant,
+        rest_voltage_V=middle_V,
         reading_step=converters.reading_step_V / resistor_ohm,
-        reading_range=reading_range_A(lab, axis.axis) or rested.reading_range,
+        reading_range=reading_range_A(lab, axis.axis) or plant.reading_range,
     )
 
 

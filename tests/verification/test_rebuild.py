@@ -53,14 +53,14 @@ def test_one_other_answer_is_counted(tmp_path):
     answers = bytearray(expected_answers(file, "float"))
     answers[8 * 4321] ^= 1
     (tmp_path / "answers.bin").write_bytes(bytes(answers))
-    one = compare(tmp_path, ("echo", "0 0 0 0 892"), file, "float", 1000, build="echo")
+    one = compare(tmp_path, ("echo", "0 0 0 0 892"), file, "float", build="echo")
     assert (one.samples, one.differing) == (SAMPLES, 1)
 
 
 def test_missing_answers_are_refused(tmp_path):
     (tmp_path / "answers.bin").write_bytes(b"")
     with pytest.raises(RuntimeLibraryError, match="0 bytes"):
-        compare(tmp_path, ("echo", "0 0 0 0 892"), stage("x"), "float", 1000, build="")
+        compare(tmp_path, ("echo", "0 0 0 0 892"), stage("x"), "float", build="")
 
 
 def test_an_edited_bundle_is_refused_by_name():
