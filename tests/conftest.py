@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.plays_alone import fit_plays_alone
+
 # Laws are tried on the same examples in every run, however slow the machine, and nothing is kept.
 settings.register_profile(
     "same_every_run",
@@ -31,6 +33,11 @@ REALDATA = Path(__file__).resolve().parents[2] / "shared" / "realdata"
 def pytest_runtest_setup() -> None:
     if time.monotonic() - BEGAN_s > LIMIT_s:
         pytest.skip(f"not begun within {LIMIT_s:g} s: run make test")
+
+
+@pytest.fixture
+def plays_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit_plays_alone(monkeypatch)
 
 
 @pytest.fixture

@@ -67,6 +67,7 @@ def test_the_major_loop_spans_the_stroke_and_opens_like_a_piezo(law: Truth) -> N
         up, down = np.split(strain(ceramic, walk(-1.0, 1.0, -1.0, points=300)), 2)
         assert abs(up[-1] - up[0] - 1.0) < 0.01  # laws that forget by and by still settle
         assert 0.07 < np.max(down[::-1] - up) < 0.16
+        assert 0.0 < ceramic.share < 1.0
 
 
 @every_law

@@ -15,13 +15,12 @@ from piezoid.diagnosis.refinement import initial_guess, refine
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.signals import with_displacement
 from piezoid_datasets.virtual_lab.campaign import Campaign, draw_campaign
-from tests.diagnosis.bench import effects_of
 
-from .bench import recorded, view_of_recordings
+from .bench import effects_of, recorded, thinned, view_of_recordings
 from .play_stage import recording
 from .played import with_another_axis
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
 
 
 def cut_off_percent(campaign: Campaign) -> float:
@@ -54,6 +53,7 @@ def test_the_size_of_a_clip_is_the_part_of_the_drives_range_that_is_cut_off(seed
 
 
 RATE_Hz = 200.0
+EVERY = 3  # samples of a stage that does not know time
 PER_DECADE = 12  # rungs of the quadrature
 TILT = 0.15  # of the spectrum of creep, for each decade of time
 
@@ -112,7 +112,7 @@ def test_the_size_of_creep_is_what_a_step_adds_in_the_decade_about_ten_seconds()
 def test_the_size_of_a_coupling_is_what_was_added_and_no_rest_of_it() -> None:
     """A free hysteresis takes up two fifths of a coupling, and none of the size that is told."""
     share, coupling = 0.005, cross_coupling.EFFECT
-    stage = [with_another_axis(recording(kind)) for kind in ("sweep", "walk")]
+    stage = thinned([with_another_axis(recording(kind)) for kind in ("sweep", "walk")], EVERY)
     found = piezoid.diagnose([coupling.inject(one, share) for one in stage], axis="x")
     (size,) = [one.size for one in found.findings if one.effect == coupling.name]
     assert size.value == pytest.approx(100.0 * share, rel=0.05)
@@ -128,7 +128,7 @@ def test_a_periodic_error_is_stated_over_where_the_stage_stood_and_leaves_nothin
         moved_m = one.displacement_m()
         error_m = 1e-9 * amplitude_nm * np.sin(2e9 * np.pi * moved_m / period_nm + 1.0)
         stage.append(with_displacement(one, moved_m + error_m))
-    (found,) = effects_of(piezoid.diagnose(stage, axis="x"))
+    (found,) = effects_of(piezoid.diagnose(thinned(stage, EVERY), axis="x"))
     assert found.effect == "sensor_periodic_error"
     assert found.size.value == pytest.approx(amplitude_nm, rel=0.02)
     assert found.size.ci95[0] < amplitude_nm < found.size.ci95[1]

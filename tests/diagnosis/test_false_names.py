@@ -10,7 +10,7 @@ import pytest
 
 from piezoid import diagnose, read
 from piezoid.diagnosis.diagnose import view_on
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding
+from piezoid.diagnosis.diagnosis import Finding
 from piezoid.diagnosis.effects import mains_interference
 from piezoid.diagnosis.identified_modes import with_modes
 from piezoid.diagnosis.residual_view import View
@@ -18,6 +18,7 @@ from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.signals import mode
 from piezoid.identification.dynamics.bandwidth import BandwidthVerdict
 from piezoid.numerics.arrays import Array
+from piezoid.records.frames import from_arrays
 from piezoid.records.invalid_samples import find_invalid_readings
 from piezoid.records.lab import Lab
 from tests.diagnosis.ceramic import bouc_wen_um
@@ -27,6 +28,8 @@ from tests.reports.known_stage import axis_model
 
 from .play_stage import NOISE_m, STROKE_m, drive, recording
 from .play_stage import moved as plays
+
+pytestmark = pytest.mark.usefixtures("plays_alone")
 
 HOLD, RAMP = 40, 6  # samples
 LEVELS = 120
@@ -45,24 +48,20 @@ def held_levels() -> tuple[np.ndarray, np.ndarray]:
     return drive_V, np.round(reading_um, 3)
 
 
-@pytest.fixture(scope="module")
-def levels(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
-    drive_V, reading_um = held_levels()
-    place: Path = tmp_path_factory.mktemp("levels") / "levels.csv"
-    time_s = np.arange(len(drive_V)) / 5000.0
-    write_csv(place, "time [s],voltage [V],displacement [um]", time_s, drive_V, reading_um)
-    return diagnose(read(place))
-
-
 def test_equal_readings_at_the_end_of_a_hold_are_measurements() -> None:
     drive_V, reading_um = held_levels()
     assert find_invalid_readings(reading_um, drive_V) == ()
 
 
 @pytest.mark.slow
-def test_levels_that_are_held_have_no_outliers(levels: Diagnosis) -> None:
+def test_levels_that_are_held_have_no_outliers() -> None:
+    drive_V, reading_um = held_levels()
+    time_s = np.arange(len(drive_V)) / 5000.0
+    levels = diagnose(
+        [from_arrays(time_s=time_s, voltage_V=drive_V, displacement_m=1e-6 * reading_um)]
+    )
     assert "outliers" not in levels.names
-    assert "loop_shape" in levels.names
+    assert levels.model is not None
     assert not any("single readings" in remark for remark in levels.model.verdict.remarks)
 
 

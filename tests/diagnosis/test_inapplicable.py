@@ -9,6 +9,8 @@ from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.effects import EFFECTS
 from tests.laws import LAWS, recorded, triangles
 
+pytestmark = pytest.mark.usefixtures("plays_alone")
+
 
 @pytest.mark.parametrize("law", ["preisach", "dahl"])
 def test_a_butterfly_has_a_reason_and_no_causes(tmp_path: Path, law: str) -> None:

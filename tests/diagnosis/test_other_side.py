@@ -12,7 +12,7 @@ from piezoid.numerics.arrays import Array
 from .bench import effects_of, thinned
 from .play_stage import NOISE_m, STROKE_m, clean, drive, moved, recording
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
 
 KINDS = ("sweep", "walk", "waves")
 ORDER = ("sweep", "sweep", "waves")

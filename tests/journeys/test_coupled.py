@@ -2,20 +2,20 @@
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import piezoid
 from piezoid.errors import ExcitationError
+from piezoid_cli.main import app
 from tests.journeys.coupled_stage import AXES, GAIN_M_PER_V, LAB, MODE_HZ, campaign, sweep, written
+from tests.plays_alone import fit_plays_alone
 
 pytestmark = pytest.mark.slow
 
-PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
 NO_RATE = LAB.split("[acquisition]")[0]
 
 
@@ -25,12 +25,12 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     folder = tmp_path_factory.mktemp("coupled")
     files = campaign(folder, axes=("x",))
     (folder / "lab.toml").write_text(NO_RATE)
-    given = (*map(str, files), "--lab", "lab.toml", "--out", "out")
-    done = subprocess.run(
-        [*PIEZOID, "fit", *given], cwd=folder, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return folder, " ".join(done.stdout.split())
+    given = (*map(str, files), "--lab", str(folder / "lab.toml"), "--out", str(folder / "out"))
+    with pytest.MonkeyPatch.context() as patch:
+        fit_plays_alone(patch)
+        done = CliRunner().invoke(app, ["fit", *given])
+    assert done.exit_code == 0, (done.output, done.exception)
+    return folder, " ".join(done.output.split())
 
 
 @pytest.fixture(scope="module")

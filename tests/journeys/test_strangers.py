@@ -1,41 +1,36 @@
 """Recordings as strangers make them: a file in, the verdict a physicist would give out."""
 
 import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import Result
+from typer.testing import CliRunner
 
 import piezoid as piezoid_library
 from piezoid.diagnosis.diagnose import diagnose
+from piezoid.errors import ExcitationError
 from piezoid.identification.fit import fit
 from piezoid.identification.fit_statements import Grade, fit_statements, grade_of
 from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import IN_SAMPLE
 from piezoid.numerics.arrays import Array
+from piezoid_cli.main import app
 from piezoid_datasets.virtual_lab.signals import first_order
+from tests.diagnosis.bench import causes
 from tests.laws import LAWS, RATE_Hz, recorded, swept_um, triangles, write
 
-pytestmark = pytest.mark.slow
-
-PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
 
 
-def piezoid(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(
-        [*PIEZOID, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "COLUMNS": "120"},
-    )
-    assert "Traceback" not in done.stderr
-    return done
+def piezoid(*arguments: str | Path) -> Result:
+    return CliRunner(env={"COLUMNS": "120"}).invoke(app, [str(word) for word in arguments])
+
+
+def joined(done: Result) -> str:
+    return " ".join(done.output.split())
 
 
 def noise_um(samples: int) -> Array:
@@ -56,12 +51,6 @@ def facts_of(axis: AxisModel) -> set[str]:
 def fitted(folder: Path, field: Array, reading_um: Array) -> AxisModel:
     """Return the model of one recording, fitted without the command line."""
     return fit([recorded(folder, field, reading_um)])["x"]
-
-
-def causes_of(folder: Path) -> list[dict[str, Any]]:
-    """Return the findings that accuse the stage: the shape of its loops is no fault."""
-    findings = json.loads((folder / "diagnosis.json").read_text())["findings"]
-    return [finding for finding in findings if finding["effect"] != "loop_shape"]
 
 
 def test_one_loop_is_modelled_and_said_to_be_untested(tmp_path: Path) -> None:
@@ -86,11 +75,11 @@ def test_one_loop_is_modelled_and_said_to_be_untested(tmp_path: Path) -> None:
 def test_phase_lag_alone_is_called_so(tmp_path: Path) -> None:
     field = triangles(6, 500)
     late = first_order(first_order(field, 0.03, RATE_Hz, -1.0), 0.05, RATE_Hz, -1.0)
-    sweep = write(tmp_path / "sweep.csv", field, 40 * late + noise_um(len(field)))
-    done = piezoid("fit", sweep, "--out", tmp_path / "stage")
-    assert done.returncode == 1
-    assert "is phase lag, not hysteresis" in joined(done)
-    assert "single readings" not in done.stdout  # corners of the residual are no outliers
+    axis = fitted(tmp_path, field, 40 * late + noise_um(len(field)))
+    assert not axis.verdict.applies
+    assert "is phase lag, not hysteresis" in axis.verdict.reason
+    # corners of the residual are no outliers
+    assert not any("single readings" in remark for remark in axis.verdict.remarks)
 
 
 def test_a_lag_whose_corners_an_envelope_follows_is_called_lag(tmp_path: Path) -> None:
@@ -102,22 +91,19 @@ def test_a_lag_whose_corners_an_envelope_follows_is_called_lag(tmp_path: Path) -
         speed += w * w * (command - moved) - 2 * 0.66 * w * speed
         moved += speed
         late.append(moved)
-    sweep = write(tmp_path / "sweep.csv", field, 40 * np.array(late) + noise_um(len(field)))
-    done = piezoid("fit", sweep, "--out", tmp_path / "stage")
-    assert done.returncode == 1
-    assert "phase lag, not hysteresis" in joined(done)
-    axis = json.loads((tmp_path / "stage/model.json").read_text())["axes"]["x"]
-    assert len(axis["hysteresis"]["dead_zone_weight"]) <= 5
+    axis = fitted(tmp_path, field, 40 * np.array(late) + noise_um(len(field)))
+    assert not axis.verdict.applies
+    assert "phase lag, not hysteresis" in axis.verdict.reason
+    assert len(axis.hysteresis.dead_zones.weight) <= 5
 
 
 def test_noise_on_a_drive_that_rests_is_no_sweep(tmp_path: Path) -> None:
     rng = np.random.default_rng(7)
     rest = write(tmp_path / "rest.csv", 1e-5 * rng.standard_normal(4000), 5 + noise_um(4000))
     done = piezoid("fit", rest, "--out", tmp_path / "stage")
-    assert done.returncode == 3
-    assert "never changes but for the noise of its reading" in " ".join(done.stderr.split())
-    done = piezoid("diagnose", rest, "--out", tmp_path / "diagnosis")
-    said = " ".join(done.stdout.split())
+    assert isinstance(done.exception, ExcitationError)
+    assert "never changes but for the noise of its reading" in str(done.exception)
+    said = joined(piezoid("diagnose", rest, "--out", tmp_path / "diagnosis"))
     assert "at constant drive" in said
     assert "hysteresis" not in said
 
@@ -126,8 +112,7 @@ def test_a_diagnosis_of_a_class_that_does_not_apply_says_why_none_was_made(tmp_p
     field = triangles(4, 400)
     polarised = 2 * LAWS["preisach"](field) - 1
     sweep = write(tmp_path / "sweep.csv", field, 10 * polarised**2 + noise_um(len(field)))
-    done = piezoid("diagnose", sweep, "--out", tmp_path / "diagnosis")
-    said = " ".join(done.stdout.split())
+    said = joined(piezoid("diagnose", sweep, "--out", tmp_path / "diagnosis"))
     assert "No effect was tested" in said
     assert "butterfly" in said
 
@@ -137,17 +122,10 @@ def test_cycles_that_grow_ever_smaller_are_a_change_of_gain(tmp_path: Path) -> N
     field = np.tile(triangles(1, 60), 40)
     gain = 1.0 - 0.03 * np.arange(len(field)) / len(field)
     moved_um = 10 * gain * LAWS["preisach"](field)
-    sweep = write(tmp_path / "sweep.csv", field, moved_um + noise_um(len(field)))
-    done = piezoid("diagnose", sweep, "--out", tmp_path / "diagnosis")
-    (found,) = causes_of(tmp_path / "diagnosis")
-    assert found["effect"] == "gain_change"
-    low, high = found["size"]["ci95"]
+    found = diagnose([recorded(tmp_path, field, moved_um + noise_um(len(field)))])
+    assert causes(found) == ("gain_change",)
+    low, high = found.findings[0].size.ci95
     assert -3.4 < low < -2.96 < high < -2.6
-    assert "Warning" not in done.stderr
-
-
-def joined(done: subprocess.CompletedProcess[str]) -> str:
-    return " ".join(done.stdout.split())
 
 
 def test_half_a_stroke_on_one_branch_is_no_hysteresis_model(tmp_path: Path) -> None:
@@ -179,7 +157,7 @@ def test_a_drive_drawn_anew_at_every_sample_turns_all_the_time(tmp_path: Path) -
     axis = fitted(tmp_path, field, 10 * LAWS["preisach"](field) + noise_um(2000))
     assert not {"branch", "loop", "speed", "amplitude"} & facts_of(axis)
     assert grade_of(axis) in (Grade.GOOD, Grade.LIMITED)
-    looked = piezoid("inspect", tmp_path / "sweep.csv").stdout
+    looked = piezoid("inspect", tmp_path / "sweep.csv").output
     assert int(re.search(r"(\d+)\s+reversals", looked)[1]) > 500
 
 
@@ -227,8 +205,8 @@ def test_another_machine_beside_the_loop_is_no_lag_and_told_by_its_frequency(
     diagnosis = diagnose([recorded(tmp_path, field, reading_um + noise_um(len(field)))])
     assert diagnosis.model is not None
     assert diagnosis.model.verdict.applies
-    (finding,) = [finding for finding in diagnosis.findings if finding.effect != "loop_shape"]
-    assert finding.effect == "something_else"
+    assert causes(diagnosis) == ("something_else",)
+    finding = next(one for one in diagnosis.findings if one.effect == "something_else")
     assert finding.coordinate == "frequency"
     assert finding.parameters["frequency_Hz"] == pytest.approx(2.83 * RATE_Hz / 500, rel=0.02)
     assert finding.size.value == pytest.approx(200 / np.sqrt(2), rel=0.15)
