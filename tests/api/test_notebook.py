@@ -1,23 +1,22 @@
 """The newcomer's notebook runs as it stands, from a CSV file to a closed loop."""
 
-import os
 import re
-import subprocess
-import sys
+import runpy
 from pathlib import Path
 
+import matplotlib as mpl
 import pytest
 
 import piezoid_datasets
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
 
 NOTEBOOK = Path(__file__).with_name("notebook.py")
 MOST_LINES, ROWS = 25, 2500
 
 
 def test_a_notebook_of_twenty_five_lines_goes_from_a_csv_file_to_a_closed_loop(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code = NOTEBOOK.read_text(encoding="utf-8")
     assert len(code.splitlines()) <= MOST_LINES
@@ -27,17 +26,12 @@ def test_a_notebook_of_twenty_five_lines_goes_from_a_csv_file_to_a_closed_loop(
         (tmp_path / f"{name}.csv").write_text("\n".join(rows) + "\n")
     rig, _, _ = piezoid_datasets.LAB.read_text().partition("[[recording]]")
     (tmp_path / "lab.toml").write_text(rig)
-    done = subprocess.run(
-        [sys.executable, "-W", "error", str(NOTEBOOK)],
-        cwd=tmp_path,
-        env={**os.environ, "MPLBACKEND": "Agg"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    monkeypatch.chdir(tmp_path)
+    mpl.use("Agg")
+    runpy.run_path(str(NOTEBOOK))
+    printed = capsys.readouterr().out
     unseen, closed = (
-        float(re.search(rf"{word}: ([\d.]+) ", done.stdout)[1])  # type: ignore[index]
+        float(re.search(rf"{word}: ([\d.]+) ", printed)[1])  # type: ignore[index]
         for word in ("unseen", "closed loop")
     )
     assert unseen < 0.5  # percent; the stage's loop is open by 5

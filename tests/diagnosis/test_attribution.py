@@ -23,6 +23,8 @@ from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from tests.identification.joint.stage import NOISE_m, disturbed, known_model, recordings_of
 
+pytestmark = pytest.mark.usefixtures("plays_alone")
+
 DELAY_s = 2e-3
 
 

@@ -14,7 +14,7 @@ from tests.records.responses import response, write_csv
 from .bench import causes
 from .played import HALF_STROKE_m, cycled, memory_after, moved, recorded_as
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
 
 MODE_Hz, QUALITY = 300.0, 20.0
 NOISE = 6e-4  # of half the stroke

@@ -34,6 +34,8 @@ from .played import (
     wobbling,
 )
 
+pytestmark = pytest.mark.usefixtures("plays_alone")
+
 DRIFT = 10.0 * NOISE * np.sqrt(3.0)  # of the stroke, at either end: ten times the noise, rms
 
 

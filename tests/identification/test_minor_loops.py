@@ -183,6 +183,7 @@ def test_the_inverse_of_the_model_undoes_its_simulation():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("plays_alone")
 def test_a_whole_calibration_ships_functions_and_guarantees_what_plays_could_not(tmp_path):
     """One stage, three speeds, to the sealed files; with dead zones 1.06 um was guaranteed."""
     other = through(np.r_[-1.0, 1.0, -1.0, np.random.default_rng(9).uniform(-1.0, 1.0, 30)])

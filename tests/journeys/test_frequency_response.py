@@ -112,7 +112,7 @@ def test_the_report_draws_the_response_and_draws_it_again(folder: Path) -> None:
     assert (folder / "stage" / "report.html").read_text() == page
 
 
-@pytest.mark.usefixtures("fitted")
+@pytest.mark.usefixtures("fitted", "plays_alone")
 def test_a_notebook_takes_the_response_as_the_command_line_does(folder: Path) -> None:
     lab = folder / "lab.toml"
     held = read(folder / "sweep.csv", folder / "response.csv", lab=lab)
@@ -126,7 +126,7 @@ def test_a_notebook_takes_the_response_as_the_command_line_does(folder: Path) ->
     assert "gain as measured, response.csv" in report(model, held, lab=lab)
 
 
-@pytest.mark.usefixtures("fitted")
+@pytest.mark.usefixtures("fitted", "plays_alone")
 def test_the_loop_is_fast_and_stable_on_the_stage_itself(folder: Path) -> None:
     lab = folder / "lab.toml"
     alone = fit(read(folder / "sweep.csv", lab=lab), lab=lab)

@@ -56,19 +56,18 @@ def interrupted(code: str, place: Path, after_s: float, *arguments: str | Path) 
     return process.returncode
 
 
-@pytest.mark.parametrize("after_s", [0.1, 1.5])
-def test_an_interrupted_fit_leaves_what_was_there(tmp_path: Path, after_s: float) -> None:
+def test_an_interrupted_fit_leaves_what_was_there(tmp_path: Path) -> None:
     write_folder(tmp_path / "stage", {"model.json": b"precious"})
     before = sorted(p.name for p in (tmp_path / "stage").iterdir())
     sweep = piezoid_datasets.recordings()[0]
-    status = interrupted(FIT, tmp_path, after_s, "fit", sweep, "--out", "stage", "--force")
+    status = interrupted(FIT, tmp_path, 0.5, "fit", sweep, "--out", "stage", "--force")
     assert status == 130
     assert [p.name for p in tmp_path.iterdir()] == ["stage"]
     assert sorted(p.name for p in (tmp_path / "stage").iterdir()) == before
     assert (tmp_path / "stage" / "model.json").read_text() == "precious"
 
 
-@pytest.mark.parametrize("after_s", [0.0, 0.017, 0.05])
+@pytest.mark.parametrize("after_s", [0.0, 0.05])
 def test_interrupted_while_writing_the_folder_is_whole_and_alone(
     tmp_path: Path, after_s: float
 ) -> None:

@@ -19,6 +19,7 @@ from piezoid_datasets.virtual_lab.stage import Stage
 from piezoid_datasets.virtual_lab.table import csv_text
 from piezoid_datasets.virtual_lab.truths.preisach import draw_preisach
 from piezoid_datasets.virtual_lab.write import lab_toml
+from tests.plays_alone import fit_plays_alone
 
 APP = typer.Typer()
 APP.command()(fit)
@@ -37,7 +38,9 @@ def servo(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str, dict[str,
     folder = tmp_path_factory.mktemp("servo")
     write(folder, servo_stage(BANDWIDTH_Hz, seed=3))
     arguments = (folder / "triangles.csv", "--lab", folder / "lab.toml", "--out", folder / "out")
-    result = CliRunner(env={"COLUMNS": "400"}).invoke(APP, [str(a) for a in arguments])
+    with pytest.MonkeyPatch.context() as patch:
+        fit_plays_alone(patch)
+        result = CliRunner(env={"COLUMNS": "400"}).invoke(APP, [str(a) for a in arguments])
     model: dict[str, Any] = json.loads((folder / "out" / "model.json").read_bytes())
     return result.exit_code, result.output, model["axes"]["x"]
 

@@ -18,7 +18,7 @@ def recording(tmp_path: Path) -> Path:
     return place
 
 
-@pytest.mark.parametrize("encoding", ["latin-1", "cp1252", "ascii"])
+@pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
 def test_characters_that_a_terminal_has_not_degrade(encoding: str, recording: Path) -> None:
     out = recording.with_name("lab.toml")
     for words in (("inspect", recording), ("init", recording, "--out", out)):
@@ -65,15 +65,20 @@ def test_a_closed_pipe_ends_neither_the_work_nor_its_status(recording: Path) -> 
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no full device")
-@pytest.mark.parametrize("stream", [">&-", "2>&-", "2>/dev/full"])
+@pytest.mark.parametrize(
+    ("words", "stream", "status"),
+    [
+        ("inspect s.csv", ">&-", 0),
+        ("inspect gone.csv", "2>&-", 3),
+        ("inspect gone.csv", "2>/dev/full", 3),
+        ("inspect --nope", "2>/dev/full", 2),
+    ],
+)
 def test_a_stream_that_cannot_be_written_changes_no_exit_status(
-    stream: str, recording: Path
+    words: str, stream: str, status: int, recording: Path
 ) -> None:
     """Neither 1, a failed verdict, nor 70, an internal error."""
-    for words, status in (("inspect s.csv", 0), ("inspect gone.csv", 3), ("inspect --nope", 2)):
-        line = f'"{PIEZOID[0]}" -m {PIEZOID[2]} {words} {stream}'
-        done = subprocess.run(
-            line, shell=True, cwd=recording.parent, capture_output=True, check=False
-        )
-        assert done.returncode == status, (words, done.stderr)
-        assert b"Traceback" not in done.stderr
+    line = f'"{PIEZOID[0]}" -m {PIEZOID[2]} {words} {stream}'
+    done = subprocess.run(line, shell=True, cwd=recording.parent, capture_output=True, check=False)
+    assert done.returncode == status, done.stderr
+    assert b"Traceback" not in done.stderr

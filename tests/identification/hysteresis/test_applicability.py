@@ -23,6 +23,8 @@ from tests.identification.hysteresis.stages import (
 )
 from tests.laws import LAWS, recorded
 
+pytestmark = pytest.mark.usefixtures("plays_alone")
+
 
 def noisy(values: np.ndarray, seed: int = 1) -> np.ndarray:  # type: ignore[type-arg]
     return values + np.random.default_rng(seed).normal(0, 3e-9, len(values))

@@ -22,6 +22,8 @@ from tests.identification.hysteresis.stages import (
     wandering,
 )
 
+pytestmark = pytest.mark.usefixtures("plays_alone")
+
 ORDERS = ((4, 0), (8, 2))
 THRESHOLD = np.array([0.0, 0.7, 1.5, 2.6, 3.9])
 WEIGHT = np.array([2.0, 0.5, 0.3, 0.2, 0.2]) * 1e-6
