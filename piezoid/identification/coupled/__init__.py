@@ -2,7 +2,7 @@
 
     identify_coupled(recordings, lab) -> CoupledStage    from recordings of a stage
     fit_coupled(levels) -> CoupledStage                  from periodic data, one record a level
-    decoupled(recordings, coupled)                       recordings as single axes see them
+    decoupled(recordings, coupled)                       recordings in decoupled coordinates
 
 Start at coupled_stage.py. May import dynamics and what it imports.
 """

@@ -138,7 +138,7 @@ def decide_bandwidth(
 
 
 def unmeasured(stated_Hz: float | None, reason: str) -> BandwidthVerdict:
-    """Return the verdict where the lines, if there are any, decide nothing."""
+    """Return an undecided verdict and its reason."""
     return BandwidthVerdict(
         kind="undecided",
         stated_Hz=stated_Hz,

@@ -1,4 +1,4 @@
-"""What comes out at lines nobody drove: even and odd distortion and noise, told apart.
+"""Even and odd distortion and noise, measured at lines that the drive leaves out.
 
     u of odd lines only:   u^2 answers at even lines, u^3 at odd ones      [Pintelon & Schoukens]
 

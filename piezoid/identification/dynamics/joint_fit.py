@@ -334,7 +334,7 @@ def _fit(segments: Sequence[Segment], layout: Layout, start: Array) -> tuple[Arr
     lower, longest = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
     lower[: layout.plays] = lower[logs.stop] = 0.0  # weights of plays, and the delay
     longest[logs] = MAX_LOG_STEP
-    theta, weights = start, _heavier([np.zeros(1) for _ in segments], segments, layout, start)
+    theta, weights = start, _line_weights([np.zeros(1) for _ in segments], segments, layout, start)
     for _ in range(WEIGHT_ROUNDS):
         theta = minimise(
             partial(_Point, segments, layout, weights),
@@ -343,7 +343,7 @@ def _fit(segments: Sequence[Segment], layout: Layout, start: Array) -> tuple[Arr
             rule=STEPS,
             longest=longest,
         ).x
-        weights = _heavier(weights, segments, layout, theta)
+        weights = _line_weights(weights, segments, layout, theta)
     return theta, weights
 
 
@@ -362,10 +362,10 @@ def _without_line(signals: Array) -> Array:
     return np.asarray(level - np.multiply.outer(level @ time / (time @ time), time))
 
 
-def _heavier(
+def _line_weights(
     weights: list[Array], segments: Sequence[Segment], layout: Layout, theta: Array
 ) -> list[Array]:
-    """Return one over the standard deviation of each line, nowhere less than before.
+    """Return one over the standard deviation of each line; a weight never decreases.
 
     A few low lines hold the whole of a slow sweep: free to lose their weight, they would give the
     operator away for what little a better one gains elsewhere. For the same reason every segment
@@ -373,7 +373,7 @@ def _heavier(
     than noise, and is not independent in every line.
     """
     longest = max(segment.samples for segment in segments)
-    heavier = []
+    updated = []
     for segment, previous in zip(segments, weights, strict=True):
         power = np.abs(rfft(_residual(layout, theta, segment))) ** 2
         lines = np.arange(len(power))
@@ -383,8 +383,8 @@ def _heavier(
         mean, middle = np.bincount(band, power) / count, np.bincount(band, lines) / count
         weight = 1.0 / np.sqrt(np.maximum(np.interp(lines, middle, mean), TINY))
         weight[0] = weight[lines > MAX_FREQUENCY * segment.samples] = 0.0
-        heavier.append(np.maximum(np.sqrt(longest / segment.samples) * weight, previous))
-    return heavier
+        updated.append(np.maximum(np.sqrt(longest / segment.samples) * weight, previous))
+    return updated
 
 
 @dataclass(frozen=True, eq=False)

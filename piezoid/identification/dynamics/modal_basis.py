@@ -63,7 +63,7 @@ class Filter:
 
 @dataclass(frozen=True, kw_only=True)
 class Declaration:
-    """What is known of the chain and not to be fitted.
+    """Declared hold and filters of the chain, which are not fitted.
 
     hold              ``zero_order`` when the drive column holds the numbers sent to the
                       converter, ``band_limited`` when it was measured through a filter
@@ -178,7 +178,8 @@ class ModalBasis:
             )[:, :, 0]
         s = 2j * np.pi * self.frequency_Hz
         factor = self._declared_response * np.exp(-s * delay_s[:, None])
-        factor /= np.prod(s[:, None] - pole[:, None], axis=2)
+        for pole_of_shape in pole.T:
+            factor /= s - pole_of_shape[:, None]
         return np.asarray(numerator[:, None] * factor)
 
     @cached_property

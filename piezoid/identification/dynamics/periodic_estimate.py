@@ -1,4 +1,4 @@
-"""The response from periodic data, with noise and nonlinear distortion told apart."""
+"""Frequency response from periodic data, with variances of noise and of distortion."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

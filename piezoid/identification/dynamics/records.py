@@ -14,7 +14,7 @@ MAX_LAG_deg = 30.0
 
 @dataclass(frozen=True, kw_only=True)
 class SlowPart:
-    """What creep and hysteresis add to a response, at all frequencies alike.
+    """Slow part of a response: creep and hysteresis, at all frequencies alike.
 
         G_slow(f) = (f / from_Hz)^(slope / 20 dB) e^(j phase)
 
@@ -76,7 +76,7 @@ class SlowPart:
 
 @dataclass(frozen=True, kw_only=True)
 class ResponseFit:
-    """How the dynamics of an axis were found in a measured frequency response.
+    """Record of a fit of dynamics to a measured frequency response.
 
     name            of the file
     lines, used     in the file; coherent, and no single lines of interference
@@ -86,7 +86,7 @@ class ResponseFit:
     factor          of the file's response, to be that of the model: below zero where its sign
                     was against the axis' polarity, other than one where a recording says the gain
     noise_relative  standard deviation of one line far below the first mode, over the gain
-    left_relative   what the model leaves of the response at its worst, over the larger of gain
+    left_relative   largest residual of the model, over the larger of gain
                     there and gain at rest
     left_Hz         and where
     slow            None where too few lines lie far below the first mode
@@ -105,7 +105,7 @@ class ResponseFit:
     slow: SlowPart | None
 
     def scaled(self, factor: float) -> "ResponseFit":
-        """Return it with another gain, as where a recording says it."""
+        """Return the record with another gain, such as that of a recording."""
         return replace(
             self,
             factor=self.factor * factor,

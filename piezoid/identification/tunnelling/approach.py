@@ -56,7 +56,7 @@ class Direction(Enum):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ApproachCurve:
-    """One sweep of the current over the height, rows that say nothing already left out.
+    """One sweep of the current over the height, without missing and saturated rows.
 
     label          for messages: the column or file it came from
     direction      of the tip's travel

@@ -97,12 +97,12 @@ class SweepEvidence:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BarrierFit(GapLaw):
-    """The gap law of sweeps of one direction, with what it was judged from.
+    """The gap law of sweeps of one direction, and the evidence for its confidence.
 
     labels      of the sweeps
     covariance  (2, 2) of k and ln I_0, correlated residuals allowed for
     jumps       tip jumps that were allowed for
-    evidence    what the confidence was judged from
+    evidence    for the confidence
     """
 
     labels: tuple[str, ...]
@@ -243,7 +243,7 @@ def _slope_change(fit: WeightedFit) -> float:
 def barrier_reasons(
     evidence: SweepEvidence, decay_per_m: float, interval_per_m: Interval
 ) -> tuple[Reason, ...]:
-    """Return what speaks against a barrier, in the order of these rules.
+    """Return the criteria that a barrier does not meet, in the order of these rules.
 
     decay_per_m, interval_per_m  k and its 95 % interval, of these sweeps or of all of a tip
     """

@@ -1,7 +1,7 @@
-"""The junction's plant and barrier from records under a controller, the naive estimate beside.
+"""Identify the junction's plant and barrier from records under a controller.
 
-Open loop cannot be recorded: the tip crashes or is lost. In closed loop the drive answers to the
-very noise it is to be told apart from. With u = C (r - y), y = G u + n and gamma^2 the share of
+An open loop cannot be recorded: the tip crashes or is lost. In closed loop the drive responds to
+the noise of the current. With u = C (r - y), y = G u + n and gamma^2 the share of
 the drive's power that comes from the dither r,
 
     S_yu / S_uu = gamma^2 G - (1 - gamma^2) / C             [Soderstrom & Stoica 1989, ch. 10]
@@ -47,7 +47,7 @@ _UNKNOWN_OFFSET_A = 2e-12  # standard deviation: preamplifiers are nulled to a f
 
 @dataclass(frozen=True, kw_only=True)
 class Offset:
-    """What the current sensor reads without a current, and its standard deviation, with sign."""
+    """Reading of the current sensor without a current, with sign, and its standard deviation."""
 
     value_A: float
     standard_A: float
@@ -106,8 +106,8 @@ def identify_closed_loop(
         K = k g_z,   phi = (k / 10.246 nm^-1)^2 eV
 
     record              with an external dither as reference
-    amplifier_pole_Hz   declared; the sensor's pole is told apart from it
-    sensor_pole_Hz      as declared; None: found from the record alone. Both are taken as right to
+    amplifier_pole_Hz   declared; the sensor's pole is fitted beside it
+    sensor_pole_Hz      as declared; None: estimated from the record. Both are taken as right to
                         10 %, which the intervals of delay and gain contain
     offset_A            of the current and its standard deviation, from sweeps; None: a few
                         picoamperes either way. Unseen, it turns ln K by offset over set point

@@ -1,4 +1,4 @@
-"""The noise a tunnelling current really has, as a variance that depends on the current.
+"""Noise of a tunnelling current: a variance that depends on the current.
 
     v(i) = floor^2 + 2 e |i| B + (rho i)^2
 
@@ -25,7 +25,7 @@ _SMOOTHEST = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class CurrentChain:
-    """What is known of the current amplifier and converter; None where it is not.
+    """Declared properties of the current amplifier and converter; None: not declared.
 
     bandwidth_Hz   of one reading: 1 / (2 integration time) for an averaged one
     feedback_ohm   resistor of the transimpedance stage
@@ -53,7 +53,7 @@ class CurrentChain:
 
     @property
     def declared_floor_A(self) -> float:
-        """What the noise of a dark amplifier is at least."""
+        """Lower bound of the rms noise without current, from the declared properties."""
         return math.hypot(self.johnson_A, self.quantisation_A)
 
     def shot_A(self, current_A: float) -> float:

@@ -54,7 +54,7 @@ _LN_POLE, _TAIL = 1, 3  # indices among them
 
 @dataclass(frozen=True, kw_only=True)
 class ModeEstimate:
-    """A mode of the drive as one record shows it.
+    """A mode of the drive, estimated from one record.
 
     mode       estimate
     numbers    ln(frequency / sampling rate), ln quality, share
@@ -98,7 +98,7 @@ def fit_with_instrument(
     known_mode: ModeEstimate | None = None,
     sampling_rate_Hz: float,
 ) -> InstrumentFit:
-    """Return the plant at which the moments with the reference vanish as well as they can.
+    """Fit the plant by instrumental variables: its moments with the reference vanish.
 
     spectra         of the loop; its reference is the instrument
     sensor_pole_Hz  as declared, 10 % either way; None: estimated from the record alone

@@ -1,8 +1,8 @@
-"""Closed-loop records out of recordings: lab.toml says which column is the external dither.
+"""Closed-loop records from recordings and the declarations of lab.toml.
 
     drive in volts at the converter -> amplifier -> Z piezo: g_z = its gain times the actuator's
 
-Every declaration that is missing is asked for by the line to write; nothing is assumed.
+A missing declaration is refused with the line to write; nothing is assumed.
 """
 
 import math

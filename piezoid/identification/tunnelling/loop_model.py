@@ -130,7 +130,7 @@ def describe_loop_plant(
 def summarise_record(
     fit: ClosedLoopFit, noise: LoopNoise | None, period_s: float | None
 ) -> LoopSummary:
-    """Return what a model keeps of one record's fit and noise."""
+    """Return one record's fit and noise as a model keeps them."""
     return LoopSummary(
         recording=fit.label,
         gain=fit.plant.gain_nepers_per_V,

@@ -41,7 +41,7 @@ class MainsLine:
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseSource:
-    """One source of noise and what it amounts to in the gap.
+    """One source of noise and its size in the gap.
 
     name   shot, johnson, adc_step, drive_step or gap
     rms_m  in the bandwidth asked for; a drive step counts whole, it does not average out
@@ -123,7 +123,7 @@ def measure_loop_noise(record: LoopRecord, plant: JunctionPlant, rig: LoopRig) -
 
 
 def gap_motion(record: LoopRecord, plant: JunctionPlant, decay_per_m: float) -> Array:
-    """Return what the drive does not explain of the log current, (samples,) metres of gap."""
+    """Return the log current that the drive does not explain, (samples,) metres of gap."""
     unexplained = record.log_current - plant.respond(record.drive_V - record.drive_V[0])
     return np.asarray(-unexplained / decay_per_m)
 

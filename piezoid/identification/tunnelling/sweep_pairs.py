@@ -74,7 +74,7 @@ class DirectionShift:
 
 
 def compare_directions(forward: BarrierFit, backward: BarrierFit) -> DirectionShift:
-    """Compare the two directions at a current both saw well.
+    """Compare the two directions at a current that both reach above their noise.
 
         z(i) = ( ln I_0 - ln i ) / k,    shift = z_backward(i) - z_forward(i)
 
