@@ -36,7 +36,6 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.signals import seconds_of, through
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.gain_change import GainChange, turned
@@ -45,54 +44,56 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.repetition import equal_cycles
 from piezoid.records.recording import Recording
 
-PLACES = np.linspace(0.07, 0.93, 13)
-LEAST_CHANGE = 0.003  # of the gain: a step of the zero alone is something else
-LEAST_BETWEEN = 0.005  # recordings of other drives differ by less where a class does not quite fit
-ALIKE = 4.0  # ratio of speeds between recordings that tell a gain from a filter
-NARROW = 0.2  # of the track: how long a passing change lasts
+INSTANTS = np.linspace(0.07, 0.93, 13)  # tried, of a track
+MIN_CHANGE = 0.003  # of the gain: a step of the zero alone is another effect
+MIN_CHANGE_BETWEEN = 0.005  # recordings of other drives differ by less if the class is inexact
+EQUAL_SPEED = 4.0  # ratio of speeds between recordings within which a gain is no filter
+TEMPORARY = 0.2  # duration of a temporary change, of a track
 
 
-def _change(view: View, k: int, place: float, lasts: float, *, passes: bool = False) -> Array:
-    """Return the change in one track, and of its zero; times are shares of the track."""
+def _change(
+    view: View, k: int, instant: float, duration: float, *, is_temporary: bool = False
+) -> Array:
+    """Return columns of a gain and a zero that change in one track, in shares of its duration."""
     track = view.tracks[k]
     time = track.place / len(track.drive)
-    share = turned(time, place, lasts)
-    if passes:
-        share = share - turned(time, place + NARROW, lasts)
+    share = turned(time, instant, duration)
+    if is_temporary:
+        share = share - turned(time, instant + TEMPORARY, duration)
     response = view.static[k][track.place]
     return np.column_stack([view.of_track(k, share * response), view.of_track(k, share)])
 
 
-def _beside(view: View) -> Array:
-    """Return what all tracks but the first may differ by: no evidence of an instant."""
+def _gains_of_tracks(view: View) -> Array:
+    """Return columns of a gain of each track but the first: no evidence of a change in a track."""
     columns = [
-        view.of_track(n, static[track.place])
-        for n, (track, static) in enumerate(zip(view.tracks, view.static, strict=True))
-        if n > 0
+        view.of_track(k, view.static[k][track.place])
+        for k, track in enumerate(view.tracks)
+        if k > 0
     ]
     return np.column_stack([np.zeros((len(view.offset), 0)), *columns])
 
 
 def _trials(view: View) -> list[Trial]:
-    own = 1.5 * max(float(np.ptp(static)) for static in view.static) / 2
-    found: list[Trial] = []
+    """Return changes in each track that moves far enough; temporary changes are their placebos."""
+    half_range = max(float(np.ptp(static)) for static in view.static) / 2
+    trials: list[Trial] = []
     for k, static in enumerate(view.static):
-        if np.ptp(static) < own / 3:
+        if np.ptp(static) < 1.5 * half_range / 3:
             continue
-        steps = [_change(view, k, place, 0.0) for place in PLACES]
-        found += [
-            _trial(column, {"track": float(k), "place": float(place)}, free={"place": 0.02})
-            for place, column in zip(PLACES, steps, strict=True)
-        ]
-        rivals = [_change(view, k, p - NARROW / 2, 0.0, passes=True) for p in PLACES[::3]]
+        for instant in INSTANTS:
+            parameters = {"track": float(k), "place": float(instant)}
+            trials.append(_trial(_change(view, k, instant, 0.0), parameters, free={"place": 0.02}))
+        few = INSTANTS[::3]
+        placebos = [_change(view, k, t - TEMPORARY / 2, 0.0, is_temporary=True) for t in few]
         # enough equal cycles show a slow trend of the gain
         if equal_cycles(view.tracks[k].drive, fewest=FEWEST) is not None:
-            slow = {"track": float(k), "place": 0.5, "lasts": 1.0}
-            found.append(_trial(_change(view, k, 0.5, 1.0), slow))
+            trend = {"track": float(k), "place": 0.5, "lasts": 1.0}
+            trials.append(_trial(_change(view, k, 0.5, 1.0), trend))
         else:
-            rivals += [_change(view, k, place, 0.5) for place in PLACES[::3]]
-        found += [_trial(column, {}, physical=False) for column in rivals]
-    return found
+            placebos += [_change(view, k, instant, 0.5) for instant in few]
+        trials += [_trial(columns, {}, physical=False) for columns in placebos]
+    return trials
 
 
 def _trial(
@@ -101,20 +102,20 @@ def _trial(
     *,
     physical: bool = True,
     free: Parameters | None = None,
-    least: float = LEAST_CHANGE,
+    min_change: float = MIN_CHANGE,
 ) -> Trial:
     return Trial(
         columns=columns,
         parameters=parameters,
         physical=physical,
         coefficient_range=(-0.3, 0.3),
-        minimum_coefficient=least,
+        minimum_coefficient=min_change,
         free=free or {},
     )
 
 
-def _later(view: View, first: int) -> Array:
-    """Return what a gain of all recordings from one on adds."""
+def _from_track_on(view: View, first: int) -> Array:
+    """Return the column of a gain of all tracks from one on."""
     parts = [
         static[track.place] * float(k >= first)
         for k, (track, static) in enumerate(zip(view.tracks, view.static, strict=True))
@@ -122,36 +123,40 @@ def _later(view: View, first: int) -> Array:
     return np.concatenate(parts)[:, None]
 
 
-def _steps_between(view: View) -> list[Trial]:
-    """Return changes between two recordings, where others as fast were made on the other side.
+def _trials_between(view: View) -> list[Trial]:
+    """Return changes between two tracks, if tracks of similar speed are on both sides.
 
-    A change in one recording alone, undone before the next, is their placebo.
+    Their placebo is a change in one track alone, undone before the next.
     """
-    speed = [float(np.sqrt(np.mean(np.gradient(s) ** 2))) * t.rate_Hz for s, t in _read(view)]
-    count = len(speed)
-    found = [
-        _between(k, _later(view, k)) for k in range(1, count) if _matched(speed[:k], speed[k:])
+    speed = [
+        float(np.sqrt(np.mean(np.gradient(static) ** 2))) * track.rate_Hz
+        for static, track in zip(view.static, view.tracks, strict=True)
     ]
-    alone = [_later(view, k) - _later(view, k + 1) for k in range(1, count - 1)]
-    return [*found, *(_between(0, column, real=False) for column in alone)]
+    count = len(speed)
+    changes = [
+        _trial_between(k, _from_track_on(view, k))
+        for k in range(1, count)
+        if _have_similar_speed(speed[:k], speed[k:])
+    ]
+    placebos = [
+        _trial_between(0, _from_track_on(view, k) - _from_track_on(view, k + 1), physical=False)
+        for k in range(1, count - 1)
+    ]
+    return [*changes, *placebos]
 
 
-def _read(view: View) -> list[tuple[Array, Track]]:
-    return list(zip(view.static, view.tracks, strict=True))
+def _have_similar_speed(before: Sequence[float], after: Sequence[float]) -> bool:
+    return any(a < EQUAL_SPEED * b and b < EQUAL_SPEED * a for a in before for b in after)
 
 
-def _matched(before: Sequence[float], after: Sequence[float]) -> bool:
-    return any(a < ALIKE * b and b < ALIKE * a for a in before for b in after)
-
-
-def _between(first: int, columns: Array, *, real: bool = True) -> Trial:
-    where = {"track": float(first), "place": 0.0}
-    return _trial(columns, where, physical=real, least=LEAST_BETWEEN)
+def _trial_between(track: int, columns: Array, *, physical: bool = True) -> Trial:
+    parameters = {"track": float(track), "place": 0.0}
+    return _trial(columns, parameters, physical=physical, min_change=MIN_CHANGE_BETWEEN)
 
 
 def _columns(view: View, parameters: Parameters) -> Array:
-    track, lasts = int(parameters["track"]), parameters.get("lasts", 0.0)
-    return _change(view, track, parameters["place"], lasts)
+    duration = parameters.get("lasts", 0.0)
+    return _change(view, int(parameters["track"]), parameters["place"], duration)
 
 
 def _tangent(drive: Driven, _: float) -> Array:
@@ -209,7 +214,7 @@ WITHIN = Effect(
     confounded=("creep", "thermal_drift"),
     trials=_trials,
     columns=_columns,
-    covariates=_beside,
+    covariates=_gains_of_tracks,
     size=lambda _, __, coefficient: 100.0 * float(coefficient[0]),
     model_error=0.03,  # the hysteresis beside it takes a part of a step of the gain
     inject=inject,
@@ -220,8 +225,8 @@ WITHIN = Effect(
 )
 BETWEEN = replace(
     WITHIN,
-    trials=_steps_between,
-    columns=lambda view, parameters: _later(view, int(parameters["track"])),
+    trials=_trials_between,
+    columns=lambda view, parameters: _from_track_on(view, int(parameters["track"])),
     covariates=None,
 )
 EFFECT = replace(WITHIN, between_recordings=BETWEEN)

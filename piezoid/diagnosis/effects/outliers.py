@@ -29,144 +29,142 @@ from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import step_size
 
-FAR = 8.0  # times the typical distance
-LEAST = 1.5e-3  # of half the stroke
-STEPS = 2.5
-RARE = 0.01  # of the samples: what there is more of is no outlier
-TAIL = 0.99  # of all distances: where their tail begins
-CLEAR = 2.0  # times the tail's beginning
-SURE = 1e-3  # chance of one such sample in a recording whose tail goes on as it began
-KEPT = 0.5  # of its size that a spike must keep when the static response is taken off
+MIN_NOISE_RATIO = 8.0  # size of a spike over the noise of the readings
+MIN_HEIGHT = 1.5e-3  # of half the stroke
+MIN_STEPS = 2.5  # of a coarse converter
+MAX_SHARE = 0.01  # of the samples: a larger share are no outliers
+TAIL = 0.99  # quantile of all distances at which their tail begins
+MIN_TAIL_RATIO = 2.0  # distance over that quantile
+MAX_CHANCE = 1e-3  # expected number of such samples from an exponential tail
+MIN_UNMOVED = 0.5  # share of a spike that remains when the static response is subtracted
+# width of a neighbourhood and the ranks among its sorted values between which all are good: one
+# wrong sample of five, or three of nine
+NEIGHBOURHOODS = ((5, (1, 3)), (9, (3, 5)))
+Ranks = tuple[int, int]
 
 
-def _far(values: Array, width: int, spread: Array) -> tuple[Array, Array]:
-    """Return the distance of every value from the median around it, and how far its peers are.
-
-    spread  (2,)  places among the sorted ones between which those lie that are surely good
-    """
+def _median_distance(values: Array, width: int, ranks: Ranks) -> tuple[Array, Array]:
+    """Return the distance of every value from its local median, and the spread around it."""
     reach = width // 2
-    # turned round at its ends, a slope would have a tip there that stands apart by itself
+    # reflected without a change of sign, a slope would have a tip at its end
     padded = np.pad(values, reach, mode="reflect", reflect_type="odd")
-    near = np.lib.stride_tricks.sliding_window_view(padded, width)
-    ordered = np.sort(near, axis=1)
-    low, high = (int(place) for place in spread)
+    ordered = np.sort(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1)
+    low, high = ranks
     return np.asarray(values - ordered[:, reach]), np.asarray(ordered[:, high] - ordered[:, low])
 
 
-# width of the neighbourhood, places of what must agree: one wrong sample of five, three of nine
-NEIGHBOURHOODS = ((5, np.array([1, 3])), (9, np.array([3, 5])))
+def _spike_sizes(
+    track: Track, static: Array, width: int, ranks: Ranks
+) -> tuple[Array, Array, Array]:
+    """Return the part of each distance that is no motion, the distance, and the local spread.
+
+    Where the drive turns sharply a good reading is as far from its median as the drive is.
+    """
+    distance, spread = _median_distance(track.response, width, ranks)
+    unmoved, _ = _median_distance(track.response - static, width, ranks)
+    turn, _ = _median_distance(track.drive, width, ranks)
+    distance_size = np.abs(distance)
+    size = np.where(distance * unmoved > 0.0, np.minimum(distance_size, np.abs(unmoved)), 0.0)
+    return size, distance_size, np.maximum(spread, np.abs(turn))
 
 
 def spikes(track: Track, static: Array, step: float = 0.0) -> tuple[Array, float]:
-    """Return which samples are spikes, and the chance of the least of them were it none.
+    """Return which samples are spikes, and the expected number of the smallest by chance.
 
-    step  of the drive's converter, where it is coarse: near a turning point such a drive may go to
-          the next step for one sample
+    step  of the drive's converter, if coarse: near a turning point such a drive may reach the next
+          step for one sample
 
-    The tail of all distances is taken to fall off exponentially, as it does from its beginning to
-    the samples that are no spikes.
+    The tail of all distances is extrapolated exponentially from those that are no spikes.
     """
     y = track.response
-    wrong, chance = np.zeros(len(y), dtype=bool), 0.0
-    typical, least = _typical(y), _least(y, step)
-    for width, spread in NEIGHBOURHOODS:
+    is_spike, chance = np.zeros(len(y), dtype=bool), 0.0
+    noise, min_size = _noise(y), _min_size(y, step)
+    for width, ranks in NEIGHBOURHOODS:
         if len(y) < 4 * width:
             continue
-        size, distance, agree = _sizes(track, static, width, spread)
-        begins = float(np.quantile(size, TAIL))
-        here = size > np.maximum(3.0 * agree, max(least, CLEAR * begins))
-        here &= size > KEPT * distance
-        tail = size[(size > begins) & ~here]
-        if not here.any() or not len(tail):
+        size, distance, spread = _spike_sizes(track, static, width, ranks)
+        tail_start = float(np.quantile(size, TAIL))
+        is_far = size > np.maximum(3.0 * spread, max(min_size, MIN_TAIL_RATIO * tail_start))
+        is_far &= size > MIN_UNMOVED * distance
+        tail = size[(size > tail_start) & ~is_far]
+        if not is_far.any() or not len(tail):
             continue
-        falls = max(float(np.mean(tail - begins)), 0.1 * typical)
-        exceeds = (float(size[here].min()) - begins) / falls
-        found = len(y) * (1.0 - TAIL) * float(np.exp(-min(exceeds, 700.0)))
-        if found < SURE and here.mean() < RARE:
-            wrong, chance = wrong | here, max(chance, found)
-    return wrong, chance
+        decay = max(float(np.mean(tail - tail_start)), 0.1 * noise)
+        excess = (float(size[is_far].min()) - tail_start) / decay
+        expected = len(y) * (1.0 - TAIL) * float(np.exp(-min(excess, 700.0)))
+        if expected < MAX_CHANCE and is_far.mean() < MAX_SHARE:
+            is_spike, chance = is_spike | is_far, max(chance, expected)
+    return is_spike, chance
 
 
-def _sizes(track: Track, static: Array, width: int, spread: Array) -> tuple[Array, Array, Array]:
-    """Return what of every distance is no motion of the stage, the distance, and its peers'.
-
-    Where the drive turns sharply a good reading stands apart as far as the drive does.
-    """
-    y = track.response
-    distance, agree = _far(y, width, spread)
-    apart, _ = _far(y - static, width, spread)
-    turn, _ = _far(track.drive, width, spread)
-    agree = np.maximum(agree, np.abs(turn))
-    whole = np.abs(distance)
-    return np.where(distance * apart > 0.0, np.minimum(whole, np.abs(apart)), 0.0), whole, agree
-
-
-def _typical(y: Array) -> float:
-    """Return the typical distance of a reading from what its neighbours say."""
+def _noise(y: Array) -> float:
+    """Return the typical deviation of a reading from its neighbours."""
     return float(max(1.4826 * np.median(np.abs(np.diff(y, 2))) / np.sqrt(6.0), 1e-12))
 
 
-def _least(y: Array, step: float) -> float:
-    # on a coarse converter a reading may be one step beside its neighbours
-    stairs = max(step, step_size(np.round(y, 9)))
-    return float(max(FAR * _typical(y), STEPS * stairs, LEAST))
+def _min_size(y: Array, step: float) -> float:
+    """Return the smallest spike; on a coarse converter a good reading may be a step off."""
+    coarse_step = max(step, step_size(np.round(y, 9)))
+    return float(max(MIN_NOISE_RATIO * _noise(y), MIN_STEPS * coarse_step, MIN_HEIGHT))
 
 
-def _bound(view: View) -> float:
-    """Return the height of a spike that would not be found, of the stroke, at nearly all places.
+def largest_undetected(view: View) -> float:
+    """Return the height of a spike that may be undetected, of the stroke.
 
-    At most a twentieth of all places hide a larger one: there the stage moves too fast.
+    At a twentieth of all instants, where the stage moves fast, a larger one may be undetected.
     """
     step = drive_step(view)
-    pairs = zip(view.tracks, view.static, strict=True)
-    return max(_hides(track, static, step) for track, static in pairs) / 2.0
+    tracks = zip(view.tracks, view.static, strict=True)
+    return max(_undetected(track, static, step) for track, static in tracks) / 2.0
 
 
-def _hides(track: Track, static: Array, step: float) -> float:
+def _undetected(track: Track, static: Array, step: float) -> float:
     y = track.response
-    heights = [_least(y, step)]
-    for width, spread in NEIGHBOURHOODS:
+    min_size, heights = _min_size(y, step), []
+    for width, ranks in NEIGHBOURHOODS:
         if len(y) < 4 * width:
             continue
-        size, _, agree = _sizes(track, static, width, spread)
-        begins = float(np.quantile(size, TAIL))
-        falls = max(float(np.mean(size[size >= begins] - begins)), 0.1 * _typical(y))
-        tail = begins + falls * float(np.log(max(len(y) * (1.0 - TAIL) / SURE, 1.0)))
-        fast = float(np.quantile(3.0 * agree, 0.95))
-        heights.append(max(heights[0], CLEAR * begins, tail, fast))
-    return min(heights[1:], default=heights[0])
+        size, _, spread = _spike_sizes(track, static, width, ranks)
+        tail_start = float(np.quantile(size, TAIL))
+        decay = max(float(np.mean(size[size >= tail_start] - tail_start)), 0.1 * _noise(y))
+        decades = float(np.log(max(len(y) * (1.0 - TAIL) / MAX_CHANCE, 1.0)))
+        fast = float(np.quantile(3.0 * spread, 0.95))
+        tail_end = tail_start + decay * decades
+        heights.append(max(min_size, MIN_TAIL_RATIO * tail_start, tail_end, fast))
+    return min(heights, default=min_size)
 
 
 def without_spikes(track: Track, static: Array) -> Track:
-    """Return the track with straight lines in place of spikes; itself if it has none."""
-    wrong, _ = spikes(track, static)
-    return _bridged(track, wrong) if wrong.any() else track
+    """Return the track with spikes interpolated linearly; the same track if it has none."""
+    is_spike, _ = spikes(track, static)
+    return _interpolated(track, is_spike) if is_spike.any() else track
 
 
-def _bridged(track: Track, wrong: Array) -> Track:
-    place = np.arange(len(wrong))
-    good = ~wrong.astype(bool)
-    return replace(track, response=np.interp(place, place[good], track.response[good]))
+def _interpolated(track: Track, is_spike: Array) -> Track:
+    place, is_good = np.arange(len(is_spike)), ~is_spike.astype(bool)
+    response = np.interp(place, place[is_good], track.response[is_good])
+    return replace(track, response=response)
 
 
-def _fault(view: View) -> Fault | None:
+def find_outliers(view: View) -> Fault | None:
+    """Find spikes, and interpolate them."""
     tracks, largest, chances, where = [], [], [], []
     step = drive_step(view)
     for track, static in zip(view.tracks, view.static, strict=True):
-        wrong, chance = spikes(track, static, step)
-        if not wrong.any():
+        is_spike, chance = spikes(track, static, step)
+        if not is_spike.any():
             tracks.append(track)
             continue
-        bridged = _bridged(track, wrong)
-        size = np.abs(track.response - bridged.response)
-        largest.append((float(size.max()), white_noise_rms(bridged.response)))
+        repaired = _interpolated(track, is_spike)
+        size = np.abs(track.response - repaired.response)
+        largest.append((float(size.max()), white_noise_rms(repaired.response)))
         chances.append(chance)
-        where.append(f"{track.name} ({int(wrong.sum())})")
-        tracks.append(bridged)
+        where.append(f"{track.name} ({int(is_spike.sum())})")
+        tracks.append(repaired)
     if not largest:
         return None
     height, noise = max(largest)
-    # its own noise, and half of that of the two it lies between
+    # noise of the spike, and half of that of the two samples it is interpolated between
     return Fault(
         tracks=tuple(tracks),
         value=1e9 * view.stroke_m * height,
@@ -194,6 +192,6 @@ EFFECT = Effect(
     "contact.",
     shows=OVER_TIME,
     tangent="its remedy is the wiring, not another drive",
-    fault=FaultTest(find=_fault, bound=_bound),
+    fault=FaultTest(find=find_outliers, bound=largest_undetected),
     inject=inject,
 )

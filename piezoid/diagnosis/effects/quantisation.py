@@ -27,219 +27,233 @@ from numpy.typing import NDArray
 from piezoid.diagnosis.appearance import OVER_TIME
 from piezoid.diagnosis.effect import Effect, Fault, FaultTest
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import step_size
 
-COARSE = 1.2e-3  # of half the stroke: rms of a twelfth of its square is 0.02 % of the stroke
-VISIBLE = 1.5  # times the noise
-ALIKE = 0.02  # how far the steps of two recordings may differ
-MOST_SAMPLES = 0.7  # of all that must lie on the lattice
-FEWEST_STEPS, MOST_STEPS = 20.0, 300.0  # of a drive in half its range
-CELLS = 16_384  # of the range, which waves are told apart by
-RANGE = 4.0  # in half ranges of the drive: more than any track has
-FINER = 4  # frequencies for every one that the range can tell
-CLEAR = 30.0  # times the median power
-NEAR = 0.4  # how far from one the saw's height may be
-SURE = 3.0  # standard errors of it
+MIN_STEP = 1.2e-3  # of half the stroke: an rms error of 0.02 % of the stroke
+MIN_NOISE_RATIO = 1.5  # step over noise
+
+# a reading
+MIN_SAMPLES = 0.7  # share of all samples whose reading has steps
+EQUAL_STEPS = 0.02  # relative difference of the steps of two recordings
+DECIMALS = 9  # of half the stroke
+MAX_LATTICE_STEPS = 2000  # in the range: finer steps do not matter
+ON_LATTICE = 0.1  # of a step
+STEP_ERROR = 0.02  # of a step: rounding of its last printed digit
+TRIALS_PER_PERIOD = 20  # of a step, for each that the range resolves
+MIN_ON_LATTICE = 0.99  # of the samples: the others are spikes
+
+# a drive
+MIN_STEPS, MAX_STEPS = 20.0, 300.0  # in half its range
+CELLS = 16_384  # of the range, for its spectrum
+RANGE = 4.0  # half ranges of the drive: more than any track has
+PADDING = 4  # frequencies for each that the range resolves
+MIN_POWER = 30.0  # times the median of the spectrum
+HEIGHT_ERROR = 0.4  # relative deviation of the sawtooth's height
+HEIGHT_Z = 3.0  # standard errors of it
 BLOCKS = 20  # of rows, for these
-DIGITS = 6  # of half the range that tell values of a drive apart
-BETWEEN = 4.0  # values of a drive within a step, or the steps may be its own
-LEAST_BETWEEN = 0.1  # of all rows
-
-DIGITS_OF_READING = 9
-MOST_STEPS_OF_READING = 2000  # of a range: finer ones are nobody's cause
-ON = 0.1  # of a step: so near is on the lattice
-UNEVEN = 0.02  # of a step: what its last digit may be off
-PHASES = 20  # tried for every one that the range can tell
-MOST_ON = 0.99  # of the samples: no more than the rest are spikes
+DRIVE_DECIMALS = 6  # of half the range
+VALUES_PER_STEP = 4.0  # of a drive; fewer, and the steps may be its own
+MIN_FINE_ROWS = 0.1  # of all rows
 
 
-def _fault(view: View) -> Fault | None:
-    return _of_reading(view) or _of_drive(view)
+def find_steps(view: View) -> Fault | None:
+    """Find coarse steps of the reading, else of the drive."""
+    return _steps_of_reading(view) or _steps_of_drive(view)
 
 
-def _of_reading(view: View) -> Fault | None:
-    steps = np.array([_step(track.measured) for track in view.tracks])
+def _steps_of_reading(view: View) -> Fault | None:
+    """Find steps of the reading; each recording may have its own range of the converter."""
+    steps = np.array([_visible_step(track.measured) for track in view.tracks])
     samples = np.array([len(track.response) for track in view.tracks])
-    coarse = steps > 0.0
-    # a range may be chosen for each recording, and its step with it
-    if samples[coarse].sum() < MOST_SAMPLES * samples.sum():
+    is_coarse = steps > 0.0
+    if samples[is_coarse].sum() < MIN_SAMPLES * samples.sum():
         return None
-    step = float(steps[int(np.argmax(np.where(coarse, samples, 0)))])
-    shared = np.abs(steps - step) < ALIKE * step
-    chance = sum(
-        _evidence(track.measured, own)
-        for track, own in zip(view.tracks, steps.tolist(), strict=True)
-        if own
+    step = float(steps[int(np.argmax(np.where(is_coarse, samples, 0)))])
+    is_equal = np.abs(steps - step) < EQUAL_STEPS * step
+    evidence = sum(
+        _rayleigh(track.measured, track_step)
+        for track, track_step in zip(view.tracks, steps.tolist(), strict=True)
+        if track_step
     )
-    apart = float(np.max(np.abs(steps[coarse & ~shared] - step), initial=0.01 * step))
+    difference = np.abs(steps[is_coarse & ~is_equal] - step)
     return Fault(
         tracks=view.tracks,
         value=1e9 * view.stroke_m * step,
-        spread=1e9 * view.stroke_m * apart,
-        p_value=float(np.exp(-min(chance, 700.0))),
+        spread=1e9 * view.stroke_m * float(np.max(difference, initial=0.01 * step)),
+        p_value=float(np.exp(-min(evidence, 700.0))),
     )
 
 
-def _step(response: Array) -> float:
-    """Return the step of a reading's lattice, 0 where it is too fine to be seen."""
+def _visible_step(response: Array) -> float:
+    """Return the step of a reading, 0 if it is small beside stroke or noise."""
     step = lattice_step(response)
-    return step if step > max(COARSE, VISIBLE * white_noise_rms(response)) else 0.0
+    return step if step > max(MIN_STEP, MIN_NOISE_RATIO * white_noise_rms(response)) else 0.0
 
 
 def lattice_step(response: Array) -> float:
-    """Return the step of a reading's lattice, 0 where it never rests on one.
+    """Return the step of which a reading takes only multiples, 0 if it never repeats a value.
 
-    Spikes, and what was put in their place, are off the lattice: a step that nearly all samples
-    are multiples of is looked for near the usual gap by the phases of all values, before it is
-    asked which step all values are multiples of.
+    Spikes, and values interpolated in their place, are no multiples. So a step of which nearly all
+    samples are multiples is searched near the median gap of the values first.
     """
     if not np.any(np.diff(response) == 0):
         return 0.0
-    values, count = np.unique(np.round(response, DIGITS_OF_READING), return_counts=True)
-    usual = float(np.median(np.diff(values))) if len(values) > 1 else 0.0
-    if MOST_STEPS_OF_READING * usual > values[-1] - values[0]:
-        step = _step_near(usual, values)
-        place = (values - values[np.argmax(count)]) / step
-        if count[np.abs(place - np.round(place)) < ON].sum() > MOST_ON * len(response):
+    values, count = np.unique(np.round(response, DECIMALS), return_counts=True)
+    gap = float(np.median(np.diff(values))) if len(values) > 1 else 0.0
+    if MAX_LATTICE_STEPS * gap > values[-1] - values[0]:
+        step = _refine_step(gap, values)
+        position = (values - values[np.argmax(count)]) / step
+        is_on = np.abs(position - np.round(position)) < ON_LATTICE
+        if count[is_on].sum() > MIN_ON_LATTICE * len(response):
             return step
-    return step_size(np.round(response, DIGITS_OF_READING))
+    return step_size(np.round(response, DECIMALS))
 
 
-def _step_near(usual: float, values: Array) -> float:
-    """Return the step near the usual one at which the phases of values point together most.
+def _refine_step(gap: float, values: Array) -> float:
+    """Return the step near a gap at which the phases of the values agree best.
 
-    Printed with few digits, steps are uneven by the last of them, and a mean of them is not fine
-    enough to count hundreds by.
+    Values printed with few digits are uneven, and their mean gap is too inexact to count hundreds
+    of steps.
     """
-    width = float(np.ptp(values)) / usual
-    step_ratios = np.linspace(1.0 - UNEVEN, 1.0 + UNEVEN, int(2.0 * UNEVEN * width * PHASES) + 2)
-    phase = np.exp(2j * np.pi * np.outer(step_ratios / usual, values))
-    return usual / float(step_ratios[int(np.argmax(np.abs(phase.sum(axis=1))))])
+    count = float(np.ptp(values)) / gap
+    trials = int(2.0 * STEP_ERROR * count * TRIALS_PER_PERIOD) + 2
+    ratios = np.linspace(1.0 - STEP_ERROR, 1.0 + STEP_ERROR, trials)
+    phasors = np.exp(2j * np.pi * np.outer(ratios / gap, values))
+    return gap / float(ratios[int(np.argmax(np.abs(phasors.sum(axis=1))))])
 
 
-def _evidence(response: Array, step: float) -> float:
-    """Return n R^2, whose exponential is how rarely n free phases point together as these do.
+def _rayleigh(response: Array, step: float) -> float:
+    """Return n R^2; exp(-n R^2) is the p-value of n random phases that agree as well.
 
     R = |mean exp(2 pi i y / step)|, over the rows at which the reading changed  [Rayleigh's test]
     """
     changed = response[1:][np.diff(response) != 0]
-    together = abs(np.mean(np.exp(2j * np.pi * changed / step))) if len(changed) else 0.0
-    return float(len(changed) * together**2)
+    resultant = abs(np.mean(np.exp(2j * np.pi * changed / step))) if len(changed) else 0.0
+    return float(len(changed) * resultant**2)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Saw:
-    """Steps of a drive's converter: their size, where one of them is, and the chance of such."""
+class Sawtooth:
+    """Quantisation error of a drive: the step, the position of one step, and the p-value."""
 
     step: float
     origin: float
     p_value: float
 
-    def of(self, drive: Array) -> Array:
-        """Return by how many steps the converter is off."""
-        place = (drive - self.origin) / self.step
-        return np.asarray(np.round(place) - place)
+    def error(self, drive: Array) -> Array:
+        """Return the error of the converter, in steps."""
+        position = (drive - self.origin) / self.step
+        return np.asarray(np.round(position) - position)
 
 
 def drive_step(view: View) -> float:
-    """Return what a step of a coarse drive moves, of half the stroke; 0 where it is fine."""
-    fault = _of_drive(view)
+    """Return the displacement of a step of a coarse drive, of half the stroke; 0 if it is fine."""
+    fault = _steps_of_drive(view)
     return 0.0 if fault is None else 1e-9 * fault.value / view.stroke_m
 
 
-def _of_drive(view: View) -> Fault | None:
-    drive, residual = view.rows([t.drive for t in view.tracks]), view.null.residual
-    # a staircase rests on few values: it has no saw of its own, and dilutes that of the others
-    fine = np.concatenate([_goes_between(t, 1.0 / MOST_STEPS) for t in view.tracks]) > 0.0
-    told = fine if fine.any() else ~fine
-    saw = _strongest(drive[told], residual[told])
-    if saw is None:
+def _steps_of_drive(view: View) -> Fault | None:
+    """Find a residual that is a sawtooth of the drive.
+
+    A recorded staircase has no sawtooth of its own, and dilutes that of other tracks.
+    """
+    drive, residual = view.of(lambda _, track: track.drive), view.null.residual
+    is_fine = _is_finer(view, 1.0 / MAX_STEPS)
+    rows = is_fine if is_fine.any() else ~is_fine
+    sawtooth = _strongest_sawtooth(drive[rows], residual[rows])
+    if sawtooth is None:
         return None
-    between = np.concatenate([_goes_between(t, saw.step) for t in view.tracks])
-    if np.mean(between) < LEAST_BETWEEN:
+    is_finer = _is_finer(view, sawtooth.step)
+    if np.mean(is_finer) < MIN_FINE_ROWS:
         return None
-    wave = view.null.without(saw.of(drive) * between)
-    height, spread = _height(wave, residual)
-    if abs(height / saw.step - 1.0) > NEAR or height < max(COARSE, SURE * spread):
+    column = view.null.without(sawtooth.error(drive) * is_finer)
+    height, std = _height(column, residual)
+    is_off = abs(height / sawtooth.step - 1.0) > HEIGHT_ERROR
+    if is_off or height < max(MIN_STEP, HEIGHT_Z * std):
         return None
     return Fault(
-        tracks=tuple(replace(t, drive=t.drive + saw.step * saw.of(t.drive)) for t in view.tracks),
+        tracks=tuple(
+            replace(track, drive=track.drive + sawtooth.step * sawtooth.error(track.drive))
+            for track in view.tracks
+        ),
         value=1e9 * view.stroke_m * height,
-        spread=1e9 * view.stroke_m * max(spread, 0.01 * height),
-        p_value=saw.p_value,
+        spread=1e9 * view.stroke_m * max(std, 0.01 * height),
+        p_value=sawtooth.p_value,
     )
 
 
-def _height(wave: Array, residual: Array) -> tuple[float, float]:
-    """Return how high a wave stands in a residual, and its standard error by blocks of rows."""
-    blocks = np.array_split(np.arange(len(wave)), BLOCKS)
-    pull = np.array([wave[b] @ residual[b] for b in blocks])
-    square = np.array([wave[b] @ wave[b] for b in blocks])
-    height = float(pull.sum() / square.sum())
-    off = pull - height * square
-    return height, float(np.sqrt(off @ off * BLOCKS / (BLOCKS - 1)) / square.sum())
+def _height(column: Array, residual: Array) -> tuple[float, float]:
+    """Return the coefficient of a column in a residual, and its standard error by blocks."""
+    blocks = np.array_split(np.arange(len(column)), BLOCKS)
+    product = np.array([column[b] @ residual[b] for b in blocks])
+    square = np.array([column[b] @ column[b] for b in blocks])
+    height = float(product.sum() / square.sum())
+    deviation = product - height * square
+    std = np.sqrt(deviation @ deviation * BLOCKS / (BLOCKS - 1)) / square.sum()
+    return height, float(std)
 
 
-def _goes_between(track: Track, step: float) -> Array:
-    """Return for every row whether its drive takes values between steps, 1 or 0.
+def _is_finer(view: View, step: float) -> NDArray[np.bool_]:
+    """Tell for every row whether the drive of its track takes several values within a step.
 
-    One that repeats itself after few samples has a lattice of its own, and so has any residual.
+    A drive that repeats after few samples has steps of its own, and so has any residual.
     """
-    values = np.unique(np.round(track.drive, DIGITS))
-    apart = float(np.median(np.diff(values))) if len(values) > 1 else np.inf
-    return np.full(len(track.place), float(apart * BETWEEN < step))
+    is_finer = []
+    for track in view.tracks:
+        values = np.unique(np.round(track.drive, DRIVE_DECIMALS))
+        gap = float(np.median(np.diff(values))) if len(values) > 1 else np.inf
+        is_finer.append(np.full(len(track.place), gap * VALUES_PER_STEP < step))
+    return np.concatenate(is_finer)
 
 
-def _strongest(drive: Array, residual: Array) -> Saw | None:
-    """Return the saw whose first wave is clearest, if its height is what its period asks for."""
-    frequency, wave = _waves(drive, residual)
-    power = np.abs(wave) ** 2
-    j, typical = int(np.argmax(power)), float(np.median(power)) + 1e-300
-    found = float(frequency[j])
-    height = 2.0 * float(np.sqrt(power[j])) / len(residual)
-    if power[j] < CLEAR * typical or abs(np.pi * height * found - 1.0) > NEAR:
+def _strongest_sawtooth(drive: Array, residual: Array) -> Sawtooth | None:
+    """Return the sawtooth of the strongest line, if its amplitude agrees with its period."""
+    frequencies, spectrum = _spectrum(drive, residual)
+    power = np.abs(spectrum) ** 2
+    j, median = int(np.argmax(power)), float(np.median(power)) + 1e-300
+    frequency = float(frequencies[j])
+    amplitude = 2.0 * float(np.sqrt(power[j])) / len(residual)
+    is_off = abs(np.pi * amplitude * frequency - 1.0) > HEIGHT_ERROR
+    if power[j] < MIN_POWER * median or is_off:
         return None
-    # cells have their middle half a cell on; the transform counts from the range's lower end
+    # the transform counts from the range's lower end, cells from their middle
     middle = RANGE / 2 - RANGE / CELLS / 2
-    turn = float(np.angle(wave[j])) + 2.0 * np.pi * found * middle
-    # powers beside the peak are exponential: the median is ln 2 of their mean
-    chance = len(wave) * np.exp(-float(power[j]) * np.log(2.0) / typical)
-    return Saw(
-        step=1.0 / found,
-        origin=(np.pi / 2 - turn) / (2.0 * np.pi * found),
-        p_value=float(min(1.0, chance)),
+    phase = float(np.angle(spectrum[j])) + 2.0 * np.pi * frequency * middle
+    # the power of white noise is exponential: its median is ln 2 times its mean
+    expected = len(spectrum) * np.exp(-float(power[j]) * np.log(2.0) / median)
+    return Sawtooth(
+        step=1.0 / frequency,
+        origin=(np.pi / 2 - phase) / (2.0 * np.pi * frequency),
+        p_value=float(min(1.0, expected)),
     )
 
 
-def _waves(drive: Array, residual: Array) -> tuple[Array, NDArray[np.complex128]]:
-    """Return the waves of a residual along its drive: their frequencies, and what they are."""
+def _spectrum(drive: Array, residual: Array) -> tuple[Array, NDArray[np.complex128]]:
+    """Return the spectrum of a residual along its drive, with its frequencies."""
     cell = np.clip(((drive + RANGE / 2) * (CELLS / RANGE)).astype(int), 0, CELLS - 1)
-    wave = np.fft.rfft(np.bincount(cell, residual, CELLS), FINER * CELLS)
-    frequency = np.arange(len(wave)) / (FINER * RANGE)
-    within = (frequency > FEWEST_STEPS) & (frequency < MOST_STEPS)
-    return frequency[within], wave[within]
+    spectrum = np.fft.rfft(np.bincount(cell, residual, CELLS), PADDING * CELLS)
+    frequency = np.arange(len(spectrum)) / (PADDING * RANGE)
+    is_inside = (frequency > MIN_STEPS) & (frequency < MAX_STEPS)
+    return frequency[is_inside], spectrum[is_inside]
 
 
-def _bound(view: View) -> float:
+def largest_undetected(view: View) -> float:
     """Return the rms error of the coarsest converter that agrees with the data, of the stroke.
 
-    A reading without a lattice has more values than rows it could repeat in; a saw along the drive
-    lower than the clearest wave may be there.
+    A reading without steps has more values than rows in which it could repeat one; a sawtooth
+    along the drive below the limit of its spectrum may be present.
     """
-    reading = [lattice_step(y) or 2.0 * float(np.ptp(y)) / len(y) for y in _measured(view)]
-    _, wave = _waves(view.rows([t.drive for t in view.tracks]), view.null.residual)
-    typical = float(np.median(np.abs(wave) ** 2))
-    saw = np.pi * 2.0 * np.sqrt(CLEAR * typical) / len(view.null.residual)
-    return float(max(*reading, saw, COARSE) / np.sqrt(12.0) / 2.0)
-
-
-def _measured(view: View) -> list[Array]:
-    return [track.measured for track in view.tracks]
+    readings = [track.measured for track in view.tracks]
+    steps = [lattice_step(y) or 2.0 * float(np.ptp(y)) / len(y) for y in readings]
+    residual = view.null.residual
+    _, spectrum = _spectrum(view.of(lambda _, track: track.drive), residual)
+    median = float(np.median(np.abs(spectrum) ** 2))
+    sawtooth = np.pi * 2.0 * np.sqrt(MIN_POWER * median) / len(residual)
+    return float(max(*steps, sawtooth, MIN_STEP) / np.sqrt(12.0) / 2.0)
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -257,6 +271,6 @@ EFFECT = Effect(
     control="The loop hunts between steps; a narrower converter range helps, filters do not.",
     shows=OVER_TIME,
     tangent="its remedy is a finer converter range, not another drive",
-    fault=FaultTest(find=_fault, bound=_bound),
+    fault=FaultTest(find=find_steps, bound=largest_undetected),
     inject=inject,
 )
