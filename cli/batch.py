@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 
 import typer
 
-from piezoid_cli.progress import EVERYTHING, shown
-from piezoid_cli.terminal import JsonFile, Quiet, doing, hand_over, one_line, plain, table
+from piezoid_cli.progress import VERBOSE, show_progress
+from piezoid_cli.terminal import JsonFile, Quiet, one_line, plain, print_raw, step_column, table
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -140,7 +140,7 @@ def write_summary(out: str, fleet: "Fleet", *, printed: bool = False, force: boo
         if printed:
             stream.seek(0)
             for line in stream:
-                hand_over(line)
+                print_raw(line)
 
     store = result_store(out, force=force)
     page, parameters, record = SUMMARY
@@ -156,13 +156,13 @@ def _progress(total: int, *, quiet: bool) -> Iterator[Callable[[int, str], None]
     from rich.console import Console
 
     console = Console(stderr=True)
-    if quiet or EVERYTHING.get() or not console.is_terminal:
-        with shown(quiet=quiet) as report:
+    if quiet or VERBOSE.get() or not console.is_terminal:
+        with show_progress(quiet=quiet) as report:
             yield lambda count, name: report(
                 f"{count} of {total} stages done{': ' * bool(name)}{name}"
             )
         return
-    columns = (doing(), bar.BarColumn(), bar.MofNCompleteColumn())
+    columns = (step_column(), bar.BarColumn(), bar.MofNCompleteColumn())
     times = (bar.TimeElapsedColumn(), bar.TimeRemainingColumn())
     with bar.Progress(*columns, *times, console=console, transient=True) as progress:
         task = progress.add_task("stages", total=total)
@@ -184,7 +184,7 @@ def _show(fleet: "Fleet", n_earlier: int, out: str) -> None:
         if count.get(state)
     ]
     title = f"batch {fleet.name}: {len(fleet.stages)} stages"
-    console.print(table(title, ("stages", "state", "meaning"), rows, left=3))
+    console.print(table(title, ("stages", "state", "meaning"), rows, n_words=3))
     if n_earlier:
         console.print(f"{n_earlier} were finished before and were not done again")
     if n_uncontrolled := fleet.without_controller:

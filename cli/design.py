@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from piezoid_cli.statements import show_statements
-from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, hand_over, say, table
+from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, print_raw, say, table
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -47,7 +47,7 @@ def design(
     from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.statement import Level
     from piezoid_cli.export import show_unshipped
-    from piezoid_cli.progress import shown
+    from piezoid_cli.progress import show_progress
     from piezoid_cli.stage_files import StageFolder, text_of
     from piezoid_reports.render import render_design
 
@@ -55,7 +55,7 @@ def design(
     model = folder.model
     asked = None if spec is None else SpecificationText(text=text_of(spec), source=spec.name)
     check_folder(stage, force=force, names=("design.json", "design.html"))
-    with shown(quiet=quiet or json) as progress:
+    with show_progress(quiet=quiet or json) as progress:
         result = design_stage(
             model,
             model_digest=folder.model_digest,
@@ -68,7 +68,7 @@ def design(
     page = render_design(model, result).encode()
     add_to_folder(stage, {"design.json": content, "design.html": page}, force=force)
     if json:
-        hand_over(content)
+        print_raw(content)
     elif not quiet:
         Console().print(_table(result, model))
         show_statements(design_statements(result, model), Level.WARNING)

@@ -13,8 +13,8 @@ from piezoid_cli.terminal import (
     JsonFile,
     Quiet,
     RecordingLab,
-    hand_over,
     plain,
+    print_raw,
     say,
     table,
 )
@@ -55,17 +55,17 @@ def diagnose(
     """
     from piezoid.output_folder import check_folder, write_folder
     from piezoid.raw_counts import in_counts
-    from piezoid_cli.progress import shown
+    from piezoid_cli.progress import show_progress
 
     inputs = [*files, *([] if lab is None else [lab])]
     names = ("diagnosis.json", "diagnosis.html")
     check_folder(out, force=force, new=True, names=names, inputs=inputs)
-    with shown(quiet=quiet or json) as progress:
+    with show_progress(quiet=quiet or json) as progress:
         progress("reading recordings")
         recordings, diagnosis, comparison, contents = _diagnosed(files, lab, axis, progress)
         write_folder(out, contents, force=force)
     if json:
-        hand_over(contents["diagnosis.json"])
+        print_raw(contents["diagnosis.json"])
     elif not quiet:
         _show(diagnosis)
         _show_unused(recordings, diagnosis.axis)
@@ -204,4 +204,4 @@ def _table(diagnosis: "Diagnosis") -> "Table":
     ]
     headings = ("effect", "gain", "size", "95 %", "not separable from")
     title = f"axis {diagnosis.axis}: {len(diagnosis.findings)} effects found"
-    return table(title, headings, rows, left=5)
+    return table(title, headings, rows, n_words=5)

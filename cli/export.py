@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, Json, Quiet, StageLab, hand_over_record, plain, say
+from piezoid_cli.terminal import Force, Json, Quiet, StageLab, plain, print_record, say
 
 if TYPE_CHECKING:
     from piezoid.export.parameter_file import ParameterFile
@@ -52,7 +52,7 @@ def export(
     from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.targets.controller_hardware import ControllerHardware, read_hardware
     from piezoid.targets.targets import FOLDERS, check_targets, target_files
-    from piezoid_cli.progress import shown
+    from piezoid_cli.progress import show_progress
     from piezoid_cli.stage_files import StageFolder, content_of, digest_in
     from piezoid_cli.workers import usable_cores
 
@@ -61,7 +61,7 @@ def export(
     folder = StageFolder(stage, lab)
     design, model = folder.design, folder.model
     check_folder(stage, force=force, names=("params.json", "verification.json"))
-    with shown(quiet=quiet or json) as progress:
+    with show_progress(quiet=quiet or json) as progress:
         shipping = export_and_verify(
             model,
             design,
@@ -79,7 +79,7 @@ def export(
     add_to_folder(stage, contents, gone=("params.json", *FOLDERS, REFUSED), force=force)
     axes, unshipped = ((), shipping.reasons) if file is None else (file.axes, file.unshipped)
     if json:
-        hand_over_record(
+        print_record(
             "exported",
             methods={axis.axis: axis.method for axis in axes},
             unshipped=dict(unshipped),

@@ -13,8 +13,8 @@ from piezoid_cli.terminal import (
     Processes,
     Quiet,
     RecordingLab,
-    hand_over_record,
     plain,
+    print_record,
     say,
     table,
 )
@@ -76,17 +76,17 @@ def fit(
     """
     from piezoid.output_folder import check_folder, write_folder
     from piezoid_cli.calibration import calibrate
-    from piezoid_cli.progress import shown
+    from piezoid_cli.progress import show_progress
     from piezoid_cli.workers import usable_cores
 
     check_folder(out, force=force, new=True, names=WRITTEN, inputs=files)
     count = processes or usable_cores()
-    with shown(quiet=quiet or json) as progress:
+    with show_progress(quiet=quiet or json) as progress:
         run = calibrate_streamed if stream else calibrate
         calibration = run(files, lab, progress, count)
         write_folder(out, calibration.files, force=force)
     if json:
-        hand_over_record("summary", **summary_of(calibration))
+        print_record("summary", **summary_of(calibration))
     elif not quiet:
         show(calibration)
         names = dict.fromkeys(name.partition("/")[0] for name in calibration.files)

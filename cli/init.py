@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from piezoid_cli.terminal import Json, Quiet, hand_over_record, say
+from piezoid_cli.terminal import Json, Quiet, print_record, say
 
 
 def init(
@@ -37,21 +37,21 @@ def init(
     from piezoid.records.inspection import inspect_files
     from piezoid.records.lab_draft import HEAD, draft_lab
     from piezoid_cli.inspect import show
-    from piezoid_cli.progress import shown
+    from piezoid_cli.progress import show_progress
 
     opening = HEAD.partition("\n")[0].encode()
     write_file(out, b"", opening=opening, force=force, only_check=True)
     for place in files:
         place.stat()
-    with shown(quiet=quiet or json) as told:
-        told("reading recordings")
+    with show_progress(quiet=quiet or json) as progress:
+        progress("reading recordings")
         inspections = inspect_files(files)
         draft = draft_lab(files, out.parent)
     if not (quiet or json):
         show(inspections)
     write_file(out, draft.text.encode(), opening=opening, force=force)
     if json:
-        hand_over_record("drafted", file=str(out), incomplete=list(draft.incomplete))
+        print_record("drafted", file=str(out), incomplete=list(draft.incomplete))
     elif not quiet:
         say(f"written: {out}; complete what you know, then pass it with --lab {out}")
     if draft.incomplete:

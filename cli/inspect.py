@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.progress import shown
-from piezoid_cli.terminal import Json, Quiet, RecordingLab, hand_over_record, plain, say
+from piezoid_cli.progress import show_progress
+from piezoid_cli.terminal import Json, Quiet, RecordingLab, plain, print_record, say
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -51,12 +51,12 @@ def inspect(
     from piezoid.records.inspection import inspect_files
     from piezoid.records.lab import read_lab
 
-    with shown(quiet=quiet or json, every_s=FIRST_LINE_s) as report:
+    with show_progress(quiet=quiet or json, interval_s=FIRST_LINE_s) as report:
         names = files[0].name if len(files) == 1 else f"{len(files)} files"
         report(f"reading {names}")
         inspections = inspect_files(files, None if lab is None else read_lab(lab))
     if json:
-        hand_over_record("inspection", files=[_record(inspection) for inspection in inspections])
+        print_record("inspection", files=[_record(inspection) for inspection in inspections])
     elif quiet:
         for inspection in inspections:
             if inspection.refusal:

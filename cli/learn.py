@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, hand_over, say
+from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, print_raw, say
 
 if TYPE_CHECKING:
     from piezoid.learning.learn import Learned
@@ -52,7 +52,7 @@ def learn(
     piezoid learn stage42/ --reference scan.csv --open-loop --axis x --out wave/
     """
     from piezoid.output_folder import check_folder, write_folder
-    from piezoid_cli.progress import shown
+    from piezoid_cli.progress import show_progress
     from piezoid_cli.stage_files import StageFolder, content_of
 
     if (period is None) != (table is None):
@@ -61,7 +61,7 @@ def learn(
         raise typer.BadParameter(f"--gain {gain:g}: a gain above 0 learns")
     inputs = [path for path in (reference, period, table, lab, stage / "model.json") if path]
     check_folder(out, force=force, new=True, inputs=inputs)
-    with shown(quiet=quiet or json) as progress:
+    with show_progress(quiet=quiet or json) as progress:
         progress("reading the stage")
         from piezoid.control_verbs import learn as learn_table
         from piezoid.design.design_stage import controller_rate_Hz
@@ -98,7 +98,7 @@ def learn(
         files = learned_files(learned, converter.input_range_V, converter.dac_bits)
         write_folder(out, files, force=force)
     if json:
-        hand_over(learned.to_json())
+        print_raw(learned.to_json())
     elif not quiet:
         for line in _lines(learned, out, files):
             say(line)

@@ -12,8 +12,7 @@ from typing import Annotated, Any, cast
 import typer
 from typer.core import TyperGroup
 
-# Our matrices are small: a second thread of the linear algebra costs more than it brings. It gives
-# other last digits as well, so no number of threads from outside is kept.
+# The matrices are small: a second thread of linear algebra costs time, and changes last digits.
 os.environ.update(
     dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 )
@@ -28,16 +27,16 @@ from piezoid_cli.init import init
 from piezoid_cli.inspect import inspect
 from piezoid_cli.learn import learn
 from piezoid_cli.plan import plan
-from piezoid_cli.progress import EVERYTHING
+from piezoid_cli.progress import VERBOSE
 from piezoid_cli.report import report
 from piezoid_cli.simulate import simulate
 from piezoid_cli.terminal import guard_output, one_line, plain
 from piezoid_cli.verify import verify
 
-ASKS_FOR_ALL = ("-v", "--verbose")
+VERBOSE_OPTIONS = ("-v", "--verbose")
 USAGE = 2
 
-# What is wrong with the words behind a verb; the package names only one kind of it.
+# Base class of all usage errors; typer exports only this sub-class of it.
 _UsageError = cast(type[typer.BadParameter], typer.BadParameter.__base__)
 
 VERBS = (
@@ -47,10 +46,10 @@ VERBS = (
 
 
 class Verbs(TyperGroup):
-    """The verbs; words behind them may be names of files, and are told as text."""
+    """The verbs; their arguments may be names of files, and are shown as text."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run a verb; a folder that may not be written is a mistake in its arguments."""
+        """Run a verb; a folder that may not be written is a usage error."""
         try:
             return super().invoke(ctx)
         except _UsageError as error:
@@ -62,12 +61,12 @@ class Verbs(TyperGroup):
             raise _UsageError(one_line(str(error)), ctx) from error
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the verb; name all of them where there is none of that name."""
+        """Find the verb, or list all verbs if there is none of that name."""
         from difflib import get_close_matches
 
         if args and not args[0].startswith("-") and args[0] not in self.commands:
-            near = get_close_matches(args[0], self.commands, n=1)
-            remedy = f"Did you mean {near[0]}?" if near else "See piezoid --help."
+            matches = get_close_matches(args[0], self.commands, n=1)
+            remedy = f"Did you mean {matches[0]}?" if matches else "See piezoid --help."
             raise _UsageError(
                 f"there is no verb {args[0]!r}. Needed: one of {', '.join(self.commands)}. "
                 f"{remedy}",
@@ -88,7 +87,7 @@ for verb in VERBS:
     app.command()(verb)
 
 
-def _tell_version(is_requested: bool) -> None:
+def _show_version(is_requested: bool) -> None:
     if is_requested:
         from piezoid import __version__
         from piezoid_cli.terminal import say
@@ -103,7 +102,7 @@ def piezoid(
         bool,
         typer.Option(
             "--version",
-            callback=_tell_version,
+            callback=_show_version,
             is_eager=True,
             help="Show the version and exit.",
         ),
@@ -132,9 +131,9 @@ def piezoid(
 
 def main() -> None:
     """Run the command line; errors end as one message and an exit status."""
-    arguments = [word for word in sys.argv[1:] if word not in ("--debug", *ASKS_FOR_ALL)]
-    if set(sys.argv[1:]) & set(ASKS_FOR_ALL):
-        EVERYTHING.set(True)
+    arguments = [word for word in sys.argv[1:] if word not in ("--debug", *VERBOSE_OPTIONS)]
+    if set(sys.argv[1:]) & set(VERBOSE_OPTIONS):
+        VERBOSE.set(True)
     install()
     guard_output()
     try:
@@ -150,9 +149,9 @@ def main() -> None:
 
 
 _OUT_OF_MEMORY = (
-    "the memory that this process may use is not enough. Needed: memory for all recordings, "
-    "about 1 kB for each sample of a fit. Fit them with --stream, which reads in chunks, or "
-    "name a part of them by start_s and stop_s in lab.toml."
+    "the memory of this process is not enough. Needed: memory for all recordings, about 1 kB for "
+    "each sample of a fit. Fit them with --stream, which reads in chunks, or select a part of "
+    "them by start_s and stop_s in lab.toml."
 )
 
 
@@ -168,9 +167,9 @@ def _report(error: Exception) -> int:
     elif isinstance(error, OSError):
         status = 3
         message = (
-            f"{error.filename or 'a file'}: {error.strerror or error}. Needed: a place where this "
-            "command may read and write. Check the name, the permissions and the space that is "
-            "left."
+            f"{error.filename or 'a file'}: {error.strerror or error}. Needed: a file or folder "
+            "that this command may read and write. Check its name, its permissions and the free "
+            "disk space."
         )
     elif isinstance(error, MemoryError):
         status, message = 3, _OUT_OF_MEMORY

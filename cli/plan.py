@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piezoid_cli.terminal import Force, JsonFile, Quiet, hand_over, plain, table
+from piezoid_cli.terminal import Force, JsonFile, Quiet, plain, print_raw, table
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -50,7 +50,7 @@ def plan(
     ("answers": false in plan.json); exit status 3 means that no drive shows the effect.
     """
     from piezoid.output_folder import add_to_folder, check_folder, write_folder
-    from piezoid_cli.progress import shown
+    from piezoid_cli.progress import show_progress
     from piezoid_cli.stage_files import StageFolder, content_of, digest_in
 
     if out is None:
@@ -58,7 +58,7 @@ def plan(
     else:
         read = [*(files or ()), stage / "model.json", *([] if lab is None else [lab])]
         check_folder(out, force=force, new=True, inputs=read)
-    with shown(quiet=quiet or json) as progress:
+    with show_progress(quiet=quiet or json) as progress:
         progress("reading the stage")
         from piezoid.diagnosis.experiment import plan as choose
         from piezoid.diagnosis.planning.plan_file import plan_files
@@ -92,7 +92,7 @@ def plan(
         else:
             write_folder(out, written, force=force)
     if json:
-        hand_over(written["plan.json"])
+        print_raw(written["plan.json"])
     elif not quiet:
         _show(planned, (out or stage) / "drive.csv")
 
@@ -129,4 +129,4 @@ def _table(planned: "Plan") -> "Table":
             )
         )
     title = f"axis {planned.axis}: {' against '.join(planned.question.effects)}"
-    return table(title, (*headings, "expected error"), rows, left=1)
+    return table(title, (*headings, "expected error"), rows, n_words=1)

@@ -1,4 +1,4 @@
-"""What is being done and for how long: a moving line on a terminal, now and then one in a log."""
+"""Progress of the work: a moving line on a terminal, now and then a line in a log."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -6,34 +6,39 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from threading import Event, Lock, Thread
 
-from piezoid_cli.terminal import doing, one_line, say
+from piezoid_cli.terminal import one_line, say, step_column
 
-EVERY_s = 10.0  # between lines in a log: a night's work stays readable
-STILL_s = 60.0  # after which the same stage is told again, so that a log shows life
+INTERVAL_s = 10.0  # between lines in a log: a night's work stays readable
+REPEAT_s = 60.0  # after which the line of a long step is repeated, so that a log shows life
 
-# With -v: every stage of the work as it begins, on a terminal too.
-EVERYTHING: ContextVar[bool] = ContextVar("EVERYTHING", default=False)
+# With -v: every step of the work as it begins, on a terminal too.
+VERBOSE: ContextVar[bool] = ContextVar("VERBOSE", default=False)
 
 
 @contextmanager
-def shown(*, quiet: bool, every_s: float = EVERY_s) -> Iterator[Callable[[str], None]]:
-    """Show progress on standard error: a moving line on a terminal, lines elsewhere.
+def show_progress(
+    *, quiet: bool, interval_s: float = INTERVAL_s
+) -> Iterator[Callable[[str], None]]:
+    """Give a function that shows a step of the work on standard error.
 
-    every_s  least time between two lines where there is no terminal
+    interval_s  shortest time between two lines if there is no terminal
     """
     from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
 
     console = Console(stderr=True, quiet=quiet)
     if quiet:
         yield lambda _: None
-    elif EVERYTHING.get():
+    elif VERBOSE.get():
         yield Log(say_line).begin
     elif console.is_terminal:
-        with _bar(console) as told:
-            yield told
+        columns = (SpinnerColumn(), step_column(), TimeElapsedColumn())
+        with Progress(*columns, console=console, transient=True) as progress:
+            task = progress.add_task("starting", total=None)
+            yield lambda text: progress.update(task, description=one_line(text))
     else:
-        with Log(say_line).kept(every_s) as told:
-            yield told
+        with Log(say_line).at_intervals(interval_s) as report:
+            yield report
 
 
 def say_line(line: str) -> None:
@@ -41,59 +46,45 @@ def say_line(line: str) -> None:
     say(line, err=True)
 
 
-@contextmanager
-def _bar(console: object) -> Iterator[Callable[[str], None]]:
-    from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
-
-    columns = (SpinnerColumn(), doing(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as progress:  # type: ignore[arg-type]
-        task = progress.add_task("starting", total=None)
-        yield lambda text: progress.update(task, description=one_line(text))
-
-
 class Log:
-    """Stages of the work as lines, each with the seconds since the beginning."""
+    """Steps of the work as lines, each with the seconds since the beginning."""
 
     def __init__(self, write: Callable[[str], None]) -> None:
-        """Begin to count.
-
-        write  takes a line
-        """
+        """Start the clock; ``write`` takes a line."""
         self._write = write
         self._start_s = time.monotonic()
         self._lock = Lock()
-        self._stage = self._written = ""
+        self._step = self._written = ""
         self._written_s = 0.0
 
-    def begin(self, stage: str) -> None:
-        """Write a stage at once, unless it is the one that was written last."""
-        with self._lock:
-            self._stage = stage
-            self._line(again_s=float("inf"))
+    def begin(self, step: str) -> None:
+        """Write a step at once, unless it is the one that was written last."""
+        self._set(step)
+        self._write_step(repeat_s=float("inf"))
 
     @contextmanager
-    def kept(self, every_s: float) -> Iterator[Callable[[str], None]]:
-        """Write at most one line in ``every_s``; work that is done by then writes none."""
+    def at_intervals(self, interval_s: float) -> Iterator[Callable[[str], None]]:
+        """Give a function that takes a step; write the present step once per interval."""
         ended = Event()
 
         def write() -> None:
-            while not ended.wait(every_s):
-                with self._lock:
-                    self._line(again_s=STILL_s)
+            while not ended.wait(interval_s):
+                self._write_step(repeat_s=REPEAT_s)
 
         Thread(target=write, daemon=True).start()
         try:
-            yield self._take
+            yield self._set
         finally:
             ended.set()
 
-    def _take(self, stage: str) -> None:
+    def _set(self, step: str) -> None:
         with self._lock:
-            self._stage = stage
+            self._step = step
 
-    def _line(self, *, again_s: float) -> None:
-        now_s = time.monotonic() - self._start_s
-        is_new = self._stage != self._written
-        if self._stage and (is_new or now_s - self._written_s >= again_s):
-            self._written, self._written_s = self._stage, now_s
-            self._write(f"{now_s:5.0f} s  {self._stage}")
+    def _write_step(self, *, repeat_s: float) -> None:
+        with self._lock:
+            now_s = time.monotonic() - self._start_s
+            is_due = self._step != self._written or now_s - self._written_s >= repeat_s
+            if self._step and is_due:
+                self._written, self._written_s = self._step, now_s
+                self._write(f"{now_s:5.0f} s  {self._step}")

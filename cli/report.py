@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, Json, Quiet, StageLab, hand_over_record, say
+from piezoid_cli.terminal import Force, Json, Quiet, StageLab, print_record, say
 
 if TYPE_CHECKING:
     from piezoid.records.collection import Collection
@@ -38,10 +38,10 @@ def report(
     piezoid report stage42/ sweep.csv check.csv
     """
     from piezoid.output_folder import add_to_folder, check_folder
-    from piezoid_cli.progress import shown
+    from piezoid_cli.progress import show_progress
     from piezoid_cli.stage_files import StageFolder, content_of, out_of_date
 
-    with shown(quiet=quiet or json) as progress:
+    with show_progress(quiet=quiet or json) as progress:
         progress("reading the folder")
         check_folder(stage, force=force, names=("report.html",))
         folder = StageFolder(stage, lab)
@@ -54,7 +54,7 @@ def report(
         page = _page(folder, recorded, current)
         add_to_folder(stage, {"report.html": page.encode()}, force=force)
     if json:
-        hand_over_record("reported", report=str(stage / "report.html"), out_of_date=stale)
+        print_record("reported", report=str(stage / "report.html"), out_of_date=stale)
     elif not quiet:
         for name, reason in stale.items():
             say(f"left out because it is out of date: {name} ({reason})")

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, Json, Quiet, hand_over_record, say
+from piezoid_cli.terminal import Force, Json, Quiet, print_record, say
 
 if TYPE_CHECKING:
     from piezoid_datasets.virtual_lab.campaign import Campaign
@@ -59,7 +59,7 @@ def simulate(
     piezoid simulate --out tip/ --seed 7 --junction 4 --json
     """
     from piezoid.output_folder import check_folder, write_folder
-    from piezoid_cli.progress import shown
+    from piezoid_cli.progress import show_progress
     from piezoid_datasets.virtual_lab.campaign import draw_campaign
     from piezoid_datasets.virtual_lab.junction_campaign import (
         draw_junction_campaign,
@@ -71,7 +71,7 @@ def simulate(
     if junction is not None and (effect or truth or recording or careless):
         raise typer.BadParameter("--junction records a tip: nothing is hidden in a stage then")
     sizes = dict(_sized(text) for text in effect or ())
-    with shown(quiet=quiet or json) as progress:
+    with show_progress(quiet=quiet or json) as progress:
         progress(f"simulating the virtual {'stage' if junction is None else 'tip'}")
         try:
             if junction is None:
@@ -86,7 +86,7 @@ def simulate(
             raise typer.BadParameter(str(error)) from error
         write_folder(out, files, force=force)
     if json:
-        hand_over_record("simulated", seed=seed, files=list(files))
+        print_record("simulated", seed=seed, files=list(files))
     elif not quiet:
         for line in lines:
             say(line)

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from textwrap import fill
 from typing import TYPE_CHECKING
 
-from piezoid_cli.progress import EVERYTHING
+from piezoid_cli.progress import VERBOSE
 from piezoid_cli.terminal import plain
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ def show_statements(statements: "Iterable[Statement]", minimum: "Level | None" =
 
     from piezoid.statement import Level, select
 
-    is_verbose = EVERYTHING.get()
+    is_verbose = VERBOSE.get()
     lowest = Level.NOTE if is_verbose else Level.ACTION if minimum is None else minimum
     selected = select(statements, minimum=lowest)
     shown = selected if is_verbose else selected[:MAX_SHOWN]

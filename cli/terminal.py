@@ -1,8 +1,8 @@
-r"""The terminal: names from files are shown there as text, whatever they hold.
+r"""Output on the terminal: names from files are shown as text, whatever they contain.
 
-A terminal obeys what a heading or a file's name may contain: codes that clear it, move the cursor,
-set its title, turn the text. Whatever people read is made here, with such characters as codes
-(``\x1b``); only what scripts read (``--json``) goes past, byte for byte.
+A heading or the name of a file may contain codes that a terminal executes: they clear it, move the
+cursor, set its title. Everything that people read is printed here, with such characters as codes
+(``\x1b``); what scripts read (``--json``) is printed byte for byte.
 """
 
 import io
@@ -41,17 +41,14 @@ JsonFile = Annotated[
 
 
 class StandardStream(io.RawIOBase):
-    """Standard output or error that may be closed while a command works, or lie on a full disk.
+    """Standard output or error that may be closed while a command works, or be on a full disk.
 
-    Nothing more is written once the reader of a pipe has gone: the command does its work all the
-    same. Any other failure names standard output; of standard error nothing can be said.
+    If the reader of a pipe has gone, nothing more is written and the command goes on. Any other
+    failure is an error with the name of the stream, if it has one.
     """
 
     def __init__(self, stream: io.RawIOBase | io.BufferedIOBase, name: str = "") -> None:
-        """Write to a binary stream.
-
-        name  in the error about a write that fails; without one there is no error
-        """
+        """Write to a binary stream; ``name`` it in errors, or ignore them without a name."""
         self._stream, self._name = stream, name
         self.is_discarded = False
 
@@ -84,7 +81,7 @@ class StandardStream(io.RawIOBase):
 
 
 def guard_output() -> None:
-    """Let no stream that is closed and no terminal of few characters end a command."""
+    """Let no closed stream and no encoding of few characters end a command."""
     sys.stdout = _guarded(sys.stdout, "standard output")
     sys.stderr = _guarded(sys.stderr)
 
@@ -102,53 +99,53 @@ def _guarded(stream: TextIO | None, name: str = "") -> TextIO:
 
 
 def say(text: str, *, err: bool = False) -> None:
-    """Print one line, never broken by us: a path in it can be copied."""
+    """Print one line without breaking it, so that a path in it can be copied."""
     typer.echo(one_line(text), err=err)
 
 
 def one_line(text: str) -> str:
-    """Return a text without anything that a terminal obeys, a line's end included."""
+    """Return a text without control characters, line ends included."""
     return str(printable(text))
 
 
 def plain(text: str, style: str = "") -> "Text":
-    """Return a cell or a paragraph, its lines kept: no markup, nothing that a terminal obeys."""
+    """Return a text of one or more lines without markup and control characters."""
     from rich.text import Text
 
     return Text("\n".join(one_line(line) for line in text.split("\n")), style)
 
 
 def table(
-    title: str, headings: "Sequence[str]", rows: "Iterable[Sequence[str | Text]]", left: int = 0
+    title: str, headings: "Sequence[str]", rows: "Iterable[Sequence[str | Text]]", n_words: int = 0
 ) -> "Table":
     """Return a table of cells that are shown as text.
 
-    left  how many columns, from the first on, hold words; the others are numbers, to the right
+    n_words  number of leading columns with words; the others are numbers, aligned to the right
     """
     from rich.table import Table
 
     cells = Table(title=plain(title))
     for k, heading in enumerate(headings):
-        cells.add_column(heading, justify="left" if k < left else "right")
+        cells.add_column(heading, justify="left" if k < n_words else "right")
     for row in rows:
         cells.add_row(*(plain(cell) if isinstance(cell, str) else cell for cell in row))
     return cells
 
 
-def hand_over(content: str | bytes) -> None:
-    """Print what a script reads, as it is."""
+def print_raw(content: str | bytes) -> None:
+    """Print the output for a script, byte for byte."""
     typer.echo(content, nl=isinstance(content, str))
 
 
-def hand_over_record(schema: str, **entries: object) -> None:
+def print_record(schema: str, **entries: object) -> None:
     """Print the result of a verb as JSON, under a schema such as ``exported``."""
     from json import dumps
 
-    hand_over(dumps({"schema": f"piezoid.{schema}/1", **entries}, indent=1, allow_nan=False))
+    print_raw(dumps({"schema": f"piezoid.{schema}/1", **entries}, indent=1, allow_nan=False))
 
 
-def doing() -> "TextColumn":
-    """Return the column of a progress bar that says what is being done."""
+def step_column() -> "TextColumn":
+    """Return the column of a progress bar that shows the step of the work."""
     from rich.progress import TextColumn
 
     return TextColumn("{task.description}", markup=False)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from piezoid_cli.statements import MAX_SHOWN
-from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, hand_over, plain, say, table
+from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, plain, print_raw, say, table
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -70,7 +70,7 @@ def verify(
     from piezoid.verification.rebuild import emulate
     from piezoid.verification.rebuild import rebuild as build_on_host
     from piezoid.verification.verify_stage import verify_stage
-    from piezoid_cli.progress import shown
+    from piezoid_cli.progress import show_progress
     from piezoid_cli.stage_files import StageFolder, changed_in_bundle, text_of
     from piezoid_cli.workers import usable_cores
 
@@ -80,7 +80,7 @@ def verify(
     applied_limits = None if limits is None else limits_from_toml(text_of(limits), limits.name)
     check_folder(stage, force=force, names=("verification.json",))
     threads = usable_cores()
-    with shown(quiet=quiet or json) as progress:
+    with show_progress(quiet=quiet or json) as progress:
         progress("compiling and comparing" if rebuild or target else "running the controller")
         paths = [path for path in sorted((stage / "bundle").glob("*")) if path.is_file()]
         bundle = {path.name: path.read_bytes() for path in paths}
@@ -115,7 +115,7 @@ def verify(
         content = verification.to_json()
         add_to_folder(stage, {"verification.json": content}, force=force)
     if json:
-        hand_over(content)
+        print_raw(content)
     elif not quiet:
         show(verification, file)
         say(f"verification: {stage / 'verification.json'}")
@@ -190,7 +190,7 @@ def _comparison(verification: "Verification") -> "Table":
     ]
     radius = with_unit(verification.radius_m, "m")
     title = f"spirals of radius {radius}: rms error by frequency"
-    return table(title, ("method", *(with_unit(rate, "Hz") for rate in rates_Hz)), rows, left=1)
+    return table(title, ("method", *(with_unit(rate, "Hz") for rate in rates_Hz)), rows, n_words=1)
 
 
 def _bound_line(row: "ErrorBound") -> str:

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 import piezoid_cli
 from piezoid_cli.main import app
-from piezoid_cli.terminal import doing, hand_over, plain, say
+from piezoid_cli.terminal import plain, print_raw, say, step_column
 
 OBEYED = "a\x1b[2J\x1b]0;title\x07\x9b31m\u202eb\x7f"
 TOLD = r"a\x1b[2J\x1b]0;title\x07\x9b31m\u202eb\x7f"
@@ -36,14 +36,14 @@ def test_a_name_is_shown_with_its_codes_and_its_brackets(
 
 
 def test_a_script_gets_every_byte(capsysbinary: pytest.CaptureFixture[bytes]) -> None:
-    hand_over(b'{"name": "\xc2\x9b"}\n')
-    hand_over('{"files": []}')
+    print_raw(b'{"name": "\xc2\x9b"}\n')
+    print_raw('{"files": []}')
     assert capsysbinary.readouterr().out == b'{"name": "\xc2\x9b"}\n{"files": []}\n'
 
 
 def test_a_progress_bar_takes_no_markup_from_a_name() -> None:
     task = type("Task", (), {"description": "reading [red]a.csv[/red]"})()
-    assert doing().render(task).plain == "reading [red]a.csv[/red]"
+    assert step_column().render(task).plain == "reading [red]a.csv[/red]"
 
 
 def test_no_verb_prints_past_the_terminal() -> None:
