@@ -51,7 +51,10 @@ def earlier_result(task: StageTask) -> tuple[FleetStage | None, bool]:
     Raises ``OutputFolderError`` if the stage must be done and its results may not be written.
     """
     record = _read_record(task)
-    is_current = record is not None and _is_current(record, task, inputs_of(task))
+    try:
+        is_current = record is not None and _is_current(record, task, inputs_of(task))
+    except OSError:  # a recording cannot be read: the worker makes that the stage's reason
+        record, is_current = None, False
     if not is_current:
         result_store(task.results, force=task.force).check_stage(task.name)
     return record, is_current

@@ -106,7 +106,7 @@ def export(
 def _target_inputs(
     file: "ParameterFile", folder: "StageFolder", hardware: "ControllerHardware"
 ) -> "TargetInputs":
-    """Return what targets are made of, with the plants that verification runs."""
+    """Return the inputs of the targets, with the plants that verification runs."""
     from piezoid.records.lab import Lab
     from piezoid.targets.target_inputs import TargetInputs
     from piezoid.verification.verify_stage import stage_plants

@@ -97,7 +97,7 @@ def fit(
 
 
 def summary_of(calibration: "Calibration") -> dict[str, Any]:
-    """Return what a script wants to know of a stage."""
+    """Return the summary of a stage for scripts."""
     model, controllers = calibration.model, calibration.controllers
     diagnosis, verification = calibration.diagnosis, controllers.verification
     causes = {diagnosis.axis: list(diagnosis.names) for diagnosis in calibration.diagnoses}

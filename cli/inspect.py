@@ -205,7 +205,7 @@ def _state(column: "ColumnSummary") -> str:
 
 
 def response_lines(inspection: "Inspection") -> list[str]:
-    """Return the band, what was measured through, each axis, and how they couple."""
+    """Return band, included poles, gain and peaks of each axis, and coupling."""
     from piezoid.formatting import with_unit
 
     response = inspection.response

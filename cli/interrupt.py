@@ -21,7 +21,7 @@ class Interrupted(BaseException):
 
 
 class _State:
-    """What the handler of the signal decides by: one process has one."""
+    """State of the signal handler of this process."""
 
     is_loading = True  # nothing has begun that needs to be undone
     is_interrupted = False

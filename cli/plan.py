@@ -1,4 +1,4 @@
-"""`piezoid plan`: what a diagnosis left open in, the drive of the next experiment out."""
+"""`piezoid plan`: open questions of a diagnosis in, the drive of the next experiment out."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any

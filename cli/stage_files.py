@@ -35,7 +35,7 @@ class StageFolder:
 
     @cached_property
     def lab(self) -> "Lab | None":
-        """What the laboratory declares, or None without a lab.toml."""
+        """The content of lab.toml, or None without one."""
         from piezoid.records.lab import read_lab
 
         path = self.folder / LAB if self._lab is None else self._lab
@@ -70,7 +70,7 @@ class StageFolder:
 
     @cached_property
     def parameters(self) -> "ParameterFile":
-        """What ships; ``ParameterFileError`` if it was made from another model."""
+        """The shipped parameters; ``ParameterFileError`` if they are of another model."""
         from piezoid.export.parameter_file import from_json
 
         path = self.folder / "params.json"
@@ -190,7 +190,7 @@ def out_of_date(stage: StageFolder, contents: Mapping[str, bytes]) -> dict[str, 
 
 
 def text_of(path: Path) -> str:
-    """Read a text file that somebody wrote by hand."""
+    """Read a text file that was written by hand."""
     try:
         return content_of(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:

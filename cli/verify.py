@@ -1,4 +1,4 @@
-"""`piezoid verify`: runs what ships against the identified stage, and says whether it may ship."""
+"""`piezoid verify`: run the shipped controller against the identified stage."""
 
 from dataclasses import replace
 from pathlib import Path

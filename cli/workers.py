@@ -55,7 +55,7 @@ def unreachable_by_interrupts() -> Iterator[None]:
 
 
 class WorkerPool:
-    """Worker processes and the channel through which they report what they do."""
+    """Worker processes, and the pipe through which they report their progress."""
 
     def __init__(self, count: int, preload: Callable[[], None]) -> None:
         """Prepare ``count`` workers; each begins with ``preload``."""
@@ -67,17 +67,17 @@ class WorkerPool:
         self._texts: dict[int, str] = {}
 
     def submit(self, work: Work[Job, Result], job: Job, index: int) -> "Future[bytes]":
-        """Give a job to a worker; ``loads`` of what comes back is the result."""
+        """Give a job to a worker; the future holds the pickled result."""
         with postponed(), unreachable_by_interrupts():
             return self._executor.submit(_work, dumps((work, job), protocol=5), index)
 
     def report_to(self, report: Progress) -> None:
-        """Say from now on what is being done, here and in the workers."""
+        """Report the progress of this process and of the workers from now on."""
         self._report = report
         Thread(target=self._forward, daemon=True).start()
 
     def say(self, index: int, text: str) -> None:
-        """Note what is being done of one job, nothing at its end."""
+        """Set the progress text of a job, empty at its end."""
         self._texts[index] = text
         if text:
             self._report(" | ".join(self._texts[k] for k in sorted(self._texts) if self._texts[k]))
@@ -99,7 +99,7 @@ class WorkerPool:
 
 @contextmanager
 def worker_pool(count: int, preload: Callable[[], None]) -> Iterator[WorkerPool | None]:
-    """Give a pool of workers that load what jobs need; None for no worker."""
+    """Give a pool of workers that load the modules of the jobs; None for no worker."""
     if count < 1:
         yield None
         return
@@ -122,7 +122,7 @@ def map_jobs(
     """Return ``work(job, report)`` of every job, in their order.
 
     work    found by its name in its module; jobs and results are frozen records
-    report  receives what is being done
+    report  receives the progress
     pool    workers beside this process, which does the job of the largest cost itself
 
     Raises the ``PiezoidError`` of the first job in order that has one.
@@ -155,7 +155,7 @@ def _result_of(work: Work[Job, Result], job: Job, report: Progress) -> Result | 
 
 
 def _received(future: "Future[bytes]") -> Any:
-    """Return what a worker made; None where it was lost, or failed as it will fail here."""
+    """Return the result of a worker; None if the worker was killed or failed."""
     try:
         return loads(future.result())
     except Exception:

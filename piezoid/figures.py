@@ -351,11 +351,11 @@ def _axes(
     return axes
 
 
-def _check(place: str, kind: str, known: tuple[str, ...]) -> None:
-    if kind not in known:
+def _check(record: str, kind: str, kinds: tuple[str, ...]) -> None:
+    if kind not in kinds:
         raise PictureError(
-            f"{place}: kind {kind!r}",
-            needed=f"one of {', '.join(known)}",
+            f"{record}: kind {kind!r}",
+            needed=f"one of {', '.join(kinds)}",
             remedy="Name one of those.",
         )
 

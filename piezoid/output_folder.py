@@ -96,7 +96,7 @@ def write_folder(
               is waited for, and ``remove_unfinished`` removes what killed runs left. Without
               ``force``, results that nobody edited are replaced
     """
-    with nullcontext() if shared else _alone_beside(folder):
+    with nullcontext() if shared else _exclusive_access(folder):
         listed = _listed_in(_target_of(folder))
         check_folder(folder, force=force, new=not shared, names={*contents, *listed})
         _write(folder, contents, gone=listed, force=force)
@@ -115,7 +115,7 @@ def add_to_folder(
     gone      files and sub-folders of ours that do not stay, unless ``contents`` has them
     force     replace files of ours although they were edited
     """
-    with _alone_beside(folder):
+    with _exclusive_access(folder):
         listed = _listed_in(_target_of(folder))
         stale = [n for n in listed if n in gone or PurePosixPath(n).parts[0] in gone]
         check_folder(folder, force=force, names=(*contents, *stale))
@@ -123,7 +123,7 @@ def add_to_folder(
 
 
 def remove_unfinished(folder: Path, name: str = "") -> None:
-    """Remove what killed runs left beside the folder of a name, or of any, while nobody writes."""
+    """Remove unfinished folders of killed runs beside a folder; without a name, all of them."""
     for entry in os.listdir(folder) if folder.is_dir() else ():
         written, _, _ = entry.removesuffix(_UNFINISHED).rpartition(".")
         is_unfinished = entry.endswith(_UNFINISHED) and written.startswith(".")
@@ -139,7 +139,7 @@ def write_file(
     opening     what every file of ours of this type begins with
     only_check  decide whether it may be written, before any work is done
     """
-    with _named(path):
+    with _errors_about(path):
         mode = _mode_of(path)
         if mode is not None and not stat.S_ISREG(mode):
             raise refusal(f"{path} is no regular file")
@@ -152,7 +152,7 @@ def write_file(
         if only_check:
             return
         path.parent.mkdir(parents=True, exist_ok=True)
-        fresh = _beside(path)
+        fresh = _scratch_path(path)
         try:
             _fill(fresh, content)
             _move(fresh, path, is_ours=mode is not None)
@@ -175,7 +175,7 @@ def _target_of(folder: str | Path) -> Path:
 
 
 def _protection_of(target: Path) -> str:
-    """Return why a folder is never written, whatever it holds; empty where it may be."""
+    """Return why a folder is never written, whatever it holds; empty if it may be."""
     if os.path.ismount(target):
         return "is a disk of its own"
     homes = [os.path.expanduser("~")]
@@ -204,7 +204,7 @@ def refusal(reason: str) -> OutputFolderError:
 
 
 def _listed_in(target: Path) -> Listed:
-    """Return the files of ours in a folder; refuse a folder of other people."""
+    """Return the listed files of a folder; refuse a folder that piezoid did not write."""
     if not target.is_dir():
         return {}
     listed = manifest_in(target)
@@ -221,7 +221,7 @@ def _begins_with(path: Path, opening: bytes) -> bool:
 
 
 def _check_names(target: Path, listed: Listed, names: Iterable[str], *, force: bool) -> None:
-    """Refuse names behind which something lies that may not be replaced."""
+    """Refuse names of files that may not be replaced."""
     for name in (*names, MANIFEST):
         path = target / name
         for above in _folders_of([name]):
@@ -258,8 +258,8 @@ def _write(
     listed = _listed_in(target)
     gone = [name for name in gone if name not in contents]
     unchanged = [n for n in listed if n not in {*contents, *gone} and is_regular(target / n)]
-    fresh = _beside(target)
-    with _named(folder):
+    fresh = _scratch_path(target)
+    with _errors_about(folder):
         target.parent.mkdir(parents=True, exist_ok=True)
         try:
             fresh.mkdir()
@@ -302,7 +302,7 @@ def _put(
 
 
 def _holds_only(target: Path, listed: Listed) -> bool:
-    """Return whether a folder of this user holds no object that is not listed."""
+    """Return whether every object in a folder is listed."""
     names, folders = {*listed, MANIFEST}, set(_folders_of(listed))
 
     def is_ours(path: Path) -> bool:
@@ -315,7 +315,7 @@ def _holds_only(target: Path, listed: Listed) -> bool:
 
 
 def _take_over(target: Path, fresh: Path, unchanged: Iterable[str]) -> bool:
-    """Give the finished folder the files that stay, and all modes; False where it cannot be."""
+    """Give the finished folder the unchanged files, and all modes; False if that is impossible."""
     new, old = fresh.stat(), target.stat()
     if (new.st_uid, new.st_gid) != (old.st_uid, old.st_gid):
         return False
@@ -360,7 +360,7 @@ def _rename(source: Path, path: Path, flag: int) -> bool:
 
 
 def _return_others(source: Path, target: Path) -> None:
-    """Move what appeared in the folder at the moment of its exchange into the one of now."""
+    """Move files that appeared at the moment of the exchange into the new folder."""
     for name in os.listdir(source) if source.is_dir() else ():
         if _is_folder(source / name) and _is_folder(target / name):
             _return_others(source / name, target / name)
@@ -371,7 +371,7 @@ def _return_others(source: Path, target: Path) -> None:
 
 
 def _remove_listed(folder: Path, names: Iterable[str]) -> None:
-    """Remove a folder of ours, as far as it holds what is listed and nothing else."""
+    """Remove the listed files of a folder, and the folder if it is empty then."""
     _remove(folder, (*names, _UNION, MANIFEST))
     with suppress(OSError):
         folder.rmdir()
@@ -402,13 +402,13 @@ def _fill(path: Path, content: Content) -> str:
     return digest_of_bytes(content) if isinstance(content, bytes) else digest_of_file(path)
 
 
-def _beside(target: Path) -> Path:
+def _scratch_path(target: Path) -> Path:
     return target.with_name(f".{target.name}.{token_hex(4)}{_UNFINISHED}")
 
 
 @contextmanager
-def _named(path: str | Path) -> Iterator[None]:
-    """Let a failing disk name what was to be written, not a file nobody has heard of."""
+def _errors_about(path: str | Path) -> Iterator[None]:
+    """Name this path in errors of the disk, instead of a temporary file."""
     try:
         yield
     except OSError as error:
@@ -416,14 +416,14 @@ def _named(path: str | Path) -> Iterator[None]:
 
 
 @contextmanager
-def _alone_beside(folder: str | Path) -> Iterator[None]:
-    """Let nobody else write results beside this folder meanwhile; a killed run lets go by itself.
+def _exclusive_access(folder: str | Path) -> Iterator[None]:
+    """Lock the parent of a folder against other runs; the lock of a killed run ends with it.
 
-    Some network disks know no locks, and one system has none: there, of two runs at the same
-    moment the later one counts.
+    Some network disks and systems have no locks: there, of two runs at the same moment the later
+    one counts.
     """
     target = _target_of(folder)
-    with _named(folder):
+    with _errors_about(folder):
         target.parent.mkdir(parents=True, exist_ok=True)
         number = os.open(target.parent, os.O_RDONLY)
     try:
@@ -439,7 +439,7 @@ def _alone_beside(folder: str | Path) -> Iterator[None]:
 
 @contextmanager
 def interrupts_blocked() -> Iterator[None]:
-    """Let Ctrl-C arrive at the end of the block; what is begun in it does not hear it at all."""
+    """Block Ctrl-C until the end of the block; processes that start in it never receive it."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

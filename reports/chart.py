@@ -37,7 +37,7 @@ MARGIN = 0.04  # of the range, left free at both ends of an axis
 class Axis:
     """One axis of a chart.
 
-    label      what is along it, without unit
+    label      name of the quantity, without unit
     scale      the unit it is shown in
     low, high  its ends, in that unit
     decades    values along it are log10 of what is shown; labels are the numbers themselves
@@ -66,7 +66,7 @@ class Axis:
 class Layer:
     """One curve or band.
 
-    role   what it shows, which decides colour and stroke: ``measured``, ``model``, ``noise``, ...
+    role   decides colour and stroke: ``measured``, ``model``, ``noise``, ...
     name   for the legend
     path   its points, in fine steps
     kind   ``line`` or ``area``

@@ -1,4 +1,4 @@
-"""Axes whose drives act on each other: their matrix, the model's error, what a level changes."""
+"""Coupled axes: coupling matrix, error of the model, and changes with the level of the drive."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ LARGEST = 0.42  # of a cell: half the side of the square of the largest entry
 
 
 def coupling_parts(page: Page, coupled: CoupledStage) -> list[Part]:
-    """Return the part of the dynamics about axes whose drives act on each other."""
+    """Return the parts of the dynamics section about coupled axes."""
     parts: list[Part] = [
         Heading(text="Coupled axes"),
         Prose(
@@ -32,7 +32,7 @@ def coupling_parts(page: Page, coupled: CoupledStage) -> list[Part]:
 
 
 def _picture(coupled: CoupledStage) -> Figure:
-    """Return the matrix as squares whose area is an entry's size [Hinton diagram]."""
+    """Draw the matrix as squares with areas proportional to its entries [Hinton diagram]."""
     gain = coupled.coupling_m_per_V
     x, y = (
         axis_over(label, [np.array([0.5, count + 0.5])], "")

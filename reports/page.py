@@ -1,4 +1,4 @@
-"""The records behind a page, and what several sections need of them."""
+"""The records of a page, and quantities that several sections derive from them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -85,7 +85,7 @@ class Page:
 
     @property
     def counted(self) -> tuple[str, ...]:
-        """What was recorded in counts, of ``displacement`` and ``voltage``."""
+        """The quantities recorded in counts: ``displacement``, ``voltage``."""
         diagnosed = {name for diagnosis in self.diagnoses for name in diagnosis.counted}
         return tuple(sorted({*self.model.counted, *diagnosed}))
 

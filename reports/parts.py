@@ -1,4 +1,4 @@
-"""The parts of a section: headings, sentences, tables, figures, and what holds them."""
+"""The parts of a section: headings, sentences, tables, figures, and their containers."""
 
 import itertools
 import re
@@ -52,7 +52,7 @@ class Listing:
 class Table:
     """Rows of texts.
 
-    caption  what the table holds, with its limits
+    caption  content of the table, with its limits
     columns  headings with units
     rows     texts; a row as long as ``columns``
     digests  numbers of the columns that hold digests, which may break anywhere
@@ -72,7 +72,7 @@ class Table:
 
     @property
     def summary(self) -> str:
-        """What the folded table is called: the first sentence of its caption, without its stop."""
+        """Title of the folded table: the first sentence of its caption, without its stop."""
         return FIRST_SENTENCE.split(self.caption, maxsplit=1)[0].rstrip(".;:")
 
     @property
@@ -176,8 +176,8 @@ class Card:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Said:
-    """The sentences on top, each with what it answers; ``tone`` as of ``Prose``."""
+class Headline:
+    """The sentences of the summary, each with its label; ``tone`` as of ``Prose``."""
 
     kind: ClassVar[str] = "said"
     sentences: tuple[tuple[str, str], ...]
@@ -201,7 +201,7 @@ class Cards:
     cards: tuple[Card, ...]
 
 
-Part = Heading | Prose | Listing | Table | Figure | Waterfall | Cards | Said | Fold
+Part = Heading | Prose | Listing | Table | Figure | Waterfall | Cards | Headline | Fold
 TONES = ("plain", "good", "middling", "bad")
 
 
@@ -226,8 +226,8 @@ class Section:
 
     @property
     def tone(self) -> str:
-        """The worst tone of anything the chapter says, for its mark in the navigation."""
-        tones = [part.tone for part in self.parts if isinstance(part, Heading | Prose | Said)]
+        """The worst tone of its parts, for its mark in the navigation."""
+        tones = [part.tone for part in self.parts if isinstance(part, Heading | Prose | Headline)]
         tones += [c.tone for part in self.parts if isinstance(part, Cards) for c in part.cards]
         return worst_tone(tones)
 

@@ -1,4 +1,4 @@
-"""Names from files, made harmless: what a browser cannot show, or would obey, is shown as a code.
+"""Names from files as text: characters that a browser does not show or executes become codes.
 
 Escaping keeps ``<`` from being markup. Control characters, halves of pairs and marks that turn the
 direction of the text are no markup, yet break a page or make it lie; they become ``\\u202e``.
@@ -11,7 +11,7 @@ _OURS = {"\u202f"}
 
 
 def printable(value: object) -> object:
-    """Return a text with its unprintable characters as codes; anything else as it is."""
+    """Return a text with codes for its unprintable characters; other values unchanged."""
     if not isinstance(value, str) or hasattr(value, "__html__") or value.isprintable():
         return value
     return "".join(_shown(character) for character in value)

@@ -87,7 +87,7 @@ def render_diagnosis(
     """Return diagnosis.html: causes in recordings, against a model that was fitted to them.
 
     model    to draw on; it is in no file
-    note     what must be known of the pictures
+    note     on the figures
     comparison  of an earlier model with these recordings
     written  diagnosis.json
     """

@@ -35,7 +35,7 @@ FLOOR = 0.1  # of the noise: below, an amplitude is drawn as that
 def response_parts(
     page: Page, axis: AxisModel, dynamics: LinearDynamics, fitted: ResponseFit
 ) -> list[Part]:
-    """Return what was said of the response, and its figures where the file was given."""
+    """Return gain, phase and coherence of a measured response; nothing without its file."""
     parts: list[Part] = []
     record = next((r for r in page.responses if r.name == fitted.name), None)
     if record is None:
@@ -182,7 +182,7 @@ def _numbers(lines: DetectionLines) -> str:
 
 
 def _level(lines: DetectionLines, driven_m: float, *, even: bool) -> str:
-    """One kind of distortion, or what it stays below where noise covers it."""
+    """Return the level of even or odd distortion, or its limit if noise covers it."""
     name = "even distortion" if even else "odd distortion"
     level_m = float(lines.level_m(even=even)[0])
     limit_m = float(lines.limit_m(even=even)[0])
@@ -193,6 +193,6 @@ def _level(lines: DetectionLines, driven_m: float, *, even: bool) -> str:
 
 
 def _running(level_dB: Array, width: int = 9) -> Array:
-    """Median over neighbours: a line of noise, not a cloud."""
+    """Return the running median: a line for the noise instead of a cloud."""
     padded = np.pad(level_dB, width // 2, mode="edge")
     return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1))

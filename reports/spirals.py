@@ -1,4 +1,4 @@
-"""A spiral as it was run, its colour how far its shape was wrong, in parts of what is allowed."""
+"""Simulated spirals, coloured by their shape error in units of its limit, and tracking errors."""
 
 import numpy as np
 
@@ -51,7 +51,7 @@ def spiral(trace: SpiralTrace, verification: Verification) -> Figure:
 
 
 def errors_in_time(verification: Verification) -> list[Figure]:
-    """Draw the shape error along each spiral: what ships, and in grey what has no control."""
+    """Draw the shape error along each spiral: the shipped controller, and in grey no control."""
     rates = dict.fromkeys(trace.frequency_Hz for trace in verification.traces)
     return [_error_in_time(rate, verification) for rate in rates]
 
@@ -159,7 +159,7 @@ def _error(motion: Motion, verification: Verification) -> Figure:
 
 
 def _runs(motion: Motion, verification: Verification) -> list[tuple[str, str, Array]]:
-    """Return role, method and way, what ships last: it is drawn on top."""
+    """Return role, method and path; the shipped controller last, because it is drawn on top."""
     runs = [("model", verification.methods[motion.axis], np.array(motion.shipped_m))]
     if motion.uncompensated_m:
         runs.insert(0, ("grey", "none", np.array(motion.uncompensated_m)))

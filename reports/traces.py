@@ -1,4 +1,4 @@
-"""What every chapter looks at: drive, measurement and model of each recording, side by side."""
+"""Traces: drive, measurement and simulation of each recording, sample by sample."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -38,7 +38,7 @@ class Trace:
 
     @property
     def range_m(self) -> float:
-        """Range of what was measured."""
+        """Range of the measured displacement."""
         return float(np.nanmax(self.measured_m) - np.nanmin(self.measured_m))
 
     @property

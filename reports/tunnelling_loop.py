@@ -138,7 +138,7 @@ def _sources(loop: LoopPlant) -> tuple[Part, ...]:
 
 
 def _figures(page: Page, loop: LoopPlant) -> list[Part]:
-    """Return the spectra of the first recording at hand."""
+    """Return the spectra of the first recording of the fit."""
     if loop.rig is None:
         return []
     fitted = {record.recording: record for record in loop.records}
@@ -151,7 +151,7 @@ def _figures(page: Page, loop: LoopPlant) -> list[Part]:
 
 
 def _spectra(loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRecord) -> Figure:
-    """Current, drive and unrest in one unit: what they amount to in the gap."""
+    """Draw current, drive and motion of the gap as displacement densities."""
     curves = _curves(loop, rig, summary, record)
     x = decades_over("frequency", [f for _, _, f, _ in curves], "Hz")
     y = decades_over("density", [level for *_, level in curves], "pm/√Hz")

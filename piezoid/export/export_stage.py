@@ -21,9 +21,9 @@ _BLIND_s = 0.1
 def export_stage(
     model: ActuatorModel, design: Design, *, design_digest: str, lab: Lab | None = None
 ) -> ParameterFile:
-    """Return what ships: each designed axis with its recommended loop, the others to compare.
+    """Return the parameters of each designed axis: the recommended loop, and others to compare.
 
-    An axis that cannot ship keeps no other back; the file says which it is and why.
+    An axis that cannot ship does not prevent the others; the file states the reason.
 
     design_digest  of the design's file, for the chain of digests
     lab            that of the design, but for what guards a tip

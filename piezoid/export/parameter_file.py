@@ -63,7 +63,7 @@ class AxisParameters:
 
     @property
     def method(self) -> str:
-        """What the controller of this axis does, one of ``METHODS``."""
+        """Control method of this axis, one of ``METHODS``."""
         return method_of(self.values)
 
     @property
@@ -94,7 +94,7 @@ def method_of(values: Values) -> str:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Decoupled:
-    """What references and readings are multiplied by in front of the controllers.
+    """Matrix that multiplies references and readings in front of the controllers.
 
         r' = D r,  y' = D y
 
@@ -112,7 +112,7 @@ class Decoupled:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ParameterFile:
-    """What ships.
+    """The shipped parameters of a stage.
 
     name       of the stage, any text
     axes       at least one, names all different, each usable by the runtime in both precisions
@@ -178,7 +178,7 @@ def to_json(file: ParameterFile) -> bytes:
 
 
 def digest_of(file: ParameterFile) -> str:
-    """Return the digest that stands in this file's ``params.json``."""
+    """Return the digest in the ``params.json`` of this file."""
     return str(json.loads(to_json(file))["digest"])
 
 
@@ -230,7 +230,7 @@ def _texts(table: Any) -> dict[str, str]:
 
 
 def _shipped() -> list[Parameter]:
-    """Return what a file holds: size and checksum depend on the precision it is built for."""
+    """Return the parameters in a file: without size and checksum, which depend on precision."""
     return [p for p in PARAMETERS if p.name not in SEALED]
 
 

@@ -135,7 +135,7 @@ def _limits(design: AxisDesign) -> Values:
 
 
 def _range(model: AxisModel, design: AxisDesign) -> Values:
-    """Return what the model reaches between the voltage limits, and what to believe."""
+    """Return the limits of references and measurements, from the model between voltage limits."""
     specification, operator = design.specification, model.operator
     extremes_V = np.array(
         [specification.voltage_min_V, specification.voltage_max_V, specification.voltage_min_V]

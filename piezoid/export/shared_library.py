@@ -148,7 +148,7 @@ sys.exit(1 if differ else 0)
 
 
 def shared_library_files(file: ParameterFile) -> tuple[Mapping[str, bytes], tuple[str, ...]]:
-    """Return the folder's files by name, and what could not be made on this machine."""
+    """Return the folder's files by name, and notes on libraries that could not be built here."""
     digest = digest_of(file)
     sources = {name: runtime_source(name) for name in _SOURCES}
     sources["piezo_params.h"] = c_header(file, digest).encode()

@@ -42,7 +42,7 @@ _REST_TOLERANCE = 1e-12  # of z - 1: an integrator has no response at rest
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LearningFilter:
-    """What turns a period's error into the next table's change.
+    """Filter from the error of a period to the change of the table.
 
     harmonic_Hz  (harmonics,)
     L_V_per_m    (harmonics,)  complex, 0 where nothing is learnt
@@ -142,7 +142,7 @@ def learning_filter(
 
 
 def table_response(member: Plant, values: Values | None, q: Response) -> Response:
-    """Return what a volt of the table moves at each harmonic, m: the whole loop as it ships.
+    """Return the displacement per volt of the table at each harmonic, m/V, of the shipped loop.
 
     The runtime's own equations in phasors; its observer knows what the table applied, so that
     only the difference between plant and observer is fed back.

@@ -43,7 +43,7 @@ _SAME_m = 1e-12  # two references are one where no point differs by more
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Learned:
-    """The table of one axis, and what is known of it.
+    """The table of one axis, its convergence and its errors.
 
     axis              its name
     closed_loop       whether it goes on top of the controller, or is all of the voltage
@@ -185,7 +185,7 @@ def next_table(
     *,
     parameters: AxisParameters | None,
 ) -> Learned:
-    """Refine a table by what was recorded while it was played.
+    """Refine a table by a recording of the motion under it.
 
     period  one period or more of the settled motion, the first row at point 0
 
@@ -267,7 +267,7 @@ def refuse_changed(
 def _checked(
     reference_m: ArrayLike, plant: AxisPlant, parameters: AxisParameters | None, model: AxisModel
 ) -> Array:
-    """Return the period, or refuse what the axis cannot follow."""
+    """Return the reference as an array; refuse one that the axis cannot follow."""
     wanted_m = np.asarray(reference_m, dtype=np.float64)
     axis = model.axis
     if wanted_m.ndim != 1 or len(wanted_m) < _MIN_POINTS or not np.isfinite(wanted_m).all():
@@ -382,7 +382,7 @@ def measured_response(
     """
     points = len(changed_V)
     df, dy = np.fft.rfft(changed_V), np.fft.rfft(moved_m) / learner.sensed
-    # Noise of both means, and what the hysteresis converts from other harmonics into this one.
+    # Noise of both means, and the power that the hysteresis converts from other harmonics.
     noise = np.sqrt(2.0 * points) * noise_rms_m
     converted = learner.sector * np.sqrt(np.mean(np.abs(dy) ** 2))
     with np.errstate(divide="ignore", invalid="ignore"):

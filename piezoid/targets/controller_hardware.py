@@ -47,7 +47,7 @@ class ControllerHardware:
 
 @dataclass(frozen=True)
 class _Key:
-    """What a key takes, in words, and its conversion, which raises ``ValueError``."""
+    """Allowed values of a key in words, and its conversion, which raises ``ValueError``."""
 
     needed: str
     convert: Callable[[Any], Any]
@@ -108,7 +108,7 @@ _TABLES: Mapping[str, Mapping[str, _Key]] = {
 def read_hardware(path: Path) -> ControllerHardware:
     """Read box.toml.
 
-    Raises ``ParameterFileError`` with the key and what it takes.
+    Raises ``ParameterFileError`` with the key and its allowed values.
     """
     names = ", ".join(f"[{name}]" for name in _TABLES)
     try:

@@ -104,7 +104,7 @@ _AXIS = """\
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Table:
-    """What one axis takes.
+    """Sensitivity and hysteresis table of one axis.
 
     sensitivity_m_per_V  of the command, signed
     middle_V, centre_m   where the frame's middle is
@@ -207,7 +207,7 @@ def hysteresis_table(inputs: TargetInputs, axis: AxisParameters) -> Table:
 
 
 def _polyline(place_m: Array, value_m: Array, points: int) -> tuple[Array, Array, float]:
-    """Return knots, values of the nearest polyline, and rms of what it leaves, m."""
+    """Return knots and values of the nearest polyline, and the rms of its residual, m."""
     knot_m = np.linspace(place_m[0], place_m[-1], points)
     hats = np.stack([np.interp(place_m, knot_m, unit) for unit in np.eye(points)], axis=1)
     fitted_m = np.asarray(np.linalg.lstsq(hats, value_m)[0], dtype=np.float64)

@@ -1,1 +1,1 @@
-"""Many stages on one page: what they have in common, which stand out, which failed and why."""
+"""Summary of a batch: spread of the parameters, outliers, drift, and failures with reasons."""

@@ -46,7 +46,7 @@ WORST = 200  # rows of a table, so that the page of any batch opens at once
 
 
 def verdict(fleet: Fleet, distributions: tuple[Distribution, ...]) -> Section:
-    """Return what must be known if nothing else is read."""
+    """Return the verdict: how many stages passed, which stand out, what drifts."""
     n_passed, n_stages = fleet.counts.get(PASSED, 0), len(fleet.stages)
     tone = "good" if fleet.passed else "middling" if n_passed >= 0.9 * n_stages else "bad"
     return Section(
@@ -171,7 +171,7 @@ def _value(row: Distribution, k: int) -> str:
 
 
 def stages(fleet: Fleet) -> Section:
-    """Return all stages with what they were made from and became, or the worst of very many."""
+    """Return state, error and digests of all stages, or of the worst of very many."""
     rows, title = fleet.stages, "All stages"
     if len(rows) > WORST:
         rows = nsmallest(WORST, rows, key=_badness)
@@ -242,7 +242,7 @@ def render_fleet(fleet: Fleet) -> str:
 
 
 def spread(distributions: tuple[Distribution, ...]) -> Section | None:
-    """Return a table and, for each quantity, its histogram and its course over serial numbers."""
+    """Return a table and, for each quantity, its histogram and its trend over serial numbers."""
     if not distributions:
         return None
     parts: list[Part] = []
@@ -357,7 +357,7 @@ def _course(row: Distribution) -> Figure:
 
 
 def _many(canvas: Canvas, row: Distribution) -> Layer:
-    """Draw between what values most stages lie, for each stretch of serial numbers."""
+    """Draw the range of 90 % of the stages over the serial numbers."""
     numbered = np.flatnonzero(np.isfinite(row.serials))
     order = numbered[np.argsort(row.serials[numbered], kind="stable")]
     parts = np.array_split(order, STRETCHES)

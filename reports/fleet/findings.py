@@ -1,4 +1,4 @@
-"""What a fleet shows: spread of every quantity, stages that stand out, trends over serial numbers.
+"""Statistics of a batch: spread of every quantity, outliers, trends over serial numbers.
 
 Every look at a stage is a chance to be wrong, so the thresholds know how often was looked.
 """

@@ -1,4 +1,4 @@
-"""What is compared over stages: one row for each quantity, tested against the page."""
+"""The quantities that are compared over stages."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What is kept of each stage of a batch, and the batch as a whole; both as sealed JSON.
+"""Records of a stage of a batch and of the whole batch, as sealed JSON.
 
 A batch may have more stages than memory holds: ``StagesOnDisk`` gives them one at a time.
 """
@@ -36,7 +36,7 @@ STATES = {
 class FleetAxis:
     """One axis of one stage.
 
-    values      what is compared over stages, by the name of the quantity, in its SI unit
+    values      compared over stages, by the name of the quantity, in its SI unit
     parameters  every number of the model by its name in model.json
     errors      standard errors of values, where the fit knows them
     """
@@ -50,7 +50,7 @@ class FleetAxis:
 
 @dataclass(frozen=True, kw_only=True)
 class FleetStage:
-    """What became of one stage.
+    """Result of one stage.
 
     name     of its folder, from the batch's folder, with /
     state    ``passed``, ``failed``, ``refused`` or ``crashed``
@@ -122,7 +122,7 @@ class StagesOnDisk:
         self._scratch.close()
 
     def add(self, name: str, packed: bytes) -> None:
-        """Take in what ``FleetStage.packed`` made of a stage; a later one of a name counts."""
+        """Add the result of ``FleetStage.packed``; it replaces an earlier one of that name."""
         self._scratch.write(packed)
         self._places[name] = self.size, len(packed)
         self.size += len(packed)
@@ -181,7 +181,7 @@ def _without_parameters(stage: FleetStage) -> bytes:
 
 
 def stage_from_json(content: bytes, source: str) -> FleetStage:
-    """Read what is kept of a stage; refuse a changed bit, another schema, a missing entry."""
+    """Read the record of a stage; refuse a changed bit, another schema, a missing entry."""
     record = unseal(content, STAGE_SCHEMA, source)
     try:
         return convert(record, FleetStage)

@@ -1,4 +1,4 @@
-"""The controllers: margins, sensitivities over the plant family, and what is proven."""
+"""The controllers: margins, sensitivities over the plant family, and guaranteed errors."""
 
 from collections.abc import Iterator
 
@@ -70,7 +70,7 @@ def render(page: Page) -> Section | None:
 
 
 def _conditions(page: Page) -> Iterator[str]:
-    """Yield what the guaranteed errors and the plant families assume."""
+    """Yield the assumptions of the guaranteed errors and of the plant families."""
     for axis in page.axis_designs:
         model = page.model.axes.get(axis.axis)
         if model is None:
@@ -175,7 +175,7 @@ def _limits(axis: AxisDesign, function: str, frequency_Hz: Array) -> list[tuple[
 
 
 def _proven(page: Page, axis: AxisDesign) -> list[Part]:
-    """Return what the guaranteed error is made of and its conditions; limits are statements."""
+    """Return the parts of the guaranteed error, if there is one of use."""
     proven, model = axis.recommended.certificate, page.model.axes.get(axis.axis)
     if model is None or proven is None or not page.ships(axis.axis):
         return []

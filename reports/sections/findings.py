@@ -91,7 +91,7 @@ def _picture(axis: str, finding: Finding, pictures: tuple[EffectSimulation, ...]
 
 
 def _meaning(finding: Finding, described: str, *, is_proposed: bool) -> list[Part]:
-    """Return what a finding is, what it means for control and what would confirm it.
+    """Return the explanation of a finding, its meaning for control and its confirmation.
 
     Args:
         finding: of one axis.

@@ -1,4 +1,4 @@
-"""What the data do not show, and which recording or repair helps most."""
+"""Limits of the results, and the recording or repair that helps most."""
 
 from piezoid.formatting import words
 from piezoid.identification.fit_statements import DYNAMICS

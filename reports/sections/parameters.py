@@ -65,7 +65,7 @@ def render(page: Page) -> Section | None:
 
 
 def _bow(axis: AxisModel) -> Figure:
-    """Draw the loading curve without its chord: what the de-poled stage answers to a rise."""
+    """Draw the loading curve (de-poled stage, rising drive) without its chord."""
     uncertainty = axis.uncertainty
     reach_V, half_m = uncertainty.reach_V, uncertainty.loading_half_m
     bow_m = uncertainty.loading_m - uncertainty.loading_m[-1] * reach_V / reach_V[-1]

@@ -10,7 +10,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.statement import Level
 from piezoid.verification.scenarios import spiral_speed_m_per_s
 from piezoid_reports.page import Page
-from piezoid_reports.parts import Card, Cards, Figure, Said, Section, worst_tone
+from piezoid_reports.parts import Card, Cards, Figure, Headline, Section, worst_tone
 from piezoid_reports.quantities import number, percent, significant, with_interval
 from piezoid_reports.sections import loops, residuals, tunnelling
 from piezoid_reports.spirals import METHODS
@@ -26,12 +26,12 @@ TONES = {
 
 
 def render(page: Page) -> Section:
-    """Return what a reader must know if nothing else is read."""
+    """Return verdict, error, limits and next step, and a card for each axis."""
     cards = (*(_card(page, axis) for axis in page.axes), *_tip_card(page))
     tones = [card.tone for card in cards]
     if page.unshipped or (page.verification is not None and not page.verification.passed):
         tones.append("bad")
-    summary = Said(sentences=sentences(page), tone=worst_tone(tones))
+    summary = Headline(sentences=sentences(page), tone=worst_tone(tones))
     return Section(anchor="summary", title="Summary", lead="", parts=(summary, Cards(cards=cards)))
 
 
@@ -61,7 +61,7 @@ def _verdict(page: Page) -> str:
 
 
 def _verified(page: Page) -> str:
-    """Return what became of the controllers, as the end of the first sentence."""
+    """Return the result of the verification, as the end of the first sentence."""
     missing = "".join(f"; axis {name} has no controller" for name in page.unshipped)
     verification = page.verification
     if verification is None:

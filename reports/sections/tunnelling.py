@@ -158,7 +158,7 @@ def _measured(law: GapLaw, curve: ApproachCurve) -> tuple[Array, Array]:
 def _curve(
     law: GapLaw, curves: list[ApproachCurve], size: tuple[int, int] | None = None
 ) -> Figure:
-    """Decades of the current over one picoampere; what is not positive has no logarithm."""
+    """Draw the positive currents in decades of one picoampere over the height."""
     rows = [_measured(law, curve) for curve in curves]
     heights = np.unique(np.concatenate([height for height, _ in rows]))
     floor = np.log10(law.floor_A / 1e-12)

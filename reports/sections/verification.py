@@ -85,7 +85,7 @@ def _shape_figure(verification: Verification) -> Figure:
 
 
 def _table(page: Page, verification: Verification) -> Table:
-    """Return the error of each method at each rate, and what is guaranteed of what ships."""
+    """Return the error of each method at each rate, and the guaranteed error of what ships."""
     rates_Hz = sorted({row.frequency_Hz for row in verification.comparison})
     by_method: dict[str, dict[float, ComparisonRow]] = {}
     for row in verification.comparison:
@@ -133,7 +133,7 @@ def _bounds(verification: Verification) -> Table:
 
 
 def _guaranteed(page: Page, verification: Verification, row: ComparisonRow) -> str:
-    """Return what both axes' certificates say of the distance from the path at its speed."""
+    """Return the guaranteed distance from the path at its speed, from the axes' certificates."""
     loops = [
         loop
         for axis in (page.design.axes if page.design is not None else ())
