@@ -201,6 +201,8 @@ def test_what_lab_toml_lacks_or_has_wrong_is_refused_with_what_to_write(
     assert old in text
     place = tmp_path / "lab.toml"
     place.write_text(text.replace(old, new))
+    for recording in (made / "recordings").glob("loop_*.csv"):
+        (tmp_path / recording.name).touch()  # those that lab.toml is about
     with pytest.raises(LabFileError, match=told):
         _read(made / "recordings" / "loop_1.csv", read_lab(place))
 
