@@ -20,7 +20,11 @@ DEAD = 2  # the stage whose drive never changes
 
 def piezoid(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [*PIEZOID, *map(str, arguments)], capture_output=True, text=True, check=False
+        [*PIEZOID, *map(str, arguments)],
+        env={**os.environ, "COLUMNS": "400"},
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 

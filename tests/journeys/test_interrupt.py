@@ -82,7 +82,10 @@ def test_interrupted_while_modules_load_the_status_is_130_and_the_message_one_li
     tmp_path: Path,
 ) -> None:
     """From the first instruction of the command on; before, Python itself is starting."""
-    code = "import sys; print('begun', flush=True); from piezoid_cli.__main__ import main; main()"
+    code = (
+        "import piezoid_cli.interrupt; print('begun', flush=True); "
+        "from piezoid_cli.__main__ import main; main()"
+    )
     words = ["simulate", "--recording", "sweep", "--out", "stage", "--quiet"]
     statuses = []
     for k in range(16):
