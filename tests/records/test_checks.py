@@ -27,9 +27,10 @@ def clean(folder: Path, law: str, drive: np.ndarray, seed: int) -> Recording:
 def test_every_check_is_silent_over_clean_recordings(tmp_path: Path, law: str) -> None:
     recordings = [clean(tmp_path / "a", law, SWEEP, 1), clean(tmp_path / "b", law, LOOPS, 2)]
     for recording in recordings:
-        assert {c.__name__: c(recording, Lab()) for c in checks.CHECKS} == {
-            c.__name__: [] for c in checks.CHECKS
-        }
+        for check in checks.CHECKS:
+            assert check(recording, Lab()) == [], check.__name__
+        for check in checks.AXIS_CHECKS:
+            assert check(recording, recording.axis) == [], check.__name__
     assert {c.__name__: c(recordings) for c in ALL_OF_SETS} == {
         c.__name__: [] for c in ALL_OF_SETS
     }
@@ -38,11 +39,12 @@ def test_every_check_is_silent_over_clean_recordings(tmp_path: Path, law: str) -
 def test_every_check_of_the_folder_is_registered_under_one_signature() -> None:
     folder = Path(checks.__file__).parent
     modules = {path.stem for path in folder.glob("*.py")} - {"__init__", "columns"}
-    registered = (*checks.CHECKS, *ALL_OF_SETS)
+    of_one = (*checks.CHECKS, *checks.AXIS_CHECKS)
+    registered = (*of_one, *ALL_OF_SETS)
     assert {check.__module__.rpartition(".")[2] for check in registered} == modules
     for check in registered:
         assert check.__name__.startswith("check_")
-        count = 2 if check in checks.CHECKS else 1
+        count = 2 if check in of_one else 1
         assert len(inspect.signature(check).parameters) == count
 
 

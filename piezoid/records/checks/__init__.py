@@ -1,9 +1,11 @@
 """Checks of recordings: each states what is odd about the data and changes nothing.
 
-Start at gain.py. A check is a function ``check_...(recording, lab)`` or, for the recordings of a
-stage together, ``check_...(recordings)``, that returns a list of statements, empty for clean data.
+Start at gain.py. A check is a function that returns a list of statements, empty for clean data:
+``check_...(recording, axis)`` of an axis with drive and displacement,
+``check_...(recording, lab)`` of a recording, or ``check_...(recordings)`` of the recordings of a
+stage together.
 May import recordings, the laboratory and signal statistics; never the ingest that calls it.
-To add a check, add a file and its line in ``CHECKS`` or ``SET_CHECKS``;
+To add a check, add a file and its line in ``AXIS_CHECKS``, ``CHECKS`` or ``SET_CHECKS``;
 ``tests/records/test_checks.py`` runs them all over clean recordings.
 """
 
@@ -30,14 +32,16 @@ from piezoid.statement import Statement
 
 CHECKS: tuple[Callable[[Recording, Lab], list[Statement]], ...] = (
     check_missing_channels,
+    check_command_range,
+    check_coupled_drives,
+)
+AXIS_CHECKS: tuple[Callable[[Recording, str], list[Statement]], ...] = (
     check_gain,
     check_loop_direction,
     check_early_turns,
     check_feedback,
     check_saturation,
-    check_command_range,
     check_commanded_displacement,
-    check_coupled_drives,
 )
 # Statements about a displacement to which no model may be fitted.
 UNUSABLE = frozenset({"not_measured", "wrapped"})
@@ -52,7 +56,13 @@ SET_CHECKS_OF_CONSISTENT: tuple[SetCheck, ...] = (
 
 def check_recording(recording: Recording, lab: Lab) -> list[Statement]:
     """Run every check of one recording."""
-    return [statement for check in CHECKS for statement in check(recording, lab)]
+    of_axes = [
+        statement
+        for axis in recording.complete_axes
+        for check in AXIS_CHECKS
+        for statement in check(recording, axis)
+    ]
+    return [*of_axes, *(statement for check in CHECKS for statement in check(recording, lab))]
 
 
 def check_set(recordings: Sequence[Recording]) -> list[Statement]:

@@ -8,7 +8,6 @@ import numpy as np
 
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
-from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.statement import Statement, finding
 
@@ -20,20 +19,18 @@ MIN_LEVELS = 100  # a coarser reading hides its hysteresis within a step
 MIN_BRANCH = 0.2  # of the samples, rising and falling: a single branch never falls
 
 
-def check_commanded_displacement(recording: Recording, _lab: Lab) -> list[Statement]:
+def check_commanded_displacement(recording: Recording, axis: str) -> list[Statement]:
     """Report a displacement that is a function of the drive to the last digit."""
-    statements = []
-    for axis in recording.complete_axes:
-        drive_V, displacement_m = recording.voltage_V(axis), recording.displacement_m(axis)
-        if is_function_of(drive_V, displacement_m):
-            gain_m_per_V = float(np.ptp(displacement_m) / np.ptp(drive_V))
-            text = (
-                f"{axis}: the displacement is a function of the drive to the last digit, about "
-                f"{with_unit(gain_m_per_V, 'm')}/V times the drive, rising and falling: it is a "
-                "command or was computed from the drive, and nothing was measured."
-            )
-            statements.append(finding("not_measured", text, axis=axis))
-    return statements
+    drive_V, displacement_m = recording.voltage_V(axis), recording.displacement_m(axis)
+    if not is_function_of(drive_V, displacement_m):
+        return []
+    gain_m_per_V = float(np.ptp(displacement_m) / np.ptp(drive_V))
+    text = (
+        f"{axis}: the displacement is a function of the drive to the last digit, about "
+        f"{with_unit(gain_m_per_V, 'm')}/V times the drive, rising and falling: it is a command "
+        "or was computed from the drive, and nothing was measured."
+    )
+    return [finding("not_measured", text, axis=axis)]
 
 
 def is_function_of(drive: Array, displacement: Array) -> bool:

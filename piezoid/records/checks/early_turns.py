@@ -17,7 +17,6 @@ import numpy as np
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
-from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.records.reversals import noise_of, reversals_of
 from piezoid.statement import Statement, finding
@@ -50,34 +49,30 @@ class EarlyTurn:
     noise_growth: float
 
 
-def check_early_turns(recording: Recording, _lab: Lab) -> list[Statement]:
+def check_early_turns(recording: Recording, axis: str) -> list[Statement]:
     """Report a displacement that turns before its drive, as ``leads`` or ``smoothed``."""
     longest = max(recording.pieces, key=lambda piece: piece.stop - piece.start)
-    statements = []
-    for axis in recording.complete_axes:
-        early = early_turn(
-            recording.voltage_V(axis)[longest], recording.displacement_m(axis)[longest]
+    early = early_turn(recording.voltage_V(axis)[longest], recording.displacement_m(axis)[longest])
+    if early is None:
+        return []
+    if early.share > LATE_SHARE:
+        quantity = "leads"
+        advice = "Check whether the drive is sampled late or has another clock."
+    elif early.noise_growth > MIN_NOISE_GROWTH:
+        quantity = "smoothed"
+        advice = (
+            "The readings were smoothed afterwards; delay, dynamics and sensor noise cannot be "
+            "identified from them. Use the file as it was recorded."
         )
-        if early is None:
-            continue
-        early_s = early.samples / recording.sampling_rate_Hz
-        text = (
-            f"{axis}: the displacement begins to turn {with_unit(early_s, 's')} ({early.samples} "
-            f"samples) before its drive and has then made {100 * early.share:.0f} % of the turn. "
-        )
-        if early.share > LATE_SHARE:
-            quantity = "leads"
-            text += "Check whether the drive is sampled late or has another clock."
-        elif early.noise_growth > MIN_NOISE_GROWTH:
-            quantity = "smoothed"
-            text += (
-                "The readings were smoothed afterwards; delay, dynamics and sensor noise cannot "
-                "be identified from them. Use the file as it was recorded."
-            )
-        else:
-            continue
-        statements.append(finding(quantity, text, axis=axis, value=early_s, unit="s"))
-    return statements
+    else:
+        return []
+    early_s = early.samples / recording.sampling_rate_Hz
+    text = (
+        f"{axis}: the displacement begins to turn {with_unit(early_s, 's')} ({early.samples} "
+        f"samples) before its drive and has then made {100 * early.share:.0f} % of the turn. "
+        f"{advice}"
+    )
+    return [finding(quantity, text, axis=axis, value=early_s, unit="s")]
 
 
 def early_turn(drive: Array, displacement: Array) -> EarlyTurn | None:

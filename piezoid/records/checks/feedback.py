@@ -12,7 +12,6 @@ from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.records.checks.gain import MIN_MOTION_NOISE
 from piezoid.records.constant_drive import answers
-from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import noise_rms
 from piezoid.statement import Statement, finding
@@ -25,23 +24,20 @@ MIN_DRIVE_SHARE = 0.3
 MIN_THROUGHOUT = 0.9  # of the samples; in the rest the loop settles. 0.98 in that real hold
 
 
-def check_feedback(recording: Recording, _lab: Lab) -> list[Statement]:
+def check_feedback(recording: Recording, axis: str) -> list[Statement]:
     """Report the longest span in which the sensor is held constant."""
-    statements = []
-    for axis in recording.complete_axes:
-        span = held_span(recording, axis)
-        if span is None:
-            continue
-        range_V = float(np.ptp(recording.voltage_V(axis)[span]))
-        range_m = float(np.ptp(recording.displacement_m(axis)[span]))
-        begin_s, end_s = (edge / recording.sampling_rate_Hz for edge in (span.start, span.stop))
-        text = (
-            f"{axis}: from {begin_s:.4g} s to {end_s:.4g} s the sensor stays within "
-            f"{with_unit(range_m, 'm')} while the drive moves by {with_unit(range_V, 'V')}: "
-            "recorded under feedback, or the sensor does not see the motion."
-        )
-        statements.append(finding("closed_loop", text, axis=axis, value=range_V, unit="V"))
-    return statements
+    span = held_span(recording, axis)
+    if span is None:
+        return []
+    range_V = float(np.ptp(recording.voltage_V(axis)[span]))
+    range_m = float(np.ptp(recording.displacement_m(axis)[span]))
+    begin_s, end_s = (edge / recording.sampling_rate_Hz for edge in (span.start, span.stop))
+    text = (
+        f"{axis}: from {begin_s:.4g} s to {end_s:.4g} s the sensor stays within "
+        f"{with_unit(range_m, 'm')} while the drive moves by {with_unit(range_V, 'V')}: recorded "
+        "under feedback, or the sensor does not see the motion."
+    )
+    return [finding("closed_loop", text, axis=axis, value=range_V, unit="V")]
 
 
 def check_feedback_of_set(recordings: Sequence[Recording]) -> list[Statement]:

@@ -11,7 +11,6 @@ import json
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 from piezoid.statement import Statement, finding
 
@@ -21,26 +20,23 @@ MIN_AREA = 0.01
 MIN_CORRELATION = 0.9  # of the same loops: at least 0.986
 
 
-def check_loop_direction(recording: Recording, _lab: Lab) -> list[Statement]:
+def check_loop_direction(recording: Recording, axis: str) -> list[Statement]:
     """Report a displacement that leads its drive: exchanged columns, or a drive sampled late."""
-    statements = []
-    for axis in recording.complete_axes:
-        area = loop_area(recording.voltage_V(axis), recording.displacement_m(axis))
-        if area > -MIN_AREA:
-            continue
-        drive, response = (
-            json.dumps(channel.label)
-            for quantity in (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
-            if (channel := recording.find(quantity, axis)) is not None
-        )
-        text = (
-            f"{axis}: the displacement leads the drive; the loop encloses {100 * -area:.2g} % of "
-            "its box in the wrong direction. If the headings are exchanged, write columns = "
-            f"{{ voltage = {response}, displacement = {drive}, ... }} into lab.toml; else check "
-            "whether the drive is sampled late."
-        )
-        statements.append(finding("leads", text, axis=axis, value=area, unit="1"))
-    return statements
+    area = loop_area(recording.voltage_V(axis), recording.displacement_m(axis))
+    if area > -MIN_AREA:
+        return []
+    drive, response = (
+        json.dumps(channel.label)
+        for quantity in (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
+        if (channel := recording.find(quantity, axis)) is not None
+    )
+    text = (
+        f"{axis}: the displacement leads the drive; the loop encloses {100 * -area:.2g} % of its "
+        "box in the wrong direction. If the headings are exchanged, write columns = "
+        f"{{ voltage = {response}, displacement = {drive}, ... }} into lab.toml; else check "
+        "whether the drive is sampled late."
+    )
+    return [finding("leads", text, axis=axis, value=area, unit="1")]
 
 
 def loop_area(drive: Array, displacement: Array) -> float:

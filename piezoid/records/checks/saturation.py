@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
-from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.records.reversals import noise_of, reversals_of
 from piezoid.records.sample_statistics import noise_rms, step_size
@@ -43,32 +42,30 @@ class SaturatedTurn:
     level: float
 
 
-def check_saturation(recording: Recording, _lab: Lab) -> list[Statement]:
+def check_saturation(recording: Recording, axis: str) -> list[Statement]:
     """Report each end of the drive with at least ``MIN_TURNS`` saturated turns at one level."""
+    drive_V, displacement_m = recording.voltage_V(axis), recording.displacement_m(axis)
+    if len(drive_V) < 50 or not np.ptp(drive_V) > 0.0 or not np.ptp(displacement_m) > 0.0:
+        return []
+    correlation = float(np.corrcoef(drive_V, displacement_m)[0, 1])
+    if abs(correlation) < MIN_CORRELATION:
+        return []
     is_valid = np.ones(recording.samples, dtype=bool)
     is_valid[list(recording.bridged)] = False
     statements = []
-    for axis in recording.complete_axes:
-        drive_V, displacement_m = recording.voltage_V(axis), recording.displacement_m(axis)
-        if len(drive_V) < 50 or not np.ptp(drive_V) > 0.0 or not np.ptp(displacement_m) > 0.0:
+    for sign, side in ((1.0, "above"), (-1.0, "below")):
+        rising_m = sign * np.sign(correlation) * displacement_m
+        turns = saturated_turns(sign * drive_V, rising_m, is_valid)
+        if len(turns) < MIN_TURNS:
             continue
-        correlation = float(np.corrcoef(drive_V, displacement_m)[0, 1])
-        if abs(correlation) < MIN_CORRELATION:
-            continue
-        for sign, side in ((1.0, "above"), (-1.0, "below")):
-            turns = saturated_turns(
-                sign * drive_V, sign * np.sign(correlation) * displacement_m, is_valid
-            )
-            if len(turns) >= MIN_TURNS:
-                stop_V = sign * float(np.median([turn.stop_V for turn in turns]))
-                end_V = sign * max(turn.turn_V for turn in turns)
-                text = (
-                    f"{axis}: displacement constant {side} {stop_V:.4g} V in {len(turns)} cycles "
-                    f"(the drive reaches {end_V:.4g} V): end of the range of amplifier, sensor or "
-                    f"stage. Stay {'below' if sign > 0 else 'above'} {stop_V:.4g} V, or leave "
-                    "these cycles out."
-                )
-                statements.append(finding("stands", text, axis=axis, value=stop_V, unit="V"))
+        stop_V = sign * float(np.median([turn.stop_V for turn in turns]))
+        end_V = sign * max(turn.turn_V for turn in turns)
+        text = (
+            f"{axis}: displacement constant {side} {stop_V:.4g} V in {len(turns)} cycles (the "
+            f"drive reaches {end_V:.4g} V): end of the range of amplifier, sensor or stage. Stay "
+            f"{'below' if sign > 0 else 'above'} {stop_V:.4g} V, or leave these cycles out."
+        )
+        statements.append(finding("stands", text, axis=axis, value=stop_V, unit="V"))
     return statements
 
 

@@ -5,7 +5,7 @@ import re
 from collections import Counter
 from dataclasses import dataclass, replace
 
-from piezoid.errors import LabFileError
+from piezoid.errors import LabFileError, UnreadableFileError
 from piezoid.records.column_roles import Role, meaning_of
 from piezoid.records.readers.source import TextFormat, check_columns, unreadable
 from piezoid.records.readers.text_numbers import Layout, cells_of, number_of, refuse_prefix, split
@@ -16,17 +16,7 @@ HEAD_LINES = 1000
 # Every layout is tried on every line: a longer line is no row, and so much text is tried.
 MAX_LINE = 1 << 18
 MAX_TRIED_TEXT = 1 << 20
-# Comma and decimal comma go together where the numbers stand in quotes.
-_MARKS = (
-    ("\t", "."), ("\t", ","), (";", "."), (";", ","), ("|", "."), ("|", ","), (",", "."),
-    (",", ","), ("", "."), ("", ","),
-)  # fmt: skip
-# Marks of thousands are tried last: where all numbers can be read without them, there are none.
-_LAYOUTS = tuple(
-    Layout(separator=separator, decimal=decimal, fields=0, grouped=grouped)
-    for grouped in (False, True)
-    for separator, decimal in _MARKS
-)
+_SEPARATORS = ("\t", ";", "|", ",", "")
 # What may be a decimal comma with three decimals, or a thousand: ``1,234``.
 _THOUSAND = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
 _CUT_NUMBER = re.compile(r"[+-]?\d{1,9},\d{3,9}(?=,)")
@@ -67,26 +57,26 @@ def find_table(lines: list[str], name: str, declared: TextFormat | None = None) 
     the earlier one in the list (a tab is never an accident, a blank often is).
     """
     declared = declared or TextFormat()
-    # Rows of nothing but numbers first; only where there are none, rows with texts among them.
     lines, count = _first_text(lines), len(lines)
-    _check_heading_row(lines, name, declared)
+    if declared.heading_row is not None and declared.heading_row >= len(lines):
+        raise LabFileError(
+            f"lab.toml: heading_row of {name} is {declared.heading_row}, the headings of this "
+            f"file stand within its first {len(lines)} lines",
+            needed="the number of the line that holds the headings, from 1, with rows below it",
+            remedy="Correct heading_row of the entry.",
+        )
+    # Rows of nothing but numbers first; only where there are none, rows with texts among them.
     best = _best_start(lines, 1.0, declared) or _best_start(lines, 0.5, declared)
     if best is None:
         check_columns(name, max((_widest(x) for x in lines if len(x) > MAX_LINE), default=0))
-        entries = ", ".join(f"{key} = {value!r}" for key, value in declared.keys.items())
-        stated = f" with {entries} of lab.toml" if entries else ""
-        numbers = (match[0] for line in lines if (match := _HEXADECIMAL.search(line)))
-        hint = next((f", and {number!r} is a hexadecimal number" for number in numbers), "")
-        raise unreadable(
-            name,
-            f"its first {count} lines hold no row of numbers{stated}; line 1 is "
-            f"{lines[0][:60]!r}{hint}",
-            needed="a table of numbers separated by tabs, semicolons, bars, commas or blanks",
-            remedy="Export the recording as CSV, in decimal numbers, without units or other words "
-            "in the cells.",
-            line=1,
-        )
-    _refuse_prefixed_rows(lines[: best.row], best.layout, name)
+        raise _no_table(lines, count, name, declared)
+    for row, line in enumerate(lines[: best.row], start=1):
+        # A prefix in a cell keeps a row of numbers out of the table.
+        cells = cells_of(line, best.layout) if len(line) <= MAX_LINE else []
+        numbers_of_row = [number_of(cell, best.layout.decimal) for cell in cells if cell]
+        if len(cells) == best.layout.fields and set(numbers_of_row) - {None}:
+            for column, cell in enumerate(cells, start=1):
+                refuse_prefix(cell, name, row, column)
     if not any(best.labels) and best.above and not _COMMENT.match(best.above[-1]):
         check_columns(name, _widest(best.above[-1]))
         if not declared.decimal:
@@ -96,25 +86,22 @@ def find_table(lines: list[str], name: str, declared: TextFormat | None = None) 
     return best
 
 
-def _check_heading_row(lines: list[str], name: str, declared: TextFormat) -> None:
-    if declared.heading_row is not None and declared.heading_row >= len(lines):
-        raise LabFileError(
-            f"lab.toml: heading_row of {name} is {declared.heading_row}, the headings of this "
-            f"file stand within its first {len(lines)} lines",
-            needed="the number of the line that holds the headings, from 1, with rows below it",
-            remedy="Correct heading_row of the entry.",
-        )
-
-
-def _refuse_prefixed_rows(lines: list[str], layout: Layout, name: str) -> None:
-    """Refuse a row of numbers above the table that a prefix in a cell kept out of it."""
-    for row, line in enumerate(lines):
-        cells = cells_of(line, layout) if len(line) <= MAX_LINE else []
-        if len(cells) == layout.fields and any(
-            number_of(cell, layout.decimal) is not None for cell in cells if cell
-        ):
-            for column, cell in enumerate(cells, start=1):
-                refuse_prefix(cell, name, row + 1, column)
+def _no_table(
+    lines: list[str], count: int, name: str, declared: TextFormat
+) -> UnreadableFileError:
+    entries = ", ".join(f"{key} = {value!r}" for key, value in declared.keys.items())
+    stated = f" with {entries} of lab.toml" if entries else ""
+    numbers = (match[0] for line in lines if (match := _HEXADECIMAL.search(line)))
+    hint = next((f", and {number!r} is a hexadecimal number" for number in numbers), "")
+    return unreadable(
+        name,
+        f"its first {count} lines hold no row of numbers{stated}; line 1 is "
+        f"{lines[0][:60]!r}{hint}",
+        needed="a table of numbers separated by tabs, semicolons, bars, commas or blanks",
+        remedy="Export the recording as CSV, in decimal numbers, without units or words in "
+        "the cells.",
+        line=1,
+    )
 
 
 def _refuse_other_fields_than_headings(lines: list[str], start: TableStart, name: str) -> None:
@@ -226,19 +213,21 @@ def _best_start(lines: list[str], share: float, declared: TextFormat) -> TableSt
     return best
 
 
-def _layouts(declared: TextFormat) -> tuple[Layout, ...]:
-    """Return the layouts that lab.toml leaves open."""
+def _layouts(declared: TextFormat) -> list[Layout]:
+    """Return the layouts that lab.toml leaves open.
+
+    Comma and decimal comma go together where the numbers stand in quotes. Marks of thousands are
+    tried last: where all numbers can be read without them, there are none.
+    """
     separator, decimal = declared.separator, declared.decimal
-    if separator is not None and separator == decimal == ",":
-        return (Layout(separator=",", decimal=",", fields=0, paired=True),)
-    marks = _LAYOUTS
-    if separator is not None and separator not in {layout.separator for layout in _LAYOUTS}:
-        marks = tuple(replace(x, separator=separator) for x in _LAYOUTS if x.separator == ";")
-    return tuple(
-        layout
-        for layout in marks
-        if separator in (None, layout.separator) and decimal in (None, layout.decimal)
-    )
+    if separator == decimal == ",":
+        return [Layout(separator=",", decimal=",", fields=0, paired=True)]
+    return [
+        Layout(separator=separator_tried, decimal=decimal_tried, fields=0, grouped=grouped)
+        for grouped in (False, True)
+        for separator_tried in (_SEPARATORS if separator is None else (separator,))
+        for decimal_tried in ((".", ",") if decimal is None else (decimal,))
+    ]
 
 
 def _numeric_rows(lines: list[str], layout: Layout, share: float, above: int) -> dict[int, int]:
@@ -265,25 +254,20 @@ def _is_digit(field: str) -> bool:
 def _with_headings(
     lines: list[str], first: int, layout: Layout, heading_row: int | None
 ) -> TableStart:
-    end = first if heading_row is None else heading_row
-    above = [row for row in range(end) if lines[row].strip()]
-    none = ("",) * layout.fields
-    if not above:
-        return TableStart(layout=layout, row=first, labels=none, units=none, above=())
-    is_open = bool(layout.separator) and all(
-        split(line, layout.separator)[-1:] == [""] for line in lines[first : first + 20]
-    )
-    lowest = _cells(lines[above[-1]], layout, is_open)
-    names = _cells(lines[above[-2]], layout, is_open) if len(above) > 1 else None
-    if lowest and names and _are_units(lowest) and not _are_units(names):
-        return TableStart(
-            layout=layout, row=first, labels=names, units=lowest,
-            above=tuple(lines[row] for row in above[:-2]),
-        )  # fmt: skip
-    preamble = tuple(lines[row] for row in above)
-    if lowest and any(re.search(r"[^\W\d_]", cell) for cell in lowest):
-        return TableStart(layout=layout, row=first, labels=lowest, units=none, above=preamble[:-1])
-    return TableStart(layout=layout, row=first, labels=none, units=none, above=preamble)
+    above = [k for k in range(heading_row or first) if lines[k].strip()]
+    labels = units = ("",) * layout.fields
+    if above:
+        is_open = bool(layout.separator) and all(
+            split(line, layout.separator)[-1:] == [""] for line in lines[first : first + 20]
+        )
+        lowest = _cells(lines[above[-1]], layout, is_open)
+        names = _cells(lines[above[-2]], layout, is_open) if len(above) > 1 else None
+        if lowest and names and _are_units(lowest) and not _are_units(names):
+            labels, units, above = names, lowest, above[:-2]
+        elif lowest and any(re.search(r"[^\W\d_]", cell) for cell in lowest):
+            labels, above = lowest, above[:-1]
+    preamble = tuple(lines[k] for k in above)
+    return TableStart(layout=layout, row=first, labels=labels, units=units, above=preamble)
 
 
 def headings_beside_row_numbers(start: TableStart) -> tuple[str, ...] | None:
