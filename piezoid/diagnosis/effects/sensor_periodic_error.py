@@ -36,118 +36,116 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import step_size
 
-FEWEST, MOST = 6.0, 420.0  # periods in the stroke
-STEP = 0.1
-CELLS = 16_384  # of the range, which waves are told apart by
-RANGE = 4.0  # in half strokes: more than any track has
-SHARP = 0.6  # periods around the peak that belong to it
-PASSED = 3.0  # periods that a track must pass to show one
-ROUNDS, CALM = 5, 0.8  # of fitting the error where it is and placing it, and how far each goes
-MEAN = 9  # readings of which the mean is where the sensor stood
+MIN_PERIODS, MAX_PERIODS = 6.0, 420.0  # in the stroke
+STEP = 0.1  # periods in the stroke
+CELLS = 16_384  # of the range, for its spectrum
+RANGE = 4.0  # half strokes: more than any track has
+PEAK_WIDTH = 0.6  # periods on either side of a peak
+PERIODS_IN_TRACK = 3.0  # that show an error
+ROUNDS, DAMPING = 5, 0.8  # of fitting the error and correcting the position by it
+MEAN_SAMPLES = 9  # of the readings whose mean is the position
 PLANNED_PERIODS = 60.0  # in the stroke
 
 
-def _read(view: View, k: int, error: Array) -> Array:
-    """Return where a track stood, (samples,): as read less an error, and freed of most noise."""
+def _position(view: View, k: int, error: Array) -> Array:
+    """Return the position of a track without most of the noise: reading less error, (samples,)."""
     static = view.static[k]
-    apart = view.tracks[k].response - static - error
-    padded = np.cumsum(np.pad(apart, (MEAN // 2 + 1, MEAN // 2), mode="edge"))
-    mean = (padded[MEAN:] - padded[:-MEAN]) / MEAN
-    return np.asarray(static + mean[: len(apart)])
+    deviation = view.tracks[k].response - static - error
+    padded = np.pad(deviation, (MEAN_SAMPLES // 2 + 1, MEAN_SAMPLES // 2), mode="edge")
+    total = np.cumsum(padded)
+    mean = (total[MEAN_SAMPLES:] - total[:-MEAN_SAMPLES]) / MEAN_SAMPLES
+    return np.asarray(static + mean[: len(deviation)])
 
 
-def _where(view: View, k: int) -> Array:
-    """Return where the sensor of a track says that it stood, at its rows."""
+def _reading_at_rows(view: View, k: int) -> Array:
     track = view.tracks[k]
-    return _read(view, k, np.zeros(len(track.response)))[track.place]
+    return _position(view, k, np.zeros(len(track.response)))[track.place]
 
 
-def _of(place: Array, periods: float) -> Array:
+def _harmonics(position: Array, periods: float) -> Array:
     """Return the waves of first and second order, (samples, 4)."""
-    turn = np.pi * periods * place
-    cosine, sine = np.cos(turn), np.sin(turn)
+    phase = np.pi * periods * position
+    cosine, sine = np.cos(phase), np.sin(phase)
     return np.column_stack([cosine, sine, 2.0 * cosine**2 - 1.0, 2.0 * sine * cosine])
 
 
-def _of_track(view: View, k: int, periods: float) -> Array:
-    """Return the waves of a track over where it stood, which is where it was read less the error.
+def _waves_of_track(view: View, k: int, periods: float) -> Array:
+    """Return the waves of a track over its position: the reading less the error.
 
-    Over the reading itself a sine is none: of an amplitude of a tenth of the period a third goes
-    into higher orders [Kepler's equation].
+    Over the reading a sine is distorted: an amplitude of a tenth of the period has a third of its
+    size in higher orders [Kepler's equation].
     """
     track, error = view.tracks[k], np.zeros(len(view.static[k]))
+    deviation = track.response - view.static[k]
     for _ in range(ROUNDS):
-        place = _read(view, k, error)
-        apart = track.response - view.static[k]
-        waves = _of(place, periods)
+        waves = _harmonics(_position(view, k, error), periods)
         rows = np.column_stack([waves[track.place], np.ones(len(track.place))])
-        found = np.linalg.lstsq(rows, apart[track.place], rcond=None)[0]
-        error += CALM * (waves @ found[:-1] - error)
-    return _of(_read(view, k, error)[track.place], periods)
+        coefficients = np.linalg.lstsq(rows, deviation[track.place], rcond=None)[0]
+        error += DAMPING * (waves @ coefficients[:-1] - error)
+    return _harmonics(_position(view, k, error)[track.place], periods)
 
 
-def _waves(view: View, periods: float) -> Array:
-    """Return first and second order, each with a phase of every track that shows them."""
+def _columns(view: View, periods: float) -> Array:
+    """Return first and second order with separate phases of all tracks that show the error."""
     columns = []
     for k in range(len(view.tracks)):
-        if np.ptp(_where(view, k)) * periods / 2.0 < PASSED:
-            continue
-        columns += [view.of_track(k, wave) for wave in _of_track(view, k, periods).T]
+        if np.ptp(_reading_at_rows(view, k)) * periods / 2.0 >= PERIODS_IN_TRACK:
+            columns += [view.of_track(k, wave) for wave in _waves_of_track(view, k, periods).T]
     return np.column_stack(columns) if columns else np.zeros((len(view.response), 0))
 
 
-def _power(view: View) -> tuple[Array, Array]:
-    """Return spatial frequencies, and how much of the residual one wave of each follows.
+def _spectrum(view: View) -> tuple[Array, Array]:
+    """Return spatial frequencies, and the power of the residual that a wave of each explains.
 
-    Of a coarse converter a wave counts that is higher than half a step.
+    Waves below half a step of a coarse converter do not count.
     """
-    edges = view.nuisance.edges
-    tried = STEP * np.arange(round(MOST / STEP) + 1, dtype=np.float64)
-    power: Array = np.zeros(len(tried))
-    for k in range(len(view.tracks)):
-        place = _where(view, k)
-        cell = np.clip(((place + RANGE / 2) * (CELLS / RANGE)).astype(int), 0, CELLS - 1)
-        residual = view.null.residual[edges[k] : edges[k + 1]]
-        # one cell of the transform is a spatial frequency of 1 / (length of the padded range)
-        padded = round(2.0 / STEP / RANGE * CELLS)
-        wave = np.abs(np.fft.rfft(np.bincount(cell, residual, CELLS), padded)[: len(tried)])
-        rows = max(len(place), 1)
-        code = step_size(np.round(view.tracks[k].response, 9))
-        shown = (np.ptp(place) * tried / 2.0 > PASSED) & (2.0 * wave / rows > code / 2.0)
-        power += np.where(shown, wave**2 / rows, 0.0)
-    return tried, power
+    frequencies = STEP * np.arange(round(MAX_PERIODS / STEP) + 1, dtype=np.float64)
+    padded = round(2.0 / STEP / RANGE * CELLS)  # cells, for a resolution of STEP
+    power: Array = np.zeros(len(frequencies))
+    for k, track in enumerate(view.tracks):
+        position, residual = _reading_at_rows(view, k), view.null.residual[view.track_rows(k)]
+        cell = np.clip(((position + RANGE / 2) * (CELLS / RANGE)).astype(int), 0, CELLS - 1)
+        spectrum = np.fft.rfft(np.bincount(cell, residual, CELLS), padded)
+        wave = np.abs(spectrum[: len(frequencies)])
+        rows = max(len(position), 1)
+        step = step_size(np.round(track.response, 9))
+        is_resolved = np.ptp(position) * frequencies / 2.0 > PERIODS_IN_TRACK
+        is_large = 2.0 * wave / rows > step / 2.0
+        power += np.where(is_resolved & is_large, wave**2 / rows, 0.0)
+    return frequencies, power
 
 
 def _trials(view: View) -> list[Trial]:
-    tried, power = _power(view)
-    power = np.where(tried < FEWEST, 0.0, power)
+    """Return the strongest spatial frequency; the three strongest others are its placebos."""
+    frequencies, power = _spectrum(view)
+    power = np.where(frequencies < MIN_PERIODS, 0.0, power)
     if not np.any(power > 0.0):
         return []
-    best = float(tried[int(np.argmax(power))])
-    found = [_trial(view, best, real=True)]
-    away = np.where(np.abs(tried - best) > SHARP, power, 0.0)
+    best = float(frequencies[int(np.argmax(power))])
+    trials = [_trial(view, best, physical=True)]
+    remaining = np.where(np.abs(frequencies - best) > PEAK_WIDTH, power, 0.0)
     for _ in range(3):
-        placebo = float(tried[int(np.argmax(away))])
+        other = float(frequencies[int(np.argmax(remaining))])
         # half and twice the frequency belong to the same error
-        if min(abs(placebo - 2 * best), abs(placebo - best / 2)) > 2 * SHARP:
-            found.append(_trial(view, placebo, real=False))
-        away = np.where(np.abs(tried - placebo) > SHARP, away, 0.0)
-    return found
+        if min(abs(other - 2 * best), abs(other - best / 2)) > 2 * PEAK_WIDTH:
+            trials.append(_trial(view, other, physical=False))
+        remaining = np.where(np.abs(frequencies - other) > PEAK_WIDTH, remaining, 0.0)
+    return trials
 
 
-def _trial(view: View, periods: float, *, real: bool) -> Trial:
+def _trial(view: View, periods: float, *, physical: bool) -> Trial:
     return Trial(
-        columns=_waves(view, periods),
+        columns=_columns(view, periods),
         parameters={"periods": periods},
-        physical=real,
+        physical=physical,
         free={"periods": STEP},
     )
 
 
 def _size(view: View, _: Parameters, coefficient: Array) -> float:
     """Return the amplitude of the first order, or of the second if that is larger."""
-    each = coefficient.reshape(-1, 4)
-    first, second = (np.hypot(each[:, j], each[:, j + 1]) for j in (0, 2))
+    of_tracks = coefficient.reshape(-1, 4)
+    first, second = (np.hypot(of_tracks[:, j], of_tracks[:, j + 1]) for j in (0, 2))
     return 1e9 * view.stroke_m * float(max(np.median(first), np.median(second)))
 
 
@@ -197,7 +195,7 @@ EFFECT = Effect(
     ),
     tangent=Tangent(columns=_tangent),
     trials=_trials,
-    columns=lambda view, parameters: _waves(view, parameters["periods"]),
+    columns=lambda view, parameters: _columns(view, parameters["periods"]),
     size=_size,
     inject=inject,
     extend=extend,
