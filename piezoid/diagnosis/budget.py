@@ -22,6 +22,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from piezoid.diagnosis.coordinate_descriptions import coordinate_words, next_experiment
 from piezoid.diagnosis.diagnosis import (
     NOISE_RATIO,
     SOMETHING_ELSE,
@@ -29,14 +30,15 @@ from piezoid.diagnosis.diagnosis import (
     Diagnosis,
     FinalError,
     Finding,
+    HeldOut,
     NotDetected,
     Size,
+    Unexplained,
     held_out_gain,
     with_finding,
 )
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
-from piezoid.diagnosis.structure_findings import unexplained_finding
 from piezoid.formatting import with_unit, words
 from piezoid.numerics.arrays import Array
 
@@ -146,7 +148,7 @@ def _with_something_else(
         return diagnosis, powers
     powers[SOMETHING_ELSE] = unexplained.gain * powers["unexplained"]
     powers["unexplained"] -= powers[SOMETHING_ELSE]
-    finding = unexplained_finding(
+    finding = _unexplained_finding(
         unexplained,
         rms_m=sqrt(powers[SOMETHING_ELSE]),
         scatter=errors.scatter,
@@ -154,6 +156,38 @@ def _with_something_else(
         stroke_m=diagnosis.stroke_m,
     )
     return with_finding(diagnosis, finding), powers
+
+
+def _unexplained_finding(
+    unexplained: Unexplained, *, rms_m: float, scatter: float, final: HeldOut, stroke_m: float
+) -> Finding:
+    """Return the finding of a residual above the noise that remains in the model.
+
+    Args:
+        unexplained: the residual, with the coordinate that explains most of it.
+        rms_m: of the part along this coordinate.
+        scatter: relative standard error of the mean square of the residual.
+        final: error of the model, which does not change: the residual is not modelled.
+        stroke_m: range of the displacement.
+    """
+    low, high = (sqrt(max(1.0 + side * 1.96 * scatter, 0.0)) for side in (-1.0, 1.0))
+    coordinate = coordinate_words(unexplained.coordinate)
+    return Finding(
+        effect=SOMETHING_ELSE,
+        held_out_gain=0.0,
+        held_out_rms_before_m=final.rms_m,
+        held_out_rms_after_m=final.rms_m,
+        p_value=unexplained.p_value,
+        rms_percent=100.0 * rms_m / stroke_m,
+        size=Size(value=1e9 * rms_m, unit="nm, rms", ci95=(1e9 * low * rms_m, 1e9 * high * rms_m)),
+        not_separable_from=(),
+        explanation="The residual exceeds the noise and no effect of the catalogue explains it. "
+        f"{coordinate.capitalize()} explains {100.0 * unexplained.gain:.0f} % of its power "
+        "on left-out blocks, more than any other coordinate.",
+        next_experiment=next_experiment(unexplained.coordinate),
+        parameters={},
+        coordinate=unexplained.coordinate,
+    )
 
 
 def _effect_parts(

@@ -16,7 +16,6 @@ from piezoid.diagnosis.diagnosis import (
     Finding,
     HeldOut,
     Size,
-    Unexplained,
     held_out_gain,
 )
 from piezoid.diagnosis.noise_level import NoiseLevel, excess_of
@@ -72,38 +71,6 @@ def structure_finding(
         coordinate=score.coordinate,
         law=_law(structure, scale_m, middle_m),
         seen=profile,
-    )
-
-
-def unexplained_finding(
-    unexplained: Unexplained, *, rms_m: float, scatter: float, final: HeldOut, stroke_m: float
-) -> Finding:
-    """Return the finding of a residual above the noise that remains in the model.
-
-    Args:
-        unexplained: the residual, with the coordinate that explains most of it.
-        rms_m: of the part along this coordinate.
-        scatter: relative standard error of the mean square of the residual.
-        final: error of the model, which does not change: the residual is not modelled.
-        stroke_m: range of the displacement.
-    """
-    low, high = (sqrt(max(1.0 + side * 1.96 * scatter, 0.0)) for side in (-1.0, 1.0))
-    words = coordinate_words(unexplained.coordinate)
-    return Finding(
-        effect=SOMETHING_ELSE,
-        held_out_gain=0.0,
-        held_out_rms_before_m=final.rms_m,
-        held_out_rms_after_m=final.rms_m,
-        p_value=unexplained.p_value,
-        rms_percent=100.0 * rms_m / stroke_m,
-        size=Size(value=1e9 * rms_m, unit="nm, rms", ci95=(1e9 * low * rms_m, 1e9 * high * rms_m)),
-        not_separable_from=(),
-        explanation="The residual exceeds the noise and no effect of the catalogue explains it. "
-        f"{words.capitalize()} explains {100.0 * unexplained.gain:.0f} % of its power "
-        "on left-out blocks, more than any other coordinate.",
-        next_experiment=next_experiment(unexplained.coordinate),
-        parameters={},
-        coordinate=unexplained.coordinate,
     )
 
 
