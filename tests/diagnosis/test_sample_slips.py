@@ -32,6 +32,8 @@ from .play_stage import (
     within,
 )
 
+pytestmark = pytest.mark.usefixtures("plays_alone")
+
 
 @pytest.mark.parametrize(("kind", "samples"), [("sweep", 4), ("walk", -3), ("waves", 60)])
 def test_a_slip_is_found_sized_and_undone(kind, samples):
