@@ -7,6 +7,7 @@ nothing is significant, slips of the clock are tried in the place of a filter.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
 from piezoid.diagnosis.candidate import Candidate, evaluate
 from piezoid.diagnosis.effect import BETWEEN, Effect, Fault
 from piezoid.diagnosis.effects import every_effect
+from piezoid.diagnosis.effects.timestamp_fault import find_slips_beside
 from piezoid.diagnosis.initial_state_search import (
     OTHER_INITIAL_STATES,
     InitialStates,
@@ -27,9 +29,10 @@ from piezoid.diagnosis.residual_view import (
     with_bouc_wen,
     with_free_memory,
     with_reversals,
+    with_tracks,
 )
 from piezoid.diagnosis.score_test import ScoreTest, score_test
-from piezoid.diagnosis.slip_replacement import replace_filter_by_slips
+from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.step_responses import modes_behind_jumps
 from piezoid.formatting import words
 from piezoid.numerics.executor import Executor
@@ -163,7 +166,7 @@ def _next_state(state: SelectionState, executor: Executor) -> SelectionState | N
             initial=None if state.selected else (shared, own),
         )
     if best is None:
-        return _with_slips_in_place(state)
+        return _with_slips(state)
     return state.after(selected=(*state.selected, best.selected))
 
 
@@ -282,18 +285,45 @@ def moved_to_other_side(
     return None
 
 
-def _with_slips_in_place(state: SelectionState) -> SelectionState | None:
-    """Take in slips of the clock in the place of a filter, where they explain more."""
-    known = state.faults.get(SLIP)
-    if known is None:
+def _with_slips(state: SelectionState) -> SelectionState | None:
+    """Look for slips of the clock once more, beside the selected effects.
+
+    What the effects explain hid them when the recordings were searched for faults. In the fast
+    half of a chirp a slip resembles a delay of the whole chirp: where the clock is known to slip,
+    slips of the same length are tried in the place of each filter.
+    """
+    if not state.selected or state.view.rms < NOISY * state.view.noise:
         return None
-    for one in state.selected:
-        if one.effect.response_filter is None:
+    known = state.faults.get(SLIP)
+    samples = None if known is None else round(known.value)
+    selections = [state.selected]
+    if known is not None:
+        selections += [
+            tuple(other for other in state.selected if other is not one)
+            for one in state.selected
+            if one.effect.response_filter is not None
+        ]
+    for selected in selections:
+        view = state.view if selected is state.selected else with_effects(state.clean, selected)
+        fault = find_slips_beside(view, partial(_refit, state, selected), samples)
+        if fault is None:
             continue
-        others = tuple(other for other in state.selected if other is not one)
-        slips = replace_filter_by_slips(state.clean, others, state.view, known)
-        if slips is not None:
-            clean, fault = slips
+        clean = with_tracks(state.clean, _as_recorded(state, fault.tracks))
+        if with_effects(clean, selected).rms < state.view.rms:
             faults = {**state.faults, SLIP: fault.after(known)}
-            return state.after(clean=clean, selected=others, faults=faults)
+            return state.after(clean=clean, selected=selected, faults=faults, initial=None)
     return None
+
+
+def _refit(
+    state: SelectionState, selected: Sequence[SelectedEffect], tracks: Sequence[Track]
+) -> View:
+    return with_effects(with_tracks(state.clean, _as_recorded(state, tracks)), selected)
+
+
+def _as_recorded(state: SelectionState, tracks: Sequence[Track]) -> tuple[Track, ...]:
+    """Return the readings of tracks with the commands as they were recorded."""
+    return tuple(
+        replace(clean, response=track.response, place=track.place, block=track.block)
+        for clean, track in zip(state.clean.tracks, tracks, strict=True)
+    )

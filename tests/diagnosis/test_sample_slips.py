@@ -157,3 +157,14 @@ def test_a_clock_that_slips_in_a_fast_stretch_has_no_delay_beside_it() -> None:
     some = [one for one in recordings if one.name != "long_hold.csv"]
     assert len(some) == len(recordings) - 1
     assert causes(diagnose(some, lab=lab)) == ("timestamp_fault",)
+
+
+@pytest.mark.slow
+def test_slips_that_other_effects_hide_are_found_beside_them() -> None:
+    """The first search for slips sees a gain change and a mode; the chirp has no equal speeds."""
+    recordings, lab = recorded(drawn(stage("coleman_hodgdon", "triple", 0, 7_400_000)))
+    some = [one for one in recordings if one.name != "check.csv"]
+    diagnosis = diagnose(some, lab=lab)
+    hidden = {"gain_change", "resonance", "timestamp_fault"}
+    assert hidden <= set(diagnosis.names) <= hidden | {"initial_state", "loop_shape"}
+    assert diagnosis.final.rms_m < 5.0 * diagnosis.noise_floor_rms_m

@@ -14,7 +14,9 @@ Source
     what acquisition programs do when the disk is busy
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -40,9 +42,12 @@ from piezoid.diagnosis.sample_slips import (
     strongest_slips,
     undo_slip,
 )
+from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
+
+Refit = Callable[[Sequence[Track]], View]
 
 MAX_BETA_ERROR = 0.4  # largest deviation of beta from one, and of the step from the length
 MIN_GAIN = 0.33  # of the track's squared residual
@@ -56,6 +61,8 @@ PERMUTATIONS = 2000
 MAX_SLIPS = 8
 EVIDENT_GAIN = 0.6  # of a track's squared residual: evident beside slips of other tracks
 MIN_KEPT = 0.6  # of the gain of the tangent, by the refitted slip
+MAX_ERROR = 0.9  # of all recordings, by undoing one slip of a known length
+ROUNDING = 12.0**-0.5  # samples: standard deviation of an integer
 MIN_TRIAL_GAIN = 0.05  # of a track's squared residual, for a slip that is refined
 
 
@@ -202,15 +209,19 @@ def _permutation_p_value(delay: Array, weight: Array) -> float:
     return float(np.mean(largest >= largest[0] * (1.0 - 1e-12)))
 
 
-def find_slips(view: View) -> Fault | None:
-    """Find slips one after the other, each with all earlier ones undone."""
-    repaired = _without_spikes(view)
+def find_slips(view: View, refit: Refit | None = None) -> Fault | None:
+    """Find slips one after the other, each with all earlier ones undone.
+
+    refit  fits repaired tracks as the view was fitted; None: it contains no effects
+    """
+    refit = refit or partial(with_tracks, view)
+    repaired = _without_spikes(view, refit)
     slips: list[SlipEvidence] = []
     while len(slips) < MAX_SLIPS:
-        evidence = _next_slip(repaired)
+        evidence = _next_slip(repaired, refit)
         if evidence is None:
             break
-        trial = undo_slip(repaired, evidence.slip)
+        trial = refit(undo_slip(repaired, evidence.slip).tracks)
         if not _is_confirmed(repaired, trial, evidence):
             break
         slips.append(evidence)
@@ -232,27 +243,72 @@ def find_slips(view: View) -> Fault | None:
     )
 
 
-def _without_spikes(view: View) -> View:
+def find_slips_beside(view: View, refit: Refit, samples: int | None) -> Fault | None:
+    """Find slips in a view that contains effects: by evidence, or by a length that is known.
+
+    refit    fits repaired tracks as the view was fitted
+    samples  length of slips that were found before; None: none
+    """
+    return find_slips(view, refit) or (
+        None if samples is None else _find_equal_slips(view, refit, samples)
+    )
+
+
+def _find_equal_slips(view: View, refit: Refit, samples: int) -> Fault | None:
+    """Find slips of a known length, at most one in each track, by the error they leave.
+
+    A chirp has no equal speeds before and after a slip. If the clock slips by as many samples in
+    other recordings, the error alone decides.
+    """
+    repaired = view
+    slips: list[Slip] = []
+    for k in range(len(view.tracks)):
+        scan = SlipScan.of(repaired, repaired.null, k)
+        first = scan.instants() if len(scan.place) >= MIN_ROWS else np.array([], dtype=int)
+        if not len(first):
+            continue
+        gain, beta = scan.score(samples, first)
+        row = int(np.argmax(np.where(beta > 0.0, gain, 0.0)))
+        instant = int(scan.place[first[row]])
+        slip = Slip(track=k, instant=instant, samples=samples, gain=float(gain[row]))
+        slip = refine_slip(repaired, slip, refit=refit, has_length=True)
+        trial = refit(undo_slip(repaired, slip).tracks)
+        if trial.rms < MAX_ERROR * repaired.rms:
+            repaired, slips = trial, [*slips, slip]
+    if not slips:
+        return None
+    return Fault(
+        tracks=repaired.tracks,
+        value=samples,
+        spread=ROUNDING,
+        p_value=1.0,
+        where=slip_places(slips, view.tracks),
+    )
+
+
+def _without_spikes(view: View, refit: Refit) -> View:
     """Return the view without spikes, another fault that would hide a small slip."""
     tracks = [without_spikes(t, s) for t, s in zip(view.tracks, view.static, strict=True)]
     if all(a is b for a, b in zip(tracks, view.tracks, strict=True)):
         return view
-    return with_tracks(view, tracks)
+    return refit(tracks)
 
 
-def _next_slip(view: View) -> SlipEvidence | None:
+def _next_slip(view: View, refit: Refit) -> SlipEvidence | None:
     """Return the strongest significant slip; None if there is none."""
     null = delay_like_null(view)
     for slip in strongest_slips(view, null):
         if slip.gain < MIN_TRIAL_GAIN:
             break
-        evidence = slip_evidence(view, null, refine_slip(view, slip))
+        evidence = slip_evidence(view, null, refine_slip(view, slip, refit=refit))
         if evidence is not None and abs(evidence.step - evidence.slip.samples) > 2 * evidence.std:
             # beside other slips the step of windows of equal speed is the better length
             length = round(evidence.step) or int(np.sign(slip.samples))
             if abs(length) > max_slip(len(view.tracks[slip.track].drive)):
                 continue
-            resized = refine_slip(view, replace(slip, samples=length), has_length=True)
+            resized = refine_slip(
+                view, replace(slip, samples=length), refit=refit, has_length=True
+            )
             evidence = slip_evidence(view, null, resized)
         if (
             evidence is not None
