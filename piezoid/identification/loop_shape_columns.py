@@ -48,6 +48,7 @@ FILTERED = 0.02  # of the motion, rms: less than this a delay may miss of the fi
 MANY_HISTORIES = 120  # columns of initial states of all pieces together
 TURNS, STEP = 150, 0.02  # of the drive on which plays are approximated, half ranges
 PLAYS = "plays"  # family of what the plays have beyond their approximation by the class
+MIN_WEIGHT = 1e-3  # of a history whose change of the columns matters
 NEVER = -1  # number of the fold of rows that no fold leaves out
 
 
@@ -89,6 +90,21 @@ class _Path:
         made = [shape.of_states(self.drive, states) for states in self.states]
         total_m = shape.plays_weight * self.plays_m + np.stack(made, axis=1)
         return np.asarray(total_m[:, 1:] - total_m[:, :1])
+
+    def column_changes(self, weight: Array, plays: Array, half_range_m: float) -> Array:
+        """Return by how much weighted histories change the columns of the class.
+
+        plays     (columns,)  as in ``Columns``
+        returned  (rows, columns)  unscaled, what the plays have beyond the class at the end
+        """
+        base = np.hstack(list(class_columns(self.drive, self.states[0]).values()))
+        changes = np.zeros((len(self.drive), base.shape[1] + 1))
+        for k in np.flatnonzero(np.abs(weight) > MIN_WEIGHT):
+            table = class_columns(self.drive, self.states[k + 1])
+            changes[:, :-1] += weight[k] * (np.hstack(list(table.values())) - base)
+        plays_m = (self.plays_m[:, 1:] - self.plays_m[:, :1]) @ weight
+        changes[:, -1] = plays_m / half_range_m - changes[:, :-1] @ plays[:-1]
+        return changes
 
     def everywhere(self, change_m: Array, samples: int) -> Array:
         """Return a change at all samples of the piece: straight between rows, 0 behind them."""
@@ -207,7 +223,7 @@ def columns_of(axis: AxisModel, pieces: Sequence[Piece]) -> Columns:
         plays_m = forward.behind(static_m, piece.where, instant=True)[piece.rows]
         of_class = np.hstack(list(table.values())) @ smooth
         table[PLAYS] = (plays_m / (0.5 * axis.quality.range_m) - of_class)[:, None]
-        tables.append({name: x * _gain(axis, piece) for name, x in table.items()})
+        tables.append({name: x * gain_of(axis, piece) for name, x in table.items()})
         late_rows = np.maximum(piece.rows - late, 0.0)
         paths.append(
             _remembering_path(axis, shape, drive_V, places, late_rows, piece.start, number)
@@ -255,7 +271,7 @@ def smooth_plays(axis: AxisModel) -> Array:
     return np.asarray(change @ coefficient[:-1] / scale)
 
 
-def _gain(axis: AxisModel, piece: Piece) -> Array | float:
+def gain_of(axis: AxisModel, piece: Piece) -> Array | float:
     """Return the factor of the displacement at the rows, (rows, 1)."""
     gain: Array | float = 1.0
     for extension in axis.extensions:

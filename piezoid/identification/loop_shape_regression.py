@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.identification.extensions.extension import Extension, Free, free
-from piezoid.identification.loop_shape_columns import FOLDS, NEVER, Columns, Piece, no_loop_shape
+from piezoid.identification.loop_shape_columns import (
+    FOLDS,
+    NEVER,
+    Columns,
+    Piece,
+    gain_of,
+    no_loop_shape,
+)
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import zero_of
@@ -155,6 +162,7 @@ def regression_of(
     zeros = np.zeros((rows[-1], knots[-1]))
     histories = [np.zeros((rows[-1], 0 if is_first else len(w))) for w in estimate.weights]
     slopes, error_m, sensor_slope = [], [], []
+    x = columns.x if is_first or has_numbers else columns.x.copy()
     for k, piece in enumerate(pieces):
         start = replace(piece.start, zero_m=estimate.zeros[k])
         zeros[rows[k] : rows[k + 1], knots[k] : knots[k + 1]] = _zero_columns(piece, start)
@@ -164,6 +172,11 @@ def regression_of(
             changes_m = path.changes_m(shape)
             histories[k][rows[k] : rows[k] + len(changes_m)] = changes_m / abs(scale_m)
             history_m += path.everywhere(changes_m @ estimate.weights[k], piece.where.samples)
+            if not has_numbers:
+                moved = path.column_changes(estimate.weights[k], columns.plays, abs(scale_m))
+                gain = gain_of(axis, piece)
+                gain = gain if isinstance(gain, float) else gain[: len(moved)]
+                x[rows[k] : rows[k] + len(moved)] += moved * gain / columns.scale
         static_m = history_m + axis.static_m(piece.drive_V, start.memory_V, piece.where.rate_Hz)
         read_m = _read_m(axis, piece, start, static_m)
         error_m.append(piece.measured_m[piece.rows] - read_m)
@@ -173,8 +186,8 @@ def regression_of(
     numbers = _numbers(axis) if has_numbers else free([], [], [], [])
     number_columns, size = _of_unit_size(slopes, int(rows[-1]))
     step = numbers.step / size
-    gain = np.concatenate(sensor_slope)[:, None]
-    linear = np.hstack([gain * table for table in (columns.x, *histories, zeros)])
+    slope = np.concatenate(sensor_slope)[:, None]
+    linear = np.hstack([slope * table for table in (x, *histories, zeros)])
     present = np.concatenate(
         [
             estimate.wide * columns.scale,

@@ -167,4 +167,4 @@ def test_slips_that_other_effects_hide_are_found_beside_them() -> None:
     diagnosis = diagnose(some, lab=lab)
     hidden = {"gain_change", "resonance", "timestamp_fault"}
     assert hidden <= set(diagnosis.names) <= hidden | {"initial_state", "loop_shape"}
-    assert diagnosis.final.rms_m < 5.0 * diagnosis.noise_floor_rms_m
+    assert diagnosis.envelope_rms_m < 5.0 * diagnosis.noise_floor_rms_m
