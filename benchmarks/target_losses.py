@@ -13,10 +13,11 @@ from piezoid.design.design import design_from_json
 from piezoid.errors import PiezoidError
 from piezoid.export.parameter_file import from_json
 from piezoid.identification.store import read_model
+from piezoid.records.lab import Lab, read_lab
 from piezoid.targets.target_inputs import TargetInputs
 from piezoid.targets.targets import target_files
 from piezoid.verification.verify_stage import stage_plants
-from piezoid_cli.stage_files import content_of, lab_of
+from piezoid_cli.stage_files import content_of
 
 TARGETS = ("pid", "nanonis", "waveform")
 
@@ -26,7 +27,8 @@ def inputs_of(folder: Path) -> TargetInputs:
     design = design_from_json(content_of(folder / "design.json"), "design.json")
     model = read_model(content_of(folder / "model.json"), "model.json")
     file = from_json(content_of(folder / "params.json"), "params.json")
-    lab = lab_of(folder, None)
+    place = folder / "lab.toml"
+    lab = read_lab(place) if place.exists() else Lab()
     plants, drawn = stage_plants(file, model, lab)
     return TargetInputs(
         file=file,
