@@ -106,8 +106,8 @@ class _Path:
         changes[:, -1] = plays_m / half_range_m - changes[:, :-1] @ plays[:-1]
         return changes
 
-    def everywhere(self, change_m: Array, samples: int) -> Array:
-        """Return a change at all samples of the piece: straight between rows, 0 behind them."""
+    def interpolated_m(self, change_m: Array, samples: int) -> Array:
+        """Return a change at all samples of the piece: linear between rows, 0 after the last."""
         if not len(self.place):
             return np.zeros(samples)
         return np.interp(np.arange(samples), self.place, change_m, right=0.0)

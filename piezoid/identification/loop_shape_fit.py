@@ -56,13 +56,12 @@ WORTH = 0.97  # each of both errors over that without loop shape: less gain is n
 WORSE = 1.02  # noise variance over the least: lag and extensions no longer improve it
 STEP_WORTH = 0.9  # held-out error with a step of the zero over that without
 STEP_PLACES = 60  # of a piece, at which a step of the zero is tried
-# By which the prior variances of the class are divided in the last solve: the largest whose error
-# on left-out blocks is close to the least. Residuals of a class that is slightly wrong are
-# correlated, and less freedom predicts better. The least error is at 1 on four laws that the class
-# follows, at 30 on the bundled axis x and at 10,000 on y. Fitted to the sweep of y alone, the
-# largest close factor predicts the other drive to 0.142 % of the range, the best one to 0.251 %,
-# plays to 0.120 %. Initial states keep their variance: they show where no block is left out, and
-# with 30 a stage left 18 times the noise there.
+# Divisors of the prior variances in the last solve. Residuals of a class that is slightly wrong
+# are correlated, and less freedom predicts better: of the divisors whose error on left-out blocks
+# is close to the least, the largest is taken. Fitted to the sweep of the bundled axis y alone, it
+# predicts the other drive to 0.14 % of the range, the best one to 0.25 %, plays to 0.12 % (before
+# the columns contained the initial states). Initial states keep their variance: they show where
+# no block is left out, and with a divisor of 30 a stage left 18 times the noise there.
 FREEDOM_FACTORS = tuple(10.0 ** (k / 2) for k in range(11))
 CLOSE = 1.03
 FAR = 7.0  # robust standard deviations

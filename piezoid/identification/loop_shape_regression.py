@@ -171,12 +171,14 @@ def regression_of(
             path = columns.paths[k]
             changes_m = path.changes_m(shape)
             histories[k][rows[k] : rows[k] + len(changes_m)] = changes_m / abs(scale_m)
-            history_m += path.everywhere(changes_m @ estimate.weights[k], piece.where.samples)
+            history_m += path.interpolated_m(changes_m @ estimate.weights[k], piece.where.samples)
             if not has_numbers:
-                moved = path.column_changes(estimate.weights[k], columns.plays, abs(scale_m))
+                column_change = path.column_changes(
+                    estimate.weights[k], columns.plays, abs(scale_m)
+                )
                 gain = gain_of(axis, piece)
-                gain = gain if isinstance(gain, float) else gain[: len(moved)]
-                x[rows[k] : rows[k] + len(moved)] += moved * gain / columns.scale
+                gain = gain if isinstance(gain, float) else gain[: len(column_change)]
+                x[rows[k] : rows[k] + len(column_change)] += column_change * gain / columns.scale
         static_m = history_m + axis.static_m(piece.drive_V, start.memory_V, piece.where.rate_Hz)
         read_m = _read_m(axis, piece, start, static_m)
         error_m.append(piece.measured_m[piece.rows] - read_m)

@@ -110,6 +110,36 @@ def test_a_recording_that_was_not_fitted_is_predicted_better() -> None:
     assert wide_m < 0.5 * plain_m
 
 
+def test_recordings_with_other_initial_states_are_simulated_from_their_beginning() -> None:
+    """Solves that ignored the initial states in the columns left 2.2 times the noise there."""
+    decay = np.linspace(1.0, 0.1, 20) * (-1.0) ** np.arange(20)
+    turns = np.random.default_rng(4).uniform(-1.0, 1.0, 24)
+    recordings = []
+    for name, before, levels in (
+        ("decay", [0.0, 1.0, -1.0, 0.5, -0.4], [-0.4, 0.3, -0.6, 0.7, -0.8, 0.9, -1.0, *decay]),
+        ("walk", [-1.0, 0.49, -1.0, 0.2], [0.2, -0.3, 0.5, -0.7, 0.8, -0.95, *turns]),
+    ):
+        past, field = through(np.array(before)), through(np.array(levels))
+        moved_m = 2e-5 * law_of("preisach")(np.concatenate([past, field]))[len(past) :]
+        moved_m += NOISE_M * np.random.default_rng(len(field)).standard_normal(len(field))
+        recordings.append(
+            from_arrays(
+                voltage_V=5.0 * field,
+                displacement_m=moved_m,
+                sampling_rate_Hz=400.0,
+                axis="x",
+                name=name,
+            )
+        )
+    plain = estimate_axis(recordings, "x", Rig(), orders=((8, 2),))
+    axis = with_loop_shape(plain, recordings)
+    for recording, start in zip(recordings, axis.starts, strict=True):
+        error_m = (recording.displacement_m("x") - simulate_recording(axis, recording))[
+            start.first : start.last
+        ]
+        assert np.sqrt(np.mean(error_m[: len(error_m) // 5] ** 2)) < 1.5 * NOISE_M
+
+
 def test_many_recordings_are_simulated_with_fewer_histories_each() -> None:
     """Beyond ten pieces not all histories of the drive are weighed."""
     levels = np.array([-1.0, 1.0, -1.0, 0.6, -0.7, 0.3, -0.2])
