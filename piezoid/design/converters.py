@@ -10,8 +10,9 @@ from piezoid.records.lab import Lab
 class Converters:
     """Both converters of one axis, volts at the controller's terminals.
 
-    command_V       (low, high) that a command may take: within the converter's range, and within
-                    what the amplifier puts out over its gain; None where neither is declared
+    command_V       (low, high) that a command may take: within what the amplifier puts out over
+                    its gain, and within the converter's codes, the highest of which lies one step
+                    below the end of its range; None where neither is declared
     command_step_V  of the writing converter; 0 where its bits or range are not declared
     reading_V       (low, high) of the reading converter; None where not declared
     reading_step_V  of the reading converter; 0 likewise
@@ -34,9 +35,12 @@ def converters_of(lab: Lab, axis: str) -> Converters:
     reach_V, slew_V_per_s = declared.input_range_V, amplifier.slew_V_per_s
     if slew_V_per_s is not None:  # of the amplifier's output
         slew_V_per_s = float(slew_V_per_s / abs(gain_of(amplifier)))
+    command_V, step_V = command_range_V(lab, axis), _step_V(reach_V, declared.dac_bits)
+    if command_V is not None and reach_V is not None:
+        command_V = command_V[0], min(command_V[1], reach_V[1] - step_V)
     return Converters(
-        command_V=command_range_V(lab, axis),
-        command_step_V=_step_V(reach_V, declared.dac_bits),
+        command_V=command_V,
+        command_step_V=step_V,
         reading_V=reach_V,
         reading_step_V=_step_V(reach_V, declared.adc_bits),
         command_slew_V_per_s=slew_V_per_s,

@@ -18,7 +18,11 @@ from piezoid.errors import DesignError, LabFileError, PiezoidError, TemplateErro
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid.raw_counts import refuse_counts
-from piezoid.records.checks.command_range import amplifier_scale, exceeds_range
+from piezoid.records.checks.command_range import (
+    amplifier_scale,
+    command_range_V,
+    exceeds_range,
+)
 from piezoid.records.lab import Lab
 
 _SLOWEST_Hz, _FASTEST_Hz = 1.0, 1e7  # of the runtime
@@ -270,7 +274,7 @@ def _lateral_task(
 
 
 def _between_converters(name: str, default: Specification, lab: Lab) -> Specification:
-    """Return the default within the converter's range, with its step.
+    """Return the default within the converter's codes, with its step.
 
     Raises ``LabFileError`` where the recorded drive lies outside that range: its volts are then
     not those at the converter.
@@ -282,20 +286,21 @@ def _between_converters(name: str, default: Specification, lab: Lab) -> Specific
         voltage_step_V=converters.command_step_V,
         voltage_slew_V_per_s=min(slews, default=None),
     )
-    if converters.command_V is None:
+    range_V = command_range_V(lab, name)
+    if range_V is None or converters.command_V is None:
         return stepped
-    low_V, high_V = converters.command_V
-    if exceeds_range((default.voltage_min_V, default.voltage_max_V), converters.command_V):
+    if exceeds_range((default.voltage_min_V, default.voltage_max_V), range_V):
         raise LabFileError(
             f"axis {name}: its drive was recorded from {default.voltage_min_V:.6g} to "
             f"{default.voltage_max_V:.6g} V, converter and amplifier take commands from "
-            f"{low_V:.6g} to {high_V:.6g} V",
+            f"{range_V[0]:.6g} to {range_V[1]:.6g} V",
             needed="recordings of the controller's output, the command in front of the amplifier, "
             "not of the high voltage at the ceramic",
             remedy="If they were taken behind the amplifier, write "
             f"{amplifier_scale(lab, name)} into their [[recording]] and fit again; else correct "
             f"input_range_V or [amplifier] in {lab.place}.",
         )
+    low_V, high_V = converters.command_V
     return replace(
         stepped,
         voltage_min_V=max(default.voltage_min_V, low_V),

@@ -3,13 +3,17 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from piezoid.design.converters import converters_of
 from piezoid.design.design_stage import design_stage
 from piezoid.errors import LabFileError, PiezoidError
+from piezoid.export.export_stage import export_stage
 from piezoid.records.lab import Acquisition, Amplifier, Lab, Sensor
 from piezoid.records.lab_tables import AxisRig
+from piezoid.runtime.controller import Controller
+from piezoid.runtime.library import PRECISIONS
 from piezoid.sealed_files import write_model
 from tests.verification.known_fit import fitted
 from tests.verification.rig import RATE_Hz
@@ -40,6 +44,20 @@ def replace_gain(amplifier: Amplifier, gain: float) -> Amplifier:
         output_min_V=amplifier.output_min_V,
         output_max_V=amplifier.output_max_V,
     )
+
+
+def test_the_controller_puts_out_no_voltage_above_the_highest_code() -> None:
+    """Sixteen bits from -10 to 10 V end at 32767 steps, and the recordings went on to 10 V."""
+    step_V = 20.0 / 65536
+    lab = Lab(acquisition=Acquisition(dac_bits=16, input_range_V=(-10.0, 10.0)))
+    design = designed(lab)
+    assert design.axis("x").specification.voltage_max_V == 32767 * step_V
+    parameters = export_stage(fitted(), design, design_digest="", lab=lab).axis("x").values
+    for precision in PRECISIONS:
+        controller = Controller(parameters, precision=precision)
+        controller.start(5.0, 0.0)
+        run = controller.run(np.full(500, 1.0), np.zeros(500))
+        assert round(run.voltage_V.max() / step_V) == 32767
 
 
 @pytest.mark.parametrize(

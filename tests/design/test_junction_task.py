@@ -67,12 +67,15 @@ def test_the_command_keeps_within_converter_and_amplifier() -> None:
         vertical_task(LOOP, replace(LAB, amplifier=apart))
 
 
+TOP_V = 32767 * 20.0 / 65536  # highest code of 16 bits from -10 to 10 V
+
+
 @pytest.mark.parametrize(
     ("unsaid", "command_V", "alone_V"),
     [
-        ("gain_V_per_V", (-10.0, 10.0), (-20.0, 150.0)),
+        ("gain_V_per_V", (-10.0, TOP_V), (-20.0, 150.0)),
         ("output_min_V", (-10.0, 7.5), (-math.inf, 7.5)),
-        ("output_max_V", (-1.0, 10.0), (-1.0, math.inf)),
+        ("output_max_V", (-1.0, TOP_V), (-1.0, math.inf)),
     ],
 )
 def test_no_limit_of_an_amplifier_is_dropped_where_another_entry_is_missing(
