@@ -47,9 +47,9 @@ from piezoid.records.recording import Recording
 
 FEWEST_ROWS = 500
 FEWEST_ROUNDS, MOST_ROUNDS = 3, 8
-# Solves with less freedom, of which the best is taken. On the bundled axis y the first leaves 168 nm,
-# 12.2 nm with its weights of histories solved again; the fifth leaves 11.9 nm. With two solves
-# axis x predicts another kind of drive to 0.41 % of the range, with five to 0.25 %.
+# Solves with less freedom, of which the best is taken. On the bundled axis y the first leaves
+# 168 nm, 12.2 nm with its weights of histories solved again; the fifth leaves 11.9 nm. With two
+# solves axis x predicts another kind of drive to 0.41 % of the range, with five to 0.25 %.
 LAST_ROUNDS = 5
 WORTH = 0.97  # each of both errors over that without loop shape: less gain is not worth the class
 WORSE = 1.02  # noise variance over the least: lag and extensions no longer improve it
