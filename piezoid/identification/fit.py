@@ -28,6 +28,7 @@ from piezoid.records.checks import check_set, refuse_unusable
 from piezoid.records.checks.copies import copies
 from piezoid.records.checks.drive_ranges import MIN_RANGE
 from piezoid.records.checks.feedback import is_held_throughout
+from piezoid.records.clock import CONTROLLER_RATE
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording, counted_in
@@ -171,22 +172,21 @@ def unfitted(
         remarks=(
             *remarks_on_currents(recordings),
             *(s.text for s in statements),
-            *remarks_on_coupling(recordings, lab),
+            *remarks_on_reading(recordings, CONTROLLER_RATE),
+            *(() if lab.coupled.axes else remarks_on_reading(recordings, "coupled_drives")[:1]),
         ),
         controller_rate_Hz=lab.acquisition.sampling_rate_Hz,
     )
 
 
-def remarks_on_coupling(recordings: Sequence[Recording], lab: Lab) -> tuple[str, ...]:
-    """Return what the recordings show of coupled drives, unless lab.toml couples axes."""
-    if lab.coupled.axes:
-        return ()
+def remarks_on_reading(recordings: Sequence[Recording], quantity: str) -> tuple[str, ...]:
+    """Return the statements of one kind that reading the recordings made."""
     return tuple(
         f"{recording.name}: {statement.text}"
         for recording in recordings
         for statement in recording.statements
-        if statement.quantity == "coupled_drives"
-    )[:1]
+        if statement.quantity == quantity
+    )
 
 
 def response_of(

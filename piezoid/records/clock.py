@@ -33,6 +33,7 @@ MAX_RARE = 0.01  # of the steps
 MIN_INTERVAL_s, MAX_INTERVAL_s = 1e-13, 1e9  # of anything that is recorded
 MAX_LOST = 2.0**53  # samples in one gap: a damaged stamp may lie anywhere
 _MAX_PLACES = 3  # in a message
+CONTROLLER_RATE = "controller_rate"  # statement about a file that is read at that rate
 
 # The interval is taken over BLOCK_STEPS, and a stretch lasts at least three blocks: the median of
 # 64 steps that jitter by a third of themselves is certain to 8 %, and single blocks that a gap or
@@ -54,7 +55,8 @@ class Clock:
     jitter_rms_s      of the stamps about uniform ones, faults left out; 0 within their print
     breaks            first sample after each longer gap or step backwards
     bridged           first sample after each gap of one sample
-    statements        ``jitter``, ``gap``, ``duplicate_time``, ``time_reversed``
+    statements        ``jitter``, ``gap``, ``duplicate_time``, ``time_reversed``,
+                      ``controller_rate``
     """
 
     sampling_rate_Hz: float

@@ -416,22 +416,26 @@ def first_values(table: RawTable) -> str:
 
 def entry_template(table: RawTable) -> str:
     """Return the ``[[recording]]`` entry to complete for this file, as TOML."""
+    columns, units = [], []
     clocks = clocks_of(table)
-    columns = [f"time = {json.dumps(clocks[0].label)}"] if clocks else []
+    if clocks:
+        columns.append(f"time = {json.dumps(clocks[0].label)}")
+        units += [] if clocks[0].heading.unit else ['time = "..."']
     columns += ['voltage = "..."', 'displacement = "..."']
     is_counted = any(
         c.heading.unit is not None and c.heading.unit.is_counted for c in table.columns
     )
     unit = "counts" if is_counted else "..."
+    units += [f'voltage = "{unit}"', f'displacement = "{unit}"']
     lines = [
         "[[recording]]",
         f"file = {json.dumps(table.name)}",
         'axis = "x"',
         f"columns = {{ {', '.join(columns)} }}",
-        f'units = {{ voltage = "{unit}", displacement = "{unit}" }}',
+        f"units = {{ {', '.join(units)} }}",
     ]
     if is_counted:
         lines.append("scale = { voltage = ..., displacement = ... }  # V and m of one count")
     if not clocks and table.sampling_rate_Hz is None:
-        lines.append("sampling_rate_Hz = ...")
+        lines.append('sampling_rate_Hz = ...  # unless time = "..." is among the columns')
     return "\n".join(lines)

@@ -17,6 +17,7 @@ from piezoid.records.baseline_steps import split_at_baseline_steps
 from piezoid.records.checks import check_recording
 from piezoid.records.checks.columns import check_columns
 from piezoid.records.clock import (
+    CONTROLLER_RATE,
     Clock,
     read_clock,
     refuse_newest_first,
@@ -309,17 +310,19 @@ def _clock(
         for column in clocks_of(table):  # not named the clock, and running backwards all the same
             stamped = np.flatnonzero(np.isfinite(column.values))
             refuse_newest_first(column.si_values[stamped], table.name, table.places_of(stamped))
-        rate_Hz = (
-            table.sampling_rate_Hz or entry.sampling_rate_Hz or lab.acquisition.sampling_rate_Hz
-        )
+        of_file_Hz = table.sampling_rate_Hz or entry.sampling_rate_Hz
+        rate_Hz = of_file_Hz or lab.acquisition.sampling_rate_Hz
         if rate_Hz is None:
             raise UnitError(
                 f"{table.name}: no column is a time and the file states no sampling rate",
                 needed="one of the two, to know when each row was recorded",
-                remedy="Write into lab.toml 'sampling_rate_Hz = ...' under [acquisition] or under "
-                f"the file's own entry, or name its time column:\n\n{entry_template(table)}\n",
+                remedy="Write into lab.toml the rate of this file, or name its time column; "
+                "sampling_rate_Hz under [acquisition] is that of the controller, and of files "
+                f"without a time column:\n\n{entry_template(table)}\n",
             )
         clock, clock_Hz = stated_clock(rate_Hz, table.name), rate_Hz
+        if of_file_Hz is None:
+            clock = replace(clock, statements=(_controller_rate(clock, lab),))
     else:
         stamped = unique[np.isfinite(assignment.time.values[unique])]
         stamps_s = assignment.time.values[stamped]
@@ -339,6 +342,17 @@ def _clock(
             remedy="Correct the rate or the unit of the time column.",
         )
     return clock
+
+
+def _controller_rate(clock: Clock, lab: Lab) -> Statement:
+    """State that a file without a time column is read at the rate of the controller."""
+    rate_Hz = clock.sampling_rate_Hz
+    text = (
+        f"No time column; {rate_Hz:.9g} Hz from [acquisition] of {lab.place}, the rate of the "
+        "controller, and of files without a time column. To confirm it or to state another one, "
+        "write sampling_rate_Hz = ... into the [[recording]] of this file."
+    )
+    return finding(CONTROLLER_RATE, text, value=rate_Hz, unit="Hz")
 
 
 def _selected_samples(entry: RecordingEntry, clock: Clock, samples: int) -> slice:

@@ -51,8 +51,8 @@ HEAD = f"""\
 # bandwidth_Hz = 8500            # -3 dB
 # gain_V_per_m = 2e5             # needed if a recording is in volts of the sensor
 
-[acquisition]
-# sampling_rate_Hz = 20000       # of the controller; without it no controller is designed
+[acquisition]                    # without the rate no controller is designed
+# sampling_rate_Hz = 20000       # of the controller, and of files without a time column
 # dac_bits = 16
 # adc_bits = 16
 # input_range_V = [-10, 10]

@@ -1,6 +1,9 @@
 """From files to recordings: nothing guessed, every refusal with its remedy."""
 
+import json
+import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +11,7 @@ import pytest
 
 from piezoid.errors import LabFileError, RecordingError, UnitError
 from piezoid.records.collection import collect
-from piezoid.records.lab import Acquisition, Lab, RecordingEntry, Sensor
+from piezoid.records.lab import Acquisition, Lab, RecordingEntry, Sensor, read_lab
 from piezoid.records.recording import Quantity
 from tests.records.tables import RESPONSE, SAMPLES, VOLTAGE_V, RATE_Hz, TIME_s, lab_with, table
 
@@ -111,8 +114,38 @@ def test_volts_of_a_sensor_become_a_displacement_by_its_gain(tmp_path: Path) -> 
 def test_a_table_without_time_takes_the_rate_of_the_laboratory(tmp_path: Path) -> None:
     path = table(tmp_path, "voltage [V],displacement [um]", VOLTAGE_V, RESPONSE)
     lab = Lab(acquisition=Acquisition(sampling_rate_Hz=20000))
-    assert collect([path], lab)[0].sampling_rate_Hz == 20000
-    assert collect([path], lab_with(sampling_rate_Hz=500))[0].sampling_rate_Hz == 500
+    (recording,) = collect([path], lab)
+    assert recording.sampling_rate_Hz == 20000
+    (statement,) = recording.statements
+    assert statement.quantity == "controller_rate"
+    assert "No time column; 20000 Hz from [acquisition]" in statement.text
+    confirmed = lab_with(sampling_rate_Hz=500)
+    assert collect([path], replace(confirmed, acquisition=lab.acquisition))[0].statements == ()
+    assert collect([path], confirmed)[0].sampling_rate_Hz == 500
+
+
+@pytest.mark.parametrize(
+    ("headings", "completed"),
+    [
+        ("time,voltage,position", ("s", "V", "um")),
+        ("voltage [V],position [um]", ("V", "um")),
+    ],
+)
+def test_the_entry_of_a_refusal_can_be_pasted_and_completed(
+    tmp_path: Path, headings: str, completed: tuple[str, ...]
+) -> None:
+    columns = (TIME_s, VOLTAGE_V, RESPONSE)[-len(completed) :]
+    path = table(tmp_path, headings, *columns)
+    with pytest.raises(UnitError) as refusal:
+        collect([path], Lab())
+    entry = refusal.value.remedy[refusal.value.remedy.index("[[recording]]") :]
+    assert all(len(line) < 80 for line in entry.splitlines())  # a terminal does not break it
+    values = iter((*headings.split(",")[-2:], *completed))
+    entry = re.sub('"\\.\\.\\."', lambda _: json.dumps(next(values)), entry.partition("#")[0])
+    (tmp_path / "lab.toml").write_text(entry.replace("...", "1000"))
+    (recording,) = collect([path], read_lab(tmp_path / "lab.toml"))
+    assert recording.sampling_rate_Hz == 1000
+    np.testing.assert_allclose(recording.displacement_m(), RESPONSE * 1e-6, rtol=1e-8)
 
 
 def test_a_rate_that_contradicts_the_time_column_is_refused(tmp_path: Path) -> None:
