@@ -61,8 +61,8 @@ def signal_bases(view: View) -> list[Basis]:
     bases = [
         _spline_basis(view, "drive", "V", drive, KNOTS, view.voltage_V),
         displacement_basis(view),
-        _spline_basis(view, "displacement", "m", view.static, FINE_KNOTS, view.stroke_m),
-        _spline_basis(view, "speed", "m/s", speed, SPEED_KNOTS, view.stroke_m, LINEAR_SPEED),
+        _spline_basis(view, "displacement", "m", view.static, FINE_KNOTS, view.half_stroke_m),
+        _spline_basis(view, "speed", "m/s", speed, SPEED_KNOTS, view.half_stroke_m, LINEAR_SPEED),
         _turn_basis(view),
     ]
     for axis in sorted({axis for track in tracks for axis in track.others}):
@@ -76,7 +76,7 @@ def signal_bases(view: View) -> list[Basis]:
 
 def displacement_basis(view: View) -> Basis:
     """Return the curve along the static response."""
-    return _spline_basis(view, "displacement", "m", view.static, KNOTS, view.stroke_m)
+    return _spline_basis(view, "displacement", "m", view.static, KNOTS, view.half_stroke_m)
 
 
 def reading_basis(view: View, residual: Array | None = None) -> Basis:
@@ -93,7 +93,7 @@ def reading_basis(view: View, residual: Array | None = None) -> Basis:
             reading = static.copy()
             reading[track.place] += residual[view.track_rows(k)]
         readings.append(reading)
-    return _spline_basis(view, "reading", "m", tuple(readings), KNOTS, view.stroke_m)
+    return _spline_basis(view, "reading", "m", tuple(readings), KNOTS, view.half_stroke_m)
 
 
 def time_spline(track: Track) -> Array:

@@ -27,7 +27,7 @@ def not_detected(effect: Effect, outcome: Outcome) -> NotDetected:
         return _bounded(test, outcome)
     if effect.fault is None:
         return _untested(effect, "nothing in these recordings excites it", effect.experiment)
-    limit_m = effect.fault.bound(outcome.clean) * 2.0 * outcome.final.stroke_m
+    limit_m = effect.fault.bound(outcome.clean) * 2.0 * outcome.final.half_stroke_m
     return NotDetected(
         effect=effect.name,
         upper_bound_m=limit_m,
@@ -78,7 +78,7 @@ def _bounded(test: ScoreTest, outcome: Outcome) -> NotDetected:
     The limit is not below the bound: an effect of that size may be present and was not named.
     """
     effect, final = test.effect, outcome.final
-    scale_m = test.absorption * 2.0 * final.stroke_m
+    scale_m = test.absorption * 2.0 * final.half_stroke_m
     bound_m = scale_m * test.bound
     min_share = final.rms / 2.0 * sqrt(2.0 * effect.minimum_gain)
     margin = POWER * (test.bound - test.share)

@@ -176,7 +176,7 @@ def _select_effects(
     )
     if not is_rejected:
         result, errors = _prefer_named_effects(search_all(view, executor), attribute)
-        error = errors.final_m / view.stroke_m
+        error = errors.final_m / view.half_stroke_m
         if error > 2.0 * UNEXPLAINED:
             rejection = (
                 f"everything found leaves {50.0 * error:.1f} % of the range"
@@ -191,7 +191,7 @@ def _select_effects(
     kept = _drop_useless_slips(result, errors)
     return _Selection(
         axis=axis,
-        result=replace(kept, outcome=with_ingested(kept.outcome, searched, view.stroke_m)),
+        result=replace(kept, outcome=with_ingested(kept.outcome, searched, view.half_stroke_m)),
         errors=errors,
         recordings=searched,
         mode_recordings=mode_recordings,
@@ -249,9 +249,9 @@ def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
     scales, rig = scales_of(chosen, axis), rig_of(lab, axis)
     clock_Hz = lab.acquisition.sampling_rate_Hz
     tracks = tracks_of(chosen, axis, scales, rig, clock_Hz=clock_Hz)
-    stroke_m = abs(scales.displacement_m)
+    half_stroke_m = abs(scales.displacement_m)
     rest = -scales.voltage_offset_V / scales.voltage_V
-    view = view_of(tracks, stroke_m=stroke_m, voltage_V=scales.voltage_V, rest=rest)
+    view = view_of(tracks, half_stroke_m=half_stroke_m, voltage_V=scales.voltage_V, rest=rest)
     scope = scope_of(pieces_of(chosen, axis, scales, rig))
     return replace(view, one_speed=scope.has_one_speed and behind_jumps(view) is None)
 
@@ -264,18 +264,18 @@ def _assembled(
 ) -> Diagnosis:
     """Put together findings, detection limits and the error budget."""
     axis, result, scales = selection.axis, selection.result, selection.scales
-    errors, outcome, stroke_m = selection.errors, result.outcome, result.raw.stroke_m
+    errors, outcome, half_stroke_m = selection.errors, result.outcome, result.raw.half_stroke_m
     searched = findings_of(result, errors, selection.recordings, axis, scales)
     named = {finding.effect for finding in searched}
     quality, rest = final.quality, result.unexplained
     diagnosis = Diagnosis(
         axis=axis,
-        stroke_m=2.0 * stroke_m,
-        baseline=held_out(errors.baseline_m, stroke_m),
+        stroke_m=2.0 * half_stroke_m,
+        baseline=held_out(errors.baseline_m, half_stroke_m),
         final=FinalError(
-            rms_m=quality.held_out_rms_m, rms_percent=50.0 * quality.held_out_rms_m / stroke_m
+            rms_m=quality.held_out_rms_m, rms_percent=50.0 * quality.held_out_rms_m / half_stroke_m
         ),
-        envelope_rms_m=outcome.final.rms * stroke_m,
+        envelope_rms_m=outcome.final.rms * half_stroke_m,
         noise_floor_rms_m=quality.noise_rms_m,
         explained_fraction=fraction_explained(
             errors.baseline_m, quality.held_out_rms_m, quality.noise_rms_m
@@ -289,7 +289,7 @@ def _assembled(
             if effect.name not in named
         ),
         unexplained=Unexplained(
-            rms_m=rest.rms * stroke_m,
+            rms_m=rest.rms * half_stroke_m,
             share=rest.share,
             p_value=rest.p_value,
             coordinate=rest.coordinate,
@@ -321,7 +321,7 @@ def _remaining_errors(outcome: Outcome, errors: ModelErrors, final: AxisModel) -
     plain_m = final.without_loop_shape().quality.held_out_rms_m
     return RemainingErrors(
         explained_m=final.quality.explained_rms_m,
-        wide_m=outcome.final.rms * outcome.first.stroke_m * corrected(rows, columns),
+        wide_m=outcome.final.rms * outcome.first.half_stroke_m * corrected(rows, columns),
         scatter=errors.scatter,
         before_m=plain_m if plain_m > final.quality.held_out_rms_m else None,
         is_compared=not outcome.against,

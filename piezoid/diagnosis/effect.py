@@ -58,14 +58,14 @@ class SearchScaling:
 
     voltage_V         half the range of the drive: what 1 means
     voltage_offset_V  its middle: what 0 means
-    stroke_m          half the stroke
+    half_stroke_m     half the stroke
     pieces            in the order of the search's tracks
     recordings        names, in the order in which they were made
     """
 
     voltage_V: float
     voltage_offset_V: float
-    stroke_m: float
+    half_stroke_m: float
     pieces: tuple[Where, ...]
     recordings: tuple[str, ...]
 
@@ -80,7 +80,7 @@ def scaling_of(model: AxisModel, recordings: Sequence[Recording], scales: Scales
     return SearchScaling(
         voltage_V=scales.voltage_V,
         voltage_offset_V=scales.voltage_offset_V,
-        stroke_m=abs(scales.displacement_m),
+        half_stroke_m=abs(scales.displacement_m),
         pieces=tuple(part.where for part in parts_of(model, recordings)),
         recordings=tuple(recording.name for recording in recordings),
     )
@@ -98,7 +98,8 @@ class Trial:
                          in advance, and it is only put in place where its effect is refitted
     parameters           nonlinear ones, by name with unit
     physical             False: a placebo of the same freedom, to calibrate by
-    coefficient_range    of the first coefficient, as physics allows it
+    coefficient_range    of the first coefficient, as physics allows it; the tangent of a filter
+                         errs by factors, and only its sign is tested
     minimum_coefficient  size below which the first coefficient counts as zero
     needs_time           whether at one speed this is a width of the loop, as a lag is
     unique               whether no other shape of its kind is missing; where many are, one of

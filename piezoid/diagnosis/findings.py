@@ -44,17 +44,20 @@ def findings_of(
         axis: that was searched.
         scales: of the search.
     """
-    outcome, stroke_m = result.outcome, result.raw.stroke_m
+    outcome, half_stroke_m = result.outcome, result.raw.half_stroke_m
     findings = [
-        *(fault_finding(name, fault, errors, stroke_m) for name, fault in outcome.faults.items()),
+        *(
+            fault_finding(name, fault, errors, half_stroke_m)
+            for name, fault in outcome.faults.items()
+        ),
         *(effect_finding(cause, outcome, errors) for cause in outcome.causes),
     ]
-    after, structure = held_out(errors.final_m, stroke_m), result.structure
+    after, structure = held_out(errors.final_m, half_stroke_m), result.structure
     if structure is not None:
         findings.append(
             structure_finding(
                 structure,
-                before=held_out(errors.without_m[SOMETHING_ELSE], stroke_m),
+                before=held_out(errors.without_m[SOMETHING_ELSE], half_stroke_m),
                 after=after,
                 scale_m=scales.displacement_m,
                 middle_m=_middle_m(structure.view, recordings, axis, scales),
@@ -83,12 +86,12 @@ def _middle_m(view: View, recordings: Sequence[Recording], axis: str, scales: Sc
     return float(np.median(displacement_m - static_m))
 
 
-def held_out(rms_m: float, stroke_m: float) -> HeldOut:
-    """Return an error in metres and in percent of the stroke, of which ``stroke_m`` is half."""
-    return HeldOut(rms_m=rms_m, rms_percent=50.0 * rms_m / stroke_m)
+def held_out(rms_m: float, half_stroke_m: float) -> HeldOut:
+    """Return an error in metres and in percent of the stroke."""
+    return HeldOut(rms_m=rms_m, rms_percent=50.0 * rms_m / half_stroke_m)
 
 
-def fault_finding(name: str, fault: Fault, errors: ModelErrors, stroke_m: float) -> Finding:
+def fault_finding(name: str, fault: Fault, errors: ModelErrors, half_stroke_m: float) -> Finding:
     """Return the finding of a fault of the data.
 
     Its gain is 0 if it was repaired on reading, or cannot be repaired.
@@ -102,7 +105,7 @@ def fault_finding(name: str, fault: Fault, errors: ModelErrors, stroke_m: float)
         held_out_rms_before_m=before_m,
         held_out_rms_after_m=after_m,
         p_value=min(1.0, fault.p_value * len(every_effect())),
-        rms_percent=50.0 * gain * before_m / stroke_m,
+        rms_percent=50.0 * gain * before_m / half_stroke_m,
         size=Size(
             value=fault.value, unit=effect.unit, ci95=(fault.value - margin, fault.value + margin)
         ),

@@ -30,7 +30,7 @@ class View:
 
     selected   (rows, columns)  of selected effects, part of the null
     offset     (rows,)          change of the response by selected filters
-    stroke_m   half the range of the displacement: 1 in scaled units
+    half_stroke_m  half the range of the displacement: 1 in scaled units
     voltage_V  half the range of the drive
     rest       the drive at 0 V, in half ranges from its middle
     guess      static responses in place of the fitted ones, (samples,) for each track
@@ -41,7 +41,7 @@ class View:
     nuisance: NuisanceClass
     selected: Array
     offset: Array
-    stroke_m: float
+    half_stroke_m: float
     voltage_V: float
     rest: float
     guess: tuple[Array, ...] | None = None
@@ -85,7 +85,7 @@ class View:
 
     @Once
     def static(self) -> tuple[Array, ...]:
-        """Return the static response of every track at every sample."""
+        """Return the static response of every track at every sample, without the track's zero."""
         if self.guess is not None:
             return self.guess
         return tuple(self.nuisance.static(k, self.weight) for k in range(len(self.tracks)))
@@ -133,7 +133,9 @@ def _noise(response: Array) -> float:
     return max(white_noise_rms(response), step / sqrt(12.0))
 
 
-def view_of(tracks: Sequence[Track], *, stroke_m: float, voltage_V: float, rest: float) -> View:
+def view_of(
+    tracks: Sequence[Track], *, half_stroke_m: float, voltage_V: float, rest: float
+) -> View:
     """Return the view of tracks whose drives were cycled over their range before."""
     histories = tuple(
         History(track=track, reversals=hypotheses(track.drive)[0]) for track in tracks
@@ -144,7 +146,7 @@ def view_of(tracks: Sequence[Track], *, stroke_m: float, voltage_V: float, rest:
         nuisance=nuisance,
         selected=np.zeros((rows, 0)),
         offset=np.zeros(rows),
-        stroke_m=stroke_m,
+        half_stroke_m=half_stroke_m,
         voltage_V=voltage_V,
         rest=rest,
     )

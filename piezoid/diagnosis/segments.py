@@ -42,7 +42,8 @@ class Track:
     drive     (samples,)  the same behind the sensor's declared pole, which commutes with
                           hysteresis but not with limits of the amplifier
     sensor_Hz             that pole, None where it is not declared
-    response  (samples,)  displacement over half the stroke
+    response  (samples,)  displacement over half the stroke, without its middle; it rises with
+                          the drive
     others    scaled drives of other axes that move, by axis
     place     (rows,)     samples that are compared
     block     (rows,)     block of each of these, from 0

@@ -48,7 +48,7 @@ def structure_finding(
     middle_m       displacement of 0
     """
     score, view = structure.score, structure.view
-    low_m, rms_m, high_m = (view.stroke_m * rms for rms in _rms_with_interval(structure))
+    low_m, rms_m, high_m = (view.half_stroke_m * rms for rms in _rms_with_interval(structure))
     sign = float(np.sign(scale_m))
     profile = _profile(
         score, view, sign * structure.residual, sign * score.fitted, scale_m, middle_m
@@ -60,7 +60,7 @@ def structure_finding(
         held_out_rms_before_m=before.rms_m,
         held_out_rms_after_m=after.rms_m,
         p_value=structure.healthy_p_value,
-        rms_percent=50.0 * rms_m / view.stroke_m,
+        rms_percent=50.0 * rms_m / view.half_stroke_m,
         size=_size(low_m, rms_m, high_m),
         not_separable_from=(),
         explanation=f"No effect of the catalogue stands for it: {share} lives in "
@@ -82,15 +82,15 @@ def noise_finding(
     error  held-out error of the model, which contains this noise
     """
     score, view = noise.score, noise.view
-    low_m, rms_m, high_m = (view.stroke_m * rms for rms in excess_of(noise))
-    quiet_m, loud_m = (view.stroke_m * rms for rms in noise.range)
+    low_m, rms_m, high_m = (view.half_stroke_m * rms for rms in excess_of(noise))
+    quiet_m, loud_m = (view.half_stroke_m * rms for rms in noise.range)
     return Finding(
         effect=SOMETHING_ELSE,
         held_out_gain=0.0,
         held_out_rms_before_m=error.rms_m,
         held_out_rms_after_m=error.rms_m,
         p_value=score.p_value,
-        rms_percent=50.0 * rms_m / view.stroke_m,
+        rms_percent=50.0 * rms_m / view.half_stroke_m,
         size=_size(low_m, rms_m, high_m),
         not_separable_from=(),
         explanation="No effect of the catalogue stands for it: the noise of the readings is not "
@@ -136,7 +136,7 @@ def _parameters(structure: ResidualStructure) -> dict[str, float]:
     if not per_unit:
         return {}
     if score.coordinate in ("distance_travelled", "reading"):
-        return {"period_m": structure.view.stroke_m / per_unit}
+        return {"period_m": structure.view.half_stroke_m / per_unit}
     if score.coordinate == "sample_index":
         return {"period_samples": 1.0 / per_unit}
     return {"frequency_Hz": per_unit}
@@ -190,8 +190,8 @@ def _profile(
         position = position * np.sign(scale_m) + middle_m
     return coordinate_profile(
         position,
-        view.stroke_m * np.concatenate([residual[view.track_rows(k)] for k in tracks]),
-        view.stroke_m * np.concatenate([fitted[view.track_rows(k)] for k in tracks]),
+        view.half_stroke_m * np.concatenate([residual[view.track_rows(k)] for k in tracks]),
+        view.half_stroke_m * np.concatenate([fitted[view.track_rows(k)] for k in tracks]),
         unit="" if is_periodic else score.basis.unit,
         recording=recording,
     )

@@ -249,7 +249,7 @@ class Run:
         What is added enters exactly, other numbers by differences.
         """
         forward, extension = self.forward, self.forward.extensions[number]
-        columns = extension.columns(self.where)
+        columns = extension.added_by_number(self.where)
         if columns is not None:
             return np.asarray(columns[sample] / forward.scales.displacement_m)
         free, changes = extension.free(), []

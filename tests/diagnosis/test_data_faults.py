@@ -199,12 +199,11 @@ def test_a_fine_ripple_is_found_though_every_recording_counts_from_its_own_zero(
 def test_what_is_larger_than_a_fault_that_could_hide_is_found():
     height = 1.3 * outliers.EFFECT.fault.bound(healthy())
     reading_m = np.array(clean("walk")[2])
-    reading_m[4000] += height * 2.0 * healthy().stroke_m
+    reading_m[4000] += height * 2.0 * healthy().half_stroke_m
     assert outliers.EFFECT.fault.find(view_with(walk=reading_m)) is not None
     step = 1.3 * np.sqrt(12.0) * quantisation.EFFECT.fault.bound(healthy())
-    assert (
-        quantisation.EFFECT.fault.find(coarse_reading(step * 2.0 * healthy().stroke_m)) is not None
-    )
+    view = coarse_reading(step * 2.0 * healthy().half_stroke_m)
+    assert quantisation.EFFECT.fault.find(view) is not None
 
 
 def test_a_fault_found_in_several_goes_has_the_larger_size_and_the_surer_p():
@@ -240,7 +239,7 @@ def test_a_few_wrong_readings_are_spikes_and_more_side_by_side_are_none(long):
 
 
 def test_a_spike_as_high_as_might_hide_is_found_at_most_places_and_a_tenth_of_it_at_none():
-    height = outliers.EFFECT.fault.bound(healthy()) * 2.0 * healthy().stroke_m
+    height = outliers.EFFECT.fault.bound(healthy()) * 2.0 * healthy().half_stroke_m
     places = np.linspace(300, 8600, 24).astype(int)
     found = {}
     for times in (1.2, 0.1):

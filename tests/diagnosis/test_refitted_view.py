@@ -57,7 +57,7 @@ def test_no_limit_that_is_tried_stops_the_drive_altogether() -> None:
 
 def test_a_limit_that_no_drive_came_to_is_no_part_of_the_model() -> None:
     setting = SearchScaling(
-        voltage_V=5.0, voltage_offset_V=5.0, stroke_m=1e-5, pieces=(), recordings=()
+        voltage_V=5.0, voltage_offset_V=5.0, half_stroke_m=1e-5, pieces=(), recordings=()
     )
     extend = amplifier_saturation.EFFECT.extend
     assert extend is not None

@@ -8,7 +8,7 @@ HUM_m = 4.0 * NOISE_m
 
 
 def test_the_noise_of_a_healthy_stage_is_what_was_put_in() -> None:
-    assert np.isclose(healthy().noise * healthy().stroke_m, NOISE_m, rtol=0.1)
+    assert np.isclose(healthy().noise * healthy().half_stroke_m, NOISE_m, rtol=0.1)
 
 
 def test_zero_volts_are_known_in_half_ranges_from_the_middle_of_the_drive() -> None:

@@ -86,7 +86,7 @@ def test_a_slip_well_above_one_that_could_hide_is_found():
     share = timestamp_fault.EFFECT.fault.bound(healthy())
     late_m = [slipped(clean("waves")[2], 4100, n) - clean("waves")[2] for n in range(1, 60)]
     rms = np.array([np.sqrt(np.mean(change_m**2)) for change_m in late_m])
-    samples = 1 + int(np.argmax(rms > 1.5 * share * 2.0 * healthy().stroke_m))
+    samples = 1 + int(np.argmax(rms > 1.5 * share * 2.0 * healthy().half_stroke_m))
     view = view_with(waves=slipped(clean("waves")[2], 4100, samples))
     assert within(timestamp_fault.EFFECT.fault.find(view), samples)
 

@@ -96,4 +96,6 @@ def test_sections_without_matter_are_not_on_the_page() -> None:
     model, given = stage_model(axis_model()), (recording(),)
     page = Page(model=model, recordings=given)
     anchors = [section.anchor for render_it in SECTIONS if (section := render_it(page))]
-    assert anchors == ["summary", "loops", "residuals", "parameters", "limits", "provenance"]
+    assert anchors[0] == "summary"
+    without_matter = {"error-budget", "findings", "dynamics", "tunnelling", "verification"}
+    assert not without_matter & set(anchors)

@@ -33,7 +33,6 @@ from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
-ALLOWED = (0.4, 1.8)
 DEPTHS = (0.01, 0.02, 0.04, 0.07, 0.11, 0.16, 0.24)  # below the end of the drive
 DEEPER = (0.4, 0.6, 0.8, 1.0, 1.2)  # and where a tangent would look like anything
 LEAST = 0.05  # of the drive's range that gets through: less moves no stage that was recorded
@@ -68,7 +67,6 @@ def _trials(view: View) -> list[Trial]:
         Trial(
             columns=drive_change(view, _clip, way) if depth in DEPTHS else untested(view),
             parameters=way,
-            coefficient_range=ALLOWED,
             free=dict.fromkeys(way, max(SHORTEST, STEP * depth)),
             limits=limits,
         )

@@ -34,7 +34,6 @@ from piezoid.operators.filters import later
 
 SHORTEST = 0.5  # samples of the fastest recording
 LONGEST_s = 0.03
-ALLOWED = (0.4, 1.8)
 TRIED = 12
 # strokes a second at which what is injected is late by its share: the same time in every recording
 SPEED = 50.0
@@ -55,7 +54,6 @@ def _trials(view: View) -> list[Trial]:
         Trial(
             columns=filtered_change(view, _passed, {name: value}),
             parameters={name: value},
-            coefficient_range=ALLOWED,
             needs_time=True,
             free={name: 1.5},
         )

@@ -30,7 +30,6 @@ from piezoid.operators.filters import relaxed
 
 SHORTEST = 0.5  # samples of the fastest recording
 LONGEST_s = 0.1
-ALLOWED = (0.4, 1.8)
 TRIED = 14
 # strokes a second at which what is injected is late by its share: the same pole in every recording
 SPEED = 50.0
@@ -47,7 +46,6 @@ def _trials(view: View) -> list[Trial]:
         Trial(
             columns=filtered_change(view, _passed, {"time_s": float(t)}),
             parameters={"time_s": float(t)},
-            coefficient_range=ALLOWED,
             needs_time=True,
             free={"time_s": 1.5},
         )

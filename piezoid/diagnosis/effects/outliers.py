@@ -167,8 +167,8 @@ def find_outliers(view: View) -> Fault | None:
     # noise of the spike, and half of that of the two samples it is interpolated between
     return Fault(
         tracks=tuple(tracks),
-        value=1e9 * view.stroke_m * height,
-        spread=1e9 * view.stroke_m * float(np.hypot(noise * np.sqrt(1.5), 0.01 * height)),
+        value=1e9 * view.half_stroke_m * height,
+        spread=1e9 * view.half_stroke_m * float(np.hypot(noise * np.sqrt(1.5), 0.01 * height)),
         p_value=max(chances),
         where=tuple(where),
     )

@@ -82,8 +82,8 @@ def _steps_of_reading(view: View) -> Fault | None:
     difference = np.abs(steps[is_coarse & ~is_equal] - step)
     return Fault(
         tracks=view.tracks,
-        value=1e9 * view.stroke_m * step,
-        spread=1e9 * view.stroke_m * float(np.max(difference, initial=0.01 * step)),
+        value=1e9 * view.half_stroke_m * step,
+        spread=1e9 * view.half_stroke_m * float(np.max(difference, initial=0.01 * step)),
         p_value=float(np.exp(-min(evidence, 700.0))),
     )
 
@@ -153,7 +153,7 @@ class Sawtooth:
 def drive_step(view: View) -> float:
     """Return the displacement of a step of a coarse drive, of half the stroke; 0 if it is fine."""
     fault = _steps_of_drive(view)
-    return 0.0 if fault is None else 1e-9 * fault.value / view.stroke_m
+    return 0.0 if fault is None else 1e-9 * fault.value / view.half_stroke_m
 
 
 def _steps_of_drive(view: View) -> Fault | None:
@@ -180,8 +180,8 @@ def _steps_of_drive(view: View) -> Fault | None:
             replace(track, drive=track.drive + sawtooth.step * sawtooth.error(track.drive))
             for track in view.tracks
         ),
-        value=1e9 * view.stroke_m * height,
-        spread=1e9 * view.stroke_m * max(std, 0.01 * height),
+        value=1e9 * view.half_stroke_m * height,
+        spread=1e9 * view.half_stroke_m * max(std, 0.01 * height),
         p_value=sawtooth.p_value,
     )
 

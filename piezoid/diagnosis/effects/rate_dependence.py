@@ -124,7 +124,7 @@ def extend(found: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ..
     return (
         RateDependence(
             time_s=share * found.parameters["time_s"],
-            strain_m=share * strain * setting.stroke_m if bends else 0.0,
+            strain_m=share * strain * setting.half_stroke_m if bends else 0.0,
         ),
     )
 

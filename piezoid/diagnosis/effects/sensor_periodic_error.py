@@ -146,7 +146,7 @@ def _size(view: View, _: Parameters, coefficient: Array) -> float:
     """Return the amplitude of the first order, or of the second if that is larger."""
     of_tracks = coefficient.reshape(-1, 4)
     first, second = (np.hypot(of_tracks[:, j], of_tracks[:, j + 1]) for j in (0, 2))
-    return 1e9 * view.stroke_m * float(max(np.median(first), np.median(second)))
+    return 1e9 * view.half_stroke_m * float(max(np.median(first), np.median(second)))
 
 
 def _tangent(drive: Driven, _: float) -> Array:
@@ -174,7 +174,7 @@ def inject(recording: Recording, share: float) -> Recording:
 
 def extend(found: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
     """Return the part of the model that begins where a search found it."""
-    wavelength_m = 2.0 * setting.stroke_m / found.parameters["periods"]
+    wavelength_m = 2.0 * setting.half_stroke_m / found.parameters["periods"]
     return (PeriodicError(wavelength_m=wavelength_m, cosine_m=(0.0, 0.0), sine_m=(0.0, 0.0)),)
 
 

@@ -31,7 +31,6 @@ from piezoid.numerics.arrays import Array
 from piezoid.operators.limits import slewed
 from piezoid.records.recording import Recording
 
-ALLOWED = (0.4, 1.8)
 SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.92)  # of the fastest drive
 SLOWER = (0.06, 0.09, 0.13, 0.18)  # and where a tangent would look like anything
 QUICK = 0.999  # quantile of the speed: single jumps of a staircase settle nothing
@@ -53,7 +52,6 @@ def _trials(view: View) -> list[Trial]:
         Trial(
             columns=drive_change(view, _limited, way) if share in SHARES else untested(view),
             parameters=way,
-            coefficient_range=ALLOWED,
             needs_time=True,
             free={"limit_per_s": 1.12},
         )

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
+from piezoid.identification.extensions.loop_effect import NOTHING, LoopEffect
 from piezoid.numerics.arrays import Array
 from piezoid.operators.filters import later
 
@@ -32,6 +33,10 @@ class ConverterHold(Extension):
     def response(self, moved: Array, where: Where) -> Array:
         """Return the later displacement; in front of the hysteresis it would be the same."""
         return later(moved, self.hold_s * where.rate_Hz)
+
+    def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
+        """Return nothing: the delay of a controller's own converter is part of its loop."""
+        return NOTHING
 
     def free(self) -> Free:
         """Return nothing."""

@@ -50,7 +50,7 @@ class CrossAxis(Extension):
         for value in self.free().value:
             within("cross-axis gain", float(value), -LARGEST, LARGEST)
 
-    def columns(self, where: Where) -> Array | None:
+    def added_by_number(self, where: Where) -> Array | None:
         """Return v, v^2 and the plays of v; None where the other axis rests."""
         if self.axis not in where.others_V:
             return None

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.identification.extensions.loop_effect import NOTHING, LoopEffect
+from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array, frozen
 
 Samples = NDArray[np.int_]
@@ -79,6 +79,8 @@ def free(value: Any, lower: Any, upper: Any, step: Any) -> Free:
 class Extension:
     """Something a diagnosis adds to an axis model; this one adds nothing.
 
+    Design and verification know an extension by its ``loop_effect`` alone, which each must state.
+
     kind       its name in model.json
     instant    whether ``response`` follows within samples: then tangents pass it as well
     in_metres  whether what ``prior`` compares are metres
@@ -108,10 +110,10 @@ class Extension:
 
     def added(self, where: Where) -> Array | float:
         """Return what is added whatever the drive does, (samples,) in m, or 0."""
-        columns = self.columns(where)
+        columns = self.added_by_number(where)
         return 0.0 if columns is None else np.asarray(columns @ self.free().value)
 
-    def columns(self, where: Where) -> Array | None:  # noqa: ARG002
+    def added_by_number(self, where: Where) -> Array | None:  # noqa: ARG002
         """Return d added / d numbers, (samples, numbers); None where nothing is added."""
         return None
 
@@ -127,9 +129,9 @@ class Extension:
         """Return the factor by which motion is larger, (samples,) or one number."""
         return 1.0
 
-    def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
-        """Return what a loop of this sampling rate feels of it."""
-        return NOTHING
+    def loop_effect(self, rate_Hz: float) -> LoopEffect:
+        """Return what a loop of this sampling rate feels of it, ``NOTHING`` if that is so."""
+        raise NotImplementedError(self.kind)
 
     def at_corner(self, slower: float, sharper: float) -> "Extension":  # noqa: ARG002
         """Return the extension at an end of what the fit allows, for a family of plants.

@@ -88,7 +88,7 @@ class MainsLines(Extension):
                 )
         return cls(frequency_Hz=frequency_Hz, hums=tuple(hums))
 
-    def columns(self, where: Where) -> Array | None:
+    def added_by_number(self, where: Where) -> Array | None:
         """Return cosines and sines under their hats, at the places of this piece."""
         columns, first = None, 0
         total = sum(2 * len(hum.cosine_m) for hum in self.hums)

@@ -53,7 +53,7 @@ class ThermalDrift(Extension):
         )
         return cls(curves=curves)
 
-    def columns(self, where: Where) -> Array | None:
+    def added_by_number(self, where: Where) -> Array | None:
         """Return the hats of this piece among the places of all."""
         columns, total = None, sum(len(curve.level_m) for curve in self.curves)
         first = 0

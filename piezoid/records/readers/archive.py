@@ -73,4 +73,4 @@ def read(source: Source) -> RawTable:
     raise unreadable(source.name, kind, needed="a table with a row for each sample", remedy=remedy)
 
 
-READER = Reader(name="zip archive", suffixes=(".zip",), recognises=recognises, read=read)
+READER = Reader(name="zip archive", usual_suffixes=(".zip",), recognises=recognises, read=read)

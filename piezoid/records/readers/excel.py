@@ -113,7 +113,7 @@ def _cell(value: object) -> str:
 
 READER = Reader(
     name="Excel",
-    suffixes=(".xlsx",),
+    usual_suffixes=(".xlsx",),
     recognises=recognises,
     read=read,
     library=True,

@@ -52,4 +52,6 @@ def read(source: Source) -> RawTable:
     )
 
 
-READER = Reader(name="PI GCS array", suffixes=(".dat", ".txt"), recognises=recognises, read=read)
+READER = Reader(
+    name="PI GCS array", usual_suffixes=(".dat", ".txt"), recognises=recognises, read=read
+)

@@ -146,7 +146,7 @@ def _ring(right: Mapping[int, int]) -> int | None:
 
 READER = Reader(
     name="HDF5",
-    suffixes=(".h5", ".hdf5"),
+    usual_suffixes=(".h5", ".hdf5"),
     recognises=lambda source: source.head.startswith(SIGNATURE),
     read=read,
     read_chunks=read_chunks,

@@ -76,5 +76,10 @@ def _text(field: Any) -> str:
 
 
 READER = Reader(
-    name="Igor", suffixes=(".ibw",), recognises=recognises, read=read, library=True, extra="afm"
+    name="Igor",
+    usual_suffixes=(".ibw",),
+    recognises=recognises,
+    read=read,
+    library=True,
+    extra="afm",
 )

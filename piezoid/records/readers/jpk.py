@@ -89,7 +89,7 @@ def _channel(file: Any, number: int, column: str, *, slot: str, unit: str) -> Ar
 
 READER = Reader(
     name="JPK",
-    suffixes=(".jpk-force",),
+    usual_suffixes=(".jpk-force",),
     recognises=recognises,
     read=read,
     library=True,

@@ -196,7 +196,7 @@ def _first_number(cells: Sequence[str], decimal: str) -> float:
 
 READER = Reader(
     name="LabVIEW measurement",
-    suffixes=(".lvm",),
+    usual_suffixes=(".lvm",),
     recognises=lambda source: source.head.startswith(b"LabVIEW Measurement"),
     read=read,
 )

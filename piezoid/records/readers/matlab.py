@@ -148,7 +148,7 @@ def _first_text(field: object) -> str:
 
 READER = Reader(
     name="MATLAB",
-    suffixes=(".mat",),
+    usual_suffixes=(".mat",),
     recognises=recognises,
     read=read,
     library=True,

@@ -46,4 +46,4 @@ def read(source: Source) -> RawTable:
     )
 
 
-READER = Reader(name="Nanonis", suffixes=(".dat",), recognises=recognises, read=read)
+READER = Reader(name="Nanonis", usual_suffixes=(".dat",), recognises=recognises, read=read)

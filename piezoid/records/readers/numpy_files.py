@@ -59,9 +59,9 @@ def _is_npz(source: Source) -> bool:
 
 NPY = Reader(
     name="npy",
-    suffixes=(".npy",),
+    usual_suffixes=(".npy",),
     recognises=lambda source: source.head.startswith(b"\x93NUMPY"),
     read=read_npy,
     library=True,
 )
-NPZ = Reader(name="npz", suffixes=(".npz",), recognises=_is_npz, read=read_npz, library=True)
+NPZ = Reader(name="npz", usual_suffixes=(".npz",), recognises=_is_npz, read=read_npz, library=True)

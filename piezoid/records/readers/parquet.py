@@ -68,7 +68,7 @@ def _check_footer(source: Source, metadata: Any, columns: int, *, whole: bool = 
 
 READER = Reader(
     name="Parquet",
-    suffixes=(".parquet",),
+    usual_suffixes=(".parquet",),
     recognises=lambda source: source.head.startswith(b"PAR1"),
     read=read,
     read_chunks=read_chunks,

@@ -15,7 +15,8 @@ class Reader:
     """One file format.
 
     name         as `piezoid inspect` shows it
-    suffixes     the usual endings of its files, for the documentation and for messages
+    usual_suffixes  the usual endings of its files, which do not decide; for documentation and
+                    messages
     recognises   tells from the first bytes (between similar formats, the suffix) whether a file
                  has this format
     read         returns the table, without the file's name, digest and format; anything wrong
@@ -31,7 +32,7 @@ class Reader:
     """
 
     name: str
-    suffixes: tuple[str, ...]
+    usual_suffixes: tuple[str, ...]
     recognises: Callable[[Source], bool]
     read: Callable[[Source], RawTable]
     read_chunks: Callable[[Source, int], Iterator[RawTable]] | None = None

@@ -66,4 +66,6 @@ def read(source: Source) -> RawTable:
     )
 
 
-READER = Reader(name="Rigol oscilloscope", suffixes=(".csv",), recognises=recognises, read=read)
+READER = Reader(
+    name="Rigol oscilloscope", usual_suffixes=(".csv",), recognises=recognises, read=read
+)

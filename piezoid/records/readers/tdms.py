@@ -83,7 +83,7 @@ def _stated_rate_Hz(source: Source, channels: Mapping[str, Any]) -> float | None
 
 READER = Reader(
     name="TDMS",
-    suffixes=(".tdms",),
+    usual_suffixes=(".tdms",),
     recognises=lambda source: source.head.startswith(b"TDSm"),
     read=read,
     read_chunks=read_chunks,

@@ -110,10 +110,10 @@ def read_above(source: Source) -> RawTable:
 
 ABOVE = Reader(
     name="Tektronix oscilloscope, settings above",
-    suffixes=(".csv",),
+    usual_suffixes=(".csv",),
     recognises=recognises_above,
     read=read_above,
 )
 READER = Reader(
-    name="Tektronix oscilloscope", suffixes=(".csv",), recognises=recognises, read=read
+    name="Tektronix oscilloscope", usual_suffixes=(".csv",), recognises=recognises, read=read
 )

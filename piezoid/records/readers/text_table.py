@@ -2,6 +2,7 @@
 
 import gzip
 import io
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import BinaryIO
@@ -204,11 +205,10 @@ def metadata_of(lines: Sequence[str]) -> dict[str, str]:
     metadata = {}
     for line in lines:
         content = line.strip().lstrip("#%/ ")
-        for mark in ("\t", "=", ":", ";", ","):
-            key, separator, value = content.partition(mark)
-            if separator and key.strip():
-                metadata[key.strip().strip('"')] = value.strip().strip('"')
-                break
+        parts = re.split(r"[\t=:;,]", content, maxsplit=1)
+        if len(parts) == 2 and parts[0].strip():
+            key, value = (part.strip().strip('"') for part in parts)
+            metadata[key] = value
     return metadata
 
 
@@ -304,7 +304,7 @@ def recognises(source: Source) -> bool:
 
 READER = Reader(
     name="text table",
-    suffixes=(".csv", ".tsv", ".txt", ".dat", ".asc"),
+    usual_suffixes=(".csv", ".tsv", ".txt", ".dat", ".asc"),
     recognises=recognises,
     read=read,
     read_chunks=read_chunks,

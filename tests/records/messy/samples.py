@@ -37,7 +37,7 @@ def formats_table() -> str:
     rows = [head, "| --- | --- | --- | --- |"]
     for reader in READERS:
         if reader is not archive.READER:
-            endings = ", ".join(f"`{suffix}`" for suffix in reader.suffixes)
+            endings = ", ".join(f"`{suffix}`" for suffix in reader.usual_suffixes)
             extra = reader.extra and f"`{reader.extra}`"
             chunked = "yes" if reader.read_chunks else ""
             rows.append(f"| {reader.name} | {endings} | {extra} | {chunked} |")
