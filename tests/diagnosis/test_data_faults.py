@@ -188,7 +188,7 @@ def test_a_fine_ripple_is_found_though_every_recording_counts_from_its_own_zero(
     }
     view = view_with(**readings_m)
     found = score_test(sensor_periodic_error.EFFECT, view)
-    periods = 2.0 * view.stroke_m / period_m
+    periods = 2.0 * view.half_stroke_m / period_m
     assert found.trial.parameters["periods"] == pytest.approx(periods, rel=0.01)
     assert found.cv.gain > 0.2
     size = sensor_periodic_error.EFFECT.size

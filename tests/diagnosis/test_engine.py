@@ -105,7 +105,7 @@ def test_one_bouc_wen_state_follows_a_bouc_wen_ceramic_to_its_noise():
     campaign = draw_campaign(305, truth="bouc_wen", plans=("sweep", "check", "chirp"))
     recordings, lab = recorded(campaign)
     view = view_of_recordings(recordings, lab)
-    noise = campaign.answer.noise_rms_m / view.stroke_m
+    noise = campaign.answer.noise_rms_m / view.half_stroke_m
     assert view.rms > 2.0 * noise
     assert with_best_bouc_wen(view).rms < 1.4 * noise
 

@@ -22,4 +22,4 @@ def test_a_hum_at_every_other_sample_is_no_more_noise_than_it_leaves() -> None:
     hum_m = HUM_m * (-1.0) ** np.arange(len(reading_m))
     view = view_with(walk=reading_m + hum_m)
     truth_m = np.sqrt(NOISE_m**2 + HUM_m**2 / len(view.tracks))
-    assert np.isclose(view.noise * view.stroke_m, truth_m, rtol=0.1)
+    assert np.isclose(view.noise * view.half_stroke_m, truth_m, rtol=0.1)

@@ -104,7 +104,7 @@ def test_a_model_without_recordings_is_a_wrong_use(tmp_path: Path) -> None:
 
 def stumbling(view: View) -> str:
     """Somebody's effect, with a mistake that only a long stroke shows: that of axis x."""
-    if view.stroke_m > 8e-6:
+    if view.half_stroke_m > 8e-6:
         raise RuntimeError("an index too far")
     return "it was not looked for"
 
