@@ -8,6 +8,7 @@ named in the initialiser, so a member of another spelling does not compile.
 import ctypes
 import re
 import textwrap
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,9 @@ _HARMLESS = re.compile(r"[^A-Za-z0-9 .,:;()+=_-]")
 _TOP = """\
 /* Parameters of the piezoid runtime for the stage: {name}
  * {digest}
- * Written by piezoid from params.json; change that, not this. SI units throughout.
+ * Written by piezoid {piezoid}. Do not edit: pz_check compares checksums; README.md states how
+ * parameters are changed. Include this file in one source file only, because every file that
+ * includes it gets a copy of the table. Comments: meaning [unit].
  */
 #ifndef PIEZO_PARAMS_H
 #define PIEZO_PARAMS_H
@@ -74,6 +77,7 @@ def c_header(file: ParameterFile, digest: str) -> str:
     top = _TOP.format(
         name=plain_ascii(file.name),
         digest=digest,
+        piezoid=version("piezoid"),
         version=VERSION,
         enumerators=", ".join(
             f"PIEZO_AXIS_{axis.axis.upper()} = {index}" for index, axis in enumerate(file.axes)
@@ -106,15 +110,14 @@ def _sealed(file: ParameterFile, precision: str) -> str:
 def _axis(axis: AxisParameters) -> str:
     name = axis.axis.upper()
     constants = ("PZ_SCHEMA_VERSION", "PIEZO_PARAMS_SIZE", f"PIEZO_CHECKSUM_{name}")
-    sealed = dict(zip(SEALED, constants, strict=True))
-    lines = [
-        _member(p, sealed[p.name] if p.name in sealed else _value(p, axis)) for p in PARAMETERS
-    ]
+    symbols = dict(zip(SEALED, constants, strict=True))
+    symbols["method"] = f"PZ_METHOD_{axis.method.upper()}"
+    lines = [_member(p, symbols.get(p.name) or _value(p, axis)) for p in PARAMETERS]
     return f"    [PIEZO_AXIS_{name}] = {{\n" + "\n".join(lines) + "\n    },\n"
 
 
 def _member(parameter: Parameter, value: str) -> str:
-    unit = "" if parameter.unit == "1" else f"{parameter.unit}: "
+    unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
     wrapped = textwrap.wrap(
         f".{parameter.name} = {value},",
         width=99,
@@ -123,7 +126,7 @@ def _member(parameter: Parameter, value: str) -> str:
         break_long_words=False,
         break_on_hyphens=False,
     )
-    return "\n".join([f"        /* {unit}{plain_ascii(parameter.meaning)} */", *wrapped])
+    return "\n".join([f"        /* {parameter.meaning}{unit} */", *wrapped])
 
 
 def _value(parameter: Parameter, axis: AxisParameters) -> str:

@@ -89,13 +89,14 @@ _README = """\
 
 | call | what it does |
 | --- | --- |
-| `pz_open(axis, voltage_V, measured)` | an axis at rest: a handle above 0, or an error |
-| `pz_step(handle, samples, reference, measured, voltage_V, status)` | arrays in and out |
-| `pz_reset(handle)`, `pz_close(handle)` | an operator has looked; give the handle back |
-| `pz_axes()`, `pz_rate_Hz(axis)` | how many axes; how often to call each |
+| `piezoid_open(axis, voltage_V, measured)` | open an axis: a handle above 0, or an error |
+| `piezoid_step(handle, samples, reference, measured, voltage_V, status)` | arrays in and out |
+| `piezoid_reset(handle)`, `piezoid_close(handle)` | continue after a latch; close the handle |
+| `piezoid_axes()`, `piezoid_rate_Hz(axis)` | number of axes; rate at which each is called |
 
-Arrays hold 8-byte reals, `status` 4-byte unsigned integers; `piezoid_controller.h` says the rest.
-`python3 example.py` plays `golden.csv` and must say that 0 samples differ. To build it yourself:
+Arrays hold 8-byte reals, `status` 4-byte unsigned integers; the reference is
+`piezoid_controller.h`. The README of `bundle/` states timing, units and the handling of bad
+readings. `python3 example.py` plays `golden.csv` and must end with `0 differ`. To build it:
 
     cc -std=c99 -O2 -ffp-contract=off -shared -fPIC -fvisibility=hidden piezoid_controller.c \\
         -o libpiezoid_controller.so
@@ -118,26 +119,26 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 NAME = "piezoid_controller.dll" if sys.platform == "win32" else "libpiezoid_controller.so"
 library = ctypes.CDLL(str(HERE / NAME))
-library.pz_open.argtypes = (ctypes.c_int32, ctypes.c_double, ctypes.c_double)
+library.piezoid_open.argtypes = (ctypes.c_int32, ctypes.c_double, ctypes.c_double)
 reals = ctypes.POINTER(ctypes.c_double)
 words = ctypes.POINTER(ctypes.c_uint32)
-library.pz_step.argtypes = (ctypes.c_int32, ctypes.c_int32, reals, reals, reals, words)
+library.piezoid_step.argtypes = (ctypes.c_int32, ctypes.c_int32, reals, reals, reals, words)
 
 with (HERE / "golden.csv").open() as table:
     rows = list(csv.DictReader(table))
 differ = 0
-for axis in range(library.pz_axes()):
+for axis in range(library.piezoid_axes()):
     own = [row for row in rows if int(row["axis"]) == axis]
     samples = len(own)
     reference = (ctypes.c_double * samples)(*(float(row["reference"]) for row in own))
     measured = (ctypes.c_double * samples)(*(float(row["measured"]) for row in own))
     voltage_V = (ctypes.c_double * samples)()
     status = (ctypes.c_uint32 * samples)()
-    handle = library.pz_open(axis, 0.0, measured[0])
+    handle = library.piezoid_open(axis, 0.0, measured[0])
     if handle <= 0:
         sys.exit(f"axis {axis} does not open: {handle}")
-    library.pz_step(handle, samples, reference, measured, voltage_V, status)
-    library.pz_close(handle)
+    library.piezoid_step(handle, samples, reference, measured, voltage_V, status)
+    library.piezoid_close(handle)
     differ += sum(
         voltage_V[k] != float(row["voltage_double_V"]) or status[k] != int(row["status_double"])
         for k, row in enumerate(own)

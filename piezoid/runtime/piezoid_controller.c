@@ -1,14 +1,9 @@
-/* The flat interface of piezoid_controller.h around the one runtime, which is compiled in here
- * under other names where the two would meet.
+/* The flat interface of piezoid_controller.h around the runtime.
  *
  *     cc -std=c99 -O2 -ffp-contract=off -shared -fPIC -fvisibility=hidden piezoid_controller.c \
  *         -o libpiezoid_controller.so
  */
-#define pz_step pz_runtime_step
-#define pz_reset pz_runtime_reset
 #include "piezoid_runtime.c"
-#undef pz_step
-#undef pz_reset
 
 #include "piezo_params.h"
 #include "piezoid_controller.h"
@@ -30,15 +25,15 @@ static place_of *opened(int32_t handle) {
     return place != NULL && place->handle == handle ? place : NULL;
 }
 
-int32_t pz_axes(void) {
+int32_t piezoid_axes(void) {
     return PIEZO_AXES;
 }
 
-double pz_rate_Hz(int32_t axis) {
+double piezoid_rate_Hz(int32_t axis) {
     return axis >= 0 && axis < PIEZO_AXES ? (double)piezo_params[axis].sampling_rate_Hz : 0.0;
 }
 
-int32_t pz_open(int32_t axis, double voltage_V, double measured) {
+int32_t piezoid_open(int32_t axis, double voltage_V, double measured) {
     int32_t next = 0;
     if (axis < 0 || axis >= PIEZO_AXES) {
         return PZ_NO_AXIS;
@@ -60,8 +55,8 @@ int32_t pz_open(int32_t axis, double voltage_V, double measured) {
     return place->handle;
 }
 
-int32_t pz_step(int32_t handle, int32_t samples, const double *reference, const double *measured,
-                double *voltage_V, uint32_t *status) {
+int32_t piezoid_step(int32_t handle, int32_t samples, const double *reference,
+                     const double *measured, double *voltage_V, uint32_t *status) {
     place_of *const place = opened(handle);
     if (place == NULL) {
         return PZ_NO_HANDLE;
@@ -71,23 +66,23 @@ int32_t pz_step(int32_t handle, int32_t samples, const double *reference, const 
         return PZ_NO_ARRAY;
     }
     for (int32_t k = 0; k < samples; ++k) {
-        voltage_V[k] = (double)pz_runtime_step(&place->state, &piezo_params[place->axis],
-                                               (pz_real)reference[k], (pz_real)measured[k]);
+        voltage_V[k] = (double)pz_step(&place->state, &piezo_params[place->axis],
+                                       (pz_real)reference[k], (pz_real)measured[k]);
         status[k] = place->state.status;
     }
     return samples;
 }
 
-int32_t pz_reset(int32_t handle) {
+int32_t piezoid_reset(int32_t handle) {
     place_of *const place = opened(handle);
     if (place == NULL) {
         return PZ_NO_HANDLE;
     }
-    pz_runtime_reset(&place->state);
+    pz_reset(&place->state);
     return 0;
 }
 
-int32_t pz_close(int32_t handle) {
+int32_t piezoid_close(int32_t handle) {
     place_of *const place = opened(handle);
     if (place == NULL) {
         return PZ_NO_HANDLE;

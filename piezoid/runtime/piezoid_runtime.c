@@ -1,3 +1,5 @@
+/* SPDX-License-Identifier: MIT
+ * Copyright (c) 2026 The piezoid developers; the licence is at the end of this file. */
 #include "piezoid_runtime.h"
 
 #include <float.h>
@@ -853,7 +855,6 @@ int32_t pz_start(pz_state *state, const pz_parameters *parameters, pz_real volta
     if (answer != PZ_OK) {
         return answer;
     }
-    state->ready = READY;
     state->status = 0;
     state->status_ever = 0;
     state->gain_ratio = ONE;
@@ -868,6 +869,7 @@ int32_t pz_start(pz_state *state, const pz_parameters *parameters, pz_real volta
     } else {
         start_lateral(state, parameters, measured);
     }
+    state->ready = READY;
     return PZ_OK;
 }
 
@@ -1297,3 +1299,26 @@ pz_real pz_step(pz_state *state, const pz_parameters *parameters, pz_real refere
                 pz_real measured) {
     return pz_step_feedforward(state, parameters, reference, measured, ZERO);
 }
+
+/* MIT License
+ *
+ * Copyright (c) 2026 The piezoid developers
+ *
+ * Permission is hereby granted, free of charge, to any person obtaining a copy
+ * of this software and associated documentation files (the "Software"), to deal
+ * in the Software without restriction, including without limitation the rights
+ * to use, copy, modify, merge, publish, distribute, sublicense, and/or sell
+ * copies of the Software, and to permit persons to whom the Software is
+ * furnished to do so, subject to the following conditions:
+ *
+ * The above copyright notice and this permission notice shall be included in all
+ * copies or substantial portions of the Software.
+ *
+ * THE SOFTWARE IS PROVIDED "AS IS", WITHOUT WARRANTY OF ANY KIND, EXPRESS OR
+ * IMPLIED, INCLUDING BUT NOT LIMITED TO THE WARRANTIES OF MERCHANTABILITY,
+ * FITNESS FOR A PARTICULAR PURPOSE AND NONINFRINGEMENT. IN NO EVENT SHALL THE
+ * AUTHORS OR COPYRIGHT HOLDERS BE LIABLE FOR ANY CLAIM, DAMAGES OR OTHER
+ * LIABILITY, WHETHER IN AN ACTION OF CONTRACT, TORT OR OTHERWISE, ARISING FROM,
+ * OUT OF OR IN CONNECTION WITH THE SOFTWARE OR THE USE OR OTHER DEALINGS IN THE
+ * SOFTWARE.
+ */

@@ -1,10 +1,12 @@
 /* piezoid runtime: the controller of one axis of a piezo stage, in two files.
  *
- * Use: one pz_state per axis; the parameters come from piezo_params.h. At power-up call pz_start
- * with the present voltage and reading. Then call pz_step once per sample in the interrupt and
- * write the voltage that it returns to the converter. state.status states why the output differs
- * from the requested one. pz_reset continues after a fault that has latched. pz_check, pz_start,
- * pz_schedule and pz_describe belong in the background; pz_reset may be called at any time.
+ * SPDX-License-Identifier: MIT
+ * Copyright (c) 2026 The piezoid developers; the licence is at the end of piezoid_runtime.c.
+ *
+ * Integration: one pz_state per axis; the parameters come from piezo_params.h. Call pz_start
+ * before the interrupt is enabled, then pz_step in every interrupt. README.md of the bundle states
+ * timing, units and the handling of bad readings; the comment of each function below states what
+ * it does and when it may be called.
  *
  * The loop, once per sample (X and Y; quantities relative to their offsets, displacements times
  * the polarity):
@@ -36,12 +38,13 @@
  * the tip. Each retract within trip_samples of the last takes twice as long; after trip_limit of
  * them the tip stays retracted until pz_reset.
  *
- * Floating point: one type, pz_real: double, or float if PZ_REAL_FLOAT is defined. The
- * mathematical library is not called. With -ffp-contract=off every IEEE machine gives the same
- * bits. -ffast-math is refused below.
+ * Floating point: one type, pz_real: double, or float if PZ_REAL_FLOAT is defined; there is no
+ * fixed-point version. Without contraction of products and sums (-ffp-contract=off), flush to zero
+ * and excess precision (x87), every IEEE machine gives the same bits. -ffast-math is refused.
  *
  * Ownership: the caller owns both structures; the runtime does not allocate, print or keep
- * anything. Any number of axes may run at the same time, each with its own state; parameters may
+ * anything. It calls memset, memcpy and memmove, nothing else beyond the arithmetic of the
+ * compiler. Any number of axes may run at the same time, each with its own state; parameters may
  * be in ROM.
  */
 #ifndef PIEZOID_RUNTIME_H
@@ -66,6 +69,8 @@ typedef double pz_real;
 /* A literal of that type: PZ_REAL(0.5). */
 #define PZ_REAL(literal) ((pz_real)(literal))
 
+/* Version and size of pz_parameters must both agree: use the header, the source and the parameters
+ * of one bundle. */
 #define PZ_SCHEMA_VERSION 2
 #define PZ_MAX_PLAYS 32
 #define PZ_MAX_KNOTS 32
@@ -94,40 +99,40 @@ typedef struct {
     int32_t play_count;              /* plays in use */
     int32_t knot_count;              /* dead zones in use; 0: Psi is the identity */
     int32_t envelope_count;          /* kinks of gamma in use; 0: gamma is the identity */
-    int32_t edge_count;              /* of the functions of the plays; 0: phi_i(z) = w_i z */
-    int32_t edge_steps;              /* of r_1 from edge to edge */
+    int32_t edge_count;              /* edges of the functions phi_i; 0: phi_i(z) = w_i z */
+    int32_t edge_steps;              /* distance of the edges, in multiples of r_1 */
     int32_t relaxation_count;        /* creep elements in use; 0: no creep block */
     int32_t reference_section_count; /* biquads on the reference; 0: none */
     int32_t command_section_count;   /* biquads on the linearised command; 0: none */
     int32_t observer_order;          /* states of x, the disturbance not counted */
-    int32_t preview_samples;         /* the reference is for this many samples ahead */
-    int32_t stuck_samples;           /* equal measurements that mean a stuck sensor; 0: off */
-    int32_t blind_samples;           /* X, Y: unusable readings before a hold; 0: no hold */
-    int32_t bad_samples;             /* Z: unusable currents in a row that mean retract */
-    int32_t retract_samples;         /* Z: samples of a first retract; each in a row doubles */
-    int32_t contact_samples;         /* Z: samples at the set point that make a contact */
+    int32_t preview_samples;         /* samples by which the reference is given ahead */
+    int32_t stuck_samples;           /* equal readings in a row before a sensor is stuck; 0: off */
+    int32_t blind_samples;           /* X, Y: unusable readings in a row before a latch; 0: none */
+    int32_t bad_samples;             /* Z: unusable currents in a row before a retract */
+    int32_t retract_samples;         /* Z: length of the first retract; each further one doubles */
+    int32_t contact_samples;         /* Z: samples in a row at the set point before contact */
     int32_t trip_limit;              /* Z: retracts in a row before a latch; 0: no latch */
-    int32_t trip_samples;            /* Z: samples after which a retract is a first one */
+    int32_t trip_samples;            /* Z: samples without retract before its count restarts */
     int32_t rst_T_count;             /* coefficients of T */
     int32_t rst_R_count;             /* coefficients of R */
     int32_t rst_S_count;             /* coefficients of S, its integrator not counted */
     int32_t rst_A0_count;            /* coefficients of A_0 */
 
-    pz_real sampling_rate_Hz;       /* how often pz_step is called */
+    pz_real sampling_rate_Hz;       /* rate at which pz_step is called */
     pz_real gain_m_per_V;           /* a: static gain of the affine model */
     pz_real voltage_offset_V;       /* centre of the model: u = voltage - offset */
     pz_real displacement_offset_m;  /* centre: y = polarity (displacement - offset) */
-    pz_real voltage_minimum_V;      /* converter, lower end */
-    pz_real voltage_maximum_V;      /* converter, upper end */
+    pz_real voltage_minimum_V;      /* lowest output */
+    pz_real voltage_maximum_V;      /* highest output */
     pz_real voltage_step_V;         /* largest change in a sample; 0: any */
-    pz_real lsb_V;                  /* converter step, codes at multiples; 0: no rounding */
+    pz_real lsb_V;                  /* converter step; outputs are multiples; 0: no rounding */
     pz_real reference_minimum_m;    /* references below are raised to this */
     pz_real reference_maximum_m;    /* references above are lowered to this */
     pz_real reference_step_m;       /* largest change of the reference in a sample; 0: any */
-    pz_real certified_step_m;       /* largest change for which the bound holds; 0: no bound */
+    pz_real certified_step_m;       /* the same with an error bound; 0: no bound */
     pz_real displacement_minimum_m; /* measurements below are raised to this */
     pz_real displacement_maximum_m; /* measurements above are lowered to this */
-    pz_real stuck_voltage_V;        /* a sensor that ignores such a change may be stuck */
+    pz_real stuck_voltage_V;        /* voltage change that a working sensor shows */
 
     pz_real play_threshold_V[PZ_MAX_PLAYS];    /* r_i, increasing from r_0 = 0 */
     pz_real play_weight_m_per_V[PZ_MAX_PLAYS]; /* w_i, all partial sums > 0 */
@@ -153,16 +158,16 @@ typedef struct {
     pz_real feedback_K_V[PZ_MAX_ORDER];             /* V */
     pz_real feedback_N_V_per_m;                     /* N = (1 + K x) / (C x) at rest */
 
-    pz_real current_reference_A; /* i_0: the logarithm is 0 here */
-    pz_real current_floor_A;     /* smaller currents count as this: bounds the approach */
-    pz_real current_ceiling_A;   /* from here on retract at once */
-    pz_real retract_voltage_V;   /* where retracting ends */
-    pz_real retract_step_V;      /* how far a retract goes; 0: to its end at once */
-    pz_real approach_step_V;     /* extension in a sample while there is no current */
-    pz_real approach_log_step;   /* then the reference's way to the set point in a sample */
-    pz_real contact_log;         /* c: so far below the set point the current is there */
-    pz_real stuck_current_A;     /* smaller currents are not watched for being stuck */
-    pz_real search_voltage_V;    /* extension beyond the last contact; 0: to the drive's end */
+    pz_real current_reference_A; /* i_0, whose logarithm is 0 */
+    pz_real current_floor_A;     /* lowest current in the logarithm: bounds the approach */
+    pz_real current_ceiling_A;   /* the tip retracts at once at this current */
+    pz_real retract_voltage_V;   /* a retract ends here */
+    pz_real retract_step_V;      /* length of a retract; 0: to retract_voltage_V */
+    pz_real approach_step_V;     /* extension per sample while there is no current */
+    pz_real approach_log_step;   /* then the rise of ln(reference) per sample */
+    pz_real contact_log;         /* c: contact if ln(i) is above ln(r) - c */
+    pz_real stuck_current_A;     /* currents up to this are never stuck */
+    pz_real search_voltage_V;    /* search range beyond the last contact; 0: to the end */
     pz_real schedule_limit;      /* gain ratios stay in [1 / limit, limit]; >= 1 */
     pz_real rst_T_V[PZ_MAX_TAPS];
     pz_real rst_R_V[PZ_MAX_TAPS];
@@ -253,28 +258,29 @@ enum {
     PZ_PARAMETER_END
 };
 
-/* Bits of the status words: events of a sample. 0: none. */
+/* Bits of the status words: what was limited, replaced or faulty in a sample. 0: nothing. */
 enum {
     PZ_STATUS_BAD_REFERENCE = 1,       /* NaN or infinite: the last one is used */
     PZ_STATUS_REFERENCE_LIMITED = 2,   /* outside its range, or faster than its step */
     PZ_STATUS_BAD_MEASUREMENT = 4,     /* NaN or infinite: X, Y use the model; Z holds */
-    PZ_STATUS_MEASUREMENT_LIMITED = 8, /* outside its range */
-    PZ_STATUS_STUCK_SENSOR = 16,       /* unchanged although the voltage changed */
-    PZ_STATUS_VOLTAGE_LIMITED = 32,    /* a limit of the converter was reached */
-    PZ_STATUS_VOLTAGE_STEP = 64,       /* voltage_step_V was reached */
+    PZ_STATUS_MEASUREMENT_LIMITED = 8, /* out of range: X, Y use its end; Z retracts */
+    PZ_STATUS_STUCK_SENSOR = 16,       /* frozen while the voltage moved: model; Z retracts */
+    PZ_STATUS_VOLTAGE_LIMITED = 32,    /* at voltage_minimum_V or voltage_maximum_V */
+    PZ_STATUS_VOLTAGE_STEP = 64,       /* change limited to voltage_step_V */
     PZ_STATUS_CURRENT_LOST = 128,      /* Z: current below its floor */
     PZ_STATUS_RETRACTED = 256,         /* Z: retracted */
     PZ_STATUS_RESTARTED = 512,         /* a number overflowed: voltage held, memory set to rest */
-    PZ_STATUS_NOT_STARTED = 1024,      /* pz_start was not called, or refused */
+    PZ_STATUS_NOT_STARTED = 1024,      /* pz_start was not called, or refused the parameters */
     PZ_STATUS_APPROACHING = 2048,      /* Z: extending slowly until current flows */
     PZ_STATUS_NO_CURRENT = 4096,       /* Z: no current up to the end of the search or drive */
     PZ_STATUS_WRONG_SIGN = 8192,       /* Z: the current has the wrong sign */
     PZ_STATUS_LATCHED = 16384,         /* waits for pz_reset; Z: the bits of the cause are set */
-    PZ_STATUS_BLIND = 32768,           /* X, Y: held, no usable measurement for blind_samples */
-    PZ_STATUS_UNCERTIFIED = 65536      /* X, Y: reference faster than the error bound allows */
+    PZ_STATUS_BLIND = 32768,           /* X, Y: held, no usable reading for blind_samples */
+    PZ_STATUS_UNCERTIFIED = 65536      /* X, Y: reference faster than certified_step_m */
 };
 
-/* State of one axis. Read its members, never write them. */
+/* State of one axis. Read its members, never write them. pz_step clears and sets `status` in the
+ * interrupt; elsewhere read it once, *(const volatile uint32_t *)&state.status. */
 typedef struct {
     uint32_t ready;
     uint32_t status;      /* PZ_STATUS_... of the last sample */
@@ -287,30 +293,30 @@ typedef struct {
     int32_t reset_wanted; /* 1: pz_reset was called */
     int32_t contact;      /* Z: samples at the set point in a row, at most contact_samples */
     int32_t trips;        /* Z: retracts in a row */
-    int32_t trip_age;     /* Z: samples since the last, at most trip_samples */
+    int32_t trip_age;     /* Z: samples since the last retract, at most trip_samples */
     uint32_t cause;       /* Z: status bits of the last retract */
 
-    pz_real voltage_V;     /* u_a: the last returned */
+    pz_real voltage_V;     /* u_a: last output */
     pz_real command_V;     /* clipped, before rounding */
     pz_real reference_m;   /* after range and step */
     pz_real bias_m;        /* without feedback: zero shift that pz_start found */
-    pz_real measured;      /* the last usable, m or A */
+    pz_real measured;      /* last usable reading, m or A */
     pz_real moved_V;       /* voltage when the measurement last changed */
     pz_real gain_ratio;    /* Z: set by pz_schedule */
     pz_real disturbance_V; /* d */
-    pz_real contact_V;     /* Z: voltage when the surface was last there */
-    pz_real climb;         /* Z: of the logarithm of the reference, what is left; <= 0 */
+    pz_real contact_V;     /* Z: voltage of the last contact */
+    pz_real climb;         /* Z: ln(present reference / set point); <= 0 */
 
     pz_real play_V[PZ_MAX_PLAYS];                  /* z_i, forward memory, of gamma(u) */
     pz_real relaxation_m[PZ_MAX_RELAXATIONS];      /* x_i of the creep block */
-    pz_real relaxation_rest_m[PZ_MAX_RELAXATIONS]; /* below their last bit */
+    pz_real relaxation_rest_m[PZ_MAX_RELAXATIONS]; /* their rounding errors */
     pz_real reference_filter[PZ_MAX_SECTIONS][2];
     pz_real command_filter[PZ_MAX_SECTIONS][2];
     pz_real observer[PZ_MAX_ORDER];     /* x */
     pz_real rst_reference[PZ_MAX_TAPS]; /* ln(r / i_0), newest first, as all below */
     pz_real rst_measured[PZ_MAX_TAPS];  /* ln(i / i_0) */
     pz_real rst_change_V[PZ_MAX_TAPS];  /* u_a[k] - u_a[k-1], before rounding */
-    pz_real rst_excess_V[PZ_MAX_TAPS];  /* u_a - u: what the limits took */
+    pz_real rst_excess_V[PZ_MAX_TAPS];  /* u_a - u: excess over the limits */
 } pz_state;
 
 /* The layout has no holes: the checksum covers every byte, and Python can mirror it. */
@@ -332,51 +338,57 @@ typedef struct {
     pz_real upper;
 } pz_field;
 
-/* ---- background: any time, not from the interrupt ------------------------------------------ */
+/* ---- background: never from the interrupt -------------------------------------------------- */
 
 /* Description of the parameter with this index; NULL outside 1 .. PZ_PARAMETER_END - 1. The result
  * is static. */
 const pz_field *pz_describe(int32_t index);
 
-/* CRC-32 (IEEE 802.3) of all bytes behind the member `checksum`. Eight shifts for
- * each of the 3180 (float) or 6264 (double) bytes. */
+/* CRC-32 (IEEE 802.3) of all bytes behind the member `checksum`: 4336 (float) or 8580 (double)
+ * bytes of eight shifts each. */
 uint32_t pz_checksum(const pz_parameters *parameters);
 
 /* PZ_OK, or the index of the first invalid parameter: other schema or size, changed bytes, NaN,
- * out of bounds, a model without inverse, an unstable filter, an observer with inconsistent static
- * gains. The stability of the loop is not checked. Any bytes may be passed. Cost: pz_checksum, and
- * one pass over all members. */
+ * out of bounds, a model without inverse, an unstable filter, static gains of the observer that
+ * contradict its matrices. The stability of the loop is not checked. Any bytes may be passed.
+ * Cost: pz_checksum, and one pass over all members. */
 int32_t pz_check(const pz_parameters *parameters);
 
-/* Set `state` to rest so that the next step with reference == measured returns voltage_V (clipped
- * and rounded as by the converter). Calls pz_check first and returns its result; after a refusal
- * pz_step returns the voltage nearest 0 inside the limits and sets NOT_STARTED.
- * Creep is assumed to be at rest. The memory of the hysteresis is set so that the model agrees
- * with the reading, as if the stage had come straight from one extreme voltage within the limits.
- * A reading that no extreme explains is treated as a shift of the sensor's zero; without feedback
- * (none, mpi) references are relative to it.
+/* Set `state` to rest. Calls pz_check first and returns its result; after a refusal pz_step
+ * returns the voltage nearest 0 inside the limits and sets NOT_STARTED. Not while pz_step may be
+ * called with this state: stop the interrupt, also for a second start.
+ * The next step returns voltage_V, limited and rounded, if the reference equals the reading and
+ * lies inside its range. Creep is assumed to be at rest. The memory of the hysteresis is set so
+ * that the model agrees with the reading, as if the voltage had come monotonically from one
+ * turning point. A reading that no turning point explains is treated as a shift of the sensor's
+ * zero; without feedback (none, mpi) references are relative to it.
  *   voltage_V  V       present output of the converter; not finite: nearest 0 inside the limits
  *   measured   m or A  present reading; not finite: the reading that the model predicts */
 int32_t pz_start(pz_state *state, const pz_parameters *parameters, pz_real voltage_V,
                  pz_real measured);
 
 /* Z: the gain of the plant is now `ratio` times that of the design; the gain of the controller is
- * divided by it, without a step. Limited by schedule_limit; not finite: ignored. */
+ * divided by it, without a step. Limited by schedule_limit; not finite: ignored. Writes one
+ * pz_real: stop the interrupt where that takes more than one store (double on a 32-bit core). */
 void pz_schedule(pz_state *state, const pz_parameters *parameters, pz_real ratio);
 
-/* Continue after a latched fault, from the next step on. Z approaches again from where it was
- * retracted, up to the end of the drive. X, Y start without a step at the held voltage and the
- * present reading. Clears the count of retracts. One write; may be called at any time. */
+/* ---- anywhere ------------------------------------------------------------------------------ */
+
+/* Continue after a latched fault, from the next step on; without one, nothing but the count of
+ * retracts is cleared. Z approaches again from its retracted position, up to the end of the drive.
+ * X, Y start without a step at the held voltage and the present reading. One write of 32 bits. */
 void pz_reset(pz_state *state);
 
 /* ---- real time: from the interrupt, once per sample ---------------------------------------- */
 
-/* One sample: return the voltage for the converter. It is finite and inside the limits for any
- * input; state->status states why it differs from the requested one.
- *   reference  m  X, Y: position wanted preview_samples later.  A  Z: wanted current
- *   measured   m  X, Y: displacement.         A  Z: current, positive for the bias in use
+/* One sample: return the voltage for the converter, finite and inside the limits for any input;
+ * state->status states what was limited, replaced or faulty. A sample that is left out, or another
+ * rate than sampling_rate_Hz, cannot be detected.
+ *   reference  m  X, Y: wanted position preview_samples ahead.  A  Z: wanted current
+ *   measured   m  X, Y: displacement.  A  Z: current, positive for the bias in use.
+ *                 NaN where the reading cannot be trusted
  *   returned   V
- * Cost: linear in plays + knots + taps + (order + 1)^2; the data affect early exits only. */
+ * Cost: linear in plays + knots + taps + (order + 1)^2; loops may end earlier for some inputs. */
 pz_real pz_step(pz_state *state, const pz_parameters *parameters, pz_real reference,
                 pz_real measured);
 

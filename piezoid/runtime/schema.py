@@ -20,6 +20,7 @@ MAX_ORDER = 16
 MAX_TAPS = 32
 
 METHODS = ("none", "mpi", "dob", "mpi_dob", "rst")
+_METHOD_NUMBERS = ", ".join(f"{number} {name}" for number, name in enumerate(METHODS))
 
 NO_BOUND_V = 1e4
 NO_BOUND_m = 1e3
@@ -98,7 +99,7 @@ _HEADER = (
 )
 
 _COUNTS = (
-    _integer("method", len(METHODS) - 1, "what the controller does: " + ", ".join(METHODS)),
+    _integer("method", len(METHODS) - 1, "control method, PZ_METHOD_...: " + _METHOD_NUMBERS),
     Parameter(
         name="polarity",
         kind="integer",
@@ -111,20 +112,20 @@ _COUNTS = (
     _integer("play_count", MAX_PLAYS, "plays in use"),
     _integer("knot_count", MAX_KNOTS, "dead zones in use; 0: the identity"),
     _integer("envelope_count", MAX_KNOTS, "kinks of the envelope in use; 0: the identity"),
-    _integer("edge_count", MAX_EDGES, "edges of the functions of the plays; 0: they are straight"),
-    _integer("edge_steps", MAX_PLAYS, "first thresholds from edge to edge"),
+    _integer("edge_count", MAX_EDGES, "edges of the functions of the plays; 0: weights instead"),
+    _integer("edge_steps", MAX_PLAYS, "distance of the edges, in first thresholds of the plays"),
     _integer("relaxation_count", MAX_RELAXATIONS, "creep elements in use"),
     _integer("reference_section_count", MAX_SECTIONS, "biquads on the reference"),
     _integer("command_section_count", MAX_SECTIONS, "biquads on the linearised command"),
     _integer("observer_order", MAX_ORDER, "observer states, the disturbance not counted"),
-    _integer("preview_samples", 1e6, "the reference is for this many samples ahead"),
-    _integer("stuck_samples", 1e6, "equal measurements that mean a stuck sensor; 0: off"),
+    _integer("preview_samples", 1e6, "samples by which the reference is given ahead"),
+    _integer("stuck_samples", 1e6, "equal readings in a row before a sensor is stuck; 0: off"),
     _integer("blind_samples", 1e6, "X, Y: unusable readings before a hold; 0: no hold"),
-    _integer("bad_samples", 1e6, "Z: unusable currents in a row that mean retract"),
-    _integer("retract_samples", 1e6, "Z: samples of a first retract; each in a row doubles"),
-    _integer("contact_samples", 1e6, "Z: samples at the set point that make a contact"),
+    _integer("bad_samples", 1e6, "Z: unusable currents in a row before a retract"),
+    _integer("retract_samples", 1e6, "Z: length of the first retract; each further one doubles"),
+    _integer("contact_samples", 1e6, "Z: samples in a row at the set point before contact"),
     _integer("trip_limit", 1e6, "Z: retracts in a row before a latch; 0: no latch"),
-    _integer("trip_samples", 1e6, "Z: samples after which a retract is a first one"),
+    _integer("trip_samples", 1e6, "Z: samples without retract before its count restarts"),
     _integer("rst_T_count", MAX_TAPS, "coefficients of T"),
     _integer("rst_R_count", MAX_TAPS, "coefficients of R"),
     _integer("rst_S_count", MAX_TAPS, "coefficients of S, its integrator not counted"),
@@ -132,7 +133,7 @@ _COUNTS = (
 )
 
 _SIGNALS = (
-    _real("sampling_rate_Hz", "Hz", 1, 1e7, "how often the controller steps", default=20000),
+    _real("sampling_rate_Hz", "Hz", 1, 1e7, "rate at which pz_step is called", default=20000),
     _real("gain_m_per_V", "m/V", 0, 1e3, "static gain of the affine model"),
     _real("voltage_offset_V", "V", -NO_BOUND_V, NO_BOUND_V, "centre of the model, voltage"),
     _real("displacement_offset_m", "m", -NO_BOUND_m, NO_BOUND_m, "centre of the model, position"),
@@ -143,10 +144,16 @@ _SIGNALS = (
     _real("reference_minimum_m", "m", -NO_BOUND_m, NO_BOUND_m, "lowest reference followed"),
     _real("reference_maximum_m", "m", -NO_BOUND_m, NO_BOUND_m, "highest reference followed"),
     _real("reference_step_m", "m", 0, 1e4, "largest change of the reference in a sample; 0: any"),
-    _real("certified_step_m", "m", 0, 1e4, "fastest reference the bound holds for; 0: no bound"),
+    _real(
+        "certified_step_m",
+        "m",
+        0,
+        1e4,
+        "largest change of the reference with an error bound; 0: none",
+    ),
     _real("displacement_minimum_m", "m", -NO_BOUND_m, NO_BOUND_m, "lowest plausible measurement"),
     _real("displacement_maximum_m", "m", -NO_BOUND_m, NO_BOUND_m, "highest plausible measurement"),
-    _real("stuck_voltage_V", "V", 0, 1e5, "a sensor that ignores such a change may be stuck"),
+    _real("stuck_voltage_V", "V", 0, 1e5, "voltage change that a working sensor shows"),
 )
 
 _MODEL = (
@@ -243,16 +250,28 @@ def _taps(name: str, unit: str, meaning: str) -> Parameter:
 
 
 _TUNNELLING = (
-    _real("current_reference_A", "A", 0, 1, "the logarithm is 0 here"),
-    _real("current_floor_A", "A", 0, 1, "smaller currents count as this"),
-    _real("current_ceiling_A", "A", 0, 1, "from here on retract at once"),
-    _real("retract_voltage_V", "V", -NO_BOUND_V, NO_BOUND_V, "where retracting ends"),
-    _real("retract_step_V", "V", 0, 1e5, "how far a retract goes; 0: to its end at once"),
+    _real("current_reference_A", "A", 0, 1, "current whose logarithm is 0"),
+    _real("current_floor_A", "A", 0, 1, "lowest current in the logarithm"),
+    _real("current_ceiling_A", "A", 0, 1, "current at which the tip retracts at once"),
+    _real("retract_voltage_V", "V", -NO_BOUND_V, NO_BOUND_V, "voltage at which a retract ends"),
+    _real("retract_step_V", "V", 0, 1e5, "length of a retract; 0: to retract_voltage_V"),
     _real("approach_step_V", "V", 0, 1e5, "extension in a sample while there is no current"),
-    _real("approach_log_step", "1", 0, 1e3, "then the reference's way to the set point a sample"),
-    _real("contact_log", "1", 0, 1e3, "so far below the set point the current is there"),
-    _real("stuck_current_A", "A", -1, 1, "smaller currents are not watched for being stuck"),
-    _real("search_voltage_V", "V", 0, 1e5, "extension beyond the last contact; 0: to the end"),
+    _real(
+        "approach_log_step",
+        "1",
+        0,
+        1e3,
+        "rise of the log of the reference per sample after contact",
+    ),
+    _real(
+        "contact_log",
+        "1",
+        0,
+        1e3,
+        "contact: log of the current less than this below the set point",
+    ),
+    _real("stuck_current_A", "A", -1, 1, "currents up to this are never stuck"),
+    _real("search_voltage_V", "V", 0, 1e5, "search range beyond the last contact; 0: to the end"),
     _real("schedule_limit", "1", 1, 1e3, "gain ratios stay in [1/limit, limit]", default=1),
     _taps("rst_T_V", "V", "T, on the reference"),
     _taps("rst_R_V", "V", "R, on the measurement"),

@@ -16,6 +16,7 @@ from piezoid.export.parameter_file import AxisParameters, digest_of
 from piezoid.records.checks.command_range import DRIVE_VOLTAGE_NOTE
 from piezoid.runtime.controller import Status
 from piezoid.runtime.library import library
+from piezoid.runtime.schema import PARAMETERS
 from tests.export.stage import lateral, stage
 from tests.runtime.compiler import PRECISION, STRICT, found, run
 
@@ -195,6 +196,15 @@ def test_inert_text_is_plain_and_no_longer_than_asked(text, length):
 
 def test_inert_text_holds_nothing_a_compiler_reads():
     assert plain_ascii('a*/b\\c"d??e\nf', length=12) == "a__b_c_d__e_"
+
+
+def test_the_header_explains_every_parameter_in_full():
+    header = c_header(stage(), digest_of(stage()))
+    for parameter in PARAMETERS:
+        assert re.fullmatch(r"[ -~]{5,90}", parameter.meaning)
+        assert "*/" not in parameter.meaning
+        assert header.count(f"/* {parameter.meaning}") >= len(stage().axes)
+    assert ".method = PZ_METHOD_MPI_DOB," in header
 
 
 def test_the_header_names_the_digest_of_the_parameter_file():

@@ -16,7 +16,7 @@ from piezoid.export.bundle import SAMPLES, golden_csv
 from piezoid.targets.target_inputs import TargetInputs
 from piezoid.targets.targets import check_targets, target_files
 from tests.export.stage import stage
-from tests.runtime.compiler import found, run
+from tests.runtime.compiler import STRICT, found, run
 
 COMPILED = ("fmu", "library")
 FMU_NAMES = [f"fmu/{axis}_controller_fmi2.fmu" for axis in "xyz"]
@@ -93,30 +93,39 @@ def test_the_example_notices_another_answer(made, tmp_path):
 
 def test_a_wrong_handle_axis_or_array_is_refused_and_nothing_is_written(made):
     library = ctypes.CDLL(str(made / "library" / "libpiezoid_controller.so"))
-    library.pz_open.argtypes = (ctypes.c_int32, ctypes.c_double, ctypes.c_double)
-    library.pz_rate_Hz.restype = ctypes.c_double
+    library.piezoid_open.argtypes = (ctypes.c_int32, ctypes.c_double, ctypes.c_double)
+    library.piezoid_rate_Hz.restype = ctypes.c_double
     one, word = (ctypes.c_double * 1)(7.0), (ctypes.c_uint32 * 1)(7)
-    assert library.pz_axes() == 3
-    assert library.pz_rate_Hz(0) == 20e3
-    assert library.pz_rate_Hz(3) == 0
+    assert library.piezoid_axes() == 3
+    assert library.piezoid_rate_Hz(0) == 20e3
+    assert library.piezoid_rate_Hz(3) == 0
     for axis in (-1, 3):
-        assert library.pz_open(axis, 0.0, 0.0) == -1
-    handle = library.pz_open(0, 0.0, 0.0)
+        assert library.piezoid_open(axis, 0.0, 0.0) == -1
+    handle = library.piezoid_open(0, 0.0, 0.0)
     assert handle > 0
-    assert library.pz_step(handle, -1, one, one, one, word) == -4
-    assert library.pz_step(handle, 1, one, None, one, word) == -4
-    assert library.pz_close(handle) == 0
-    renewed = library.pz_open(0, 0.0, 0.0)
+    assert library.piezoid_step(handle, -1, one, one, one, word) == -4
+    assert library.piezoid_step(handle, 1, one, None, one, word) == -4
+    assert library.piezoid_close(handle) == 0
+    renewed = library.piezoid_open(0, 0.0, 0.0)
     for wrong in (handle, 0, -5, 2**31 - 1, renewed + 1):
-        assert library.pz_step(wrong, 1, one, one, one, word) == -3
-        assert library.pz_reset(wrong) == -3
-        assert library.pz_close(wrong) == -3
+        assert library.piezoid_step(wrong, 1, one, one, one, word) == -3
+        assert library.piezoid_reset(wrong) == -3
+        assert library.piezoid_close(wrong) == -3
     assert (one[0], word[0]) == (7.0, 7)
-    others = [library.pz_open(1, 0.0, 0.0) for _ in range(63)]
+    others = [library.piezoid_open(1, 0.0, 0.0) for _ in range(63)]
     assert min(others) > 0
-    assert library.pz_open(1, 0.0, 0.0) == -2
+    assert library.piezoid_open(1, 0.0, 0.0) == -2
     for opened in (renewed, *others):
-        assert library.pz_close(opened) == 0
+        assert library.piezoid_close(opened) == 0
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_header_of_the_library_compiles_beside_that_of_the_runtime(made, order, tmp_path):
+    headers = ("piezoid_controller.h", "piezoid_runtime.h")[::order]
+    lines = [f'#include "{name}"' for name in headers]
+    (tmp_path / "user.c").write_text("\n".join([*lines, "int bits = PZ_STATUS_LATCHED;", ""]))
+    compiler, folder = found("cc", "gcc", "clang"), made / "library"
+    run(compiler, *STRICT, f"-I{folder}", "-fsyntax-only", str(tmp_path / "user.c"))
 
 
 def test_the_library_shows_no_name_but_those_of_its_header(made):
@@ -133,7 +142,8 @@ def test_a_library_for_windows_shows_the_same_names(made):
     listed = run(
         found("x86_64-w64-mingw32-objdump"), "-p", str(made / "library/piezoid_controller.dll")
     )
-    shown = set(re.findall(r"\bpz_\w+", listed.split("[Ordinal/Name Pointer] Table")[1]))
+    table = listed.split("[Ordinal/Name Pointer] Table")[1]
+    shown = set(re.findall(r"\bp(?:z|iezoid)_\w+", table))
     header = (made / "library" / "piezoid_controller.h").read_text()
     assert shown == set(re.findall(r"^PZ_PUBLIC \w+ (\w+)\(", header, flags=re.M))
     needed = set(re.findall(r"DLL Name: (\S+)", listed))
