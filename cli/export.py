@@ -27,7 +27,7 @@ def export(
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Write params.json and bundle/: the controller of the stage as C source, ready to compile.
+    """Write params.json and bundle/: the controller of the stage as C source, with its README.
 
     --target fmu adds fmu/: each axis' controller and its identified plant as co-simulation units
     of FMI 2.0, for Simulink, OpenModelica and FMPy. --target library adds library/: a
@@ -42,7 +42,7 @@ def export(
 
     [bold]Examples[/bold]
 
-    piezoid export stage42/ && cc -std=c99 stage42/bundle/*.c -o controller
+    piezoid export stage42/ && cc -std=c99 -O2 -ffp-contract=off stage42/bundle/*.c -o controller
 
     piezoid export stage42/ --target fmu --target library
 

@@ -216,7 +216,7 @@ def _proof_line(proof: "Proof", file: "ParameterFile") -> str:
         share = 100.0 * instructions * rate_Hz / CORE_Hz
         line += f"; axis {axis} {instructions:.0f} instructions a sample, {share:.1f} % of a core"
     if counted:
-        line += f" of {1e-6 * CORE_Hz:.0f} MHz at one instruction a cycle"
+        line += f" of {1e-6 * CORE_Hz:.0f} MHz at one instruction a cycle, which is a lower limit"
     if proof.stack_bytes:
         line += f"; {proof.stack_bytes} bytes of stack, {proof.state_bytes} of state for each axis"
     return line

@@ -5,7 +5,9 @@ must reproduce them before it drives a stage.
 """
 
 from collections.abc import Mapping
+from ctypes import sizeof
 from dataclasses import dataclass
+from importlib.metadata import version
 from importlib.resources import files
 from textwrap import fill
 from types import MappingProxyType
@@ -39,52 +41,97 @@ _README = """\
 | --- | --- |
 | `piezoid_runtime.h`, `piezoid_runtime.c` | the controller in C99, as it was verified |
 | `piezo_params.h` | the parameters of this stage |
-| `example_main.c` | a program that calls the controller and tests your build |
-| `golden.csv` | {samples} samples per axis with the expected outputs in double and float |
+| `example_main.c`, `golden.csv` | a test of your build: {samples} samples per axis |
 
-## Test your build
+| axis | index | method | calls per second | preview | reference | output, V | step, V | codes |
+| --- | --- | --- | --- | --- | --- | --- | --- | --- |
+{axes}
+{unshipped}
+Methods: `mpi_dob` is a disturbance observer on the inverse hysteresis model, `dob` an observer
+without the inverse, `mpi` the inverse without feedback, `rst` a polynomial controller on the
+logarithm of a current. Memory: code of about 14 kB (Cortex-M4, float), and per axis
+{memory}.
+
+## 1. Build and check
 
     cc -std=c99 -O2 -ffp-contract=off example_main.c piezoid_runtime.c -o example
     ./example < golden.csv
 
-must end with `0 differ`. Add `-DPZ_REAL_FLOAT` for single precision. With `-ffp-contract=off`
-every IEEE machine gives the same bits; without it some outputs may differ by one converter code.
+must end with `0 differ`; add `-DPZ_REAL_FLOAT` for single precision. The test needs standard
+input: run it on a host, and with your cross compiler in an emulator. On a target without files,
+start at 0 V and the first reading of the axis, step through its first rows, compare the outputs.
+With contracted products and sums, some outputs of the float version differ by a few converter
+codes, which does not matter in the loop. `golden.csv` covers motion, limits, a lost reference and
+lost readings; not an approach, retract, stuck sensor, latch, `pz_reset` or feedforward. Its first
+reading does not belong to 0 V, so that the start assumes a shifted zero.
 
-## Call it
+## 2. Call order and timing
 
-1. At power-up, for each axis: `pz_start(&state, &piezo_params[index], voltage_V, measured)` with
-   the present converter voltage and sensor reading. It returns `PZ_OK`, or the index of an invalid
-   parameter (`pz_describe` gives its name).
-2. In the interrupt, at the rate of the table below: read the sensor, call
-   `pz_step(&state, &piezo_params[index], reference, measured)`, and write the voltage that it
-   returns to the converter. The voltage is within the range of the table and rounded to a
-   converter code. `reference` and `measured` are in metres, with the zero and the sign that the
-   sensor had in the recordings; for an axis with method `rst` they are currents in amperes.
-   Give the reference of a moving path ahead of time, by the samples in the column `preview`.
-3. If `state.status` is not 0, its bits (`PZ_STATUS_...`) state why the output differs from the
-   requested one. If `PZ_STATUS_LATCHED` is set, the axis holds its voltage (x, y) or its tip stays
-   retracted (z) until an operator has found the cause and you call `pz_reset(&state)`.
+    static pz_state state;
+    static const pz_parameters *const p = &piezo_params[PIEZO_AXIS_{first}];
 
-You own the states, one `pz_state` per axis; the controller does not allocate, print or keep
-anything. The comment of each function in `piezoid_runtime.h` states its cost and when it may be
-called.
+    void power_up(void) {{                /* with the interrupt stopped */
+        const int32_t invalid = pz_start(&state, p, dac_voltage_V(), read_sensor());
+        if (invalid != PZ_OK) stop_with(pz_describe(invalid)->name);
+    }}
+    void on_timer(void) {{                /* at the rate of the table */
+        write_dac(pz_step(&state, p, reference, read_sensor()));
+    }}
+
+- `pz_start` needs the voltage that the DAC puts out at that moment. Call it again, with the
+  interrupt stopped, after a pause and after you have moved the DAC yourself. To park, move the
+  reference slowly to the position and stop the interrupt; the DAC keeps its last voltage.
+- Read, step and write in the same call. The design knows the delay of the recordings: delay that
+  your firmware adds costs accuracy, and stability beyond the delay margin in `design.json`.
+- The rate cannot be checked. Another rate or missed calls cost accuracy without a status bit.
+- `reference` is the position wanted `preview` samples ahead. If you do not know the future, give
+  the present one: the motion is then late by so many samples, otherwise the same.
+
+## 3. Units and DAC codes
 
 {which_voltage}
+- Reading and reference are in m (`rst`: A) with the scale, zero and sign of the recordings. Do not
+  zero the sensor at power-up: a small shift is taken for hysteresis and costs accuracy.
+- `output / step`, rounded, is the code of a two's-complement DAC, within the column `codes`; an
+  offset-binary DAC of n bits adds 2^(n-1). A step of 0: lab.toml declares no `dac_bits`, and
+  outputs are not rounded. Saturate codes to your DAC: a mask turns one too many into the other
+  end.
 
-The guaranteed error of an axis, stated in `report.html`, holds while none of these status bits is
-set: `PZ_STATUS_UNCERTIFIED`, `REFERENCE_LIMITED`, `VOLTAGE_LIMITED`, `VOLTAGE_STEP`,
-`BAD_MEASUREMENT`, `MEASUREMENT_LIMITED`, `STUCK_SENSOR` and `BLIND`.
+## 4. Bad readings and limits
 
-| axis | index | method | calls per second | voltage range, V | preview | state, bytes |
-| --- | --- | --- | --- | --- | --- | --- |
-{axes}
+- Pass `NAN` for a reading that you do not trust (timeout, checksum, out of range).
+- X, Y: unusable are NaN, infinity, and a value that does not change for `stuck_samples` although
+  the voltage moves by `stuck_voltage_V`. The voltage then follows the reference on the model
+  alone for at most `blind_samples`, and is held until `pz_reset`.
+- X, Y: a reading beyond the displacement limits is replaced by the limit and used. The output can
+  then go to the end of its range and does not latch; nor does it with a reversed sensor. Detect a
+  broken cable and a railed or reversed sensor yourself.
+- Z retracts from a current that is dead (`NO_CURRENT`), frozen (`STUCK_SENSOR`) or saturated
+  (`MEASUREMENT_LIMITED`), and, after holding for `bad_samples`, from one that is reversed
+  (`WRONG_SIGN`) or NaN. It latches, retracted to `retract_voltage_V`, after `trip_limit` retracts
+  in a row or at the end of the drive.
 
-Methods: `mpi_dob` is a disturbance observer on the inverse hysteresis model, `dob` an observer
-without the inverse, `mpi` the inverse without feedback, `rst` a polynomial controller on the
-logarithm of a current.
-{unshipped}{decoupled}
-Parameters: {digest}
-Runtime source: {source}
+## 5. Status
+
+`state.status` is 0, or bits `PZ_STATUS_...` that state what was limited, replaced or faulty in
+this sample; the header lists them. `status_ever` collects them until the next `pz_start`. The
+guaranteed error of `report.html` holds while `status` is 0, and again once the transient after a
+bit has decayed. After `LATCHED`, find the cause, then call `pz_reset(&state)`.
+
+## 6. Changing parameters
+
+Fit or design and export again after a change of the recordings or of lab.toml. In firmware: copy
+the structure, change it, set `copy.checksum = pz_checksum(&copy)`, then call `pz_start` with the
+copy. Narrower limits of voltage and reference and smaller steps keep the margins; any other change
+voids margins, guaranteed error and proofs.
+{decoupled}
+## 7. Provenance
+
+- Written by piezoid {version}. MIT licence, at the end of `piezoid_runtime.c`.
+- Parameters: {digest},
+  the `digest` of `params.json`: SHA-256 of that file with zeros for its 64 digits
+- Runtime: {source},
+  SHA-256 of `piezoid_runtime.h` followed by `piezoid_runtime.c`
 """
 
 
@@ -121,13 +168,16 @@ def bundle(file: ParameterFile) -> Bundle:
         "README.md": _README.format(
             name=plain_ascii(file.name),
             samples=SAMPLES,
-            which_voltage=fill(DRIVE_VOLTAGE_NOTE, 98),
             axes="\n".join(_row(index, axis) for index, axis in enumerate(file.axes)),
+            memory=_memory(),
+            first=file.axes[0].axis.upper(),
+            which_voltage=fill(f"- {_VOLTAGE}", 98, subsequent_indent="  "),
             unshipped="".join(
                 f"\nAxis {plain_ascii(axis)} is not included: {plain_ascii(reason, length=600)}\n"
                 for axis, reason in file.unshipped.items()
             ),
             decoupled=_decoupled(file),
+            version=version("piezoid"),
             digest=digest,
             source=source_digest(),
         ),
@@ -136,6 +186,12 @@ def bundle(file: ParameterFile) -> Bundle:
     content.update({name: text.encode() for name, text in texts.items()})
     return Bundle(files=MappingProxyType(content), source_digest=source_digest())
 
+
+_PRECISIONS = ("float", "double")
+_VOLTAGE = (
+    f"{DRIVE_VOLTAGE_NOTE} Outputs stay within the drive of the recordings, and within the "
+    "converter and amplifier of lab.toml."
+)
 
 _DECOUPLED = """
 The drives of the axes {names} act on all of their displacements. Before `pz_step`, multiply their
@@ -168,14 +224,31 @@ def _decoupled(file: ParameterFile) -> str:
 
 
 def _row(index: int, axis: AxisParameters) -> str:
-    values = axis.values
-    limits = [f"{float(values[f'voltage_{end}_V']):g}" for end in ("minimum", "maximum")]
+    values = {name: float(value) for name, value in axis.values.items() if not value.ndim}
+    low_V, high_V, step_V = (values[f"{name}_V"] for name in _OUTPUT)
+    codes = ""
+    if step_V:
+        codes = f"{np.ceil(low_V / step_V):.0f} to {np.floor(high_V / step_V):.0f}"
+    first, last, unit = _RANGE_A if axis.method == "rst" else _RANGE_m
     cells = (
-        *(axis.axis, index, axis.method, f"{float(values['sampling_rate_Hz']):g}"),
-        *(" to ".join(limits), int(values["preview_samples"])),
-        " / ".join(f"{library(p).state_size} ({p})" for p in ("float", "double")),
+        *(axis.axis, index, axis.method, f"{values['sampling_rate_Hz']:g}"),
+        f"{values['preview_samples']:g}",
+        f"{values[first]:.4g} to {values[last]:.4g} {unit}",
+        *(f"{low_V:.7g} to {high_V:.7g}", f"{step_V:.12g}", codes),
     )
     return "| " + " | ".join(str(cell) for cell in cells) + " |"
+
+
+_OUTPUT = ("voltage_minimum", "voltage_maximum", "lsb")
+_RANGE_m = ("reference_minimum_m", "reference_maximum_m", "m")
+_RANGE_A = ("current_floor_A", "current_ceiling_A", "A")
+
+
+def _memory() -> str:
+    """Return the bytes of state and parameters in both precisions."""
+    states = [f"{library(precision).state_size} ({precision})" for precision in _PRECISIONS]
+    parameters = [str(sizeof(library(precision).parameters)) for precision in _PRECISIONS]
+    return f"{' or '.join(states)} bytes of state and {' or '.join(parameters)} of parameters"
 
 
 def golden_csv(file: ParameterFile) -> str:

@@ -1,14 +1,6 @@
-/* How firmware uses the runtime: pz_start at power-up, pz_step in the interrupt, and
- * pz_reset(&state[axis]) from the background after PZ_STATUS_LATCHED, once the cause is known.
- * Until then the axis holds its voltage; the other bits of its status state the cause.
- *
- * On a desktop computer this program steps the controllers through golden.csv and compares the
- * outputs, which tests compiler, flags and precision before they drive a stage:
- *
- *     cc -std=c99 -ffp-contract=off example_main.c piezoid_runtime.c -o example
- *     ./example < golden.csv
- *
- * Add -DPZ_REAL_FLOAT for a single-precision target.
+/* Test of a build: steps the controllers of the bundle through golden.csv and compares the
+ * outputs. README.md states how it is compiled and run. power_up and on_sample are the calls of
+ * firmware.
  */
 #include <stdio.h>
 
@@ -60,8 +52,10 @@ int main(void) {
         const int is_same = difference_V >= 0.0 && difference_V <= 0.0; /* not where it is NaN */
         if (!is_same || state[axis].status != status[precision]) {
             if (++differ <= 10) {
-                fprintf(stderr, "sample %ld: %.17g V, expected %.17g V\n", samples, voltage_V,
-                        expected_V[precision]);
+                fprintf(stderr,
+                        "axis %d, sample %ld: %.17g V, status %lu; expected %.17g V, status %u\n",
+                        axis, played[axis], voltage_V, (unsigned long)state[axis].status,
+                        expected_V[precision], status[precision]);
             }
         }
     }

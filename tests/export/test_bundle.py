@@ -1,6 +1,8 @@
 """The bundle: compiled as a firmware engineer would, and compared bit for bit."""
 
 import ctypes
+import hashlib
+import json
 import re
 from dataclasses import replace
 
@@ -9,10 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import piezoid
 from piezoid.errors import ParameterFileError
 from piezoid.export.bundle import SAMPLES, SHIPPED, bundle, golden_csv, runtime_source
 from piezoid.export.c_header import c_header, plain_ascii
-from piezoid.export.parameter_file import AxisParameters, digest_of
+from piezoid.export.parameter_file import AxisParameters, digest_of, to_json
 from piezoid.records.checks.command_range import DRIVE_VOLTAGE_NOTE
 from piezoid.runtime.controller import Status
 from piezoid.runtime.library import library
@@ -225,8 +228,82 @@ def test_the_golden_table_visits_faults_and_stays_inside_the_limits():
     assert np.ptp(table[:SAMPLES, 3]) > 5
 
 
-def test_the_readme_says_which_voltage_is_meant_and_counts_the_states_bytes():
-    readme = bundle(stage()).files["README.md"].decode()
-    assert f"{library('float').state_size} (float)" in readme
-    assert DRIVE_VOLTAGE_NOTE in readme.replace("\n", " ")
+def readme() -> str:
+    return bundle(stage()).files["README.md"].decode()
+
+
+def code_block(section):
+    """Return the indented lines of a section of the bundle's README."""
+    text = readme().partition(section)[2].partition("\n## ")[0]
+    return "\n".join(re.findall(r"^    (.*)", text, flags=re.M))
+
+
+def test_the_readme_fits_on_two_screens():
+    lines = readme().splitlines()
+    assert len(lines) <= 110
+    assert all(len(line) <= 99 for line in lines if line[:1] != "|")
+
+
+def test_the_commands_of_the_readme_build_and_pass_the_test(tmp_path):
+    found("cc")
+    folder = written(tmp_path)
+    assert run("sh", "-ec", code_block("## 1."), cwd=folder).endswith(" 0 differ\n")
+
+
+def test_the_calls_of_the_readme_compile(tmp_path):
+    folder = written(tmp_path)
+    (folder / "calls.c").write_text(
+        '#include "piezo_params.h"\n'
+        "pz_real dac_voltage_V(void), read_sensor(void);\nvoid write_dac(pz_real);\n"
+        "void stop_with(const char *), power_up(void), on_timer(void);\n"
+        f"static pz_real reference;\n{code_block('## 2.')}\n"
+    )
+    run(found("cc", "gcc", "clang"), *STRICT, "-fsyntax-only", str(folder / "calls.c"))
+
+
+def test_the_readme_states_limits_codes_and_bytes():
+    axis = (
+        stage()
+        .axes[0]
+        .with_values(
+            {"voltage_minimum_V": -0.0004, "voltage_maximum_V": 9.79156, "lsb_V": 20 / 65536}
+        )
+    )
+    text = bundle(replace(stage(), axes=(axis,))).files["README.md"].decode()
+    assert "| -0.0004 to 9.79156 | 0.00030517578125 | -1 to 32084 |" in text
+    unrounded = replace(stage(), axes=(axis.with_values({"lsb_V": 0.0}),))
+    assert "| 0 |  |" in bundle(unrounded).files["README.md"].decode()
+    for precision in ("float", "double"):
+        assert f"{library(precision).state_size} ({precision})" in text
     assert ctypes.sizeof(ctypes.c_float) == library("float").code.pz_size_of_real()
+
+
+def test_the_readme_says_which_voltage_is_meant():
+    assert DRIVE_VOLTAGE_NOTE in " ".join(readme().split())
+
+
+def test_the_digests_of_the_readme_are_found_by_its_recipes():
+    parameters = to_json(stage())
+    stated = json.loads(parameters)["digest"].removeprefix("sha256:")
+    zeroed = parameters.replace(stated.encode(), b"0" * 64)
+    source = runtime_source("piezoid_runtime.h") + runtime_source("piezoid_runtime.c")
+    for content in (zeroed, source):
+        assert hashlib.sha256(content).hexdigest() in readme()
+
+
+def test_header_and_readme_state_the_version():
+    for name in ("piezo_params.h", "README.md"):
+        text = bundle(stage()).files[name].decode()
+        assert f"Written by piezoid {piezoid.__version__}. " in text
+
+
+def test_a_wrong_status_is_printed_with_its_axis(tmp_path):
+    folder = written(tmp_path)
+    table = (folder / "golden.csv").read_text().splitlines()
+    cells = table[1500].split(",")
+    cells[4] = str(int(cells[4]) + 2)
+    (folder / "golden.csv").write_text("\n".join([*table[:1500], ",".join(cells), *table[1501:]]))
+    program = built(folder, *STRICT)
+    message = rf"axis 1, sample 500: .* status {int(cells[4]) - 2}; expected .* status {cells[4]}"
+    with (folder / "golden.csv").open() as changed, pytest.raises(AssertionError, match=message):
+        run(program, stdin=changed)

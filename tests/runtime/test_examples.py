@@ -1,12 +1,13 @@
 """The examples for microcontrollers: built for the chip, and run on an emulated one."""
 
+import re
 import subprocess
 from pathlib import Path
 
 import pytest
 
 from piezoid.export.bundle import bundle
-from tests.runtime.compiler import found, run
+from tests.runtime.compiler import SOURCE, found, run
 from tests.verification.rig import stage
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
@@ -80,6 +81,23 @@ def test_the_program_for_the_chip_builds_without_a_warning_and_fits(folder):
     size = run(found("arm-none-eabi-size"), str(program)).splitlines()[1].split()
     assert int(size[0]) + int(size[1]) < 64 * 1024
     assert int(size[2]) < 16 * 1024
+
+
+@pytest.mark.parametrize("example", ["stm32f405/main.c", "arduino/piezoid.ino"])
+def test_the_examples_saturate_a_voltage_beyond_their_converter(example, tmp_path):
+    text = (EXAMPLES / example).read_text()
+    constants = re.findall(r"^.*\bDRIVE_(?:V_PER_CODE|MAX_CODE)\b(?: =| \w).*\n", text, flags=re.M)
+    function = re.search(r"^static \w+ drive_code.*?^}\n", text, flags=re.M | re.S)
+    assert function is not None
+    (tmp_path / "codes.cpp").write_text(
+        '#include <cstdio>\n#include "piezoid_runtime.h"\n'
+        + "".join([*constants[:2], function[0]])
+        + "int main() {\n    const double volts[] = {-1e9, -0.1, 0, 5, 9.999, 10, 10.1, 1e9};\n"
+        '    for (double v : volts) std::printf("%d ", (int)drive_code((pz_real)v));\n}\n'
+    )
+    program = str(tmp_path / "codes")
+    run(found("c++", "g++"), f"-I{SOURCE}", str(tmp_path / "codes.cpp"), "-o", program)
+    assert run(program).split() == ["0", "0", "0", "2048", "4095", "4095", "4095", "4095"]
 
 
 def test_the_sketch_is_sound_against_the_declarations_it_uses(folder):

@@ -2,26 +2,39 @@
 // Copy piezo_params.h, piezoid_runtime.h and piezoid_runtime.c of bundle/ beside this file, and
 // define PZ_REAL_FLOAT in build_opt.h: -DPZ_REAL_FLOAT -ffp-contract=off
 //
-// analogRead and analogWrite of the core take some microseconds each: measure worst_us before you
+// analogRead and analogWrite of the core take some microseconds each: read worst_us before you
 // connect a stage. It must stay well below the period of 50 us.
 
 #include "piezo_params.h"
 #include "piezoid_runtime.h"
 
 const int AXIS = 0;
-const float SENSOR_m_PER_CODE = 1e-8f;   // yours
-const float DRIVE_V_PER_CODE = 2.44e-3f; // yours: 10 V over 12 bits, behind your amplifier
+// To be adapted. The sensor has the scale, zero and sign of the recordings.
+const float SENSOR_m_PER_CODE = 1e-8f;
+// Volts at the input of the high-voltage amplifier for one code: here a buffer makes 0 to 10 V of
+// the 0 to 3.3 V of the pin.
+const float DRIVE_V_PER_CODE = 2.44140625e-3f;
+const int DRIVE_MAX_CODE = 4095;
 
 pz_state state;
 volatile float reference_m;
 volatile uint32_t worst_us;
 HardwareTimer timer(TIM2);
 
+// Saturated: the pin has no voltage beyond its last code.
+static int drive_code(float voltage_V) {
+    const float code = voltage_V / DRIVE_V_PER_CODE + 0.5f;
+    if (code < 0.0f) {
+        return 0;
+    }
+    return code < (float)DRIVE_MAX_CODE ? (int)code : DRIVE_MAX_CODE;
+}
+
 void step() {
     const uint32_t begun = micros();
     const float measured_m = analogRead(A0) * SENSOR_m_PER_CODE;
     const float voltage_V = pz_step(&state, &piezo_params[AXIS], reference_m, measured_m);
-    analogWrite(PA4, (int)(voltage_V / DRIVE_V_PER_CODE + 0.5f));
+    analogWrite(PA4, drive_code(voltage_V));
     const uint32_t taken = micros() - begun;
     worst_us = taken > worst_us ? taken : worst_us;
 }
@@ -31,7 +44,7 @@ void setup() {
     analogReadResolution(12);
     analogWriteResolution(12);
     analogWrite(PA4, 0);
-    const float measured_m = analogRead(A0) * SENSOR_m_PER_CODE;
+    const float measured_m = analogRead(A0) * SENSOR_m_PER_CODE; // waits for the conversion
     if (pz_start(&state, &piezo_params[AXIS], 0.0f, measured_m) != PZ_OK) {
         Serial.println("pz_check refuses these parameters");
         return;
@@ -42,7 +55,7 @@ void setup() {
     timer.resume();
 }
 
-// A number over the serial line is the new reference in micrometres.
+// A number on the serial line sets the reference in micrometres.
 void loop() {
     if (Serial.available() > 0) {
         reference_m = Serial.parseFloat() * 1e-6f;

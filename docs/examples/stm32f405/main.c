@@ -6,19 +6,23 @@
  *     -I bundle main.c bundle/piezoid_runtime.c -o controller.elf
  *
  * Sensor: ADC1, channel 0 (PA0), 12 bits. Drive: DAC channel 1 (PA4), 12 bits. For better
- * converters replace read_sensor_m and write_drive; nothing else knows them. `worst_cycles` is
- * what a debugger looks at; a step that takes longer than a period sets `missed`.
+ * converters replace read_sensor_m and write_drive. Look at `worst_cycles` with a debugger; a step
+ * that takes longer than a period sets `missed`.
  */
+#include <math.h>
 #include <stdint.h>
 
 #include "piezo_params.h"
 #include "piezoid_runtime.h"
 
-/* Yours: what 3.3 V at the pins mean. */
+/* To be adapted. The sensor has the scale, zero and sign of the recordings. */
 #define AXIS 0
 #define SENSOR_m_PER_CODE PZ_REAL(1e-8)
 #define SENSOR_ZERO_m PZ_REAL(0)
-#define DRIVE_V_PER_CODE PZ_REAL(2.44140625e-3) /* 10 V over 12 bits, behind your amplifier */
+/* Volts at the input of the high-voltage amplifier for one code: here a buffer makes 0 to 10 V of
+ * the 0 to 3.3 V of the pin. */
+#define DRIVE_V_PER_CODE PZ_REAL(2.44140625e-3)
+#define DRIVE_MAX_CODE 4095u
 
 #define CORE_Hz 168000000u
 #ifndef TIMER_Hz
@@ -34,6 +38,7 @@
 #define GPIOA_MODER REGISTER(0x40020000u)
 #define TIM2(offset) REGISTER(0x40000000u + (offset))
 #define ADC1(offset) REGISTER(0x40012000u + (offset))
+#define ADC_CCR REGISTER(0x40012304u)
 #define DAC(offset) REGISTER(0x40007400u + (offset))
 #define NVIC_ENABLE_0 REGISTER(0xE000E100u)
 #define COPROCESSORS REGISTER(0xE000ED88u)
@@ -49,7 +54,7 @@ void reset(void);
 void on_timer(void);
 int main(void);
 
-/* Made by `piezoid learn`; zeros are no feedforward. */
+/* Table of `piezoid learn`; zeros: no feedforward. */
 static const pz_real feedforward_V[POINTS] = {0};
 static pz_state state;
 
@@ -65,15 +70,40 @@ __attribute__((section(".vectors"), used)) static void (*const vectors[16 + 29])
     [16 + TIM2_INTERRUPT] = on_timer,
 };
 
+static int conversion_ended(void) {
+#ifdef PZ_EMULATED
+    return 1; /* the emulated converter sets no flag */
+#else
+    return (ADC1(0x00) & 2u) != 0u;
+#endif
+}
+
+/* Convert and wait, 27 cycles of 21 MHz. NaN, a reading that the controller does not use, if the
+ * conversion does not end. */
 static pz_real read_sensor_m(void) {
-    return (pz_real)(ADC1(0x4C) & 0xFFFu) * SENSOR_m_PER_CODE + SENSOR_ZERO_m;
+    ADC1(0x08) |= 1u << 30;
+    for (uint32_t tries = 0; tries < 200u; ++tries) {
+        if (conversion_ended()) {
+            return (pz_real)(ADC1(0x4C) & 0xFFFu) * SENSOR_m_PER_CODE + SENSOR_ZERO_m;
+        }
+    }
+    return (pz_real)NAN;
+}
+
+/* Saturated: the word of a code beyond the last one, cut to 12 bits, would be 0 V. */
+static uint32_t drive_code(pz_real voltage_V) {
+    const pz_real code = voltage_V / DRIVE_V_PER_CODE + PZ_REAL(0.5);
+    if (code < PZ_REAL(0)) {
+        return 0u;
+    }
+    return code < (pz_real)DRIVE_MAX_CODE ? (uint32_t)code : DRIVE_MAX_CODE;
 }
 
 static void write_drive(pz_real voltage_V) {
-    DAC(0x08) = (uint32_t)(voltage_V / DRIVE_V_PER_CODE + PZ_REAL(0.5)) & 0xFFFu;
+    DAC(0x08) = drive_code(voltage_V);
 }
 
-/* Where to be at a point of the period: a triangle over the middle half of the references. */
+/* Reference at a point of the period: a triangle over the middle half of the references. */
 static pz_real reference_m(uint32_t point) {
     const pz_parameters *p = &piezo_params[AXIS];
     const uint32_t up = point < POINTS / 2u ? point : POINTS - point;
@@ -84,16 +114,14 @@ static pz_real reference_m(uint32_t point) {
 void on_timer(void) {
     static uint32_t point;
     const uint32_t begun = SYSTICK_VALUE;
-    TIM2(0x10) = 0; /* the flag that called */
-    const pz_real measured_m = read_sensor_m();
-    ADC1(0x08) |= 1u << 30; /* the next conversion has a period's time */
-    write_drive(pz_step_feedforward(&state, &piezo_params[AXIS], reference_m(point), measured_m,
-                                    feedforward_V[point]));
+    TIM2(0x10) = 0; /* clears the flag of this interrupt */
+    write_drive(pz_step_feedforward(&state, &piezo_params[AXIS], reference_m(point),
+                                    read_sensor_m(), feedforward_V[point]));
     point = point + 1u < POINTS ? point + 1u : 0u;
     const uint32_t taken = (begun - SYSTICK_VALUE) & SYSTICK_MASK;
     worst_cycles = taken > worst_cycles ? taken : worst_cycles;
     sum_cycles += taken;
-    missed |= TIM2(0x10) & 1u; /* called again meanwhile */
+    missed |= TIM2(0x10) & 1u; /* the next interrupt is due already */
     ++steps;
 }
 
@@ -119,9 +147,11 @@ static void start_converters(void) {
     RCC(0x44) |= 1u << 8;        /* ADC1 */
     GPIOA_MODER |= 3u | 3u << 8; /* PA0 and PA4 analogue */
     DAC(0x00) = 1u;              /* channel 1 on */
-    ADC1(0x10) = 1u;             /* 15 cycles of sampling */
-    ADC1(0x08) = 1u;             /* on */
-    ADC1(0x08) |= 1u << 30;
+    ADC_CCR = 1u << 16;          /* 84 MHz / 4 */
+    ADC1(0x10) = 1u;             /* 15 cycles of sampling, 12 of conversion */
+    ADC1(0x08) = 1u;             /* on; stable after 3 us */
+    for (volatile uint32_t wait = 0; wait < 1000u; ++wait) {
+    }
 }
 
 static void start_timer(void) {
@@ -135,7 +165,7 @@ static void start_timer(void) {
     TIM2(0x00) = 1u;
 }
 
-#ifdef PZ_EMULATED /* counts instructions in an emulator, and says so */
+#ifdef PZ_EMULATED /* prints the counted instructions of an emulator */
 #include <stdio.h>
 extern void initialise_monitor_handles(void);
 static void watch(void) {
@@ -158,11 +188,11 @@ int main(void) {
     (void)start_clock;
 #endif
     start_converters();
-    const pz_real voltage_V = PZ_REAL(0); /* what the DAC puts out after a reset */
+    const pz_real voltage_V = PZ_REAL(0); /* output of the DAC after a reset */
     if (pz_start(&state, &piezo_params[AXIS], voltage_V, read_sensor_m()) != PZ_OK) {
         stop(); /* parameters that pz_check refuses */
     }
-    start_timer();
+    start_timer(); /* the interrupt begins after pz_start */
     watch();
     return 0;
 }
