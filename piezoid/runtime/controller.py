@@ -110,7 +110,7 @@ class Controller:
         self.library.code.pz_schedule(*self._addresses, ratio)
 
     def reset(self) -> None:
-        """Let what latched go on with the next step: an operator has looked."""
+        """Continue after a latched fault, from the next step on."""
         self.library.code.pz_reset(ctypes.addressof(self._state))
 
     def step(self, reference: float, measured: float, feedforward_V: float | None = None) -> float:

@@ -988,8 +988,8 @@ static void restart_lateral(pz_state *s, const pz_parameters *p) {
     rest_lateral(s, p, y);
 }
 
-/* The voltage is held. 1: an operator has looked, and the loop starts from what the sensor shows
- * now, which is also the reference that a step of it is counted from. */
+/* The voltage is held. 1: pz_reset was called; the loop starts at rest at the present reading,
+ * from which the next change of the reference is counted. */
 static int leaves_hold(pz_state *s, const pz_parameters *p, pz_real measured) {
     if (is_finite(measured)) {
         s->measured = measured;
@@ -1030,7 +1030,7 @@ static void step_lateral(pz_state *s, const pz_parameters *p, pz_real reference,
     if (has_observer(p)) {
         const pz_real innovation = take_innovation(s, p, measured);
         if (s->mode == LATCHED) {
-            s->reset_wanted = 0; /* of before: nobody has seen this */
+            s->reset_wanted = 0; /* a pz_reset before the fault does not clear it */
             s->status |= PZ_STATUS_BLIND | PZ_STATUS_LATCHED;
             return;
         }
@@ -1110,9 +1110,9 @@ static uint32_t take_current(pz_state *s, const pz_parameters *p, pz_real wanted
     return why;
 }
 
-/* Flee: a step back, or all the way where that does not help or an operator has to look. A tip
- * that is farther back than retracting goes has the rest of its drive left. Every retract in a row
- * waits twice as long as the last: a fault that lasts is not mistaken for one that stays. */
+/* Retract by a step, or, for a latch, to the end. The end of a tip behind retract_voltage_V is the
+ * end of its drive. Every retract in a row waits twice as long as the last, so that a fault that
+ * passes does not latch. */
 static void retract(pz_state *s, const pz_parameters *p, uint32_t why, int for_good) {
     const pz_real end_V =
         s->command_V > p->retract_voltage_V ? p->retract_voltage_V : p->voltage_minimum_V;
@@ -1135,7 +1135,7 @@ static void retract(pz_state *s, const pz_parameters *p, uint32_t why, int for_g
     s->voltage_V = to_code(p, target_V);
 }
 
-/* Everything but what an operator has to say; 1: the tip stays where it was retracted to. */
+/* Handle pz_reset and the count of retracts. 1: the tip stays retracted. */
 static int stays_retracted(pz_state *s, const pz_parameters *p) {
     if (s->reset_wanted != 0) {
         s->reset_wanted = 0;
