@@ -11,12 +11,13 @@ from piezoid.design.design import AxisDesign, Design
 from piezoid.design.feasibility import at_feasible_bandwidth
 from piezoid.design.junction_task import axis_of, design_vertical, vertical_task
 from piezoid.design.lateral import design_lateral
-from piezoid.design.lateral_task import FORMS, lateral_task
+from piezoid.design.lateral_task import FORMS, has_pole, lateral_task
 from piezoid.design.plant import PlantFamily
 from piezoid.design.specification import Specification, specifications_from_toml
 from piezoid.errors import DesignError, LabFileError, PiezoidError, TemplateError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.coupled_stage import CoupledStage
+from piezoid.identification.loop_model import loop_model
 from piezoid.raw_counts import refuse_counts
 from piezoid.records.checks.command_range import (
     amplifier_scale,
@@ -26,6 +27,7 @@ from piezoid.records.checks.command_range import (
 from piezoid.records.lab import Lab
 
 _SLOWEST_Hz, _FASTEST_Hz = 1.0, 1e7  # of the runtime
+NO_POLE = ", and no pole of it is declared (bandwidth_Hz of [amplifier] or [sensor]) or fitted"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,6 +254,9 @@ def _lateral_task(
             needed="an axis whose hysteresis is known",
             remedy="Read in the report why it does not apply, and record again.",
         )
+    if rate_Hz is None and model.controller_rate_Hz is None:
+        further = "" if has_pole(loop_model(axis, _FASTEST_Hz), _FASTEST_Hz) else NO_POLE
+        raise _unknown_rate(model, further)
     task = lateral_task(axis, controller_rate_Hz(model, rate_Hz), forms=forms)
     recommended = next(form for form in FORMS if form in task.families)
 
@@ -311,7 +316,7 @@ def _between_converters(name: str, default: Specification, lab: Lab) -> Specific
 def nothing_to_design(model: ActuatorModel) -> DesignError:
     """Return the refusal of a stage without any axis."""
     return DesignError(
-        f"{model.stage}: the model holds no axis",
+        f"stage {model.stage}: the model holds no axis",
         needed="an axis with drive and displacement, or a tunnelling loop",
         remedy=" ".join(model.remarks) or "Fit recordings of the stage first.",
     )
@@ -321,16 +326,21 @@ def controller_rate_Hz(model: ActuatorModel, asked_Hz: float | None) -> float:
     """Return the rate that is asked for, else what lab.toml said at the fit, or refuse."""
     rate_Hz = model.controller_rate_Hz if asked_Hz is None else asked_Hz
     if rate_Hz is None:
-        raise DesignError(
-            f"{model.stage}: the controller's sampling rate is not known",
-            needed="the rate at which the controller will run",
-            remedy="Write sampling_rate_Hz under [acquisition] in lab.toml and fit again, or give "
-            "the rate to the design.",
-        )
+        raise _unknown_rate(model)
     if not _SLOWEST_Hz <= rate_Hz <= _FASTEST_Hz:
         raise DesignError(
-            f"{model.stage}: the controller is to run at {rate_Hz:g} Hz",
+            f"stage {model.stage}: the controller is to run at {rate_Hz:g} Hz",
             needed=f"a rate from {_SLOWEST_Hz:.0f} to {_FASTEST_Hz:.0f} Hz, which its code takes",
             remedy="Correct sampling_rate_Hz in lab.toml and fit again, or --rate.",
         )
     return rate_Hz
+
+
+def _unknown_rate(model: ActuatorModel, further: str = "") -> DesignError:
+    """Return the refusal of a stage whose controller has no rate, with what else is missing."""
+    return DesignError(
+        f"stage {model.stage}: the sampling rate of the controller is not known{further}",
+        needed="the rate at which the controller will run",
+        remedy="Write sampling_rate_Hz under [acquisition] in lab.toml and fit again, or run "
+        "`piezoid design FOLDER --rate HZ`.",
+    )

@@ -151,13 +151,14 @@ def unseen(axis: AxisModel) -> Unseen:
             known=f"the first mode lies at the {bandwidth.stated_Hz:.4g} Hz of the data sheet or "
             f"above, with at most {FIRST_MODE:g} times the gain at rest; no recording shows it",
         )
+    reason = "no recording shows it and no data sheet was declared"
+    if axis.unfitted_resonance_Hz is not None:
+        reason = "the recordings show a resonance that could not be fitted"
     return Unseen(
         from_Hz=UNTOLD_Hz,
         peak=FIRST_MODE,
         known=f"the first mode lies above {UNTOLD_Hz:g} Hz, and is no sharper than {FIRST_MODE:g} "
-        "times the gain at rest: no recording shows it and no data sheet was declared. Record a "
-        "chirp or multisine up to some kilohertz, or write bandwidth_Hz under [actuator] in "
-        "lab.toml, for a faster loop",
+        f"times the gain at rest: {reason}",
     )
 
 
@@ -250,17 +251,32 @@ def _plant(label: str, loop: LoopModel, gain_m_per_V: float, rate_Hz: float) -> 
     )
 
 
-def _refuse_without_poles(axis: AxisModel, loop: LoopModel, rate_Hz: float) -> None:
+def has_pole(loop: LoopModel, rate_Hz: float) -> bool:
+    """Return whether a pole is known that matters at a sampling rate."""
     poles = np.linalg.eigvals(cascade(loop.front, loop.behind, loop.sensor).A)
     slow_Hz = _SLOWER_THAN_RATE * rate_Hz
-    if not (np.abs(poles) < 2.0 * np.pi * slow_Hz).any():
-        raise DesignError(
-            f"axis {axis.axis}: no pole is declared and none was found, slow enough to matter at "
-            f"{rate_Hz:g} Hz",
-            needed="what limits the speed of the stage: without it any gain would look safe",
-            remedy="Declare bandwidth_Hz of [amplifier] and [sensor] in lab.toml, or add a "
-            "recording that excites the dynamics, and fit again.",
+    return bool((np.abs(poles) < 2.0 * np.pi * slow_Hz).any())
+
+
+def _refuse_without_poles(axis: AxisModel, loop: LoopModel, rate_Hz: float) -> None:
+    if has_pole(loop, rate_Hz):
+        return
+    stated_Hz = None if axis.bandwidth is None else axis.bandwidth.stated_Hz
+    note = ""
+    if axis.unfitted_resonance_Hz is not None:
+        note = f"; the resonance near {axis.unfitted_resonance_Hz:.3g} Hz could not be fitted"
+    elif stated_Hz is not None:
+        note = (
+            f"; bandwidth_Hz = {stated_Hz:g} of [actuator] does not suffice, because "
+            "it may be a pole or a resonance"
         )
+    raise DesignError(
+        f"axis {axis.axis}: no pole is declared and none could be fitted that is slow enough to "
+        f"matter at {rate_Hz:g} Hz{note}",
+        needed="what limits the speed of the stage: without it any gain would look safe",
+        remedy="Declare bandwidth_Hz of [amplifier] or [sensor] in lab.toml, or add a recording "
+        "that excites the dynamics (a small chirp at the controller's rate), and fit again.",
+    )
 
 
 def _gain_interval(axis: AxisModel, loop: LoopModel) -> tuple[float, float]:

@@ -16,7 +16,7 @@ one of them is left out. An error that is larger than the one before it counts a
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import erfc, sqrt
 from types import MappingProxyType
 
@@ -50,6 +50,7 @@ EXTRAPOLATION_TEXT = (
     "The held-out error exceeds the error in sample: left-out blocks go beyond the amplitudes or "
     "speeds of all others. Record every amplitude and speed at least twice."
 )
+MANY_TIMES = 5.0  # residual of one recording over that of all others: it makes the error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +63,7 @@ class RemainingErrors:
     before_m     held-out error without the wider class of hysteresis, where the model has it
     is_compared  whether model and widest class follow the same stage at all; False where the
                  class of the model does not apply
+    recordings_m  error of the model in sample by recording; empty where it was not computed
     """
 
     explained_m: float
@@ -69,6 +71,7 @@ class RemainingErrors:
     scatter: float
     before_m: float | None = None
     is_compared: bool = True
+    recordings_m: Mapping[str, float] = field(default_factory=dict)
 
 
 def corrected(rows: int, parameters: int) -> float:
@@ -121,7 +124,7 @@ def with_budget(
     effects = _effect_parts(diagnosis, together, in_sequence, other_recordings)
     parts = [
         *(part for part in effects if part.part not in remaining),
-        *(_remaining_part(name, power, diagnosis) for name, power in remaining.items()),
+        *(_remaining_part(name, power, diagnosis, errors) for name, power in remaining.items()),
         BudgetPart(part="noise", rms_m=sqrt(noise), is_explained=False, text="Sensor noise."),
     ]
     return replace(diagnosis, budget=tuple(parts))
@@ -233,16 +236,31 @@ def _effect_text(name: str) -> str:
     return f"{words(name).capitalize()}, {'repaired in the data' if is_fault else 'modelled'}."
 
 
-def _remaining_part(name: str, power: float, diagnosis: Diagnosis) -> BudgetPart:
+def _remaining_part(
+    name: str, power: float, diagnosis: Diagnosis, errors: RemainingErrors
+) -> BudgetPart:
     rms_m, noise_m = sqrt(max(power, 0.0)), diagnosis.noise_floor_rms_m
     sizes = f"{with_unit(rms_m, 'm')} rms; sensor noise {with_unit(noise_m, 'm')}"
     texts = {
         LOOP_SHAPE: f"Loop shape that the model class cannot represent ({sizes}).",
-        "extrapolation": EXTRAPOLATION_TEXT,
+        "extrapolation": _extrapolation_text(errors.recordings_m),
         SOMETHING_ELSE: f"Residual that lives in one coordinate ({sizes}).",
         "unexplained": f"Residual that no effect explains ({sizes}).",
     }
     return BudgetPart(part=name, rms_m=rms_m, is_explained=False, text=texts[name])
+
+
+def _extrapolation_text(recordings_m: Mapping[str, float]) -> str:
+    """Name the recording that makes the error, if one is far worse than all others."""
+    *others, worst = sorted(recordings_m, key=lambda name: recordings_m[name]) or [""]
+    if not others or recordings_m[worst] < MANY_TIMES * recordings_m[others[-1]]:
+        return EXTRAPOLATION_TEXT
+    rms, others_rms = (with_unit(recordings_m[name], "m") for name in (worst, others[-1]))
+    return (
+        f"The error comes from {worst}: the model misses it by {rms} rms, the other recordings by "
+        f"at most {others_rms}. Leave it out, or record it again; a chirp needs a smaller "
+        "amplitude, at the rate of the controller or faster."
+    )
 
 
 def _with_loop_shape(

@@ -5,6 +5,7 @@ recordings -> repaired view -> effects selected against the widest class of hyst
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -37,6 +38,7 @@ from piezoid.diagnosis.residual_view import View, view_of
 from piezoid.diagnosis.segments import tracks_of
 from piezoid.diagnosis.selection import Outcome, without_causes
 from piezoid.diagnosis.step_responses import behind_jumps
+from piezoid.errors import IdentificationError
 from piezoid.formatting import words
 from piezoid.identification.fit import (
     axes_of,
@@ -51,6 +53,7 @@ from piezoid.identification.hysteresis.applicability import UNEXPLAINED
 from piezoid.identification.hysteresis.pieces import Scales, pieces_of, scales_of
 from piezoid.identification.hysteresis.scope import scope_of
 from piezoid.identification.model import AxisModel
+from piezoid.identification.simulation import simulate_recording
 from piezoid.numerics.executor import Executor
 from piezoid.records.constant_drive import is_at_rest
 from piezoid.records.frequency_response import FrequencyResponseRecord
@@ -311,12 +314,14 @@ def _assembled(
     note = "{}: its error is not part of the baseline's."
     return with_budget(
         diagnosis,
-        _remaining_errors(outcome, errors, final),
+        _remaining_errors(outcome, errors, final, selection.repaired(recordings)),
         {name: note.format(words(name).capitalize()) for name in sorted(others)},
     )
 
 
-def _remaining_errors(outcome: Outcome, errors: ModelErrors, final: AxisModel) -> RemainingErrors:
+def _remaining_errors(
+    outcome: Outcome, errors: ModelErrors, final: AxisModel, recordings: Sequence[Recording]
+) -> RemainingErrors:
     rows, columns = outcome.final.null.every.shape
     plain_m = final.without_loop_shape().quality.held_out_rms_m
     return RemainingErrors(
@@ -325,4 +330,21 @@ def _remaining_errors(outcome: Outcome, errors: ModelErrors, final: AxisModel) -
         scatter=errors.scatter,
         before_m=plain_m if plain_m > final.quality.held_out_rms_m else None,
         is_compared=not outcome.against,
+        recordings_m=_errors_by_recording(final, recordings),
     )
+
+
+def _errors_by_recording(model: AxisModel, recordings: Sequence[Recording]) -> dict[str, float]:
+    """Return the error in sample of each recording of a fit that extrapolates, rms in m.
+
+    Empty where the error in sample is no smaller part of the held-out error than the rest.
+    """
+    quality, errors_m = model.quality, {}
+    if quality.held_out_rms_m**2 < 2.0 * quality.explained_rms_m**2:
+        return {}
+    for recording in recordings:
+        with suppress(IdentificationError):  # other pieces than those of the fit
+            simulated_m = simulate_recording(model, recording)
+            error_m = recording.displacement_m(model.axis) - simulated_m
+            errors_m[recording.name] = float(np.sqrt(np.nanmean(error_m**2)))
+    return errors_m

@@ -89,7 +89,9 @@ def fit_statements(axis: AxisModel) -> tuple[Statement, ...]:
     statements += _zero(axis)
     for remark in axis.verdict.remarks:
         quantity = DYNAMICS if remark in axis.dynamics_remarks else "fit"
-        statements.append(_limit(axis, Level.NOTE, quantity, remark))
+        is_verdict = axis.bandwidth is not None and remark == axis.bandwidth.text
+        level = Level.ACTION if is_verdict and axis.unfitted_resonance_Hz else Level.NOTE
+        statements.append(_limit(axis, level, quantity, remark))
     return tuple(statements)
 
 

@@ -11,6 +11,7 @@ from piezoid.identification.dynamics.bandwidth import BandwidthVerdict
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.records import JointFit, ResponseFit
 from piezoid.identification.extensions.extension import Extension, Where
+from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.forward import Forward
 from piezoid.identification.hysteresis.pieces import Rig, Scales
 from piezoid.identification.loop_shape import LoopShape, histories, history_of, remembered
@@ -136,6 +137,20 @@ class AxisModel:
         True
         """
         return self.hysteresis if self.minor_loops is None else self.minor_loops.operator
+
+    @property
+    def unfitted_resonance_Hz(self) -> float | None:
+        """Frequency of a resonance that recordings show and the model lacks, or None.
+
+        >>> model["x"].unfitted_resonance_Hz
+        """
+        verdict = self.bandwidth
+        has_mode = self.dynamics is not None or any(
+            isinstance(extension, LinearMode) for extension in self.extensions
+        )
+        if verdict is None or verdict.kind != "resonance" or has_mode:
+            return None
+        return verdict.resonance_Hz
 
     def without_loop_shape(self) -> "AxisModel":
         """Return the axis as plays with dead zones describe it.

@@ -35,6 +35,25 @@ def test_a_loop_without_a_known_resonance_asks_for_a_chirp() -> None:
     assert levels["bandwidth"] is Level.ACTION
 
 
+def test_the_limit_of_the_bandwidth_names_what_is_known_of_the_resonance() -> None:
+    unknown = unmeasured(None, "nothing was recorded")
+    visible = replace(unknown, kind="resonance", peak_ratio=12.0, peak_Hz=300.0)
+    of_bandwidth = {
+        "no resonance was recorded": unknown,
+        "the resonance near 300 Hz could not be fitted": visible,
+        "the stated 630 Hz was not recorded": replace(unknown, stated_Hz=630.0),
+        "use a faster recorder": replace(unknown, stated_Hz=RATE_Hz),
+    }
+    axes = [replace(fitted()["x"], bandwidth=verdict) for verdict in of_bandwidth.values()]
+    design = piezoid.design(replace(fitted(), axes={"x": axes[0]}), sampling_rate_Hz=RATE_Hz)
+    loop = replace(design.axis("x").recommended, bandwidth_Hz=RATE_Hz)  # near any limit
+    design = replace(design, axes=(replace(design.axis("x"), loops=(loop,)),))
+    for words, axis in zip(of_bandwidth, axes, strict=True):
+        facts = design_statements(design, replace(fitted(), axes={"x": axis}))
+        (text,) = (fact.text for fact in facts if fact.quantity == "bandwidth")
+        assert words in text
+
+
 def test_a_resonance_beyond_the_converter_limits_no_bandwidth() -> None:
     design, levels = designed(fitted()["x"])
     assert bandwidth_limit_Hz(design, fitted()["x"]) is None

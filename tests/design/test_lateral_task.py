@@ -183,6 +183,24 @@ def test_without_any_pole_nothing_is_designed_and_the_remedy_is_said() -> None:
         lateral_task(axis_model(), RATE_Hz)
 
 
+def test_without_a_fitted_pole_what_is_known_of_the_stage_is_named() -> None:
+    unknown = unmeasured(300.0, "nothing was recorded")
+    visible = replace(unknown, kind="resonance", peak_ratio=12.0, peak_Hz=280.0)
+    named = (
+        ("bandwidth_Hz = 300 of \\[actuator\\] does not suffice", unknown),
+        ("near 280 Hz", visible),
+    )
+    for words, verdict in named:
+        with pytest.raises(DesignError, match=words):
+            lateral_task(replace(axis_model(), bandwidth=verdict), RATE_Hz)
+
+
+def test_a_missing_rate_and_a_missing_pole_are_stated_at_once() -> None:
+    words = r"stage bench: .*rate of the controller is not known, and no pole.*piezoid design"
+    with pytest.raises(DesignError, match=words):
+        design_stage(stage_model(axis_model()), model_digest=DIGEST)
+
+
 def test_without_the_rate_of_the_controller_nothing_is_designed() -> None:
     model = stage_model(rigged())
     with pytest.raises(DesignError, match=r"sampling_rate_Hz under \[acquisition\]"):

@@ -77,6 +77,17 @@ def test_a_residual_that_dominates_is_something_else_with_its_coordinate() -> No
     assert found.largest_remaining.part in ("something_else", "unexplained")
 
 
+@pytest.mark.parametrize(("chirp_m", "words"), [(9e-8, "comes from chirp.csv"), (1e-8, "twice")])
+def test_an_error_of_one_recording_names_it(chirp_m: float, words: str) -> None:
+    recordings_m = {"sweep.csv": 4e-9, "chirp.csv": chirp_m, "check.csv": 5e-9}
+    errors = RemainingErrors(
+        explained_m=5e-9, wide_m=5e-9, scatter=0.01, recordings_m=recordings_m
+    )
+    found = with_budget(diagnosed(finding("creep", 0.4)), errors)
+    (part,) = (part for part in found.budget if part.part == "extrapolation")
+    assert words in part.text
+
+
 def test_a_model_at_the_noise_has_nothing_left_to_name() -> None:
     known = diagnosed(finding("creep", 0.4))
     quiet = with_budget(known, RemainingErrors(explained_m=3e-8, wide_m=3e-8, scatter=0.01))

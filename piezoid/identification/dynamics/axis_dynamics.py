@@ -10,6 +10,7 @@ from piezoid.identification.dynamics.bandwidth import (
     BandwidthVerdict,
     UNKNOWN_DELAY_s,
     decide_bandwidth,
+    unfitted,
     unmeasured,
 )
 from piezoid.identification.dynamics.behind_hysteresis import (
@@ -23,6 +24,7 @@ from piezoid.identification.dynamics.joint_fit import fit_jointly
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
 from piezoid.identification.dynamics.response_validation import validate_response
+from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel
 from piezoid.records.frequency_response import FrequencyResponseRecord
@@ -195,13 +197,17 @@ def _with_recorded_dynamics(
     except ExcitationError as refusal:
         verdict = unmeasured(stated_Hz, f"{recording.name} contains {refusal.found}")
         return _with_bandwidth(_with_remarks(axis, f"no linear dynamics: {refusal}"), verdict)
-    axis = _with_fit(axis, measured, recording, recordings, highest_Hz)
+    axis, obstacle = _with_fit(axis, measured, recording, recordings, highest_Hz)
     verdict = decide_bandwidth(
         measured,
         Declaration(filters=_declared(axis.rig)),
         delay_s=_delay_interval_s(axis),
         stated_Hz=stated_Hz,
     )
+    if obstacle:
+        has_mode = any(isinstance(extension, LinearMode) for extension in axis.extensions)
+        verdict = unfitted(verdict, recording.name, obstacle, has_mode=has_mode)
+        return _with_remarks(replace(axis, bandwidth=verdict), verdict.text)
     return _with_bandwidth(axis, verdict)
 
 
@@ -211,32 +217,48 @@ def _with_fit(
     recording: Recording,
     recordings: Sequence[Recording],
     highest_Hz: float,
-) -> AxisModel:
-    """Fit the dynamics behind the hysteresis, then both together unless that moves the modes."""
+) -> tuple[AxisModel, str]:
+    """Fit the dynamics behind the hysteresis, then both together unless that moves the modes.
+
+    Returns:
+        The axis, and why it has no dynamics; empty if it has.
+    """
     try:
         dynamics = _best_fit(measured, axis.rig)
     except (ExcitationError, IdentificationError) as refusal:
-        return _with_remarks(axis, f"no linear dynamics: {refusal}")
-    low_Hz, high_Hz = dynamics.band_Hz
+        return axis, f"{refusal.found}, needed {refusal.needed}"
     if not is_determined(dynamics):
-        text = (
-            f"{recording.name}: no resonance or pole could be identified between {low_Hz:.3g} and "
-            f"{high_Hz:.3g} Hz; the model keeps a pure lag."
-        )
-        return _with_remarks(axis, text)
+        return axis, _obstacle(dynamics)
+    low_Hz, high_Hz = dynamics.band_Hz
     text = (
         f"{recording.name} drives up to {highest_Hz:.0f} Hz: linear dynamics were fitted behind "
         f"the hysteresis from {low_Hz:.3g} to {high_Hz:.4g} Hz"
     )
     joint = fit_jointly(axis, dynamics, recording, recordings)
     if joint is None:
-        return replace(_with_remarks(axis, text), dynamics=dynamics)
+        return replace(_with_remarks(axis, text), dynamics=dynamics), ""
     change = np.abs(np.log(joint.dynamics.mode_frequency_Hz / dynamics.mode_frequency_Hz))
     if (change >= SAME_MODE).any() or not np.isfinite(joint.dynamics.shape_covariance).all():
         text += "; a joint fit of hysteresis and dynamics finds other modes and is not used"
-        return replace(_with_remarks(axis, text), dynamics=dynamics)
+        return replace(_with_remarks(axis, text), dynamics=dynamics), ""
     axis = _with_remarks(axis, f"{text}, then jointly with it")
-    return replace(axis, dynamics=joint.dynamics, joint=joint.record)
+    return replace(axis, dynamics=joint.dynamics, joint=joint.record), ""
+
+
+def _obstacle(dynamics: LinearDynamics) -> str:
+    """Return why a fit is not determined, the first condition of ``is_determined`` that fails."""
+    band = f"between {dynamics.band_Hz[0]:.3g} and {dynamics.band_Hz[1]:.3g} Hz"
+    if dynamics.cost_ratio > MAX_COST:
+        text = (
+            f"{band} the best model misses it by {np.sqrt(dynamics.cost_ratio):.2g} times its "
+            f"uncertainty, at most {np.sqrt(MAX_COST):.2g} times are accepted"
+        )
+        if dynamics.delay_s > 0.0:
+            return text
+        return f"{text}. Its delay lies on 0, as if the drive were not held between samples"
+    if not resolved_modes(dynamics).all():
+        return f"the lines {band} do not determine frequency and damping of a mode"
+    return f"the pole lies far above the lines {band}"
 
 
 def _best_fit(measured: FrequencyResponse, rig: Rig) -> LinearDynamics:

@@ -1,6 +1,6 @@
 """What a data sheet's "bandwidth" means: a first-order pole, or a resonance."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -28,8 +28,8 @@ MEANING = {
     "first_order": "a first-order pole limits the stage",
     "resonance": "a resonance limits the stage",
     "undecided": "these recordings do not show whether this is a pole or a resonance; declare "
-    "amplifier and sensor, and record a chirp or a multisine from a tenth of that frequency to "
-    "three times it",
+    "amplifier and sensor, and record a small chirp through that frequency, at the rate of the "
+    "controller or faster",
 }
 
 
@@ -56,6 +56,13 @@ class BandwidthVerdict:
     peak_Hz: float | None = None
     highest_Hz: float = 0.0
     text: str
+
+    @property
+    def resonance_Hz(self) -> float | None:
+        """Where the gain peaks, or has fallen by 3 dB without a peak; None for no resonance."""
+        if self.kind != "resonance":
+            return None
+        return self.peak_Hz if (self.peak_ratio or 0.0) > CLEAR_PEAK else self.fallen_Hz
 
 
 def decide_bandwidth(
@@ -137,6 +144,34 @@ def decide_bandwidth(
     )
 
 
+def unfitted(
+    verdict: BandwidthVerdict, recording: str, reason: str, *, has_mode: bool = False
+) -> BandwidthVerdict:
+    """Return a verdict that says why no pole or mode was fitted in spite of it.
+
+    recording  that shows the response
+    reason     why nothing could be fitted to it
+    has_mode   whether the model has a mode that a diagnosis added
+    """
+    stated_Hz = verdict.stated_Hz
+    if verdict.kind == "undecided":
+        further = verdict.text if verdict.highest_Hz > 0.0 else _remedy(stated_Hz)
+        text = f"{recording}: no resonance or pole could be fitted: {reason}. {further}"
+        return replace(verdict, text=text)
+    shape, at_Hz, size = "a first-order pole", verdict.fallen_Hz, ""
+    if verdict.resonance_Hz is not None:
+        shape, at_Hz = "a resonance", verdict.resonance_Hz
+    if at_Hz == verdict.peak_Hz:
+        size = f" ({verdict.peak_ratio:.3g} times the gain at rest)"
+    model = "takes the mode from the diagnosis" if has_mode else "keeps a pure lag"
+    text = (
+        f"{recording} shows {shape} near {at_Hz:.3g} Hz{size}. Its frequency response could not "
+        f"be fitted: {reason}. The model {model}. Record a small chirp through it, about 2 % of "
+        "the range of the drive, at the rate of the controller or faster."
+    )
+    return replace(verdict, text=_stated(stated_Hz) + text)
+
+
 def unmeasured(stated_Hz: float | None, reason: str) -> BandwidthVerdict:
     """Return an undecided verdict and its reason."""
     return BandwidthVerdict(
@@ -160,5 +195,5 @@ def _stated(stated_Hz: float | None) -> str:
 
 
 def _remedy(stated_Hz: float | None) -> str:
-    end = "until the gain has fallen" if stated_Hz is None else f"to {3.0 * stated_Hz:g} Hz"
-    return f"Record a chirp or a multisine {end}."
+    end = "until the gain has fallen" if stated_Hz is None else f"through {stated_Hz:g} Hz"
+    return f"Record a small chirp {end}, at the rate of the controller or faster."

@@ -270,7 +270,7 @@ def _axis_model(
                 *data.outliers,
                 *trends,
                 *data.transients,
-                *remarks_on(fitted, choice.kind),
+                *remarks_on(fitted, choice.kind, rig),
             ),
         ),
         quality=quality,
@@ -286,7 +286,7 @@ def _axis_model(
     )
 
 
-def remarks_on(fitted: Fitted, held_out_kind: str) -> tuple[str, ...]:
+def remarks_on(fitted: Fitted, held_out_kind: str, rig: Rig) -> tuple[str, ...]:
     """Return remarks on excitation, on weights and lags at their bounds, and on the start."""
     remarks = []
     if held_out_kind == SECOND_HALF:
@@ -310,16 +310,26 @@ def remarks_on(fitted: Fitted, held_out_kind: str) -> tuple[str, ...]:
     if on_zero:
         remarks.append(f"{on_zero} of {plays} play weights lie on 0; only upper limits are given.")
     if fitted.shape.lag != "none" and operator.lag_s <= 0.0:
-        remarks.append(
-            "The fitted lag lies on 0: the displacement may lead the drive. Check that both "
-            "channels are sampled at the same instant."
-        )
+        remarks.append(_lag_on_zero(rig))
     if fitted.shape.lag != "none" and operator.lag_s >= 0.999 * fitted.task.longest_lag_s > 0.0:
         bound = with_unit(operator.lag_s, "s")
         remarks.append(f"The fitted lag lies on its upper bound, {bound}.")
     if fitted.kkt_gap > LOOSE_KKT:
         remarks.append(f"The convex start is optimal only to {fitted.kkt_gap:.1e}.")
     return tuple(remarks)
+
+
+def _lag_on_zero(rig: Rig) -> str:
+    """Return the possible causes of a lag on its lower bound."""
+    poles = (rig.amplifier_bandwidth_Hz, rig.sensor_bandwidth_Hz)
+    declared = ", ".join(with_unit(pole_Hz, "Hz") for pole_Hz in poles if pole_Hz is not None)
+    check = "that both channels are sampled at the same instant"
+    if not declared:
+        return f"The fitted lag lies on 0: the displacement may lead the drive. Check {check}."
+    return (
+        f"The fitted lag lies on 0: the declared poles ({declared}) delay at least as much as the "
+        f"recordings show. Check bandwidth_Hz of [amplifier] and [sensor], and {check}."
+    )
 
 
 def starts_of(fitted: Fitted, scales: Scales) -> tuple[PieceStart, ...]:

@@ -9,6 +9,7 @@ import piezoid_datasets
 from piezoid.identification.dynamics.axis_dynamics import with_dynamics
 from piezoid.identification.dynamics.excitation import excites_dynamics
 from piezoid.identification.fit import rig_of
+from piezoid.identification.fit_statements import fit_statements
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.model import AxisModel
 from piezoid.identification.store import read_model, write_model
@@ -17,6 +18,7 @@ from piezoid.operators.linear import resonance, sample
 from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
 from piezoid.records.recording import Channel, Quantity, Recording
+from piezoid.statement import Level
 from piezoid_reports.page import Page
 from piezoid_reports.render import render
 from tests.reports.known_stage import HYSTERESIS, axis_model, stage_model
@@ -137,7 +139,19 @@ def test_where_noise_covers_everything_it_is_said_that_nothing_was_fitted(
     found = with_dynamics(axis_model(), [replace(chirped, channels=(drive, noise))])
     assert found.dynamics is None
     assert len(found.dynamics_remarks) == 1
-    assert "no linear dynamics" in found.dynamics_remarks[0]
+    assert "0 of 2046 lines are coherent" in found.dynamics_remarks[0]
+
+
+def test_a_resonance_that_cannot_be_fitted_is_stated_with_the_reason(chirped: Recording) -> None:
+    drive, moved = chirped.channels
+    early = replace(moved, values=np.roll(moved.values, -1))  # no held drive is ahead of itself
+    found = with_dynamics(axis_model(), [replace(chirped, channels=(drive, early))])
+    assert found.dynamics is None
+    assert found.unfitted_resonance_Hz == pytest.approx(MODE_Hz, rel=0.02)
+    (statement,) = [fact for fact in fit_statements(found) if fact.quantity == "dynamics"]
+    assert statement.level is Level.ACTION
+    for words in ("shows a resonance", "could not be fitted", "delay lies on 0"):
+        assert words in statement.text
 
 
 def test_the_model_with_dynamics_comes_back_to_the_last_bit(axis: AxisModel) -> None:

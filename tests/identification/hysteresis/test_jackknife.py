@@ -7,10 +7,13 @@ import pytest
 
 from piezoid.identification.hysteresis.estimate import remarks_on
 from piezoid.identification.hysteresis.jackknife import Jackknife, left_out
+from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.hysteresis.search import Settings, search
 from piezoid.identification.quality import OTHER_RECORDINGS
 from piezoid.numerics.arrays import Array
 from tests.identification.hysteresis.test_order import SHAPE, pieces
+
+DECLARED = Rig(amplifier_bandwidth_Hz=4000.0)
 
 
 def blocks_of(count: int) -> tuple[Array, Array]:
@@ -46,5 +49,16 @@ def test_a_start_that_was_not_the_optimum_has_a_remark(iterations: int, gap: flo
     settings = Settings(longest_lag_s=0.02, follow_zero=False)
     fitted = search(pieces(1), SHAPE, replace(settings, iterations=iterations))
     assert fitted.minimum.converged is (iterations == 30)
-    remarks = remarks_on(replace(fitted, kkt_gap=gap), OTHER_RECORDINGS)
+    remarks = remarks_on(replace(fitted, kkt_gap=gap), OTHER_RECORDINGS, Rig())
     assert any("optimal only to" in remark for remark in remarks) is (gap > 0.0)
+
+
+def test_a_lag_on_zero_names_the_declared_poles_that_may_be_too_slow() -> None:
+    shape = replace(SHAPE, lag="delay")
+    fitted = search(pieces(1), shape, Settings(longest_lag_s=0.02, iterations=1))
+    theta = fitted.minimum.theta.copy()
+    theta[fitted.task.coordinates.slices["lag"]] = 0.0
+    ahead = replace(fitted, minimum=replace(fitted.minimum, theta=theta))
+    said = [" ".join(remarks_on(ahead, OTHER_RECORDINGS, rig)) for rig in (Rig(), DECLARED)]
+    assert "may lead the drive" in said[0]
+    assert "the declared poles (4.00 kHz) delay at least as much" in said[1]
