@@ -46,9 +46,6 @@ BLOCKS = "blocks of several seconds, in five folds"
 IN_SAMPLE = "none, one loop"
 
 
-NEVER_MEASURED = ("branch", "loop", "speed", "amplitude", "recording")
-
-
 @dataclass(frozen=True, kw_only=True)
 class Limit:
     """Something that was never measured, or not as it is, so that no fit can know it.
@@ -62,11 +59,6 @@ class Limit:
     lack: str
     reason: str
     most: int
-
-    @property
-    def is_odd(self) -> bool:
-        """Whether something was read that a clean recording would not show."""
-        return self.lack not in NEVER_MEASURED
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,11 +112,6 @@ class FitQuality:
         """
         free = max(self.rows - self.effective_parameters, 1.0)
         return float(self.rms_m * np.sqrt(max(self.rows, 1) / free))
-
-    @property
-    def extrapolation_rms_m(self) -> float:
-        """Part of the held-out error that is not in the explained one, m; squares add up."""
-        return float(np.sqrt(max(self.held_out_rms_m**2 - self.explained_rms_m**2, 0.0)))
 
     @property
     def is_tested(self) -> bool:

@@ -41,7 +41,6 @@ _SIGNATURES: dict[str, tuple[type, ...]] = {
     ),
     "pk_ladder": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 5),
     "pk_filter": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 4),
-    "pk_lasting_extremes": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 2),
     "pk_slew": (_SIZE, _POINTER, _DOUBLE, _POINTER),
     "pk_bouc_wen": (_SIZE, _POINTER, _SIZE, _POINTER, _DOUBLE, *[_POINTER] * 2),
     "pk_friction": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 4, _SIZE, _POINTER),

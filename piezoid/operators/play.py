@@ -1,6 +1,5 @@
 """The play operator: the elementary memory, its bank and its admissible states."""
 
-import ctypes
 from collections.abc import Iterator
 
 import numpy as np
@@ -80,53 +79,6 @@ def play_blocks(
     for first in range(0, len(voltage_V), rows):
         states, memory_V = play_columns(voltage_V[first : first + rows], threshold_V, memory_V)
         yield first, states
-
-
-class LastingExtremes:
-    """What is left of an input for any play: extremes that no larger loop has wiped out.
-
-    A play of any threshold that follows ``values`` ends in the very state, and with the very
-    derivatives, in which following every sample ends: a loop inside a larger one leaves a play
-    where it was ("return point memory"; Preisach's reduced memory sequence [Mayergoyz 1991]). It
-    is the product of the clamps c_k(z) = clamp(z, u_k - r, u_k + r) for all r at once, and like it
-    associative: the extremes of two parts, one behind the other, have those of the whole.
-    """
-
-    def __init__(self, room: int = 64) -> None:
-        """Begin with no sample."""
-        self._held = np.empty(room)
-        self._count = ctypes.c_size_t(0)
-        self._kept = 0
-
-    @property
-    def values(self) -> Array:
-        """Return the extremes in their order, the last sample at the end, and what was kept."""
-        return self._held[: self._count.value].copy()
-
-    @property
-    def count(self) -> int:
-        """How many there are."""
-        return int(self._count.value)
-
-    def follow(self, voltage_V: Array) -> None:
-        """Take in the next samples."""
-        u = contiguous(voltage_V)
-        self._make_room(len(u))
-        KERNELS.pk_lasting_extremes(
-            len(u), address(u), self._kept, ctypes.addressof(self._count), address(self._held)
-        )
-
-    def keep(self, voltage_V: Array) -> None:
-        """Take in samples none of which is ever left out; what came before stays as it is."""
-        first = self._count.value
-        self._make_room(len(voltage_V))
-        self._kept = self._count.value = first + len(voltage_V)
-        self._held[first : self._kept] = voltage_V
-
-    def _make_room(self, samples: int) -> None:
-        wanted = self._count.value + samples
-        if wanted > len(self._held):
-            self._held = np.concatenate([self._held, np.empty(wanted)])
 
 
 def is_admissible(memory_V: Array, voltage_V: float, threshold_V: Array) -> bool:

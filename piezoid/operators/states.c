@@ -130,36 +130,6 @@ void pk_bouc_wen(size_t samples, const double *input, size_t states, const doubl
 }
 
 /* What a friction state of u^n follows on a straight way without end. */
-/* Whether u lies on the far side of `limit`, seen from `turn`. */
-static int reaches(double u, double limit, double turn) {
-    return limit > turn ? u >= limit : u <= limit;
-}
-
-void pk_lasting_extremes(size_t samples, const double *input, size_t first, size_t *count,
-                         double *extreme) {
-    double *held = extreme + first;
-    size_t n = *count - first;
-    for (size_t k = 0; k < samples; ++k) {
-        const double u = input[k];
-        /* On in the same direction, or where it was: the last one moves. Else it is a turn. */
-        const int on = n > 1 ? reaches(u, held[n - 1], held[n - 2])
-                             : n == 1 && !(u < held[0]) && !(u > held[0]);
-        if (!on) {
-            ++n;
-        }
-        held[n - 1] = u;
-        /* What goes further than the turn before last wipes out the loop between them. */
-        while (n > 2 && reaches(u, held[n - 3], held[n - 2])) {
-            if (n == 3) {
-                held[0] = held[1];
-            }
-            n -= n > 3 ? 2 : 1;
-            held[n - 1] = u;
-        }
-    }
-    *count = first + n;
-}
-
 static double followed(int power, double u, double r, double sign) {
     switch (power) {
     case 1:

@@ -48,15 +48,6 @@ void pk_activated(size_t samples, const double *input, double step, double wide,
 void pk_bouc_wen(size_t samples, const double *input, size_t states, const double *law,
                  double longest, double *state, double *output);
 
-/* The extremes of an input that are not wiped out, in their order, the last sample at the end:
- * every play that follows them ends where it ends that follows all samples.
- *   first   how many in front of the extremes are left alone
- *   count   in/out: of first and extremes together
- *   extreme (count + samples,)  in/out
- */
-void pk_lasting_extremes(size_t samples, const double *input, size_t first, size_t *count,
-                         double *extreme);
-
 /* Friction states, each with a reach r and a power n = 1, 2 or 3 of the input,
  *   dx = d(u^n) - |du| x / r;    over a straight part, s = sgn(du),
  *   x[k] = q(u[k]) + (x[k-1] - q(u[k-1])) exp(-|du| / r),

@@ -78,7 +78,6 @@ class RawTable:
     digest            of the file's bytes
     format            a name for people: ``Nanonis``, ``text table``, ...
     sampling_rate_Hz  where the format states a clock instead of a time column
-    sampling_start_s  the time of the first row on that clock
     independent       label of the column everything else is a function of, for formats that sweep
                       something other than time; empty otherwise
     segment_starts    (count,)  first row of each further segment of a file that holds several
@@ -94,7 +93,6 @@ class RawTable:
     digest: str = ""
     format: str = ""
     sampling_rate_Hz: float | None = None
-    sampling_start_s: float = 0.0
     independent: str = ""
     segment_starts: tuple[int, ...] = ()
     first_line: int = 0

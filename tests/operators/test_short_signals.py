@@ -13,7 +13,7 @@ from piezoid.operators.friction import friction_states
 from piezoid.operators.ladder import ladder
 from piezoid.operators.linear import butterworth, recursive_filter, resonance, sample
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.play import LastingExtremes, play_columns, turns_of
+from piezoid.operators.play import play_columns, turns_of
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.operators.wide_hysteresis import HysteresisStates, class_columns
 
@@ -36,16 +36,9 @@ MODE = sample(resonance(200.0, 0.05), 1000.0)
 BESSEL = sample(butterworth(3, 100.0), 1000.0)
 
 
-def extremes(signal: Array) -> Array:
-    memory = LastingExtremes()
-    memory.follow(signal)
-    return np.zeros(len(signal)) if np.isfinite(memory.values).all() else np.full(1, np.nan)
-
-
 OPERATORS: dict[str, Callable[[Array], Array]] = {
     "plays": lambda u: play_columns(u, THRESHOLD, np.zeros(3))[0],
     "turns": lambda u: turns_of(u).astype(float),
-    "lasting extremes": extremes,
     "dead zones": OPERATOR.dead_zones.run,
     "modified Prandtl-Ishlinskii": lambda u: OPERATOR.run(u, OPERATOR.virgin_memory())[0],
     "its inverse": lambda u: OPERATOR.inverse_run(u, OPERATOR.virgin_memory())[0],

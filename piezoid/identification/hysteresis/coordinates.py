@@ -113,10 +113,6 @@ class Coordinates:
         first = self.offset_slice(piece).stop
         return slice(first, first + self.shape.plays)
 
-    def local_slice(self, piece: int) -> slice:
-        """Return where everything that only this piece has stands."""
-        return slice(self.offset_slice(piece).start, self.memory_slice(piece).stop)
-
     def names(self) -> tuple[str, ...]:
         """Return one name for each shared number, such as ``weight[3]``."""
         return tuple(

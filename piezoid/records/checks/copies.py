@@ -5,7 +5,6 @@ A part of a file, or an export that overlaps, shares its rows.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -20,19 +19,6 @@ MIN_ROWS = 100  # readings with noise in their digits do not agree in so many ro
 MIN_SHARED = 0.5  # of the rows of the shorter recording, from which it is left out
 SAME_DRIVE = 1e-3  # rms of the difference of the standardised drives
 _FIRST_SAMPLES = 1000  # compared before whole recordings are
-
-
-@dataclass(frozen=True, kw_only=True)
-class SharedRows:
-    """The longest run of equal rows of two recordings.
-
-    first_start, second_start  its first row in each
-    count                      its rows
-    """
-
-    first_start: int
-    second_start: int
-    count: int
 
 
 def check_copies(recordings: Sequence[Recording]) -> list[Statement]:
@@ -57,22 +43,21 @@ def copies(recordings: Sequence[Recording]) -> dict[str, str]:
             original_of.setdefault(second.name, first.name)
             continue
         longer, shorter = (first, second) if first.samples >= second.samples else (second, first)
-        shared = shared_rows(longer, shorter)
-        if shared is not None and shared.count >= MIN_SHARED * shorter.samples:
+        if shared_rows(longer, shorter) >= MIN_SHARED * shorter.samples:
             original_of.setdefault(shorter.name, longer.name)
     return original_of
 
 
-def shared_rows(first: Recording, second: Recording) -> SharedRows | None:
-    """Return the longest run of rows in which drive and displacement of two recordings agree.
+def shared_rows(first: Recording, second: Recording) -> int:
+    """Return how many successive rows of two recordings agree in drive and displacement.
 
-    The rows are compared at the offset at which most single rows agree. None where fewer than
+    The rows are compared at the offset at which most single rows agree. 0 where fewer than
     ``MIN_ROWS`` rows in succession agree, or where one has no drive or displacement.
     """
     if first.axis != second.axis or not all(
         first.axis in recording.complete_axes for recording in (first, second)
     ):
-        return None
+        return 0
     rows = [
         np.stack([r.voltage_V(r.axis), r.displacement_m(r.axis)], axis=1) for r in (first, second)
     ]
@@ -81,19 +66,15 @@ def shared_rows(first: Recording, second: Recording) -> SharedRows | None:
     index = np.minimum(np.searchsorted(unique, keys[1]), len(unique) - 1)
     matches = np.flatnonzero(unique[index] == keys[1])
     if len(matches) < MIN_ROWS:
-        return None
+        return 0
     offsets, counts = np.unique(position[index[matches]] - matches, return_counts=True)
     offset = int(offsets[np.argmax(counts)])
     start, stop = max(0, -offset), min(len(keys[1]), len(keys[0]) - offset)
     equal = keys[0][start + offset : stop + offset] == keys[1][start:stop]
     edges = np.flatnonzero(np.diff(np.concatenate([[0], equal.astype(np.int8), [0]])))
     starts, stops = edges[::2], edges[1::2]
-    longest = int(np.argmax(stops - starts))
-    count = int(stops[longest] - starts[longest])
-    if count < MIN_ROWS:
-        return None
-    begin = start + int(starts[longest])
-    return SharedRows(first_start=begin + offset, second_start=begin, count=count)
+    count = int((stops - starts).max())
+    return count if count >= MIN_ROWS else 0
 
 
 def is_copy(first: Recording, second: Recording) -> bool:

@@ -154,7 +154,6 @@ def _joined(name: str, header: dict[str, str], segments: Sequence[_Segment]) -> 
     return RawTable(
         columns=_columns(segments),
         sampling_rate_Hz=None if has_clock else rate_of(_first_number(intervals, decimal)),
-        sampling_start_s=0.0 if has_clock else _first_number(first.header.get("X0", []), decimal),
         segment_starts=tuple(starts),
         first_line=first.line if len(segments) == 1 else 0,
         metadata=header,

@@ -47,14 +47,12 @@ def read(source: Source) -> RawTable:
     if not has_units or "Increment" not in labels:
         return table
     place = labels.index("Increment")
-    start_s, increment_s = (
-        number_of(units[k], ".") if k < len(units) else None for k in (place - 1, place)
-    )
-    if increment_s is None or start_s is None or not increment_s > 0:
+    increment_s = number_of(units[place], ".") if place < len(units) else None
+    if increment_s is None or not increment_s > 0:
         raise unreadable(
             source.name,
             f"line 2 gives no positive time increment: {','.join(units)!r}",
-            needed="a start and an increment in seconds",
+            needed="an increment in seconds",
             remedy="Save the waveform again.",
             line=2,
         )
@@ -62,7 +60,6 @@ def read(source: Source) -> RawTable:
         table,
         columns=table.columns[1:],
         sampling_rate_Hz=rate_of(increment_s),
-        sampling_start_s=start_s,
     )
 
 
