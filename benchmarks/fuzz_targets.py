@@ -63,7 +63,7 @@ def sealed_readers() -> dict[str, tuple[Callable[[bytes, str], Any], Callable[[A
 
 
 def _diagnosis_again(found: tuple[Diagnosis, ...]) -> bytes:
-    return write_diagnosis(found[0], others=found[1:])
+    return write_diagnosis(found[0], further_axes=found[1:])
 
 
 def targets(folder: Path, given: Path | None) -> dict[str, tuple[bytes, Callable[[Path], str]]]:

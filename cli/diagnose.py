@@ -120,7 +120,7 @@ def _diagnosed(
             )
     diagnosis = texts_in_counts(diagnosis)
     since = None if comparison is None else comparison.to_json()
-    content = write_diagnosis(diagnosis, since=since)
+    content = write_diagnosis(diagnosis, changes=since)
     model = ActuatorModel(
         stage=("" if declared is None else declared.name) or recordings[0].name,
         axes={} if diagnosis.model is None else {diagnosis.axis: diagnosis.model},

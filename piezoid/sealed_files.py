@@ -109,7 +109,7 @@ def sealed(record: object) -> bytes:
         return parameter_file.to_json(record)
     several = tuple(record) if isinstance(record, tuple | list) else ()
     if several and all(isinstance(one, Diagnosis) for one in several):
-        return write_diagnosis(several[0], others=several[1:])
+        return write_diagnosis(several[0], further_axes=several[1:])
     raise ParameterFileError(
         f"{type(record).__name__} has no sealed file",
         needed="an ActuatorModel, a Diagnosis, a Design, a ParameterFile, a Verification or a "

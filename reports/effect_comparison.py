@@ -172,7 +172,7 @@ def _linearised(
 def _tangent_part(drive: Driven, tangent: Tangent, scale: float, share: Array, k: int) -> Array:
     columns = tangent.columns(drive, scale)
     width = columns.shape[1]
-    coefficients = share[k * width : (k + 1) * width] if tangent.own else share[:width]
+    coefficients = share[k * width : (k + 1) * width] if tangent.per_drive else share[:width]
     return np.asarray(columns @ coefficients)
 
 

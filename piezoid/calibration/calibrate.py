@@ -104,7 +104,7 @@ def finish(
     axes_first = sorted(results, key=lambda result: result.model is None)
     files = {"model.json": write_model(model)}
     if diagnoses:
-        files["diagnosis.json"] = write_diagnosis(diagnoses[0], others=diagnoses[1:])
+        files["diagnosis.json"] = write_diagnosis(diagnoses[0], further_axes=diagnoses[1:])
     if lab is not None and lab.digest:  # later verbs read what the laboratory declared
         files["lab.toml"] = (lab.folder / lab.place).read_bytes()
     controllers = controllers_of(

@@ -35,9 +35,9 @@ class Appearance:
     decades: bool = False
 
 
-def unsigned(place: Array) -> tuple[Array, Array]:
-    """Return places at which the residual counts as it is."""
-    return place, np.ones(len(place))
+def unsigned(positions: Array) -> tuple[Array, Array]:
+    """Return positions at which the residual keeps its sign."""
+    return positions, np.ones(len(positions))
 
 
 def _time(recording: Recording) -> tuple[Array, Array]:

@@ -53,34 +53,34 @@ class CrossValidated:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Null:
-    """Columns that explain nothing by themselves, taken out of residual and candidates alike.
+    """Null hypothesis: columns that are projected out of the residual and of every candidate.
 
     columns   (rows, columns)
     response  (rows,)
     block     (rows,)  global block of each row
-    more      (rows, columns)  a few behind the others, which a copy of all would cost more
-    known     products of ``columns`` with each other, where somebody has them
+    extra     (rows, columns)  a few further columns, kept apart to avoid a copy of all
+    column_gram  Gram matrix of ``columns``, if it is already known
     """
 
     columns: Array
     response: Array
     block: Places
-    more: Array | None = None
-    known: Array | None = None
+    extra: Array | None = None
+    column_gram: Array | None = None
 
     @property
     def every(self) -> Array:
         """Return all columns, (rows, columns)."""
-        return self.columns if self.more is None else np.hstack([self.columns, self.more])
+        return self.columns if self.extra is None else np.hstack([self.columns, self.extra])
 
     @Once
     def gram(self) -> Array:
-        """Return the products of all columns with each other."""
-        known = self.columns.T @ self.columns if self.known is None else self.known
-        if self.more is None:
-            return np.asarray(known)
-        right = self.columns.T @ self.more
-        return np.block([[known, right], [right.T, self.more.T @ self.more]])
+        """Return the Gram matrix of all columns."""
+        gram = self.columns.T @ self.columns if self.column_gram is None else self.column_gram
+        if self.extra is None:
+            return np.asarray(gram)
+        right = self.columns.T @ self.extra
+        return np.block([[gram, right], [right.T, self.extra.T @ self.extra]])
 
     @Once
     def scale(self) -> Array:
@@ -100,8 +100,8 @@ class Null:
 
         scale = self.scale if values.ndim == 1 else self.scale[:, None]
         right = (values.T @ self.columns).T  # of few values: a third of the other way round
-        if self.more is not None:
-            right = np.concatenate([right, self.more.T @ values])
+        if self.extra is not None:
+            right = np.concatenate([right, self.extra.T @ values])
         return np.asarray(cho_solve((self.factor, True), right / scale) / scale)
 
     @Once
@@ -111,20 +111,20 @@ class Null:
 
     def without(self, values: Array) -> Array:
         """Return what the columns cannot follow of values."""
-        return np.asarray(values - self._made(self.fit(values)))
+        return np.asarray(values - self._product(self.fit(values)))
 
-    def _made(self, coefficients: Array) -> Array:
-        """Return what columns make with these coefficients."""
+    def _product(self, coefficients: Array) -> Array:
+        """Return the sum of all columns with these coefficients."""
         count = self.columns.shape[1]
-        made = (coefficients[:count].T @ self.columns.T).T
-        if self.more is not None:
-            made += (coefficients[count:].T @ self.more.T).T
-        return np.asarray(made)
+        product = (coefficients[:count].T @ self.columns.T).T
+        if self.extra is not None:
+            product += (coefficients[count:].T @ self.extra.T).T
+        return np.asarray(product)
 
     @Once
     def residual(self) -> Array:
         """Return what is left of the response."""
-        return np.asarray(self.response - self._made(self.coefficients))
+        return np.asarray(self.response - self._product(self.coefficients))
 
     @Once
     def edges(self) -> Places:
@@ -140,8 +140,8 @@ class Null:
     @Once
     def parts(self) -> tuple[slice, ...]:
         """Return the rows of every block."""
-        ends = [*self.edges[1:], len(self.block)]
-        return tuple(slice(int(a), int(b)) for a, b in zip(self.edges, ends, strict=True))
+        stops = [*self.edges[1:], len(self.block)]
+        return tuple(slice(int(a), int(b)) for a, b in zip(self.edges, stops, strict=True))
 
     def cross_validated(self, columns: Array, *, projected: bool = False) -> CrossValidated:
         """Return what columns bring beside the null, judged on rows left out."""
@@ -202,12 +202,12 @@ class Null:
         return np.asarray(np.add.reduceat(self.residual**2, self.edges))
 
 
-def compared(before: Null, after: Null) -> CrossValidated:
-    """Return what replacing a null by another of as many columns brings, block by block.
+def compared(reference: Null, replacement: Null) -> CrossValidated:
+    """Compare two nulls with the same number of columns, block by block.
 
-    Both are refitted; a parameter or two are no freedom beside thousands of rows.
+    Both are refitted to all rows: one or two parameters are negligible beside thousands of rows.
     """
-    energy, loss = before.energy, after.energy
+    energy, loss = reference.energy, replacement.energy
     gains = energy - loss
     gain = 1.0 - sqrt(float(loss.sum()) / float(energy.sum()))
     return CrossValidated(
@@ -216,7 +216,7 @@ def compared(before: Null, after: Null) -> CrossValidated:
         coefficient=np.ones(1),
         spread=np.zeros(1),
         loss=loss,
-        rms=sqrt(float(loss.sum()) / len(after.response)),
+        rms=sqrt(float(loss.sum()) / len(replacement.response)),
     )
 
 
@@ -231,19 +231,19 @@ def gain_z(gains: Array, explained: Array, gain: float) -> float:
     return max(_mean_z(telling), _sign_z(telling), _ratio_z(gain, len(gains)))
 
 
-def paired_z(worse: Array, better: Array) -> float:
-    """Return by how many standard errors blocks lose less with one thing than with another."""
-    return _mean_z(worse - better)
+def paired_z(reference: Array, candidate: Array) -> float:
+    """Return by how many standard errors the candidate loss is below the reference loss."""
+    return _mean_z(reference - candidate)
 
 
 def _informative(explained: Array) -> Array:
-    """Return which blocks can say anything: those in which nearly all of the columns lie."""
+    """Return the blocks that hold nearly all of the power of the columns."""
     order = np.argsort(explained)[::-1]
     total = np.cumsum(explained[order])
     count = int(np.searchsorted(total, TELLING * total[-1])) + 1
-    chosen = np.zeros(len(explained), dtype=bool)
-    chosen[order[: max(count, FEWEST)]] = True
-    return chosen
+    is_informative = np.zeros(len(explained), dtype=bool)
+    is_informative[order[: max(count, FEWEST)]] = True
+    return is_informative
 
 
 def _mean_z(gains: Array) -> float:

@@ -30,50 +30,56 @@ Left = Callable[[Law], float]
 
 
 def with_best_bouc_wen(view: View, executor: Executor = SERIAL) -> View:
-    """Return the view with the Bouc-Wen state that leaves least."""
-    bare = with_bouc_wen(view, None)
+    """Return the view with the Bouc-Wen state of the smallest residual."""
+    without_state = with_bouc_wen(view, None)
 
-    def left(law: Law) -> float:
-        # the view's own columns are taken out of all
-        across = bare.null.without(with_bouc_wen(bare, _law_of(law)).nuisance.bouc_wen_rows)
-        found = np.linalg.lstsq(across, bare.null.residual, rcond=RCOND)[0]
-        return float(np.sum((bare.null.residual - across @ found) ** 2))
+    def residual_energy(law: Law) -> float:
+        # the columns of the view are projected out of the trial columns
+        across = without_state.null.without(
+            with_bouc_wen(without_state, _law_of(law)).nuisance.bouc_wen_rows
+        )
+        coefficients = np.linalg.lstsq(across, without_state.null.residual, rcond=RCOND)[0]
+        return float(np.sum((without_state.null.residual - across @ coefficients) ** 2))
 
-    return with_bouc_wen(view, _best(left, executor=executor))
+    return with_bouc_wen(view, _best(residual_energy, executor=executor))
 
 
 def with_bouc_wen_of(view: View, against: Callable[[View], Null]) -> View:
-    """Return the view with the Bouc-Wen state that serves a smaller class best.
+    """Return the view with the Bouc-Wen state of the smallest residual in a smaller class.
 
-    against  (view) -> the smaller class
+    against  (view) -> null of the smaller class
     """
 
-    def left(law: Law) -> float:
+    def class_rms(law: Law) -> float:
         return against(with_bouc_wen(view, _law_of(law))).rms
 
-    return with_bouc_wen(view, _best(left, BENDS))
+    return with_bouc_wen(view, _best(class_rms, BENDS))
 
 
-def _best(left: Left, bends: Sequence[float] = (0.0,), executor: Executor = SERIAL) -> BoucWenLaw:
-    """Return the state that leaves least: the best of a grid, then one step after another."""
+def _best(
+    criterion: Left, bends: Sequence[float] = (0.0,), executor: Executor = SERIAL
+) -> BoucWenLaw:
+    """Minimise the criterion over a grid, then by coordinate search with shrinking steps."""
     laws: list[Law] = [*product(BETAS, RATIOS, EXPONENTS, bends)]
-    best = min(zip(executor.map(left, laws), laws, strict=True), key=lambda pair: pair[0])
+    best = min(zip(executor.map(criterion, laws), laws, strict=True), key=lambda pair: pair[0])
     for part in PARTS:
-        for place in range(len(LIMITS)):
-            best = _better(left, best, place, part)
+        for parameter in range(len(LIMITS)):
+            best = _improve(criterion, best, parameter, part)
     return _law_of(best[1])
 
 
-def _better(left: Left, best: tuple[float, Law], place: int, part: float) -> tuple[float, Law]:
+def _improve(
+    criterion: Left, best: tuple[float, Law], parameter: int, part: float
+) -> tuple[float, Law]:
     for sign in (1.0, -1.0):
-        there = _stepped(best[1], place, sign * part)
-        rest = left(there)
-        if rest < best[0]:
-            return rest, there
+        candidate = _stepped(best[1], parameter, sign * part)
+        error = criterion(candidate)
+        if error < best[0]:
+            return error, candidate
     return best
 
 
-def _stepped(law: Law, place: int, part: float) -> Law:
+def _stepped(law: Law, parameter: int, part: float) -> Law:
     beta, ratio, exponent, bend = law
     steps = (
         beta * BETA**part,
@@ -81,10 +87,10 @@ def _stepped(law: Law, place: int, part: float) -> Law:
         exponent * EXPONENT**part,
         bend + BEND * part,
     )
-    low, high = LIMITS[place]
-    there = [*law]
-    there[place] = min(max(steps[place], low), high)
-    return there[0], there[1], there[2], there[3]
+    low, high = LIMITS[parameter]
+    changed = [*law]
+    changed[parameter] = min(max(steps[parameter], low), high)
+    return changed[0], changed[1], changed[2], changed[3]
 
 
 def _law_of(law: Law) -> BoucWenLaw:

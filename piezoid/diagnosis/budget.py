@@ -106,21 +106,23 @@ def with_budget(
     diagnosis = replace(diagnosis, final=final)
     total = diagnosis.baseline.rms_m**2
     noise = min(diagnosis.noise_floor_rms_m**2, total)
-    after = float(np.clip(final.rms_m**2, noise, total))
-    explained = float(np.clip(errors.explained_m**2, noise, after))
+    final_power = float(np.clip(final.rms_m**2, noise, total))
+    explained = float(np.clip(errors.explained_m**2, noise, final_power))
     wide = float(np.clip(errors.wide_m**2, noise, explained))
-    remaining = {"extrapolation": after - explained, "unexplained": wide - noise}
+    remaining = {"extrapolation": final_power - explained, "unexplained": wide - noise}
     in_sequence = {}  # gains of parts that were added to the model one after another
     if errors.before_m is None:
         remaining[LOOP_SHAPE] = explained - wide
     else:
         remaining["unexplained"] += explained - wide
-        in_sequence[LOOP_SHAPE] = float(np.clip(errors.before_m**2, after, total)) - after
+        in_sequence[LOOP_SHAPE] = (
+            float(np.clip(errors.before_m**2, final_power, total)) - final_power
+        )
     if errors.is_compared:
         is_largest = max(remaining, key=lambda name: remaining[name]) == LOOP_SHAPE
         diagnosis = _with_loop_shape(diagnosis, errors, explained - wide, is_largest=is_largest)
     diagnosis, remaining = _with_something_else(diagnosis, errors, remaining)
-    together = total - after - sum(in_sequence.values())
+    together = total - final_power - sum(in_sequence.values())
     effects = _effect_parts(diagnosis, together, in_sequence, other_recordings)
     parts = [
         *(part for part in effects if part.part not in remaining),
@@ -321,5 +323,7 @@ def _without_loop_shape(diagnosis: Diagnosis, bound_m: float) -> Diagnosis:
         f"{with_unit(bound_m, 'm')} rms off the error of the model",
         next_experiment=effect.experiment,
     )
-    others = [absence for absence in diagnosis.not_detected if absence.effect != LOOP_SHAPE]
-    return replace(diagnosis, not_detected=(*others, bounded))
+    other_absences = [
+        absence for absence in diagnosis.not_detected if absence.effect != LOOP_SHAPE
+    ]
+    return replace(diagnosis, not_detected=(*other_absences, bounded))

@@ -119,11 +119,11 @@ def exceeds_structure(share: float, rms: float, noise: float) -> bool:
 def explained_share(gain: float, rms: float, noise: float) -> float:
     """Return the share of the power above the noise that was explained.
 
-    gain  1 - rms / rms before
-    rms   of the error after that
+    gain  1 - rms / rms of the baseline
+    rms   error with the effect
     """
-    before = (rms / (1.0 - gain)) ** 2
-    return (before - rms**2) / max(before - noise**2, NOISE_UNCERTAINTY * noise**2)
+    baseline_power = (rms / (1.0 - gain)) ** 2
+    return (baseline_power - rms**2) / max(baseline_power - noise**2, NOISE_UNCERTAINTY * noise**2)
 
 
 def evaluate(selected: SelectedEffect, view: View, without: View, *, test: ScoreTest) -> Candidate:

@@ -58,41 +58,45 @@ class _Hold:
 def with_creep_of_holds(
     diagnosis: Diagnosis, recordings: Sequence[Recording], gain_m_per_V: float
 ) -> Diagnosis:
-    """Return a diagnosis with the creep that a hold shows, where no other recording showed any.
+    """Add creep measured in closed-loop holds, if no other recording showed creep.
 
-    recordings    all of the axis, in their order
-    gain_m_per_V  mean gain of those in which the sensor moves, with its sign
+    recordings    all recordings of the axis, in the order in which they were made
+    gain_m_per_V  mean gain, with its sign, of the recordings in which the sensor moves
     """
     if NAME in diagnosis.names:
         return diagnosis
     holds = _holds(recordings, diagnosis.axis)
-    found = [one for one in (_finding(hold, diagnosis, gain_m_per_V) for hold in holds) if one]
-    if not found:
+    findings = [
+        finding
+        for finding in (_finding(hold, diagnosis, gain_m_per_V) for hold in holds)
+        if finding
+    ]
+    if not findings:
         return diagnosis
-    return with_finding(diagnosis, max(found, key=lambda one: one.share))
+    return with_finding(diagnosis, max(findings, key=lambda finding: finding.share))
 
 
 def _holds(recordings: Sequence[Recording], axis: str) -> list[_Hold]:
-    found = []
+    holds = []
     for number, recording in enumerate(recordings):
         stretch = held_span(recording, axis)
         if stretch is None:
             continue
         drive_V = recording.voltage_V(axis)
-        if is_held_throughout(recording, axis):  # the move before is another recording's
-            first, before = 0, _last_move_V(recordings[:number], axis, float(drive_V[0]))
+        if is_held_throughout(recording, axis):  # the step before the hold is in another recording
+            first, step_V = 0, _last_move_V(recordings[:number], axis, float(drive_V[0]))
         else:
-            first, before = stretch.start, _span_V(drive_V[: stretch.start])
+            first, step_V = stretch.start, _span_V(drive_V[: stretch.start])
         rows = np.arange(stretch.start, stretch.stop)
-        found.append(
+        holds.append(
             _Hold(
                 recording=recording.name,
                 time_s=(rows - first) / recording.sampling_rate_Hz,
                 drive_V=drive_V[rows],
-                step_V=before,
+                step_V=step_V,
             )
         )
-    return found
+    return holds
 
 
 def _last_move_V(earlier: Sequence[Recording], axis: str, end_V: float) -> float:

@@ -90,38 +90,38 @@ class RestColumns:
         """Return the residual beside these causes on left-out blocks, (rows,)."""
         return held_out_residual(self.y_m, [self.columns[name] for name in names])
 
-    def is_worth(self, name: str, beside: Sequence[str]) -> float:
-        """Return the gain of a cause beside others; 0 where it is too small or not sure."""
-        gain, z = gain_on_blocks(self.residual(beside), self.residual([*beside, name]))
-        least = MIN_GAIN_JUMP if name == JUMP else MIN_GAIN
-        return gain if gain >= least and z >= MIN_Z else 0.0
+    def is_worth(self, name: str, selected: Sequence[str]) -> float:
+        """Return the gain of a cause beside selected causes; 0 if small or not significant."""
+        gain, z = gain_on_blocks(self.residual(selected), self.residual([*selected, name]))
+        min_gain = MIN_GAIN_JUMP if name == JUMP else MIN_GAIN
+        return gain if gain >= min_gain and z >= MIN_Z else 0.0
 
 
 def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
-    """Return the causes that move a stage whose drive is constant.
+    """Diagnose the displacement of a stage at constant drive.
 
     recordings  of one stage, each with the displacement of the axis
 
-    The longest is diagnosed. Effects that need a drive are not tested.
+    The longest recording is diagnosed. Effects that need a drive are not tested.
     """
     recording = max(recordings, key=lambda r: r.duration_s)
     rows = np.setdiff1d(np.arange(recording.samples), recording.bridged)
     is_slow = recording.sampling_rate_Hz <= 2.0 * GRIDS_Hz[0]  # no line of the grid shows
     rows = rows[:: max(1, len(rows) // ROWS)] if is_slow else rows[:ROWS]
     reading_m = recording.displacement_m(axis)
-    rest = rest_columns(recording, axis, rows, every_effect())
-    chosen = _select(rest)
-    final = rest.residual(chosen)
-    line_Hz = _line_Hz(final, rest.time_s)
+    readings = rest_columns(recording, axis, rows, every_effect())
+    selected = _select(readings)
+    final = readings.residual(selected)
+    line_Hz = _line_Hz(final, readings.time_s)
     if line_Hz is not None:
-        columns = {**rest.columns, LINE: waves(rest.time_s, [line_Hz])}
-        with_line = replace(rest, columns=columns, line_Hz=line_Hz)
-        if with_line.is_worth(LINE, chosen):
-            rest, chosen = with_line, [*chosen, LINE]
-            final = rest.residual(chosen)
-    noise_m, span_m = noise_rms((rest.y_m, final)), max(float(np.ptp(reading_m)), 1e-30)
-    before_m, after_m = (float(np.sqrt(np.mean(e**2))) for e in (rest.residual([]), final))
-    findings = [_finding(name, rest, chosen) for name in chosen]
+        columns = {**readings.columns, LINE: waves(readings.time_s, [line_Hz])}
+        with_line = replace(readings, columns=columns, line_Hz=line_Hz)
+        if with_line.is_worth(LINE, selected):
+            readings, selected = with_line, [*selected, LINE]
+            final = readings.residual(selected)
+    noise_m, span_m = noise_rms((readings.y_m, final)), max(float(np.ptp(reading_m)), 1e-30)
+    before_m, after_m = (float(np.sqrt(np.mean(e**2))) for e in (readings.residual([]), final))
+    findings = [_finding(name, readings, selected) for name in selected]
     diagnosis = Diagnosis(
         axis=axis,
         stroke_m=span_m,
@@ -133,9 +133,9 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
         unexplained=_unexplained(final, noise_m),
         findings=tuple(sorted(findings, key=lambda f: f.held_out_gain, reverse=True)),
         not_detected=tuple(
-            _absent(effect, rest, after_m)
+            _absent(effect, readings, after_m)
             for effect in every_effect()
-            if effect.name not in chosen
+            if effect.name not in selected
         ),
     )
     errors = RemainingErrors(
@@ -193,19 +193,19 @@ def rest_columns(
     )
 
 
-def _select(rest: RestColumns) -> list[str]:
-    """Return the causes that are sure and worth a name, the largest first, each beside others.
+def _select(readings: RestColumns) -> list[str]:
+    """Select significant causes by forward selection, the largest gain first.
 
-    A jump is tested beside drift, which follows half of any jump.
+    A jump is tested beside drift, because drift explains half of any jump.
     """
-    chosen = [JUMP] if rest.is_worth(JUMP, [DRIFT]) else []
+    selected = [JUMP] if readings.is_worth(JUMP, [DRIFT]) else []
     while True:
-        remaining = [name for name in rest.columns if name not in (*chosen, JUMP)]
-        gains = {name: rest.is_worth(name, chosen) for name in remaining}
+        remaining = [name for name in readings.columns if name not in (*selected, JUMP)]
+        gains = {name: readings.is_worth(name, selected) for name in remaining}
         best = max(remaining, key=lambda name: gains[name], default=DRIFT)
         if not gains.get(best):
-            return chosen
-        chosen.append(best)
+            return selected
+        selected.append(best)
 
 
 def _line_Hz(residual: Array, time_s: Array) -> float | None:
@@ -224,7 +224,7 @@ def _spectrum(residual: Array) -> Array:
 
 
 def _jump(time_s: Array, y: Array, drifts: Sequence[Array]) -> tuple[Array, float]:
-    """Return a step where it explains most beside drift, (rows, 1), and its instant."""
+    """Return the step column (rows, 1) that explains most beside drift, and its instant."""
     size = max(len(y) // MEANS, 1)
     count = len(y) // size
     means = y[: count * size].reshape(count, size).mean(axis=1)
@@ -238,31 +238,31 @@ def _jump(time_s: Array, y: Array, drifts: Sequence[Array]) -> tuple[Array, floa
         explained = (free.T @ residual) ** 2 / np.maximum((free**2).sum(axis=0), 1e-12)
         error = float(residual @ residual) - float(explained.max())
         errors.append((error, int(np.argmax(explained)) + edge + 1))
-    near = min(errors, key=lambda pair: pair[0])[1] * size
-    # among the rows near it, the one that separates its neighbours best
-    low, high = max(near - 4 * size, 0), min(near + 4 * size, len(y))
+    coarse = min(errors, key=lambda pair: pair[0])[1] * size
+    # refine the instant among the rows near the coarse one
+    low, high = max(coarse - 4 * size, 0), min(coarse + 4 * size, len(y))
     part = y[low:high]
     sums, row = np.cumsum(part - part.mean())[:-1], np.arange(1, len(part))
     at = low + 1 + int(np.argmax(np.abs(sums) / np.sqrt(row * (len(part) - row))))
     return (np.arange(len(y)) >= at).astype(np.float64)[:, None], float(time_s[at] - time_s[0])
 
 
-def _finding(name: str, rest: RestColumns, chosen: Sequence[str]) -> Finding:
-    others = [other for other in chosen if other != name]
-    before, after = rest.residual(others), rest.residual([*others, name])
-    gain, z = gain_on_blocks(before, after)
-    design = np.column_stack([rest.columns[other] for other in (*others, name)])
-    width, fold = rest.columns[name].shape[1], blocks_of(len(rest.y_m)) % FOLDS
-    value_m = _size_m(design, rest.y_m, width)
-    sizes_m = [_size_m(design[fold != k], rest.y_m[fold != k], width) for k in range(FOLDS)]
+def _finding(name: str, readings: RestColumns, selected: Sequence[str]) -> Finding:
+    other_causes = [cause for cause in selected if cause != name]
+    baseline, residual = readings.residual(other_causes), readings.residual([*other_causes, name])
+    gain, z = gain_on_blocks(baseline, residual)
+    design = np.column_stack([readings.columns[cause] for cause in (*other_causes, name)])
+    width, fold = readings.columns[name].shape[1], blocks_of(len(readings.y_m)) % FOLDS
+    value_m = _size_m(design, readings.y_m, width)
+    sizes_m = [_size_m(design[fold != k], readings.y_m[fold != k], width) for k in range(FOLDS)]
     reach_m = 1.96 * float(np.std(sizes_m, ddof=1)) * (FOLDS - 1) / sqrt(FOLDS)
     finding = Finding(
         effect=name,
         held_out_gain=float(np.clip(gain, 0.0, 1.0)),
-        held_out_rms_before_m=float(np.sqrt(np.mean(before**2))),
-        held_out_rms_after_m=float(np.sqrt(np.mean(after**2))),
-        p_value=min(1.0, max(0.5 * erfc(z / sqrt(2.0)), 1e-12) * len(rest.columns)),
-        rms_percent=100.0 * value_m / max(float(np.ptp(rest.y_m)), 1e-30),
+        held_out_rms_before_m=float(np.sqrt(np.mean(baseline**2))),
+        held_out_rms_after_m=float(np.sqrt(np.mean(residual**2))),
+        p_value=min(1.0, max(0.5 * erfc(z / sqrt(2.0)), 1e-12) * len(readings.columns)),
+        rms_percent=100.0 * value_m / max(float(np.ptp(readings.y_m)), 1e-30),
         size=Size(
             value=1e9 * value_m,
             unit="nm, rms",
@@ -275,12 +275,12 @@ def _finding(name: str, rest: RestColumns, chosen: Sequence[str]) -> Finding:
     )
     size = f"At rest it is {with_unit(value_m, 'm')} rms."
     if name in (JUMP, LINE):
-        return _something_else(finding, rest, design, width, size)
+        return _something_else(finding, readings, design, width, size)
     effect = effect_named(name)
     finding = replace(
         finding, explanation=f"{effect.summary} {size}", next_experiment=effect.experiment
     )
-    if name != DRIFT or not rest.is_creep:
+    if name != DRIFT or not readings.is_creep:
         return finding
     return replace(
         finding,
@@ -293,36 +293,40 @@ def _finding(name: str, rest: RestColumns, chosen: Sequence[str]) -> Finding:
 
 
 def _something_else(
-    finding: Finding, rest: RestColumns, design: Array, width: int, size: str
+    finding: Finding, readings: RestColumns, design: Array, width: int, size: str
 ) -> Finding:
     """Return the finding of a jump or an unknown line, with its picture along time or phase."""
     centred = design - design.mean(axis=0)
-    coefficient = np.linalg.lstsq(centred, rest.y_m, rcond=None)[0]
+    coefficient = np.linalg.lstsq(centred, readings.y_m, rcond=None)[0]
     curve_m = centred[:, -width:] @ coefficient[-width:]
-    left_m = rest.y_m - centred @ coefficient + curve_m
+    left_m = readings.y_m - centred @ coefficient + curve_m
     if finding.effect == LINE:
         return replace(
             finding,
             effect=SOMETHING_ELSE,
             explanation="No effect of the catalogue stands for it: a line at "
-            f"{significant(rest.line_Hz, 5)} Hz, of the floor, a pump or another instrument. "
+            f"{significant(readings.line_Hz, 5)} Hz, of the floor, a pump or another instrument. "
             f"{size}",
             next_experiment=NEXT_EXPERIMENTS["frequency"],
-            parameters={"frequency_Hz": rest.line_Hz},
+            parameters={"frequency_Hz": readings.line_Hz},
             coordinate="frequency",
-            seen=coordinate_profile((rest.time_s * rest.line_Hz) % 1.0, left_m, curve_m, unit=""),
+            seen=coordinate_profile(
+                (readings.time_s * readings.line_Hz) % 1.0, left_m, curve_m, unit=""
+            ),
         )
     jump_m = float(coefficient[-1])
     return replace(
         finding,
         effect=SOMETHING_ELSE,
         explanation="No effect of the catalogue stands for it: one jump by "
-        f"{with_unit(jump_m, 'm')} at {with_unit(rest.jump_s, 's')}, of the stage, its mount "
+        f"{with_unit(jump_m, 'm')} at {with_unit(readings.jump_s, 's')}, of the stage, its mount "
         "or the sensor.",
         next_experiment=NEXT_EXPERIMENTS["time"],
-        parameters={"instant_s": rest.jump_s, "jump_m": jump_m},
+        parameters={"instant_s": readings.jump_s, "jump_m": jump_m},
         coordinate="time",
-        seen=coordinate_profile(rest.time_s, left_m, curve_m, unit="s", recording=rest.recording),
+        seen=coordinate_profile(
+            readings.time_s, left_m, curve_m, unit="s", recording=readings.recording
+        ),
     )
 
 
@@ -333,13 +337,13 @@ def _size_m(design: Array, y_m: Array, width: int) -> float:
     return float(np.std(centred[:, -width:] @ coefficient[-width:]))
 
 
-def _absent(effect: Effect, rest: RestColumns, rms_m: float) -> NotDetected:
+def _absent(effect: Effect, readings: RestColumns, rms_m: float) -> NotDetected:
     bound_m = None
-    reason = rest.unseen.get(effect.name, RESTS)
-    if effect.name in rest.columns:
+    reason = readings.unseen.get(effect.name, RESTS)
+    if effect.name in readings.columns:
         # a sum of so many columns within the noise of all rows, one-sided 95 %
-        width = rest.columns[effect.name].shape[1]
-        bound_m = rms_m * max(sqrt(2.0 * MIN_GAIN), 3.0 * sqrt(width / len(rest.y_m)))
+        width = readings.columns[effect.name].shape[1]
+        bound_m = rms_m * max(sqrt(2.0 * MIN_GAIN), 3.0 * sqrt(width / len(readings.y_m)))
         reason = f"not detected; {with_unit(bound_m, 'm')} rms would have been"
     return NotDetected(
         effect=effect.name,

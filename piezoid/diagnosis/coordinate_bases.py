@@ -53,7 +53,7 @@ class Basis:
 def signal_bases(view: View) -> list[Basis]:
     """Return the curves along every signal that has a value at each sample."""
     tracks = view.tracks
-    drive = tuple(track.drive - view.rest for track in tracks)  # 0 at 0 V
+    drive = tuple(track.drive - view.rest_drive for track in tracks)  # 0 at 0 V
     speed = tuple(
         np.gradient(static) * track.rate_Hz
         for static, track in zip(view.static, tracks, strict=True)
@@ -65,9 +65,9 @@ def signal_bases(view: View) -> list[Basis]:
         _spline_basis(view, "speed", "m/s", speed, SPEED_KNOTS, view.half_stroke_m, LINEAR_SPEED),
         _turn_basis(view),
     ]
-    for axis in sorted({axis for track in tracks for axis in track.others}):
+    for axis in sorted({axis for track in tracks for axis in track.other_drives}):
         drives = tuple(
-            track.others.get(axis, np.full(len(track.drive), np.nan)) for track in tracks
+            track.other_drives.get(axis, np.full(len(track.drive), np.nan)) for track in tracks
         )
         coordinate = f"drive of axis {axis}"
         bases.append(_spline_basis(view, coordinate, "half ranges", drives, OTHER_AXIS_KNOTS, 1.0))
@@ -91,7 +91,7 @@ def reading_basis(view: View, residual: Array | None = None) -> Basis:
             reading = track.response - float(np.median(track.response - static))
         else:
             reading = static.copy()
-            reading[track.place] += residual[view.track_rows(k)]
+            reading[track.rows] += residual[view.track_rows(k)]
         readings.append(reading)
     return _spline_basis(view, "reading", "m", tuple(readings), KNOTS, view.half_stroke_m)
 
@@ -99,7 +99,7 @@ def reading_basis(view: View, residual: Array | None = None) -> Basis:
 def time_spline(track: Track) -> Array:
     """Return linear splines in time at the rows of one track, (rows, knots)."""
     knots = np.linspace(0, len(track.drive) - 1, TIME_KNOTS)
-    return linear_spline_basis(track.place.astype(np.float64), knots)
+    return linear_spline_basis(track.rows.astype(np.float64), knots)
 
 
 def time_basis(view: View) -> Basis:
@@ -137,7 +137,7 @@ def wave_basis(
 
     columns = np.zeros((len(view.response), width * len(view.tracks)))
     for k, track in enumerate(view.tracks):
-        columns[view.track_rows(k), k * width : (k + 1) * width] = waves(k, track.place)
+        columns[view.track_rows(k), k * width : (k + 1) * width] = waves(k, track.rows)
     return Basis(
         coordinate=coordinate,
         unit=unit,
@@ -151,7 +151,7 @@ def wave_basis(
 
 def sample_index_basis(view: View, period: int) -> Basis:
     """Return a value for every sample of a period, the same in all recordings."""
-    cell = np.concatenate([track.place % period for track in view.tracks])
+    cell = np.concatenate([track.rows % period for track in view.tracks])
     columns = np.zeros((len(cell), period))
     columns[np.arange(len(cell)), cell] = 1.0
     cells = tuple(np.arange(len(track.drive)) % period for track in view.tracks)

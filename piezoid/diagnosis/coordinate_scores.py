@@ -71,8 +71,8 @@ class Residual:
             columns=view.null.columns,
             response=view.response,
             block=view.block,
-            more=np.hstack([view.selected, *tangents]),
-            known=view.nuisance.gram,
+            extra=np.hstack([view.selected, *tangents]),
+            column_gram=view.nuisance.gram,
         )
         return cls(view=view, null=null)
 

@@ -81,8 +81,8 @@ def _score_time(residual: Residual, rng: np.random.Generator) -> CoordinateScore
         ridge = _time_ridge(values)
         for fold in range(CHUNKS):
             is_out = chunk % CHUNKS == fold
-            kept = columns[~is_out]
-            beta = np.linalg.solve(kept.T @ kept + ridge, kept.T @ trials[~is_out])
+            training = columns[~is_out]
+            beta = np.linalg.solve(training.T @ training + ridge, training.T @ trials[~is_out])
             predicted = columns[is_out] @ beta
             explained += np.sum((2.0 * trials[is_out] - predicted) * predicted, axis=0)
         coefficients.append(np.linalg.solve(columns.T @ columns + ridge, columns.T @ values))

@@ -102,10 +102,10 @@ def _why_not_named(test: ScoreTest, outcome: Outcome) -> str:
     effect, final = test.effect, outcome.final
     causes = ", ".join(words(cause.effect.name) for cause in outcome.causes)
     if effect.name in outcome.held_back:
-        other = (
+        alternative = (
             f"a residue of {causes}" if causes else "structure that no hysteresis class explains"
         )
-        return f": not named, because these recordings cannot separate it from {other}"
+        return f": not named, because these recordings cannot separate it from {alternative}"
     if test.cv.gain < effect.minimum_gain or test.cv.z < MINIMUM_Z:
         return ""
     if not test.physical:

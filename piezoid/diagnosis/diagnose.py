@@ -191,10 +191,12 @@ def _select_effects(
     else:
         result = _data_faults_only(view, model.verdict.reason, executor)
         errors = attribute(result)
-    kept = _drop_useless_slips(result, errors)
+    useful = _drop_useless_slips(result, errors)
     return _Selection(
         axis=axis,
-        result=replace(kept, outcome=with_ingested(kept.outcome, searched, view.half_stroke_m)),
+        result=replace(
+            useful, outcome=with_ingested(useful.outcome, searched, view.half_stroke_m)
+        ),
         errors=errors,
         recordings=searched,
         mode_recordings=mode_recordings,
@@ -212,15 +214,19 @@ def _prefer_named_effects(
     the end of a sensor's range are not in the search: there its error decides, which was a fifth
     of that with a limit of the amplifier on a Duhem stage whose model errors differ by 1 %.
     """
-    errors, named, structure = attribute(result), result.without_structure, result.structure
-    if named is None or structure is None or structure.range_end is not None:
+    errors, without_structure, structure = (
+        attribute(result),
+        result.without_structure,
+        result.structure,
+    )
+    if without_structure is None or structure is None or structure.range_end is not None:
         return result, errors
     if not structure.exceeds_healthy and errors.final_m >= errors.without_m[SOMETHING_ELSE]:
-        return named, attribute(named)
-    if _names_of(named) - _names_of(result):
-        named_errors = attribute(named)
+        return without_structure, attribute(without_structure)
+    if _names_of(without_structure) - _names_of(result):
+        named_errors = attribute(without_structure)
         if named_errors.final_m <= errors.final_m:
-            return named, named_errors
+            return without_structure, named_errors
     return result, errors
 
 
@@ -234,8 +240,8 @@ def _drop_useless_slips(result: SearchResult, errors: ModelErrors) -> SearchResu
     faults = result.outcome.faults
     if SLIP not in faults or errors.without_m.get(SLIP, np.inf) > errors.final_m:
         return result
-    others = {name: fault for name, fault in faults.items() if name != SLIP}
-    return replace(result, outcome=replace(result.outcome, faults=others))
+    remaining_faults = {name: fault for name, fault in faults.items() if name != SLIP}
+    return replace(result, outcome=replace(result.outcome, faults=remaining_faults))
 
 
 def _names_of(result: SearchResult) -> set[str]:
@@ -248,14 +254,16 @@ def _data_faults_only(view: View, rejection: str, executor: Executor) -> SearchR
 
 def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
     """Return the view of all recordings in which this axis moves."""
-    chosen = moving(recordings, axis)
-    scales, rig = scales_of(chosen, axis), rig_of(lab, axis)
+    moving_recordings = moving(recordings, axis)
+    scales, rig = scales_of(moving_recordings, axis), rig_of(lab, axis)
     clock_Hz = lab.acquisition.sampling_rate_Hz
-    tracks = tracks_of(chosen, axis, scales, rig, clock_Hz=clock_Hz)
+    tracks = tracks_of(moving_recordings, axis, scales, rig, clock_Hz=clock_Hz)
     half_stroke_m = abs(scales.displacement_m)
-    rest = -scales.voltage_offset_V / scales.voltage_V
-    view = view_of(tracks, half_stroke_m=half_stroke_m, voltage_V=scales.voltage_V, rest=rest)
-    scope = scope_of(pieces_of(chosen, axis, scales, rig))
+    rest_drive = -scales.voltage_offset_V / scales.voltage_V
+    view = view_of(
+        tracks, half_stroke_m=half_stroke_m, voltage_V=scales.voltage_V, rest_drive=rest_drive
+    )
+    scope = scope_of(pieces_of(moving_recordings, axis, scales, rig))
     return replace(view, one_speed=scope.has_one_speed and behind_jumps(view) is None)
 
 
@@ -269,8 +277,8 @@ def _assembled(
     axis, result, scales = selection.axis, selection.result, selection.scales
     errors, outcome, half_stroke_m = selection.errors, result.outcome, result.raw.half_stroke_m
     searched = findings_of(result, errors, selection.recordings, axis, scales)
-    named = {finding.effect for finding in searched}
-    quality, rest = final.quality, result.unexplained
+    searched_names = {finding.effect for finding in searched}
+    quality, unexplained = final.quality, result.unexplained
     diagnosis = Diagnosis(
         axis=axis,
         stroke_m=2.0 * half_stroke_m,
@@ -289,14 +297,14 @@ def _assembled(
             if outcome.against
             else not_detected(effect, outcome)
             for effect in every_effect()
-            if effect.name not in named
+            if effect.name not in searched_names
         ),
         unexplained=Unexplained(
-            rms_m=rest.rms * half_stroke_m,
-            share=rest.share,
-            p_value=rest.p_value,
-            coordinate=rest.coordinate,
-            gain=rest.gain,
+            rms_m=unexplained.rms * half_stroke_m,
+            share=unexplained.share,
+            p_value=unexplained.p_value,
+            coordinate=unexplained.coordinate,
+            gain=unexplained.gain,
         ),
         counted=counted_in(recordings),
         model=final,
@@ -310,12 +318,12 @@ def _assembled(
     gain_m_per_V = scales.displacement_m / scales.voltage_V
     diagnosis = with_creep_of_holds(diagnosis, recorded_of(recordings, axis), gain_m_per_V)
     diagnosis = with_modes(diagnosis, start, selection.mode_recordings, outcome.final)
-    others = {finding.effect for finding in diagnosis.findings} - named
+    ingest_effects = {finding.effect for finding in diagnosis.findings} - searched_names
     note = "{}: its error is not part of the baseline's."
     return with_budget(
         diagnosis,
         _remaining_errors(outcome, errors, final, selection.repaired(recordings)),
-        {name: note.format(words(name).capitalize()) for name in sorted(others)},
+        {name: note.format(words(name).capitalize()) for name in sorted(ingest_effects)},
     )
 
 

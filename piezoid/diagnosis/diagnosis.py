@@ -156,12 +156,12 @@ class BudgetPart:
     text: str
 
 
-def fraction_explained(before: float, after: float, noise: float) -> float:
-    """Return the part of the power above the noise that was taken off, from rms values."""
-    explainable = before**2 - noise**2
+def fraction_explained(baseline: float, residual: float, noise: float) -> float:
+    """Return the explained share of the power above the noise, from rms values."""
+    explainable = baseline**2 - noise**2
     if explainable <= 0.0:
         return 0.0
-    return min(max((before**2 - after**2) / explainable, 0.0), 1.0)
+    return min(max((baseline**2 - residual**2) / explainable, 0.0), 1.0)
 
 
 def held_out_gain(before_m: float, after_m: float) -> float:
@@ -258,11 +258,14 @@ def _interval(size: Size) -> str:
     return f"{significant(size.value)} ({low} to {high}) {size.unit}".strip()
 
 
-def with_finding(diagnosis: Diagnosis, found: Finding) -> Diagnosis:
-    """Return a diagnosis with one more finding, in the place of what was said of its effect."""
-    findings = [*(one for one in diagnosis.findings if one.effect != found.effect), found]
+def with_finding(diagnosis: Diagnosis, finding: Finding) -> Diagnosis:
+    """Return a diagnosis with a finding added, replacing earlier entries of the same effect."""
+    findings = [
+        *(entry for entry in diagnosis.findings if entry.effect != finding.effect),
+        finding,
+    ]
     return replace(
         diagnosis,
-        findings=tuple(sorted(findings, key=lambda one: one.held_out_gain, reverse=True)),
-        not_detected=tuple(n for n in diagnosis.not_detected if n.effect != found.effect),
+        findings=tuple(sorted(findings, key=lambda entry: entry.held_out_gain, reverse=True)),
+        not_detected=tuple(n for n in diagnosis.not_detected if n.effect != finding.effect),
     )

@@ -22,7 +22,7 @@ SHAPE_EXPERIMENT = (
 
 def diagnosis_statements(diagnosis: Diagnosis) -> tuple[Statement, ...]:
     """Return the statements about one diagnosis, most important first."""
-    is_tested = any(one.upper_bound_m is not None for one in diagnosis.not_detected)
+    is_tested = any(absence.upper_bound_m is not None for absence in diagnosis.not_detected)
     is_named = any(f.effect not in (SOMETHING_ELSE, LOOP_SHAPE) for f in diagnosis.findings)
     untested = [] if is_tested or is_named else _nothing_found(diagnosis)
     remaining = _remaining(diagnosis) if is_tested or diagnosis.findings else []
@@ -40,11 +40,11 @@ def diagnosis_statements(diagnosis: Diagnosis) -> tuple[Statement, ...]:
 
 
 def largest_first(diagnosis: Diagnosis) -> tuple[Finding, ...]:
-    """Return the findings, the unnamed one in front if it is larger than all named ones."""
+    """Return the findings, with unexplained structure first if it exceeds every effect."""
     unnamed = [finding for finding in diagnosis.findings if finding.effect == SOMETHING_ELSE]
-    named = [finding for finding in diagnosis.findings if finding.effect != SOMETHING_ELSE]
-    if all(one.share > other.share for one in unnamed for other in named):
-        return (*unnamed, *named)
+    catalogued = [finding for finding in diagnosis.findings if finding.effect != SOMETHING_ELSE]
+    if all(first.share > second.share for first in unnamed for second in catalogued):
+        return (*unnamed, *catalogued)
     return diagnosis.findings
 
 
@@ -77,9 +77,9 @@ def _confounded(diagnosis: Diagnosis, finding: Finding) -> Statement:
 
 def _nothing_found(diagnosis: Diagnosis) -> list[Statement]:
     """Return why no effect is named, and what to record if the error exceeds the noise."""
-    n_tested = sum(one.upper_bound_m is not None for one in diagnosis.not_detected)
+    n_tested = sum(absence.upper_bound_m is not None for absence in diagnosis.not_detected)
     if not n_tested:
-        reasons = {one.reason for one in diagnosis.not_detected}
+        reasons = {absence.reason for absence in diagnosis.not_detected}
         why = ""
         if len(reasons) == 1:
             reason = reasons.pop().removeprefix("not looked for, because ")
@@ -88,7 +88,7 @@ def _nothing_found(diagnosis: Diagnosis) -> list[Statement]:
         return [_statement(diagnosis, Kind.LIMIT, Level.WARNING, "no_effect_tested", text)]
     residual_m, noise_m = diagnosis.envelope_rms_m, diagnosis.noise_floor_rms_m
     times = f", {significant(residual_m / noise_m, 2)} times the sensor noise" if noise_m else ""
-    at_rest = any(one.reason == RESTS for one in diagnosis.not_detected)
+    at_rest = any(absence.reason == RESTS for absence in diagnosis.not_detected)
     where = "at constant drive" if at_rest else "beyond hysteresis of any shape"
     count = (
         "1 effect was tested and not" if n_tested == 1 else f"{n_tested} effects were tested, none"
@@ -103,13 +103,14 @@ def _nothing_found(diagnosis: Diagnosis) -> list[Statement]:
 
 
 def _structure(diagnosis: Diagnosis) -> str:
-    rest = diagnosis.unexplained
-    if rest is None or rest.gain < MIN_GAIN:
+    structure = diagnosis.unexplained
+    if structure is None or structure.gain < MIN_GAIN:
         return ""
-    share = f" {100 * rest.gain:.2g} % of its power depends on {coordinate_words(rest.coordinate)}"
-    if rest.p_value <= USUAL_P:
+    coordinate = coordinate_words(structure.coordinate)
+    share = f" {100 * structure.gain:.2g} % of its power depends on {coordinate}"
+    if structure.p_value <= USUAL_P:
         return f"{share}."
-    return f"{share}, as in {100 * rest.p_value:.0f} % of healthy stages."
+    return f"{share}, as in {100 * structure.p_value:.0f} % of healthy stages."
 
 
 def _statement(

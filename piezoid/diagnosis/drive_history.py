@@ -24,41 +24,43 @@ States = tuple[Array, Array]  # of plays, of friction
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class History:
-    """One track with one initial state.
+    """Hysteresis states of one track from one initial state.
 
     reversals  values at which the drive turned before the track
-    other  the same drive and initial state with other readings or rows; its states are reused
+    origin     the same drive and initial state with other readings or rows; its states are reused
     """
 
     track: Track
     reversals: Reversals
-    other: "History | None" = None
+    origin: "History | None" = None
 
-    def after(self, reversals: Reversals) -> "History":
-        """Return the track with another initial state."""
+    def with_reversals(self, reversals: Reversals) -> "History":
+        """Return the history of the same track from another initial state."""
         return (
             self if reversals == self.reversals else History(track=self.track, reversals=reversals)
         )
 
     def on(self, track: Track) -> "History":
-        """Return another track with the same initial state."""
+        """Return the history of another track from the same initial state."""
         if track is self.track:
             return self
-        same = np.array_equal(track.drive, self.track.drive)
+        is_same_drive = np.array_equal(track.drive, self.track.drive)
         return History(
-            track=track, reversals=self.reversals, other=self.other or self if same else None
+            track=track,
+            reversals=self.reversals,
+            origin=self.origin or self if is_same_drive else None,
         )
 
     @Once
     def rows(self) -> States:
         """Return the states at the track's rows, (rows, plays) and (rows, friction states)."""
-        return _states_on(*self.track.way, self.reversals)
+        return _states_on(*self.track.path, self.reversals)
 
     @Once
     def states(self) -> States:
         """Return the states at every sample, (samples, plays) and (samples, friction states)."""
-        if self.other is not None:
-            return self.other.states
+        if self.origin is not None:
+            return self.origin.states
         drive = self.track.drive
         plays, _ = play_columns(drive, THRESHOLD, memory_after(drive, self.reversals))
         return plays, rubbing(drive, rubbed(drive, self.reversals))
@@ -67,27 +69,28 @@ class History:
         """Return what the shared columns make of the drive, (samples,); all states are kept."""
         return shape(*self.states, self.track.drive, weight[:SHARED])
 
-    def kept(self, groups: int) -> Array:
-        """Return which part of its first states each group of plays keeps at the rows.
+    def retained_memory(self, groups: int) -> Array:
+        """Return the share of plays in each group that still hold their initial state at the rows.
 
-        One keeps its first state until it moves. Narrow plays have forgotten them at once.
+        A play keeps its initial state until it moves. Narrow plays forget it at once and are left
+        out.
         """
         first = memory_after(self.track.drive, self.reversals)
         highest, lowest = self._farthest
         up = np.searchsorted(highest, first + THRESHOLD, side="right")
         down = np.searchsorted(-lowest, THRESHOLD - first, side="right")
-        kept = self.track.place[:, None] < np.minimum(up, down)
+        is_retained = self.track.rows[:, None] < np.minimum(up, down)
         plays = len(THRESHOLD)
         parts = np.array_split(np.arange(plays // 3, plays), groups)
-        return np.column_stack([kept[:, part].mean(axis=1) for part in parts])
+        return np.column_stack([is_retained[:, part].mean(axis=1) for part in parts])
 
     def poled(self) -> Array:
-        """Return how far the drive has gone beyond some levels for the first time, at the rows.
+        """Return how far the drive has exceeded some levels so far, at the rows.
 
-        Walls that the drive cannot bring back are moved once, when it first comes that far.
+        Domain walls that the drive cannot move back are moved only when it first gets there.
         """
-        way = [side[self.track.place] - side[0] for side in self._beyond()]
-        return np.column_stack(way)
+        distances = [side[self.track.rows] - side[0] for side in self._beyond()]
+        return np.column_stack(distances)
 
     def _beyond(self) -> list[Array]:
         highest, lowest = self._farthest
@@ -101,9 +104,9 @@ class History:
         return np.maximum.accumulate(drive), np.minimum.accumulate(drive)
 
 
-def states_at(drive: Array, reversals: Reversals, place: Places) -> States:
-    """Return the states at some samples of any drive that turned before."""
-    return _states_on(*way_to(drive, place), reversals)
+def states_at(drive: Array, reversals: Reversals, rows: Places) -> States:
+    """Return the states at some samples of a drive with given earlier reversals."""
+    return _states_on(*way_to(drive, rows), reversals)
 
 
 def _states_on(path: Array, rows: Places, reversals: Reversals) -> States:
@@ -111,9 +114,9 @@ def _states_on(path: Array, rows: Places, reversals: Reversals) -> States:
     return _rows(plays, rows), _rows(rubbing(path, rubbed(path, reversals)), rows)
 
 
-def _rows(columns: Array, place: Places) -> Array:
-    """Return some rows of column-major columns, column-major again."""
-    return np.asarray(np.take(columns.T, place, axis=1).T)
+def _rows(columns: Array, rows: Places) -> Array:
+    """Return some rows of column-major columns, in column-major order."""
+    return np.asarray(np.take(columns.T, rows, axis=1).T)
 
 
 def static_of(drive: Array, reversals: Reversals, weight: Array) -> Array:

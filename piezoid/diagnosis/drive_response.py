@@ -32,13 +32,13 @@ SETTLED = 2  # cycles over the range before a drive of which the initial state i
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Driven:
-    """One drive, played on the model of one axis.
+    """Response of the model of one axis to one drive.
 
     name       of the experiment or recording
     model      of the axis
     rate_Hz    of its samples
     voltage_V  (samples,)
-    others     scaled drives of other axes that move, by axis
+    other_drives  scaled drives of other axes that move, by axis
     memory_V   (plays,)  before the first sample; None: cycled over the range, then here
     rows       (rows,)   samples that are looked at
     """
@@ -48,7 +48,7 @@ class Driven:
     rate_Hz: float
     voltage_V: Array
     rows: NDArray[np.int_]
-    others: Mapping[str, Array] = field(default_factory=dict)
+    other_drives: Mapping[str, Array] = field(default_factory=dict)
     memory_V: Array | None = None
 
     @property
@@ -122,11 +122,11 @@ class Driven:
         return np.asarray((np.gradient(self.static_m) * self.rate_Hz)[self.rows, None])
 
     @cached_property
-    def own(self) -> Array:
-        """Return the columns of this drive alone: its zero and other initial states."""
-        others = [self._after(way) for way in (-1.0, 1.0)] + [self.model.virgin_memory_V]
+    def individual(self) -> Array:
+        """Return the columns of this drive only: its zero and changes of its initial state."""
+        memories_V = [self._after(side) for side in (-1.0, 1.0)] + [self.model.virgin_memory_V]
         parts = [np.ones(len(self.rows))]
-        for memory_V in others:
+        for memory_V in memories_V:
             changed = self._plays(self.drive_V, memory_V) - self.output_m
             parts.append((self.slope * changed)[self.rows])
         return np.column_stack(parts)
@@ -157,11 +157,11 @@ class Driven:
             self.slope * (self._plays(self.drive_V + bend_V, self.past_V) - self.output_m) / BEND
         )
 
-    def _after(self, way: float) -> Array:
-        """Return the memory after cycles over the range that came from above (1) or below."""
+    def _after(self, side: float) -> Array:
+        """Return the memory after cycles over the range, arriving from above (1) or below (-1)."""
         reach_V, start_V = self.half_range_V, float(self.drive_V[0])
         middle_V = sum(self.model.voltage_V) / 2 - self.model.hysteresis.voltage_offset_V
-        reversals = [middle_V - way * reach_V, middle_V + way * reach_V] * SETTLED
+        reversals = [middle_V - side * reach_V, middle_V + side * reach_V] * SETTLED
         history_V = np.array([*reversals, start_V])
         plays = self.model.hysteresis.plays
         return plays.run(history_V, plays.virgin_memory())[1]
@@ -176,9 +176,9 @@ def rows_of(samples: int, count: int) -> NDArray[np.int_]:
 
 
 def driven_recording(axis: AxisModel, recording: Recording) -> Driven:
-    """Return a recording's drive from the memory the fit found for its first piece."""
+    """Return a recording's drive, with the fitted initial memory of its first piece."""
     starts = starts_of(axis, recording)
-    others = {
+    other_drives = {
         channel.axis: channel.values
         for channel in recording.channels
         if channel.quantity is Quantity.VOLTAGE and channel.axis != axis.axis
@@ -189,7 +189,7 @@ def driven_recording(axis: AxisModel, recording: Recording) -> Driven:
         rate_Hz=recording.sampling_rate_Hz,
         voltage_V=recording.voltage_V(axis.axis),
         rows=rows_of(recording.samples, ROWS),
-        others=scaled_drives(others),
+        other_drives=scaled_drives(other_drives),
         memory_V=starts[0].memory_V if starts else None,
     )
 
@@ -205,12 +205,12 @@ def scaled_drives(others_V: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def null_columns(drives: Sequence[Driven], *, lag: bool) -> Array:
-    """Return what a refit of the model could take up, all drives together.
+    """Return the columns that a refit of the model could absorb, for all drives together.
 
-    lag  whether the model's lag is among it; not where an effect is a lag itself
+    lag  whether to include the lag of the model; false for effects that are lags themselves
     """
-    shared = [np.hstack([one.shared, one.speed]) if lag else one.shared for one in drives]
-    return np.hstack([np.vstack(shared), side_by_side([one.own for one in drives])])
+    shared = [np.hstack([drive.shared, drive.speed]) if lag else drive.shared for drive in drives]
+    return np.hstack([np.vstack(shared), side_by_side([drive.individual for drive in drives])])
 
 
 def side_by_side(parts: Sequence[Array]) -> Array:

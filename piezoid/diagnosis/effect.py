@@ -138,8 +138,8 @@ class Fault:
     alike: tuple[str, ...] = ()
     where: tuple[str, ...] = ()
 
-    def after(self, earlier: "Fault | None") -> "Fault":
-        """Return this fault with what was found of it before: the larger size, the surer p."""
+    def merged_with(self, earlier: "Fault | None") -> "Fault":
+        """Merge with an earlier detection, keeping the larger size and the smaller p-value."""
         if earlier is None:
             return self
         larger = max(earlier, self, key=lambda fault: abs(fault.value))
@@ -155,21 +155,21 @@ class Fault:
 
 @dataclass(frozen=True, kw_only=True)
 class Tangent:
-    """What an effect would add along a drive that has not been played yet, for ``piezoid plan``.
+    """Predicted contribution of an effect along a planned drive, for ``piezoid plan``.
 
     columns  (drive, scale) -> (samples, columns), m for a strength of one, made from the fitted
              model alone
-    own      whether every drive has coefficients of its own
+    per_drive        whether every drive has coefficients of its own
     lags     whether it is a lag itself, so that a fitted lag must not take it away
     scale    in s or Hz: for effects whose shape depends on their size; 0: it does not
-    found    name of a finding's parameter that is this scale, or empty
+    scale_parameter  name of a finding's parameter that is this scale, or empty
     """
 
     columns: Callable[[Driven, float], Array]
-    own: bool = False
+    per_drive: bool = False
     lags: bool = False
     scale: float = 0.0
-    found: str = ""
+    scale_parameter: str = ""
 
 
 def delay_tangent(response_filter: Filter, name: str) -> Tangent:
@@ -216,18 +216,18 @@ Without = Callable[[AxisModel, Recording], AxisModel | None]
 
 
 def without_part(kind: type[Extension], *, lag: bool = False) -> Without:
-    """Return what takes the extensions of a kind out of a model; it returns None where none is.
+    """Return a function that removes extensions of one kind; it returns None if there are none.
 
-    lag  whether the model's own lag stands for the effect as well
+    lag  whether the effect is also represented by the lag of the model
     """
 
     def taken_out(axis: AxisModel, _: Recording) -> AxisModel | None:
-        others = tuple(e for e in axis.extensions if not isinstance(e, kind))
-        late = lag and axis.lag.time_s > 0.0
-        if len(others) == len(axis.extensions) and not late:
+        remaining = tuple(e for e in axis.extensions if not isinstance(e, kind))
+        has_lag = lag and axis.lag.time_s > 0.0
+        if len(remaining) == len(axis.extensions) and not has_lag:
             return None
-        kept = Lag(kind="none", time_s=0.0) if lag else axis.lag
-        return replace(axis, extensions=others, lag=kept)
+        lag_model = Lag(kind="none", time_s=0.0) if lag else axis.lag
+        return replace(axis, extensions=remaining, lag=lag_model)
 
     return taken_out
 
@@ -332,6 +332,6 @@ class Effect:
         """Whether it moves a zero: what shows over time and is no fault of the data."""
         return self.shows.unit == "s" and self.fault is None
 
-    def resembles(self, other: "Effect") -> bool:
-        """Tell whether one of the two may stand in the place of the other."""
-        return other.name in self.confounded or self.name in other.confounded
+    def resembles(self, effect: "Effect") -> bool:
+        """Tell whether the two effects are confounded."""
+        return effect.name in self.confounded or self.name in effect.confounded

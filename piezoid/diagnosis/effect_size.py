@@ -36,40 +36,40 @@ QUANTILE = 2.0  # of Student's distribution for some sixty blocks
 
 def size_of(cause: Candidate) -> Size:
     """Return a cause's size with its 95 % interval."""
-    effect, one = cause.effect, cause.selected
+    effect, selected = cause.effect, cause.selected
     beta = cause.cv.coefficient
     if effect.size is None:
         value = 100.0 * cause.share
-        # what blocks explain is known to one part in z, its root to half of that
+        # the relative error of the explained power is 1/z; its root has half of that
         reach = QUANTILE * value / (2.0 * max(cause.cv.z, 1.0))
     else:
-        value = effect.size(_seen(cause), one.parameters, beta)
+        value = effect.size(_size_view(cause), selected.parameters, beta)
         reach = QUANTILE * hypot(_spread(cause, value), effect.model_error * value)
     return Size(value=value, unit=effect.unit, ci95=(value - reach, value + reach))
 
 
-def _seen(cause: Candidate) -> View:
-    """Return the view in which a size is seen: what a limit cuts off is there without it only."""
+def _size_view(cause: Candidate) -> View:
+    """Return the view that a size is computed on: without the effect if it filters the drive."""
     return cause.without if cause.effect.drive_filter is not None else cause.view
 
 
 def _spread(cause: Candidate, value: float) -> float:
-    """Return the standard error of a size that coefficients and parameters make together."""
-    effect, one, view, seen = cause.effect, cause.selected, cause.view, _seen(cause)
+    """Return the standard error of a size from the errors of coefficients and parameters."""
+    effect, selected, view, size_view = cause.effect, cause.selected, cause.view, _size_view(cause)
     assert effect.size is not None
     beta = cause.cv.coefficient
-    columns = [_nudged(cause, name) for name in one.free]
+    columns = [_nudged(cause, name) for name in selected.free]
     gradient = [
-        (effect.size(seen, with_step(one, name, NUDGE).parameters, beta) - value) / NUDGE
-        for name in one.free
+        (effect.size(size_view, with_step(selected, name, NUDGE).parameters, beta) - value) / NUDGE
+        for name in selected.free
     ]
-    if one.adds_columns and effect.columns is not None:
-        columns += list(effect.columns(without_ringing(view, [one]), one.parameters).T)
+    if selected.adds_columns and effect.columns is not None:
+        columns += list(effect.columns(without_ringing(view, [selected]), selected.parameters).T)
         for k in range(len(beta)):
-            more = beta + np.eye(len(beta))[k] * max(abs(beta[k]), 1e-9) * NUDGE
-            step = more[k] - beta[k]
-            gradient.append((effect.size(view, one.parameters, more) - value) / step)
-    # a parameter that moves nothing here is in no reading, nor in what the cause adds to them
+            nudged = beta + np.eye(len(beta))[k] * max(abs(beta[k]), 1e-9) * NUDGE
+            step = nudged[k] - beta[k]
+            gradient.append((effect.size(view, selected.parameters, nudged) - value) / step)
+    # a parameter without influence on these recordings does not change the size either
     moving = [k for k, column in enumerate(columns) if np.any(column)]
     null = replace(view, selected=cause.without.selected).null
     cov = null.clustered_covariance(np.column_stack([columns[k] for k in moving]))
@@ -78,27 +78,29 @@ def _spread(cause: Candidate, value: float) -> float:
 
 
 def _nudged(cause: Candidate, name: str) -> Array:
-    """Return how fast the response changes with a free parameter, in parts of its width."""
-    one, view = cause.selected, cause.view
-    there = with_step(one, name, NUDGE)
-    effect = one.effect
+    """Return the derivative of the response by a free parameter, per step width."""
+    selected, view = cause.selected, cause.view
+    nudged = with_step(selected, name, NUDGE)
+    effect = selected.effect
     if effect.response_filter is not None:
-        change = filter_offset(view, [there]) - filter_offset(view, [one])
+        change = filter_offset(view, [nudged]) - filter_offset(view, [selected])
     elif effect.drive_filter is not None:
-        change = _of_drive(cause, there)
+        change = _of_drive(cause, nudged)
     else:
         assert effect.columns is not None
-        here = without_ringing(view, [one])
-        moved = effect.columns(here, there.parameters) - effect.columns(here, one.parameters)
-        change = moved @ cause.cv.coefficient
+        baseline = without_ringing(view, [selected])
+        difference = effect.columns(baseline, nudged.parameters) - effect.columns(
+            baseline, selected.parameters
+        )
+        change = difference @ cause.cv.coefficient
     return np.asarray(change / NUDGE)
 
 
-def _of_drive(cause: Candidate, there: SelectedEffect) -> Array:
+def _of_drive(cause: Candidate, nudged: SelectedEffect) -> Array:
     view = cause.view
-    other: View = with_filtered_drive(cause.without, [there])
+    filtered: View = with_filtered_drive(cause.without, [nudged])
     parts = [
-        view.nuisance.static_rows(k, view.weight, track.drive) - view.static[k][track.place]
-        for k, track in enumerate(other.tracks)
+        view.nuisance.static_rows(k, view.weight, track.drive) - view.static[k][track.rows]
+        for k, track in enumerate(filtered.tracks)
     ]
     return np.concatenate(parts)

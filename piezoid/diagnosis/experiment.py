@@ -33,8 +33,8 @@ class Plan:
     """The next experiment.
 
     limits_from   origin of the limits, in words
-    before        what the recordings show; None if they were not given
-    after         what they show together with the planned drive
+    recorded      estimate from the recordings; None if they were not given
+    planned       estimate from the recordings and the planned drive
     answers       whether the drive is worth a recording
     forbids       if it is not, the limit that prevents more, as a sentence; else empty
     set_aside     more pressing questions, which no drive answers
@@ -46,8 +46,8 @@ class Plan:
     drive: Drive
     limits: DriveLimits
     limits_from: str
-    before: SeparationEstimate | None
-    after: SeparationEstimate
+    recorded: SeparationEstimate | None
+    planned: SeparationEstimate
     answers: bool
     forbids: str
     set_aside: tuple[Question, ...]
@@ -100,7 +100,9 @@ def plan(
     forbids = ""
     if not choice.answers and (question.kind != "detect" or is_open(question)):
         forbids = limiting_factor(
-            bench, lambda looser: table_on(looser).choice(question).left, choice.left
+            bench,
+            lambda looser: table_on(looser).choice(question).remaining_share,
+            choice.remaining_share,
         )
     drive, estimate = table.drives[best.name], best.estimate
     if not choice.shows or estimate is None or not isinstance(drive, Drive):
@@ -116,8 +118,8 @@ def plan(
         drive=drive,
         limits=bench.limits,
         limits_from=bench.limits_from,
-        before=choice.before,
-        after=estimate,
+        recorded=choice.recorded,
+        planned=estimate,
         answers=choice.answers,
         forbids=forbids,
         set_aside=set_aside,
@@ -141,11 +143,13 @@ def _first_answered(
     return next((choice for choice in unanswered if choice.shows), unanswered[0]), ()
 
 
-def limiting_factor(bench: Bench, share_left: Callable[[Bench], float], left: float) -> str:
-    """Return which limit prevents a better answer, or that none does, as a sentence.
+def limiting_factor(
+    bench: Bench, share_left: Callable[[Bench], float], present_share: float
+) -> str:
+    """State which limit prevents a better answer, or that none does.
 
-    share_left  (bench) -> share of the question that the best drive leaves within other limits
-    left        share that it leaves within the present limits
+    share_left     (bench) -> share of the uncertainty that the best drive leaves in other limits
+    present_share  share that it leaves within the present limits
     """
     limits, margin_V = bench.limits, 0.5 * (LOOSER - 1.0) * np.ptp(bench.limits.range_V)
     wider = replace(
@@ -165,11 +169,11 @@ def limiting_factor(bench: Bench, share_left: Callable[[Bench], float], left: fl
     }
     shares = {name: share_left(looser_bench) for name, looser_bench in looser.items()}
     name, smallest = min(shares.items(), key=lambda pair: pair[1])
-    if smallest > NOTICEABLE * left:
+    if smallest > NOTICEABLE * present_share:
         return f"{LOOSER:g} times the range, the slew rate or the sampling rate would not help" + (
-            "." if bench.others else "; no other axis that can be driven is declared."
+            "." if bench.other_limits else "; no other axis that can be driven is declared."
         )
     return (
         f"The limit is {name}: {LOOSER:g} times as much would leave {100 * smallest:.0f} % of the "
-        f"uncertainty, not {100 * left:.0f} %."
+        f"uncertainty, not {100 * present_share:.0f} %."
     )

@@ -52,13 +52,13 @@ def findings_of(
         ),
         *(effect_finding(cause, outcome, errors) for cause in outcome.causes),
     ]
-    after, structure = held_out(errors.final_m, half_stroke_m), result.structure
+    final, structure = held_out(errors.final_m, half_stroke_m), result.structure
     if structure is not None:
         findings.append(
             structure_finding(
                 structure,
-                before=held_out(errors.without_m[SOMETHING_ELSE], half_stroke_m),
-                after=after,
+                without_curve=held_out(errors.without_m[SOMETHING_ELSE], half_stroke_m),
+                with_curve=final,
                 scale_m=scales.displacement_m,
                 middle_m=_middle_m(structure.view, recordings, axis, scales),
             )
@@ -68,15 +68,15 @@ def findings_of(
         if noise is not None:
             middle_m = _middle_m(outcome.final, recordings, axis, scales)
             findings.append(
-                noise_finding(noise, error=after, scale_m=scales.displacement_m, middle_m=middle_m)
+                noise_finding(noise, error=final, scale_m=scales.displacement_m, middle_m=middle_m)
             )
     return tuple(sorted(findings, key=lambda finding: finding.held_out_gain, reverse=True))
 
 
 def _has_hysteresis_only(outcome: Outcome) -> bool:
-    """Tell whether nothing but hysteresis was found: other effects could pass for noise."""
-    others = any(cause.effect.structural is None for cause in outcome.causes)
-    return not (outcome.against or outcome.faults or others)
+    """Tell whether only hysteresis was detected: other effects could pass for noise."""
+    has_effects = any(cause.effect.structural is None for cause in outcome.causes)
+    return not (outcome.against or outcome.faults or has_effects)
 
 
 def _middle_m(view: View, recordings: Sequence[Recording], axis: str, scales: Scales) -> float:
@@ -117,9 +117,9 @@ def fault_finding(name: str, fault: Fault, errors: ModelErrors, half_stroke_m: f
 
 
 def _list_places(fault: Fault) -> str:
-    more = len(fault.where) - MAX_PLACES
-    rest = f" and {more} places more" if more > 0 else ""
-    return f"Seen in {', '.join(fault.where[:MAX_PLACES])}{rest}."
+    hidden = len(fault.where) - MAX_PLACES
+    suffix = f" and {hidden} places more" if hidden > 0 else ""
+    return f"Seen in {', '.join(fault.where[:MAX_PLACES])}{suffix}."
 
 
 def effect_finding(cause: Candidate, outcome: Outcome, errors: ModelErrors) -> Finding:
@@ -162,8 +162,8 @@ def _resembling_effects(cause: Candidate, outcome: Outcome) -> list[str]:
     """Return selected effects that may contain a part of this one, unless it is certain."""
     if cause.cv.z > CERTAIN_Z or cause.effect.structural is not None:
         return []
-    others = [other.effect for other in outcome.causes if other is not cause]
-    return [other.name for other in others if other.resembles(cause.effect)]
+    other_effects = [candidate.effect for candidate in outcome.causes if candidate is not cause]
+    return [effect.name for effect in other_effects if effect.resembles(cause.effect)]
 
 
 def _explanation(cause: Candidate, structural: Sequence[Effect]) -> str:

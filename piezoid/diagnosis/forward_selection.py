@@ -68,7 +68,7 @@ class SelectionState:
     screened: Mapping[str, ScoreTest]
     initial: InitialStates | None = None
 
-    def after(
+    def updated(
         self,
         *,
         clean: View | None = None,
@@ -76,7 +76,7 @@ class SelectionState:
         faults: Mapping[str, Fault] | None = None,
         initial: InitialStates | None = None,
     ) -> "SelectionState":
-        """Return the state after a step that changes these."""
+        """Return the state with these parts replaced."""
         clean = self.clean if clean is None else clean
         selected = self.selected if selected is None else tuple(selected)
         return SelectionState(
@@ -123,12 +123,12 @@ def _score_all(state: SelectionState, executor: Executor) -> dict[str, ScoreTest
         executor.report(f"testing {words(effect.name)}")
         return score_test(effect, state.view)
 
-    named = {one.effect.name for one in state.selected}
+    selected_names = {effect.effect.name for effect in state.selected}
     effects = {
         effect.name: effect
         for effect in every_effect()
         if effect.structural is None
-        and effect.name not in named
+        and effect.name not in selected_names
         and not effect.untestable(state.view)
     }
     for name, effect in list(effects.items()):
@@ -139,47 +139,47 @@ def _score_all(state: SelectionState, executor: Executor) -> dict[str, ScoreTest
 
 
 def _next_state(state: SelectionState, executor: Executor) -> SelectionState | None:
-    """Return the state after the step that leaves the smallest error; None where none helps."""
+    """Take the step with the smallest error; None if no step reduces it."""
     view = state.view
 
     def with_bouc_wen_state() -> View:
         return with_best_bouc_wen(view) if view.rms > NOISY * view.noise else view
 
     best = best_candidate(refit_shortlist(state, executor))
-    least = best.view.rms if best else np.inf
-    moved = moved_to_other_side(state, best)
-    if moved is not None:
-        return state.after(selected=moved)
+    min_rms = best.view.rms if best else np.inf
+    exchanged = moved_to_other_side(state, best)
+    if exchanged is not None:
+        return state.updated(selected=exchanged)
     if state.initial is None:
         shared = with_shared_initial_state(view, executor)
-        own, bent = executor.both(
+        individual, bent = executor.both(
             lambda: with_own_initial_states(view, shared), with_bouc_wen_state
         )
     else:
-        (shared, own), bent = state.initial, with_bouc_wen_state()
-    if bent.rms < min(BOUC_WEN * view.rms, least, own.rms):
-        return state.after(clean=with_bouc_wen(state.clean, bent.nuisance.bouc_wen))
-    if initial_states_explain(own, view, least):
-        # beside selected effects they are not the same again: these follow the static response
-        return state.after(
-            clean=with_free_memory(with_reversals(state.clean, own.nuisance.reversals)),
-            initial=None if state.selected else (shared, own),
+        (shared, individual), bent = state.initial, with_bouc_wen_state()
+    if bent.rms < min(BOUC_WEN * view.rms, min_rms, individual.rms):
+        return state.updated(clean=with_bouc_wen(state.clean, bent.nuisance.bouc_wen))
+    if initial_states_explain(individual, view, min_rms):
+        # not reused once effects are selected: these depend on the static response
+        return state.updated(
+            clean=with_free_memory(with_reversals(state.clean, individual.nuisance.reversals)),
+            initial=None if state.selected else (shared, individual),
         )
     if best is None:
         return _with_slips(state)
-    return state.after(selected=(*state.selected, best.selected))
+    return state.updated(selected=(*state.selected, best.selected))
 
 
-def initial_states_explain(own: View, view: View, least: float) -> bool:
-    """Return whether other initial states explain more than any effect, which leaves ``least``."""
-    return own.rms < min(OTHER_INITIAL_STATES * view.rms, least)
+def initial_states_explain(individual: View, view: View, min_rms: float) -> bool:
+    """Tell whether individual initial states explain more than the best effect (``min_rms``)."""
+    return individual.rms < min(OTHER_INITIAL_STATES * view.rms, min_rms)
 
 
 def refit_shortlist(state: SelectionState, executor: Executor) -> list[Candidate]:
-    """Return the best effects with everything refitted, and if none is significant the others.
+    """Refit the effects with the largest gains, and the others only if none is significant.
 
-    An effect goes on if its tangent explains enough, and as much as its placebo; tangents of
-    parameters that are refined err by factors, and are not held against their placebos.
+    An effect is refitted if its tangent explains enough, and as much as its placebo. Tangents of
+    refined parameters are off by factors and are not compared with their placebos.
     """
     hopeful = [f for f in state.screened.values() if f.physical and f.total_gain > MIN_GAIN]
     first_gain = FIRST_GAIN * max((f.total_gain for f in hopeful), default=0.0)
@@ -188,47 +188,49 @@ def refit_shortlist(state: SelectionState, executor: Executor) -> list[Candidate
         for f in hopeful
         if f.placebo is None or f.trial.free or f.cv.gain > NEAR_PLACEBO * f.placebo.gain
     ]
-    tried = _refitted([f for f in hopeful if f.total_gain > first_gain], state, executor)
-    if best_candidate(tried) is None:
-        tried += _refitted([f for f in hopeful if f.total_gain <= first_gain], state, executor)
-    return tried
+    candidates = _refitted([f for f in hopeful if f.total_gain > first_gain], state, executor)
+    if best_candidate(candidates) is None:
+        candidates += _refitted(
+            [f for f in hopeful if f.total_gain <= first_gain], state, executor
+        )
+    return candidates
 
 
-def best_candidate(tried: Iterable[Candidate]) -> Candidate | None:
-    """Return the effect that leaves least among those that are significant."""
-    significant = [candidate for candidate in tried if candidate.is_significant]
+def best_candidate(candidates: Iterable[Candidate]) -> Candidate | None:
+    """Return the significant candidate with the smallest error, or None."""
+    significant = [candidate for candidate in candidates if candidate.is_significant]
     return min(significant, key=lambda candidate: candidate.cv.rms, default=None)
 
 
 def _refitted(
     tests: Sequence[ScoreTest], state: SelectionState, executor: Executor
 ) -> list[Candidate]:
-    """Return effects with everything refitted, but those that begin far behind the best."""
+    """Refit each effect together with the selected ones, unless its initial error is large."""
     clean, selected = state.clean, state.selected
     starts = executor.map(lambda test: _start(test, state), tests)
     errors = executor.map(lambda start: with_effects(clean, [*selected, start]).rms, starts)
-    least = min(errors, default=0.0)
+    min_rms = min(errors, default=0.0)
 
     def refit(pair: tuple[SelectedEffect, ScoreTest]) -> Candidate:
         start, test = pair
         executor.report(f"refitting with {words(start.effect.name)}")
-        better, view = refine(start, clean, selected)
-        return _refitted_together(evaluate(better, view, state.view, test=test), state, test)
+        refined, view = refine(start, clean, selected)
+        return _refitted_together(evaluate(refined, view, state.view, test=test), state, test)
 
-    near = [
+    hopeful = [
         (start, test)
         for start, test, rms in zip(starts, tests, errors, strict=True)
-        if rms <= NEAR * least
+        if rms <= NEAR * min_rms
     ]
-    return executor.map(refit, near)
+    return executor.map(refit, hopeful)
 
 
 def _start(test: ScoreTest, state: SelectionState) -> SelectedEffect:
-    """Return where a refit begins: at the best tangent, or in front of the hysteresis at the best.
+    """Return the initial guess of a refit.
 
-    A static response fitted to the command follows a part of what the stage was never given: its
-    tangents lead astray, and the error has a second lowest place where the response makes up for
-    the wrong limit. So there each trial is put in place, and each step about the best of them.
+    For filters of the drive the tangent is misleading: the static response was fitted to the
+    command, not to the filtered drive, and the error has a second minimum at which the response
+    compensates for the wrong limit. There each trial is evaluated, then steps around the best.
     """
     guess = initial_guess(test.effect, test.trial, float(test.cv.coefficient[0]))
     if test.effect.drive_filter is None or test.effect.trials is None:
@@ -239,27 +241,27 @@ def _start(test: ScoreTest, state: SelectionState) -> SelectedEffect:
 
     trials = [trial for trial in test.effect.trials(state.view) if trial.physical]
     best = min((guess, *(initial_guess(test.effect, trial, 1.0) for trial in trials)), key=error)
-    near = [with_step(best, name, part) for name in best.free for part in ABOUT]
-    return min((best, *near), key=error)
+    neighbours = [with_step(best, name, part) for name in best.free for part in ABOUT]
+    return min((best, *neighbours), key=error)
 
 
-def _refitted_together(alone: Candidate, state: SelectionState, test: ScoreTest) -> Candidate:
-    """Refine selected effects that look like a candidate together with it.
+def _refitted_together(candidate: Candidate, state: SelectionState, test: ScoreTest) -> Candidate:
+    """Refine selected effects that resemble a candidate together with it.
 
-    A delay that is none may be one then: beside a limit that follows a part of it, it differs from
-    recording to recording. Where more is free than a time, that costs too much to hope for.
+    A delay may become physical that way: beside a limit that absorbs a part of it, it differs from
+    recording to recording. With more free parameters than a time this is too expensive.
     """
-    free = len(alone.selected.free)
+    free = len(candidate.selected.free)
     alike = [
-        one
-        for one in state.selected
-        if one.free and not one.from_jumps and one.effect.resembles(alone.effect)
+        effect
+        for effect in state.selected
+        if effect.free and not effect.from_jumps and effect.effect.resembles(candidate.effect)
     ]
-    if not alike or not (free == 1 or (free and alone.physical)):
-        return alone
-    others = [one for one in state.selected if one not in alike]
-    better, view = refine_together([*alike, alone.selected], state.clean, others)
-    return evaluate(better[-1], view, alone.without, test=test)
+    if not alike or not (free == 1 or (free and candidate.physical)):
+        return candidate
+    unrelated = [effect for effect in state.selected if effect not in alike]
+    refined, view = refine_together([*alike, candidate.selected], state.clean, unrelated)
+    return evaluate(refined[-1], view, candidate.without, test=test)
 
 
 def moved_to_other_side(
@@ -267,41 +269,43 @@ def moved_to_other_side(
 ) -> tuple[SelectedEffect, ...] | None:
     """Return the selected effects with a filter on the other side of the hysteresis, if better.
 
-    An amplifier that charges the ceramic slowly rounds the turns of the drive before the walls
-    follow, a sensor's filter those of the displacement. A filter on the wrong side leaves a
-    residual that looks like rate dependence.
+    The amplifier rounds reversals of the drive in front of the hysteresis, the filter of a sensor
+    those of the displacement behind it. A filter on the wrong side leaves a residual that looks
+    like rate dependence.
 
-    best  the best candidate: only filters that resemble it are tried, or all where there is none
+    best  the best candidate: only filters that resemble it are tried; None: all filters
     """
-    for k, one in enumerate(state.selected):
-        other = one.effect.other_side
-        if other is None or not (best is None or one.effect.resembles(best.effect)):
+    for k, selected in enumerate(state.selected):
+        exchanged = selected.effect.other_side
+        if exchanged is None or not (best is None or selected.effect.resembles(best.effect)):
             continue
-        before, behind = state.selected[:k], state.selected[k + 1 :]
-        there, view = refine(replace(one, effect=other), state.clean, [*before, *behind], finer=1)
+        preceding, behind = state.selected[:k], state.selected[k + 1 :]
+        refined, view = refine(
+            replace(selected, effect=exchanged), state.clean, [*preceding, *behind], finer=1
+        )
         rivals = [state.view.rms] if best is None else [state.view.rms, best.view.rms]
         if view.rms < OTHER_SIDE * min(rivals):
-            return (*before, there, *behind)
+            return (*preceding, refined, *behind)
     return None
 
 
 def _with_slips(state: SelectionState) -> SelectionState | None:
-    """Look for slips of the clock once more, beside the selected effects.
+    """Search for clock slips again, beside the selected effects.
 
-    What the effects explain hid them when the recordings were searched for faults. In the fast
-    half of a chirp a slip resembles a delay of the whole chirp: where the clock is known to slip,
-    slips of the same length are tried in the place of each filter.
+    The selected effects may have hidden slips in the first search. In the fast half of a chirp a
+    slip resembles a delay of the whole chirp: if a slip is known, slips of the same length are
+    also tried instead of each filter.
     """
     if not state.selected or state.view.rms < NOISY * state.view.noise:
         return None
-    known = state.faults.get(SLIP)
-    samples = None if known is None else round(known.value)
+    slip = state.faults.get(SLIP)
+    samples = None if slip is None else round(slip.value)
     selections = [state.selected]
-    if known is not None:
+    if slip is not None:
         selections += [
-            tuple(other for other in state.selected if other is not one)
-            for one in state.selected
-            if one.effect.response_filter is not None
+            tuple(effect for effect in state.selected if effect is not filtered)
+            for filtered in state.selected
+            if filtered.effect.response_filter is not None
         ]
     for selected in selections:
         view = state.view if selected is state.selected else with_effects(state.clean, selected)
@@ -310,8 +314,8 @@ def _with_slips(state: SelectionState) -> SelectionState | None:
             continue
         clean = with_tracks(state.clean, _as_recorded(state, fault.tracks))
         if with_effects(clean, selected).rms < state.view.rms:
-            faults = {**state.faults, SLIP: fault.after(known)}
-            return state.after(clean=clean, selected=selected, faults=faults, initial=None)
+            faults = {**state.faults, SLIP: fault.merged_with(slip)}
+            return state.updated(clean=clean, selected=selected, faults=faults, initial=None)
     return None
 
 
@@ -324,6 +328,6 @@ def _refit(
 def _as_recorded(state: SelectionState, tracks: Sequence[Track]) -> tuple[Track, ...]:
     """Return the readings of tracks with the commands as they were recorded."""
     return tuple(
-        replace(clean, response=track.response, place=track.place, block=track.block)
+        replace(clean, response=track.response, rows=track.rows, block=track.block)
         for clean, track in zip(state.clean.tracks, tracks, strict=True)
     )

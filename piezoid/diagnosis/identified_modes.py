@@ -45,12 +45,12 @@ RISING_P = 1e-3  # the largest of some hundred lines lies four standard deviatio
 def split_known_modes(
     recordings: Sequence[Recording], axis: str, model: AxisModel | None, lab: Lab
 ) -> tuple[tuple[Recording, ...], tuple[Recording, ...]]:
-    """Split recordings into those to be searched, and those that an identified mode shapes.
+    """Split recordings into quasi-static ones to be searched, and those shaped by a known mode.
 
-    The second part is empty where the model has no mode, or where no recording would be left.
+    The second part is empty if the model has no mode, or if no recording would remain.
     """
-    known = None if model is None else model.dynamics
-    if known is None or not resolved_modes(known).any():
+    dynamics = None if model is None else model.dynamics
+    if dynamics is None or not resolved_modes(dynamics).any():
         return tuple(recordings), ()
     return quasi_static(recordings, axis, rig_of(lab, axis))
 
@@ -144,41 +144,43 @@ def _with_rising_gain(
 
 
 def unexplained_share(view: View, frequency_Hz: float) -> float:
-    """Return the part of the motion at a frequency that the widest class of hysteresis misses.
+    """Return the share of the motion at a frequency that the widest hysteresis class misses.
 
         |sum_k e_k exp(-i w t_k)| / rows - 3 s / sqrt(rows)
 
     over |sum_n y_n exp(-i w t_n)| / samples
 
-    of the recording that moves most there; e residual of rms s, y displacement. White noise alone
-    leaves s / sqrt(rows), and is all the motion there is where no tone was driven.
+    for the recording with the largest motion at that frequency; e residual of rms s,
+    y displacement. White noise alone gives s / sqrt(rows).
     """
     shares = []
     edges = pairwise(view.nuisance.edges)
-    for track, (first, last) in zip(view.tracks, edges, strict=True):
+    for track, (first, stop) in zip(view.tracks, edges, strict=True):
         wave = np.exp(-2j * np.pi * frequency_Hz * track.time_s)
         motion = float(abs(np.mean((track.response - track.response.mean()) * wave)))
-        residual = view.null.residual[first:last]
+        residual = view.null.residual[first:stop]
         noise_line = NOISE_LINES * float(np.sqrt(np.mean(residual**2) / len(residual)))
-        missing = max(float(abs(np.mean(residual * wave[track.place]))) - noise_line, 0.0)
+        missing = max(float(abs(np.mean(residual * wave[track.rows]))) - noise_line, 0.0)
         if track.rate_Hz > 2.0 * frequency_Hz:
             shares.append((motion, missing / max(motion, 1e-300)))
     return max(shares, default=(0.0, 0.0))[1]
 
 
 def _with_response(diagnosis: Diagnosis, model: AxisModel, dynamics: LinearDynamics) -> Diagnosis:
-    """Return a diagnosis that says of the mode that a response shows it, and no recording."""
+    """State that a measured frequency response shows the mode and the recordings do not."""
     assert model.response is not None
     modes = resolved_modes(dynamics)
     if not modes.any():
         return diagnosis
-    said = ", ".join(with_unit(float(f), "Hz", 4) for f in dynamics.mode_frequency_Hz[modes])
-    known = f"{model.response.name} shows it at {said}, and the model has it; of the recordings: "
+    modes_Hz = ", ".join(with_unit(float(f), "Hz", 4) for f in dynamics.mode_frequency_Hz[modes])
+    note = (
+        f"{model.response.name} shows it at {modes_Hz}, and the model has it; of the recordings: "
+    )
     return replace(
         diagnosis,
         not_detected=tuple(
-            replace(one, reason=known + one.reason) if one.effect == NAME else one
-            for one in diagnosis.not_detected
+            replace(absence, reason=note + absence.reason) if absence.effect == NAME else absence
+            for absence in diagnosis.not_detected
         ),
     )
 

@@ -15,13 +15,13 @@ CLOCK, SPIKES = "timestamp_fault", "outliers"
 
 
 def with_ingested(outcome: Outcome, recordings: Sequence[Recording], stroke_m: float) -> Outcome:
-    """Return the outcome of a search with the faults that ingest met and repaired.
+    """Add the faults that ingest detected and repaired to the outcome of a search.
 
-    The size of a clock fault is the number of samples that are missing, have the stamp before
-    again, or by which a clock stepped back; the samples of a slip come on top. The size of lost
-    readings is the largest distance from the motion, in nm.
+    The size of a clock fault is the number of samples that are missing, have a repeated stamp, or
+    by which the clock stepped back, plus the samples of a slip. The size of lost readings is
+    their largest distance from the motion, in nm.
 
-    recordings  those that were searched
+    recordings  the searched recordings
     stroke_m    half the range of the displacement
     """
     statements = [(r.name, s) for r in recordings for s in r.statements]
@@ -39,9 +39,9 @@ def with_ingested(outcome: Outcome, recordings: Sequence[Recording], stroke_m: f
             where=tuple(dict.fromkeys([n for n, _ in stamps] + list(slip.where if slip else ()))),
         )
         faults = {CLOCK: clock, **faults}
-    lost = [(name, s) for name, s in statements if s.quantity == LOST]
-    if lost:
-        farthest_nm = 1e9 * max(statement.value or 0.0 for _, statement in lost)
+    lost_readings = [(name, s) for name, s in statements if s.quantity == LOST]
+    if lost_readings:
+        farthest_nm = 1e9 * max(statement.value or 0.0 for _, statement in lost_readings)
         spikes = faults.pop(SPIKES, None)
         readings = Fault(
             tracks=tracks if spikes is None else spikes.tracks,
@@ -49,7 +49,7 @@ def with_ingested(outcome: Outcome, recordings: Sequence[Recording], stroke_m: f
             # the true reading is known to the noise
             spread=max(1e9 * outcome.final.noise * stroke_m, 0.01 * farthest_nm),
             p_value=CERTAIN_P,
-            where=tuple(f"{name}: {statement.text}" for name, statement in lost),
+            where=tuple(f"{name}: {statement.text}" for name, statement in lost_readings),
         )
-        faults = {SPIKES: readings.after(spikes), **faults}
+        faults = {SPIKES: readings.merged_with(spikes), **faults}
     return replace(outcome, faults=faults)

@@ -56,31 +56,31 @@ the same whatever initial states the view had."""
 
 
 def with_shared_initial_state(view: View, executor: Executor = SERIAL) -> View:
-    """Return the view with the shared hypothesis that leaves the smallest error."""
-    ways = shared_hypotheses([track.drive for track in view.tracks], view.rest)
-    # a view holds columns for all rows: the best is made again, sooner than that all are kept
-    left = executor.map(lambda reversals: with_shared_reversals(view, reversals).rms, ways)
-    return with_shared_reversals(view, ways[left.index(min(left))])
+    """Return the view with the shared initial state of the smallest error."""
+    ways = shared_hypotheses([track.drive for track in view.tracks], view.rest_drive)
+    # a view holds columns for all rows: recompute the best instead of keeping all in memory
+    errors = executor.map(lambda reversals: with_shared_reversals(view, reversals).rms, ways)
+    return with_shared_reversals(view, ways[errors.index(min(errors))])
 
 
 def with_own_initial_states(view: View, shared: View) -> View:
-    """Return the view in which every track has the initial state that fits it best.
+    """Fit an initial state to each track, with free corrections of the first states.
 
-    The first states of every track may be corrected besides.
-
-    shared  the view with the best shared hypothesis, which is among those tried
+    shared  the view with the best shared hypothesis, which is one of the candidates
     """
     view = cycled(view)
     weight = _forgetful_weight(view)
     sketches = [_sketch(view, k, weight) for k in range(len(view.tracks))]
-    own = tuple(_best_hypothesis(view.nuisance.reversals[k], [s]) for k, s in enumerate(sketches))
+    individual = tuple(
+        _best_hypothesis(view.nuisance.reversals[k], [s]) for k, s in enumerate(sketches)
+    )
     alike = (_best_hypothesis(view.nuisance.reversals[0], sketches),) * len(sketches)
     view = with_free_memory(view)
-    ways = (own, alike, shared.nuisance.reversals)
+    ways = (individual, alike, shared.nuisance.reversals)
     view = min(view, *(with_reversals(view, reversals) for reversals in ways), key=_error)
-    for k, best in enumerate(own):
-        here = view.nuisance.reversals
-        view = min(view, with_reversals(view, (*here[:k], best, *here[k + 1 :])), key=_error)
+    for k, best in enumerate(individual):
+        current = view.nuisance.reversals
+        view = min(view, with_reversals(view, (*current[:k], best, *current[k + 1 :])), key=_error)
     return view
 
 
@@ -92,24 +92,26 @@ def with_shared_where_as_good(view: View) -> View:
     """
     if not view.nuisance.free:
         return view
-    found = view.cache.get("alike")  # trials and null of one effect ask for it
-    if found is None:
+    shared = view.cache.get("alike")  # needed for the trials and the null of one effect
+    if shared is None:
         first, best = cycled(view), with_shared_initial_state(view)
-        found = best if shared_does_as_well(best, view, first) else first
-        view.cache["alike"] = found
-    return found
+        shared = best if shared_does_as_well(best, view, first) else first
+        view.cache["alike"] = shared
+    return shared
 
 
-def shared_does_as_well(shared: View, own: View, first: View) -> bool:
-    """Tell whether one shared hypothesis leaves as little as initial states fitted track by track.
+def shared_does_as_well(shared: View, individual: View, first: View) -> bool:
+    """Tell whether one shared initial state does as well as initial states fitted track by track.
 
-    A wide class follows almost any initial state almost as well as another; only the true one
-    needs no correction.
+    A wide class fits almost equally well from almost any initial state; only the true one needs no
+    correction.
 
     first  the view with drives that were cycled
     """
-    least, excess = own.rms**2, shared.rms**2 - own.rms**2
-    return excess < min((AS_GOOD - 1.0) * least, NEARLY * (first.rms**2 - least))
+    individual_power, excess = individual.rms**2, shared.rms**2 - individual.rms**2
+    return excess < min(
+        (AS_GOOD - 1.0) * individual_power, NEARLY * (first.rms**2 - individual_power)
+    )
 
 
 def _error(view: View) -> float:
@@ -117,12 +119,16 @@ def _error(view: View) -> float:
 
 
 def _forgetful_weight(view: View) -> Array:
-    """Return the shared coefficients from rows where every initial state is forgotten."""
-    kept = np.concatenate([_forgotten(t.drive)[t.place] for t in view.tracks])
+    """Fit the shared coefficients to rows at which the initial state is forgotten."""
+    is_forgotten = np.concatenate([_forgotten(t.drive)[t.rows] for t in view.tracks])
     columns = np.hstack([view.nuisance.columns, view.selected])
-    if np.count_nonzero(kept) < FEWEST * columns.shape[1]:
+    if np.count_nonzero(is_forgotten) < FEWEST * columns.shape[1]:
         return view.weight
-    null = Null(columns=columns[kept], response=view.response[kept], block=view.block[kept])
+    null = Null(
+        columns=columns[is_forgotten],
+        response=view.response[is_forgotten],
+        block=view.block[is_forgotten],
+    )
     return null.fit(null.response)[: view.nuisance.shared]
 
 
@@ -133,22 +139,22 @@ def _forgotten(drive: Array) -> Array:
 
 
 def _best_hypothesis(first: Reversals, sketches: Sequence["_Sketch"]) -> Reversals:
-    """Return the hypothesis of least misfit, refined reversal by reversal."""
+    """Return the initial state of the smallest misfit, refined reversal by reversal."""
 
     def misfit(reversals: Reversals) -> float:
         return sum(sketch.misfit(reversals) ** 2 for sketch in sketches)
 
     best = min(hypotheses(sketches[0].drive), key=misfit)
     for part in PARTS:
-        for place in range(len(best)):
-            near = [_turned(best, place, sign * part) for sign in (1.0, -1.0)]
-            best = min(best, *near, key=misfit)
+        for position in range(len(best)):
+            neighbours = [_turned(best, position, sign * part) for sign in (1.0, -1.0)]
+            best = min(best, *neighbours, key=misfit)
     return best if misfit(best) < CLEARLY**2 * misfit(first) else first
 
 
-def _turned(reversals: Reversals, place: int, step: float) -> Reversals:
-    moved = min(max(reversals[place] + step, -FARTHEST), FARTHEST)
-    return (*reversals[:place], moved, *reversals[place + 1 :])
+def _turned(reversals: Reversals, position: int, step: float) -> Reversals:
+    reversal = min(max(reversals[position] + step, -FARTHEST), FARTHEST)
+    return (*reversals[:position], reversal, *reversals[position + 1 :])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -186,7 +192,7 @@ def _sketch(view: View, k: int, weight: Array) -> _Sketch:
     spread = np.linspace(0, len(track.drive) - 1, POINTS).astype(int)
     points = np.unique([*spread, *reversals[:POINTS]])
     began = rubbed(track.drive, hypotheses(track.drive)[0])
-    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(track.drive)))])
+    travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(track.drive)))])
     return _Sketch(
         weight=weight,
         bouc_wen=view.nuisance.bouc_wen,
@@ -194,5 +200,5 @@ def _sketch(view: View, k: int, weight: Array) -> _Sketch:
         response=np.asarray(track.response[points]),
         began=began,
         friction=rubbing(track.drive, began)[points],
-        remembers=np.exp(-way[points][:, None] / REACH),
+        remembers=np.exp(-travelled[points][:, None] / REACH),
     )

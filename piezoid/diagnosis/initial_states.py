@@ -24,22 +24,22 @@ Reversals = tuple[float, ...]
 
 
 def memory_after(drive: Array, reversals: Sequence[float]) -> Array:
-    """Return the memory a drive leaves that turned at these values before the first sample."""
-    way = np.array([*reversals, float(drive[0])])
-    return play_columns(way, THRESHOLD, np.zeros(PLAYS))[1]
+    """Return the play memory at the first sample after these reversals of the drive."""
+    path = np.array([*reversals, float(drive[0])])
+    return play_columns(path, THRESHOLD, np.zeros(PLAYS))[1]
 
 
 def hypotheses(drive: Array) -> tuple[Reversals, ...]:
-    """Return histories to choose from, cycled over the range first, then what people do instead.
+    """Return hypotheses of earlier reversals, cycles over the full range first.
 
-    They cycle the other way, come from rest, or from ever smaller turns about the first value.
-    Or they come from rest or from one end, and turn once or twice more, or at random.
+    The others: cycles in the opposite order, rest, decaying cycles about the first value, one or
+    two reversals after rest or an end of the range, and random reversals.
     """
     low, high = min(-1.0, float(drive.min())), max(1.0, float(drive.max()))
     once = np.linspace(low, high, ONCE + 2)[1:-1].tolist()
     twice = np.linspace(low, high, TWICE + 2)[1:-1].tolist()
     chance = np.random.default_rng(RANDOM_HYPOTHESES)
-    drawn = [
+    random = [
         (*chance.uniform((-0.3, -1, -0.3, -1, -0.3, -1), (1, 0.3, 1, 0.3, 1, 0.3)).tolist(),)
         for _ in range(RANDOM_HYPOTHESES)
     ]
@@ -50,42 +50,51 @@ def hypotheses(drive: Array) -> tuple[Reversals, ...]:
         _decaying(float(drive[0])),
         *((end, turn) for end in (low, high, 0.0) for turn in once),
         *((end, a, b) for end in (low, high) for a in twice for b in twice if a != b),
-        *drawn,
+        *random,
     )
 
 
 def _decaying(about: float) -> Reversals:
-    away = np.linspace(1.0, 0.0, DECAYING, endpoint=False)
-    away[1::2] *= -1.0
-    return (*(about + away).tolist(),)
+    deviations = np.linspace(1.0, 0.0, DECAYING, endpoint=False)
+    deviations[1::2] *= -1.0
+    return (*(about + deviations).tolist(),)
 
 
-def shared_hypotheses(drives: Sequence[Array], rest: float) -> tuple[tuple[Reversals, ...], ...]:
-    """Return what was done before drives by a laboratory that does it always alike.
+def shared_hypotheses(
+    drives: Sequence[Array], rest_drive: float
+) -> tuple[tuple[Reversals, ...], ...]:
+    """Return hypotheses of earlier reversals for the drives of all recordings.
 
-    Before each of them, or before the first, and each goes on where the one before it ended. A
-    drive that goes round and round may have begun with its recording, or long before.
+    Either every drive has the same history, or the first one has it and each further drive
+    continues where the previous one ended. A periodic drive may have started long before its
+    recording.
 
-    rest  the drive at 0 V, where a stage lies that nobody uses
+    rest_drive  the drive at 0 V
     """
-    known = [_on_purpose(drive, rest) for drive in drives]
-    ends = [np.array(_left_by((), drive)) for drive in drives]  # all that later ones can know
+    single_drive = [_on_purpose(drive, rest_drive) for drive in drives]
+    extremes = [
+        np.array(_left_by((), drive)) for drive in drives
+    ]  # extremes that a later drive depends on
     rounds = [_round_of(drive) for drive in drives]
-    found: list[tuple[Reversals, ...]] = []
+    candidates: list[tuple[Reversals, ...]] = []
     for led in (False, True) if any(rounds) else (False,):
         lead = rounds if led else [()] * len(drives)
-        found += [tuple(map(_led, reversals, lead)) for reversals in zip(*known, strict=True)]
-        found += [_one_after_another(reversals, ends, lead) for reversals in known[0]]
-    return tuple(found)
+        candidates += [
+            tuple(map(_led, reversals, lead)) for reversals in zip(*single_drive, strict=True)
+        ]
+        candidates += [
+            _one_after_another(reversals, extremes, lead) for reversals in single_drive[0]
+        ]
+    return tuple(candidates)
 
 
 def _round_of(drive: Array) -> Reversals:
-    """Return the last two turns of a drive that goes round and round, before it began."""
+    """Return the two reversals before a periodic drive; empty if the drive is not periodic."""
     low, high = float(drive.min()), float(drive.max())
-    near = ROUND * (high - low)
-    at_end = np.flatnonzero((drive < low + near) | (drive > high - near))
+    margin = ROUND * (high - low)
+    at_end = np.flatnonzero((drive < low + margin) | (drive > high - margin))
     above = drive[at_end] > 0.5 * (low + high)
-    crossed = at_end[1:][above[1:] != above[:-1]]  # where it comes to the other end
+    crossed = at_end[1:][above[1:] != above[:-1]]  # arrivals at the opposite end
     if len(crossed) < 2 * ROUNDS or crossed[1] * (len(crossed) - 1) > 2.0 * SAME * crossed[-1]:
         return ()
     began_there = at_end[0] == 0
@@ -96,28 +105,28 @@ def _led(reversals: Reversals, lead: Reversals) -> Reversals:
     return _left_by(reversals, np.array(lead)) if lead else reversals
 
 
-def _on_purpose(drive: Array, rest: float) -> tuple[Reversals, ...]:
+def _on_purpose(drive: Array, rest_drive: float) -> tuple[Reversals, ...]:
     free = hypotheses(drive)[:FREE]
-    return (*free, *((*cycled, rest) for cycled in free[:2]))
+    return (*free, *((*cycled, rest_drive) for cycled in free[:2]))
 
 
 def _one_after_another(
-    reversals: Reversals, ends: Sequence[Array], lead: Sequence[Reversals]
+    reversals: Reversals, extremes: Sequence[Array], lead: Sequence[Reversals]
 ) -> tuple[Reversals, ...]:
-    found = [_led(reversals, lead[0])]
-    for end, first in zip(ends[:-1], lead[1:], strict=True):
-        found.append(_led(_left_by(found[-1], end), first))
-    return (*found,)
+    histories = [_led(reversals, lead[0])]
+    for end, first in zip(extremes[:-1], lead[1:], strict=True):
+        histories.append(_led(_left_by(histories[-1], end), first))
+    return (*histories,)
 
 
 def _left_by(reversals: Reversals, drive: Array) -> Reversals:
-    """Return the turns that nothing later wiped out: seen from the end, each goes farther.
+    """Return the reversals that no later one has wiped out, and the last value.
 
-    The end itself is one: the next drive may go either way from there.
+    Going back in time, each of them exceeds all later ones. The last value may become a reversal.
     """
-    way = np.array([*reversals, *drive])[::-1]
-    higher = np.diff(np.maximum.accumulate(way)) > 0.0
-    lower = np.diff(np.minimum.accumulate(way)) < 0.0
-    places = np.flatnonzero(higher | lower)
-    outermost = np.append(higher[places][1:] != higher[places][:-1], True)
-    return (*way[1:][places[outermost]][::-1].tolist(), float(way[0]))
+    path = np.array([*reversals, *drive])[::-1]
+    higher = np.diff(np.maximum.accumulate(path)) > 0.0
+    lower = np.diff(np.minimum.accumulate(path)) < 0.0
+    extrema = np.flatnonzero(higher | lower)
+    outermost = np.append(higher[extrema][1:] != higher[extrema][:-1], True)
+    return (*path[1:][extrema[outermost]][::-1].tolist(), float(path[0]))

@@ -57,41 +57,41 @@ def _compare_each(
     for k, effect in enumerate(selected):
         name = effect.effect.name
         executor.report(f"comparing {words(name)} with confounded effects")
-        view, others = _evaluation_view(effect, clean, [*selected[:k], *selected[k + 1 :]])
-        refined, with_effect = refine(effect, view, others, finer=1)
-        without = with_effects(view, others)
+        view, remaining = _evaluation_view(effect, clean, [*selected[:k], *selected[k + 1 :]])
+        refined, with_effect = refine(effect, view, remaining, finer=1)
+        without = with_effects(view, remaining)
         test = score_test(effect.effect, without)
         assert test is not None
         candidate = evaluate(refined, with_effect, without, test=test)
-        alternatives = _find_confounded(candidate, view, others, executor)
+        alternatives = _find_confounded(candidate, view, remaining, executor)
         candidates.append(candidate)
         confounded[name] = tuple(alternative.effect.name for alternative in alternatives)
     return candidates, confounded
 
 
 def _evaluation_view(
-    effect: SelectedEffect, clean: View, others: list[SelectedEffect]
+    effect: SelectedEffect, clean: View, remaining: list[SelectedEffect]
 ) -> tuple[View, list[SelectedEffect]]:
     """Return the view on which an effect is evaluated, and the other effects to add to it.
 
     An effect detected in step responses is evaluated on these, where the drive is filtered.
     """
-    jumps = behind_jumps(with_effects(clean, others)) if effect.from_jumps else None
+    jumps = behind_jumps(with_effects(clean, remaining)) if effect.from_jumps else None
     if jumps is None:
-        return clean, others
-    return jumps, [other for other in others if other.effect.drive_filter is None]
+        return clean, remaining
+    return jumps, [other for other in remaining if other.effect.drive_filter is None]
 
 
 def _find_confounded(
     candidate: Candidate,
     clean: View,
-    others: Sequence[SelectedEffect],
+    remaining: Sequence[SelectedEffect],
     executor: Executor,
 ) -> tuple[Candidate, ...]:
     """Return the effects that could replace a selected effect, the smallest error first."""
-    in_model = {other.effect.name for other in others}
+    in_model = {effect.effect.name for effect in remaining}
     alternatives = executor.map(
-        lambda effect: _evaluate_alternative(effect, candidate, clean, others),
+        lambda effect: _evaluate_alternative(effect, candidate, clean, remaining),
         [
             effect
             for effect in every_effect()
@@ -107,9 +107,9 @@ def _find_confounded(
 
 
 def _evaluate_alternative(
-    effect: Effect, candidate: Candidate, clean: View, others: Sequence[SelectedEffect]
+    effect: Effect, candidate: Candidate, clean: View, remaining: Sequence[SelectedEffect]
 ) -> Candidate | None:
-    """Refit a confounded effect in the place of a selected one; None if it has no chance."""
+    """Refit a confounded effect instead of a selected one; None if its gain is too small."""
     without = candidate.without
     if effect.trials is None or effect.structural is not None or effect.untestable(without):
         return None
@@ -119,7 +119,7 @@ def _evaluate_alternative(
     if test.separable and not test.physical:
         return None
     guess = initial_guess(effect, test.trial, float(test.cv.coefficient[0]))
-    refined, view = refine(guess, clean, others, finer=1)
+    refined, view = refine(guess, clean, remaining, finer=1)
     return evaluate(refined, view, without, test=test)
 
 

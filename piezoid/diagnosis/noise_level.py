@@ -72,7 +72,7 @@ def noise_level(view: View, max_p_value: float) -> NoiseLevel | None:
         return None
     values = np.log(np.maximum(local, MIN_NOISE * view.noise) ** 2)
     offsets = np.column_stack(
-        [view.of_track(k, np.ones(len(t.place))) for k, t in enumerate(view.tracks)]
+        [view.of_track(k, np.ones(len(t.rows))) for k, t in enumerate(view.tracks)]
     )
     residual = Residual(view=view, null=Null(columns=offsets, response=values, block=view.block))
     surrogates = residual.surrogates(np.random.default_rng(0))
@@ -97,20 +97,22 @@ def _local_noise(view: View, k: int) -> Array:
     noise[1:-1][np.abs(np.diff(static, 2)) > sqrt(6.0) * view.noise] = np.nan
     for missing in track.bridged.tolist():
         noise[max(missing - 1, 0) : missing + 2] = np.nan
-    rows = noise[track.place]
+    rows = noise[track.rows]
     measured = rows[np.isfinite(rows) & (rows > 0.0)]
     typical = float(np.exp(np.mean(np.log(measured)))) if len(measured) else view.noise
     return np.where(np.isfinite(rows), rows, typical)
 
 
 def excess_of(noise: NoiseLevel) -> tuple[float, float, float]:
-    """Return the rms of the noise beyond its quietest place with its 95 % interval, scaled.
+    """Return the rms of the noise beyond its lowest level, with its 95 % interval, scaled.
 
     Blocks are independent. The order is lower limit, value, upper limit.
     """
     power = np.add.reduceat(noise.local**2, noise.view.null.edges)
-    rows, quiet = len(noise.local), noise.range[0] ** 2
+    rows, quietest_power = len(noise.local), noise.range[0] ** 2
     mean = float(power.sum()) / rows
     margin = 1.96 * float(np.std(power, ddof=1)) * sqrt(len(power)) / rows
-    low, value, high = (sqrt(max(mean + side * margin - quiet, 0.0)) for side in (-1.0, 0.0, 1.0))
+    low, value, high = (
+        sqrt(max(mean + side * margin - quietest_power, 0.0)) for side in (-1.0, 0.0, 1.0)
+    )
     return low, value, high

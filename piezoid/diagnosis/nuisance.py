@@ -70,24 +70,24 @@ class NuisanceClass:
     @Once
     def edges(self) -> Places:
         """Return the first row of each track, and the number of rows."""
-        return np.concatenate([[0], np.cumsum([len(track.place) for track in self.tracks])])
+        return np.concatenate([[0], np.cumsum([len(track.rows) for track in self.tracks])])
 
     @Once
     def shared(self) -> int:
-        """Return how many columns all tracks share."""
+        """Number of columns shared by all tracks."""
         return SHARED + (BOUC_WEN_COLUMNS if self.bouc_wen else 0)
 
     @property
-    def own(self) -> int:
-        """Return how many columns belong to one track."""
+    def columns_per_track(self) -> int:
+        """Number of columns of one track only."""
         return 1 + (MEMORY if self.free else 0)
 
     @property
     def memory_columns(self) -> tuple[int, ...]:
-        """Return the columns that correct the first states of each track, where these are free."""
+        """Indices of the columns that correct the initial state of each track, if it is free."""
         if not self.free:
             return ()
-        firsts = [self.shared + self.own * k + 1 for k in range(len(self.tracks))]
+        firsts = [self.shared + self.columns_per_track * k + 1 for k in range(len(self.tracks))]
         return tuple(first + g for first in firsts for g in range(MEMORY))
 
     @property
@@ -98,17 +98,17 @@ class NuisanceClass:
     @Once
     def columns(self) -> Array:
         """Return the columns at all rows: shared ones, then each track's own."""
-        total = self.shared + self.own * len(self.tracks)
+        total = self.shared + self.columns_per_track * len(self.tracks)
         columns = np.zeros((self.edges[-1], total), order="F")
         for k, track in enumerate(self.tracks):
             rows = slice(self.edges[k], self.edges[k + 1])
-            write_shape(columns[rows, :SHARED], *self.histories[k].rows, track.drive[track.place])
-            first = self.shared + self.own * k
+            write_shape(columns[rows, :SHARED], *self.histories[k].rows, track.drive[track.rows])
+            first = self.shared + self.columns_per_track * k
             columns[rows, first] = 1.0
             if self.free:
                 history, poled = self.histories[k], first + 1 + FORGETTING
-                columns[rows, first + 1 : poled] = history.kept(FORGETTING)
-                columns[rows, poled : first + self.own] = history.poled()
+                columns[rows, first + 1 : poled] = history.retained_memory(FORGETTING)
+                columns[rows, poled : first + self.columns_per_track] = history.poled()
         if self.bouc_wen:
             columns[:, SHARED : self.shared] = self.bouc_wen_rows
         return columns
@@ -123,7 +123,7 @@ class NuisanceClass:
         """Return the columns of the Bouc-Wen state at all rows."""
         parts = []
         for history in self.histories:
-            path, rows = history.track.way
+            path, rows = history.track.path
             state = self.bent(history.reversals, path)[rows]
             parts.append(bouc_wen_columns(state, path[rows]))
         return np.concatenate(parts)
@@ -159,18 +159,18 @@ class NuisanceClass:
         assert self.bouc_wen is not None
         return states_under(self.bouc_wen, reversals, drive)
 
-    def bent_at(self, reversals: Reversals, drive: Array, place: Places) -> Array:
-        """Return the Bouc-Wen state at some samples of a drive that turned before, (rows,)."""
-        path, rows = way_to(drive, place)
+    def bent_at(self, reversals: Reversals, drive: Array, samples: Places) -> Array:
+        """Return the Bouc-Wen state at some samples of a drive after given reversals, (rows,)."""
+        path, rows = way_to(drive, samples)
         return self.bent(reversals, path)[rows]
 
     def static_rows(self, k: int, weight: Array, drive: Array) -> Array:
-        """Return what the shared columns make of another drive at a track's rows, (rows,)."""
-        place, reversals = self.tracks[k].place, self.reversals[k]
-        rows = shape(*states_at(drive, reversals, place), drive[place], weight[:SHARED])
+        """Return the static response to another drive at a track's rows, (rows,)."""
+        samples, reversals = self.tracks[k].rows, self.reversals[k]
+        rows = shape(*states_at(drive, reversals, samples), drive[samples], weight[:SHARED])
         if not self.bouc_wen:
             return rows
-        return rows + bent_part(self.bent_at(reversals, drive, place), drive[place], weight)
+        return rows + bent_part(self.bent_at(reversals, drive, samples), drive[samples], weight)
 
 
 def bent_part(state: Array, drive: Array, weight: Array) -> Array:

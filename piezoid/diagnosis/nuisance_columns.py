@@ -110,9 +110,9 @@ def rubbing(drive: Array, first: Array) -> Array:
 
 
 def rubbed(drive: Array, reversals: Sequence[float]) -> Array:
-    """Return the friction states after a drive turned at these values before the first sample."""
-    way = np.array([*reversals, float(drive[0])])
-    return np.asarray(rubbing(way, np.zeros(len(REACH)))[-1])
+    """Return the friction states at the first sample after these reversals of the drive."""
+    path = np.array([*reversals, float(drive[0])])
+    return np.asarray(rubbing(path, np.zeros(len(REACH)))[-1])
 
 
 BoucWenLaw = tuple[float, float, float, float]
@@ -120,7 +120,7 @@ BoucWenLaw = tuple[float, float, float, float]
 
 
 def states_under(bouc_wen: BoucWenLaw, reversals: Sequence[float], drive: Array) -> Array:
-    """Return the Bouc-Wen state along a drive that turned at these values before, (samples,).
+    """Return the Bouc-Wen state along a drive after given reversals, (samples,).
 
         dz/dt = dp/dt - (beta |dp/dt| |z|^(n-1) z + gamma dp/dt |z|^n),    p = u + b u^2 / 2
 
@@ -128,8 +128,8 @@ def states_under(bouc_wen: BoucWenLaw, reversals: Sequence[float], drive: Array)
     Prandtl-Ishlinskii model; it rises for |b u| < 1.
     """
     beta, gamma, exponent, bend = bouc_wen
-    way = np.array([*reversals, float(drive[0])])
-    start = float(bouc_wen_states(_scaled(way, bend), beta, gamma, exponent)[-1])
+    path = np.array([*reversals, float(drive[0])])
+    start = float(bouc_wen_states(_scaled(path, bend), beta, gamma, exponent)[-1])
     return bouc_wen_states(_scaled(drive, bend), beta, gamma, exponent, start)
 
 

@@ -128,7 +128,7 @@ def _spectrum(residual: Residual, k: int) -> Array:
     """Return the power of one track's residual at whole periods of the track."""
     track, values = residual.view.tracks[k], residual.values[residual.view.track_rows(k)]
     spread = np.zeros(len(track.drive))
-    spread[track.place] = values - values.mean()
+    spread[track.rows] = values - values.mean()
     return np.asarray(np.abs(np.fft.rfft(spread)) ** 2 / len(values))
 
 
@@ -175,7 +175,7 @@ def _refine_frequency(
     power = np.zeros(count)
     for k, track in enumerate(residual.view.tracks):
         values = residual.values[residual.view.track_rows(k)]
-        x = position[k][track.place]
+        x = position[k][track.rows]
         if float(position[k][-1]) * per_unit < MIN_PERIODS:
             continue
         wave = values * np.exp(2j * np.pi * frequencies[0] * x)
@@ -210,7 +210,7 @@ def _score_sample_index(residual: Residual) -> CoordinateScore | None:
             values = residual.values[view.track_rows(k)]
             if len(values) < ROWS_PER_CELL * period:
                 continue
-            cell = track.place % period
+            cell = track.rows % period
             count = np.bincount(cell, minlength=period)
             total = np.bincount(cell, values, minlength=period)
             power = float(np.sum(total**2 / np.maximum(count, 1)))
@@ -236,7 +236,7 @@ def _score_wave_along(
     power = np.zeros(len(frequencies))
     for k, distance in enumerate(distances):
         values = residual.values[view.track_rows(k)]
-        position = distance[view.tracks[k].place]
+        position = distance[view.tracks[k].rows]
         cell = np.minimum((position / longest * CELLS).astype(int), CELLS - 1)
         wave = np.fft.rfft(np.bincount(cell, values - values.mean(), CELLS), 2 * CELLS)
         is_resolved = float(distance.max()) * frequencies > MIN_PERIODS

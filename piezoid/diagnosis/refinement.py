@@ -39,25 +39,25 @@ def initial_guess(effect: Effect, trial: Trial, coefficient: float) -> SelectedE
 def refine(
     effect: SelectedEffect,
     clean: View,
-    others: Sequence[SelectedEffect],
+    selected: Sequence[SelectedEffect],
     *,
     finer: int = 0,
     start: View | None = None,
 ) -> Refined:
-    """Refine the parameters of an effect beside others.
+    """Refine the parameters of an effect beside selected effects by coordinate search.
 
-    finer  number of coarse steps to leave out, for parameters that are nearly right
+    finer  number of coarse steps to skip, for parameters that are nearly right
     start  a view with similar effects
     """
-    best = effect, _settled_view(clean, [*others, effect], start)
+    best = effect, _settled_view(clean, [*selected, effect], start)
     for fraction in STEP_FRACTIONS[finer:]:
         for name in effect.free:
-            best = _line_search(best, clean, others, name, fraction)
+            best = _line_search(best, clean, selected, name, fraction)
     return best
 
 
 def refine_together(
-    effects: Sequence[SelectedEffect], clean: View, others: Sequence[SelectedEffect]
+    effects: Sequence[SelectedEffect], clean: View, selected: Sequence[SelectedEffect]
 ) -> tuple[list[SelectedEffect], View]:
     """Refine the parameters of several effects together.
 
@@ -67,15 +67,17 @@ def refine_together(
 
     Source: Hooke & Jeeves, J. ACM 8 (1961), the pattern move.
     """
-    refined, start = list(effects), _settled_view(clean, [*others, *effects], None)
+    refined, start = list(effects), _settled_view(clean, [*selected, *effects], None)
     view = start
     for k, effect in enumerate(effects):
-        beside = [*others, *refined[:k], *refined[k + 1 :]]
-        refined[k], view = refine(effect, clean, beside, finer=1, start=view)
+        remaining = [*selected, *refined[:k], *refined[k + 1 :]]
+        refined[k], view = refine(effect, clean, remaining, finer=1, start=view)
 
     def extrapolated(length: float) -> tuple[list[SelectedEffect], View]:
-        moved = [_extrapolate(a, b, length) for a, b in zip(effects, refined, strict=True)]
-        return moved, with_effects(clean, [*others, *moved], view)
+        extrapolated_effects = [
+            _extrapolate(a, b, length) for a, b in zip(effects, refined, strict=True)
+        ]
+        return extrapolated_effects, with_effects(clean, [*selected, *extrapolated_effects], view)
 
     twice = extrapolated(1.0)
     length = _vertex(start.rms**2, view.rms**2, twice[1].rms ** 2) - 1.0
@@ -88,8 +90,8 @@ def with_step(effect: SelectedEffect, name: str, step: float) -> SelectedEffect:
     A width above 1 is a factor, one below 1 a difference.
     """
     width, value = effect.free[name], effect.parameters[name]
-    moved = value * width**step if width > 1.0 else value + step * width
-    parameters: Parameters = {**effect.parameters, name: _limited(effect, name, moved)}
+    stepped = value * width**step if width > 1.0 else value + step * width
+    parameters: Parameters = {**effect.parameters, name: _limited(effect, name, stepped)}
     return replace(effect, parameters=parameters)
 
 
@@ -104,13 +106,13 @@ def _settled_view(clean: View, effects: Sequence[SelectedEffect], start: View | 
 
 
 def _line_search(
-    best: Refined, clean: View, others: Sequence[SelectedEffect], name: str, fraction: float
+    best: Refined, clean: View, selected: Sequence[SelectedEffect], name: str, fraction: float
 ) -> Refined:
     """Step to the side that reduces the error, else to the vertex of a parabola through three."""
 
     def trial(origin: Refined, step: float) -> Refined:
-        moved = with_step(origin[0], name, step)
-        return moved, with_effects(clean, [*others, moved], origin[1])
+        effect = with_step(origin[0], name, step)
+        return effect, with_effects(clean, [*selected, effect], origin[1])
 
     errors = []
     for step in (fraction, -fraction):
@@ -126,7 +128,9 @@ def _line_search(
         return result
     curvature = errors[0] + errors[1] - 2.0 * best[1].rms
     vertex = 0.5 * fraction * (errors[1] - errors[0]) / curvature if curvature > 0.0 else 0.0
-    vertex = min(max(vertex, -fraction), fraction)  # errors that are nearly equal put it anywhere
+    vertex = min(
+        max(vertex, -fraction), fraction
+    )  # ill-conditioned if the errors are nearly equal
     if abs(vertex) <= MIN_VERTEX * fraction:
         return best
     return min(best, trial(best, vertex), key=lambda result: result[1].rms)
@@ -136,14 +140,14 @@ def _is_better(result: Refined, reference: Refined) -> bool:
     return result[1].rms < reference[1].rms * (1.0 - MIN_GAIN)
 
 
-def _extrapolate(before: SelectedEffect, after: SelectedEffect, length: float) -> SelectedEffect:
+def _extrapolate(start: SelectedEffect, refined: SelectedEffect, length: float) -> SelectedEffect:
     """Return an effect changed further by a multiple of its change in one round."""
-    parameters = dict(after.parameters)
-    for name, width in after.free.items():
-        a, b = before.parameters[name], after.parameters[name]
-        moved = b * (b / a) ** length if width > 1.0 else b + length * (b - a)
-        parameters[name] = _limited(after, name, moved)
-    return replace(after, parameters=parameters)
+    parameters = dict(refined.parameters)
+    for name, width in refined.free.items():
+        a, b = start.parameters[name], refined.parameters[name]
+        value = b * (b / a) ** length if width > 1.0 else b + length * (b - a)
+        parameters[name] = _limited(refined, name, value)
+    return replace(refined, parameters=parameters)
 
 
 def _vertex(start: float, once: float, twice: float) -> float:

@@ -67,16 +67,16 @@ def attribute_errors(
     scales: Scales,
     progress: Callable[[str], None] = lambda _: None,
 ) -> ModelErrors:
-    """Return the errors of the model before, after, and without each effect of a search.
+    """Compute the errors of the baseline, of the full model, and without each detected effect.
 
-    recordings  those of the search, as they came
+    recordings  those of the search, not repaired
     model       the axis as fitted to them, or to earlier ones
     scales      of the search
     """
     outcome, structure = result.outcome, result.structure
     raw, tracks, faults = result.raw.tracks, outcome.clean.tracks, repaired_faults(outcome)
-    full = tracks if structure is None else add_structure(outcome.clean, structure)
-    rows_differ = any(len(a.place) > len(b.place) for a, b in zip(full, tracks, strict=True))
+    structured = tracks if structure is None else add_structure(outcome.clean, structure)
+    rows_differ = any(len(a.rows) > len(b.rows) for a, b in zip(structured, tracks, strict=True))
     has_rows = bool(faults) or rows_differ
     estimates = [
         EffectEstimate(
@@ -95,11 +95,11 @@ def attribute_errors(
         scales=scales,
         raw=recordings,
         faults=faults,
-        rows=[track.place for track in tracks] if has_rows else None,
+        rows=[track.rows for track in tracks] if has_rows else None,
         with_structure=None
         if structure is None
-        else repair_recordings(recordings, model.axis, raw, full, scales),
-        structure_rows=[track.place for track in full] if has_rows else None,
+        else repair_recordings(recordings, model.axis, raw, structured, scales),
+        structure_rows=[track.rows for track in structured] if has_rows else None,
         progress=progress,
     )
 
@@ -118,29 +118,29 @@ def refit_model(
     structure_rows: Sequence[Samples] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> ModelErrors:
-    """Refit a model with effects, and again without each of them.
+    """Refit a model with all detected effects, and without each of them in turn.
 
     recordings      in which the axis moves, faults repaired, in the order of their recording
     estimates       of the effects, by the search
-    model           the axis as fitted: all refits begin there
+    model           the axis as fitted, from which all refits start
     lab             its clock is part of the rig
-    raw             the recordings as they came
+    raw             the recordings, not repaired
     faults          names of repaired faults: without them the model is fitted to ``raw``
-    rows            samples that count, for each track; None: all, thinned evenly
-    with_structure  the recordings with structure that no effect explains; None: there is none
-    structure_rows  samples of these that count
+    rows            samples to fit, for each track; None: all, thinned evenly
+    with_structure  the recordings with unexplained structure; None: there is none
+    structure_rows  samples of these to fit
     """
     extensions, starts, structure = _with_effects(model, recordings, estimates, lab, scales)
     progress("refitting the simulation")
     declared = _declared_hold(lab)
     baseline = fit_extended(model, raw, declared, structure=STATIC)
-    others = (baseline.model,)
+    alternatives = (baseline.model,)
     final = fit_extended(
-        model, recordings, extensions, others=others, structure=structure, places=rows
+        model, recordings, extensions, others=alternatives, structure=structure, places=rows
     )
     final = _with_free_rungs(final, recordings, structure, rows)
     fitted = final.model.extensions
-    again = partial(fit_extended, final.model, others=others)
+    refit = partial(fit_extended, final.model, others=alternatives)
     without = {}
     for estimate in estimates:
         progress(f"refitting without {words(estimate.effect)}")
@@ -151,13 +151,13 @@ def refit_model(
             if not any(start is part for part in removed)
         ]
         reduced = _structure_of(structure, estimate, model, has_effect=False)
-        without[estimate.effect] = again(recordings, remaining, structure=reduced, places=rows)
+        without[estimate.effect] = refit(recordings, remaining, structure=reduced, places=rows)
     if faults:
-        unrepaired = again(raw, fitted, structure=structure)
+        unrepaired = refit(raw, fitted, structure=structure)
         without |= dict.fromkeys(faults, unrepaired)
     if with_structure is not None:
         progress("refitting without the unnamed structure")
-        without[SOMETHING_ELSE] = again(
+        without[SOMETHING_ELSE] = refit(
             with_structure, fitted, structure=structure, places=structure_rows
         )
     # a refit without a drift would drop a zero that moves
@@ -276,12 +276,12 @@ def repaired_faults(outcome: Outcome) -> tuple[str, ...]:
 def repair_recordings(
     recordings: Sequence[Recording],
     axis: str,
-    before: Sequence[Track],
-    after: Sequence[Track],
+    original: Sequence[Track],
+    repaired: Sequence[Track],
     scales: Scales,
 ) -> tuple[Recording, ...]:
     """Apply the changes that a search made to its tracks to the recordings."""
-    pairs = iter(zip(before, after, strict=True))
+    pairs = iter(zip(original, repaired, strict=True))
     return tuple(_repair(recording, axis, pairs, scales) for recording in recordings)
 
 

@@ -116,7 +116,7 @@ def filter_offset(view: View, effects: Sequence[SelectedEffect]) -> Array:
                 filtered = effect.effect.response_filter(
                     filtered, track.rate_Hz, effect.parameters
                 )
-        offsets.append((filtered - static)[track.place])
+        offsets.append((filtered - static)[track.rows])
     return np.concatenate(offsets)
 
 

@@ -115,9 +115,9 @@ def search_all(view: View, executor: Executor) -> SearchResult:
     executor.report("locating the unexplained residual")
     residual = Residual.of(first.final, _unselected_tangents(first, first.final))
     scores = score_coordinates(residual)
-    plain = SearchResult(raw=view, outcome=first, unexplained=_unexplained(first, scores))
+    without_curve = SearchResult(raw=view, outcome=first, unexplained=_unexplained(first, scores))
     curve = _structure_replacing_effect(first) or _first_significant(residual, scores, first)
-    best, best_rms = plain, BETTER * first.final.rms
+    best, best_rms = without_curve, BETTER * first.final.rms
     for structure in (_sensor_range_structure(first), curve):
         if structure is None:
             continue
@@ -125,7 +125,9 @@ def search_all(view: View, executor: Executor) -> SearchResult:
         second = search(subtract_structure(view, structure), executor)
         if second.final.rms < best_rms:
             best_rms = second.final.rms
-            best = replace(plain, outcome=second, structure=structure, without_structure=plain)
+            best = replace(
+                without_curve, outcome=second, structure=structure, without_structure=without_curve
+            )
     return best
 
 
@@ -136,12 +138,12 @@ def locate_residual(view: View, outcome: Outcome) -> SearchResult:
 
 
 def subtract_structure(view: View, structure: ResidualStructure) -> View:
-    """Return the view without a structure, and without rows beyond the sensor's range."""
+    """Subtract a structure from the view, and drop rows beyond the range of the sensor."""
     tracks = []
     for k, (track, curve) in enumerate(zip(view.tracks, structure.curve, strict=True)):
-        is_measured = ~structure.beyond_range(k)[track.place]
-        place, block = track.place[is_measured], track.block[is_measured]
-        tracks.append(replace(track, response=track.response - curve, place=place, block=block))
+        is_measured = ~structure.beyond_range(k)[track.rows]
+        rows, block = track.rows[is_measured], track.block[is_measured]
+        tracks.append(replace(track, response=track.response - curve, rows=rows, block=block))
     return with_tracks(view, tracks)
 
 
@@ -149,11 +151,11 @@ def add_structure(view: View, structure: ResidualStructure) -> tuple[Track, ...]
     """Return the tracks of a view with a subtracted structure and its rows put back."""
     tracks = []
     for k, (track, raw) in enumerate(zip(view.tracks, structure.view.tracks, strict=True)):
-        unmeasured = raw.place[structure.beyond_range(k)[raw.place]]
-        place = np.union1d(track.place, unmeasured)
-        block = np.interp(place, raw.place, raw.block).astype(int)
+        unmeasured = raw.rows[structure.beyond_range(k)[raw.rows]]
+        rows = np.union1d(track.rows, unmeasured)
+        block = np.interp(rows, raw.rows, raw.block).astype(int)
         response = track.response + structure.curve[k]
-        tracks.append(replace(track, response=response, place=place, block=block))
+        tracks.append(replace(track, response=response, rows=rows, block=block))
     return tuple(tracks)
 
 
@@ -226,20 +228,21 @@ def _first_significant(
 def _structure_along(
     residual: Residual, score: CoordinateScore, healthy_p_value: float
 ) -> ResidualStructure:
-    """Fit the curve again beside the model alone: tangents of effects absorb a part of it."""
-    full = Residual.of(residual.view)
+    """Refit the curve beside the model only: tangents of effects absorb a part of it."""
+    residual_beside_model = Residual.of(residual.view)
     if score.coordinate == "time":
-        fitted = fit_time_course(full, score)
+        fitted = fit_time_course(residual_beside_model, score)
     else:
-        fitted = full.score(score.basis, score.p_value)
+        fitted = residual_beside_model.score(score.basis, score.p_value)
     return ResidualStructure(
         score=fitted,
         curve=tuple(
-            fitted.basis.curve(k, fitted.coefficients) for k in range(len(full.view.tracks))
+            fitted.basis.curve(k, fitted.coefficients)
+            for k in range(len(residual_beside_model.view.tracks))
         ),
         share=_share(residual, score.gain),
-        residual=full.values,
-        view=full.view,
+        residual=residual_beside_model.values,
+        view=residual_beside_model.view,
         healthy_p_value=healthy_p_value,
     )
 

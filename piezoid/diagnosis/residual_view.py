@@ -32,10 +32,10 @@ class View:
     offset     (rows,)          change of the response by selected filters
     half_stroke_m  half the range of the displacement: 1 in scaled units
     voltage_V  half the range of the drive
-    rest       the drive at 0 V, in half ranges from its middle
-    guess      static responses in place of the fitted ones, (samples,) for each track
-    one_speed  whether like branches were all driven at one speed and the drive has no jumps: any
-               effect that needs time is then a width of the loop
+    rest_drive  drive at 0 V, in half ranges from its middle
+    guess      static responses that replace the fitted ones, (samples,) for each track
+    one_speed  whether all branches were driven at one speed without jumps: any effect that needs
+               time is then part of the loop width
     """
 
     nuisance: NuisanceClass
@@ -43,7 +43,7 @@ class View:
     offset: Array
     half_stroke_m: float
     voltage_V: float
-    rest: float
+    rest_drive: float
     guess: tuple[Array, ...] | None = None
     one_speed: bool = False
 
@@ -60,7 +60,7 @@ class View:
     @Once
     def response(self) -> Array:
         """Return the measured response at the rows, in front of the selected filters."""
-        return np.concatenate([t.response[t.place] for t in self.tracks]) - self.offset
+        return np.concatenate([t.response[t.rows] for t in self.tracks]) - self.offset
 
     @Once
     def block(self) -> Places:
@@ -74,8 +74,8 @@ class View:
             columns=self.nuisance.columns,
             response=self.response,
             block=self.block,
-            more=self.selected if self.selected.shape[1] else None,
-            known=self.nuisance.gram,
+            extra=self.selected if self.selected.shape[1] else None,
+            column_gram=self.nuisance.gram,
         )
 
     @Once
@@ -109,7 +109,7 @@ class View:
 
     def rows(self, signals: Sequence[Array]) -> Array:
         """Return one column: signals of all tracks at the rows."""
-        return np.concatenate([s[t.place] for s, t in zip(signals, self.tracks, strict=True)])
+        return np.concatenate([s[t.rows] for s, t in zip(signals, self.tracks, strict=True)])
 
     def of(self, signal: Callable[[int, Track], Array]) -> Array:
         """Return one column: a signal computed for each track, at the rows."""
@@ -134,9 +134,9 @@ def _noise(response: Array) -> float:
 
 
 def view_of(
-    tracks: Sequence[Track], *, half_stroke_m: float, voltage_V: float, rest: float
+    tracks: Sequence[Track], *, half_stroke_m: float, voltage_V: float, rest_drive: float
 ) -> View:
-    """Return the view of tracks whose drives were cycled over their range before."""
+    """Return the view of tracks, assuming that each drive was cycled over its range before."""
     histories = tuple(
         History(track=track, reversals=hypotheses(track.drive)[0]) for track in tracks
     )
@@ -148,7 +148,7 @@ def view_of(
         offset=np.zeros(rows),
         half_stroke_m=half_stroke_m,
         voltage_V=voltage_V,
-        rest=rest,
+        rest_drive=rest_drive,
     )
 
 
@@ -166,17 +166,21 @@ def with_reversals(view: View, reversals: tuple[Reversals, ...]) -> View:
     """Return the view with other initial states of its tracks."""
     if reversals == view.nuisance.reversals:
         return view
-    return replace(view, nuisance=replace(view.nuisance, histories=_after(view, reversals)))
+    return replace(
+        view, nuisance=replace(view.nuisance, histories=_histories_with(view, reversals))
+    )
 
 
 def with_shared_reversals(view: View, reversals: tuple[Reversals, ...]) -> View:
     """Return the view with other initial states of its tracks and no fitted corrections."""
-    histories = _after(view, reversals)
+    histories = _histories_with(view, reversals)
     return replace(view, nuisance=replace(view.nuisance, histories=histories, free=False))
 
 
-def _after(view: View, reversals: tuple[Reversals, ...]) -> tuple[History, ...]:
-    return tuple(h.after(t) for h, t in zip(view.nuisance.histories, reversals, strict=True))
+def _histories_with(view: View, reversals: tuple[Reversals, ...]) -> tuple[History, ...]:
+    return tuple(
+        h.with_reversals(t) for h, t in zip(view.nuisance.histories, reversals, strict=True)
+    )
 
 
 def with_bouc_wen(view: View, bouc_wen: BoucWenLaw | None) -> View:
@@ -189,7 +193,7 @@ def with_filtered_commands(view: View, drive_filter: Callable[[Array, float], Ar
 
     drive_filter  (drive, rate_Hz) -> drive of the stage
 
-    Turning points before a recording, slow by assumption, are filtered as well.
+    Reversals before a recording, assumed to be slow, are filtered as well.
     """
     commands = [drive_filter(track.command, track.rate_Hz) for track in view.tracks]
     if all(a is b.command for a, b in zip(commands, view.tracks, strict=True)):
@@ -200,11 +204,11 @@ def with_filtered_commands(view: View, drive_filter: Callable[[Array, float], Ar
         else replace(track, command=command, drive=track.read(command))
         for track, command in zip(view.tracks, commands, strict=True)
     )
-    before = tuple(
+    filtered = tuple(
         tuple(drive_filter(np.array(reversals), PAST_RATE_Hz).tolist()) if reversals else ()
         for reversals in view.nuisance.reversals
     )
-    return with_tracks(with_reversals(view, before), tracks)
+    return with_tracks(with_reversals(view, filtered), tracks)
 
 
 def with_tracks(view: View, tracks: Sequence[Track]) -> View:

@@ -29,12 +29,12 @@ def held_out_residual(y: Array, parts: Sequence[Array]) -> Array:
     return residual
 
 
-def gain_on_blocks(before: Array, after: Array) -> tuple[float, float]:
-    """Return by which part columns lower the rms on left-out blocks, and its standard errors."""
-    block = blocks_of(len(before))
-    gain = 1.0 - float(np.sqrt(np.mean(after**2) / max(float(np.mean(before**2)), 1e-300)))
-    gains = np.bincount(block, before**2 - after**2, BLOCKS).astype(np.float64)
-    explained = np.bincount(block, (before - after) ** 2, BLOCKS).astype(np.float64)
+def gain_on_blocks(reference: Array, residual: Array) -> tuple[float, float]:
+    """Return the relative reduction of the rms, and its z value over blocks."""
+    block = blocks_of(len(reference))
+    gain = 1.0 - float(np.sqrt(np.mean(residual**2) / max(float(np.mean(reference**2)), 1e-300)))
+    gains = np.bincount(block, reference**2 - residual**2, BLOCKS).astype(np.float64)
+    explained = np.bincount(block, (reference - residual) ** 2, BLOCKS).astype(np.float64)
     return gain, gain_z(gains, explained, gain)
 
 
@@ -54,13 +54,15 @@ def waves(time_s: Array, frequencies_Hz: Sequence[float]) -> Array:
 def peak_Hz(signal: Array, time_s: Array, near_Hz: float, reach_Hz: float) -> float:
     """Return the frequency of a signal's line, at the vertex of its power.
 
-    A frequency that is off by an eighth of one period in the record leaves a fifth of the line,
-    which looks like another line.
+    A frequency error of an eighth of a period over the record leaves a fifth of the line, which
+    would be reported as a second line.
     """
-    tried = near_Hz + reach_Hz * np.linspace(-1.0, 1.0, 41)
-    power = np.array([abs(np.exp(-2j * np.pi * f * time_s) @ signal) for f in tried.tolist()])
-    peak = int(np.clip(np.argmax(power), 1, len(tried) - 2))
-    before, at, after = power[peak - 1 : peak + 2].tolist()
-    curved = 2.0 * at - before - after
-    off = 0.5 * (after - before) / curved if curved > 0.0 else 0.0
-    return float(tried[peak] + (tried[1] - tried[0]) * np.clip(off, -1.0, 1.0))
+    frequencies = near_Hz + reach_Hz * np.linspace(-1.0, 1.0, 41)
+    power = np.array(
+        [abs(np.exp(-2j * np.pi * f * time_s) @ signal) for f in frequencies.tolist()]
+    )
+    peak = int(np.clip(np.argmax(power), 1, len(frequencies) - 2))
+    left_power, at, right_power = power[peak - 1 : peak + 2].tolist()
+    curved = 2.0 * at - left_power - right_power
+    off = 0.5 * (right_power - left_power) / curved if curved > 0.0 else 0.0
+    return float(frequencies[peak] + (frequencies[1] - frequencies[0]) * np.clip(off, -1.0, 1.0))

@@ -57,17 +57,14 @@ class Slip:
 
 
 def slip_places(slips: Sequence[Slip], tracks: Sequence[Track]) -> tuple[str, ...]:
-    """State in which recordings, and from when on, readings are out of step.
-
-    Of a recording with several tracks only the name is stated: tracks do not know their start.
-    """
+    """State the recording of each slip, and its time if the recording is one track."""
     names = [track.name for track in tracks]
-    places = []
+    descriptions = []
     for slip in slips:
         track = tracks[slip.track]
         start = f" from {slip.instant / track.rate_Hz:.4g} s on"
-        places.append(track.name + (start if names.count(track.name) == 1 else ""))
-    return tuple(places)
+        descriptions.append(track.name + (start if names.count(track.name) == 1 else ""))
+    return tuple(descriptions)
 
 
 def max_slip(samples: int) -> int:
@@ -80,9 +77,9 @@ def instant_error(samples: int) -> int:
     return int(2.5 * samples / INSTANTS) + 2
 
 
-def delay_change(static: Array, place: Places, samples: int) -> Array:
+def delay_change(static: Array, rows: Places, samples: int) -> Array:
     """Return the change of a response by a delay of some samples, at some samples."""
-    return np.asarray(static[np.clip(place - samples, 0, len(static) - 1)] - static[place])
+    return np.asarray(static[np.clip(rows - samples, 0, len(static) - 1)] - static[rows])
 
 
 def delay_like_null(view: View, *, other_axes: bool = False) -> Null:
@@ -97,7 +94,7 @@ def delay_like_null(view: View, *, other_axes: bool = False) -> Null:
     ]
     second = [_slope(v, 2) * track.rate_Hz for v, track in zip(speed, tracks, strict=True)]
     third = [_slope(v, 2) * track.rate_Hz for v, track in zip(second, tracks, strict=True)]
-    columns = [view.of_track(k, speed[k][track.place]) for k, track in enumerate(tracks)]
+    columns = [view.of_track(k, speed[k][track.rows]) for k, track in enumerate(tracks)]
     columns += [view.rows(second), view.rows(third)]
     columns += [view.rows([np.sign(v) * np.abs(v) ** power for v in speed]) for power in (0.5, 2)]
     columns += [_relaxation(view, time_s) for time_s in RELAXATIONS_s]
@@ -125,15 +122,15 @@ def _slope(signal: Array, reach: int) -> Array:
 class SlipScan:
     """Scores of slips at the rows of one track.
 
-    rows    of the track among all rows
-    static  (samples,)
-    place   (rows,)
+    rows     of the track among all rows
+    static   (samples,)
+    samples  (rows,)  of these rows
     """
 
     null: Null
     rows: slice
     static: Array
-    place: Places
+    samples: Places
 
     @classmethod
     def of(cls, view: View, null: Null, k: int) -> "SlipScan":
@@ -142,7 +139,7 @@ class SlipScan:
             null=null,
             rows=view.track_rows(k),
             static=view.static[k],
-            place=view.tracks[k].place,
+            samples=view.tracks[k].rows,
         )
 
     @property
@@ -152,15 +149,15 @@ class SlipScan:
 
     def instants(self) -> Places:
         """Return the rows at which a slip is tried."""
-        n = len(self.place)
+        n = len(self.samples)
         trials = np.linspace(END_SHARE * n, (1.0 - END_SHARE) * n, INSTANTS)
         first = np.unique(trials.astype(int))
-        motion = delay_change(self.static, self.place, 1) ** 2
+        motion = delay_change(self.static, self.samples, 1) ** 2
         return np.asarray(first[_sums_from(motion, first) > MIN_MOTION * motion.sum()])
 
     def score(self, samples: int, first: Places) -> tuple[Array, Array]:
         """Return gain and beta of slips of one length from some rows on."""
-        change = delay_change(self.static, self.place, samples)
+        change = delay_change(self.static, self.samples, samples)
         product = _sums_from(self.residual * change, first)
         square, unshared = self._squares(change, first)
         is_unshared = unshared > MIN_UNSHARED * square + 1e-300
@@ -170,7 +167,7 @@ class SlipScan:
 
     def unshared_part(self, samples: int, first: Places) -> Array:
         """Return the share of the square of such slips that the null cannot follow."""
-        square, unshared = self._squares(delay_change(self.static, self.place, samples), first)
+        square, unshared = self._squares(delay_change(self.static, self.samples, samples), first)
         return np.asarray(unshared / (square + 1e-300))
 
     def _squares(self, change: Array, first: Places) -> tuple[Array, Array]:
@@ -188,7 +185,7 @@ class SlipScan:
         lengths = np.unique(np.round(lengths).astype(int)).tolist()
         limits = {}
         for samples in (*lengths, *(-length for length in lengths)):
-            change = delay_change(self.static, self.place, samples)
+            change = delay_change(self.static, self.samples, samples)
             product = _sums_from(self.residual * change, first)
             square = _sums_from(change * change, first)
             limits[samples] = float(np.max(np.maximum(product, 0.0) ** 2 / (square + 1e-300)))
@@ -209,8 +206,8 @@ def strongest_slips(view: View, null: Null) -> list[Slip]:
 
 
 def _strongest_slip(view: View, null: Null, k: int) -> Slip | None:
-    place = view.tracks[k].place
-    if len(place) < MIN_ROWS:
+    rows = view.tracks[k].rows
+    if len(rows) < MIN_ROWS:
         return None
     scan = SlipScan.of(view, null, k)
     first = scan.instants()
@@ -225,7 +222,7 @@ def _strongest_slip(view: View, null: Null, k: int) -> Slip | None:
         if gain[j] > (best.gain if best else 0.0):
             best = Slip(
                 track=k,
-                instant=int(place[first[j]]),
+                instant=int(rows[first[j]]),
                 samples=samples * float(beta[j]),
                 gain=float(gain[j]),
             )
@@ -239,10 +236,10 @@ def refine_slip(
     refit: Callable[[Sequence[Track]], View] | None = None,
     has_length: bool = False,
 ) -> Slip:
-    """Return the slip at the sample and of the integer length that fit best.
+    """Refine the instant of a slip to a sample and its length to an integer.
 
-    refit       fits repaired tracks as the view was fitted, if it contains effects
-    has_length  the length is given, the instant is not
+    refit       refits repaired tracks with the effects of the view; None: it has none
+    has_length  whether the length is fixed and only the instant is refined
 
     The static response is fitted again with the slip undone; the constants and initial states of
     the tracks are interpolated from rows to all samples.
@@ -257,9 +254,9 @@ def refine_slip(
             repaired = refit(repaired.tracks)
         track, static = repaired.tracks[k], repaired.static[k]
         residual = repaired.null.residual[repaired.track_rows(k)]
-        others = track.response[track.place] - residual - static[track.place]
+        constants = track.response[track.rows] - residual - static[track.rows]
         samples_of_track = np.arange(len(static))
-        measured = view.tracks[k].response - np.interp(samples_of_track, track.place, others)
+        measured = view.tracks[k].response - np.interp(samples_of_track, track.rows, constants)
         refined = _best_neighbour(measured, static, slip, width, reach)
         if refined == slip:
             break
@@ -271,14 +268,14 @@ def _best_neighbour(measured: Array, static: Array, slip: Slip, width: int, reac
     """Return the slip of the smallest error within a width of its instant and a reach."""
     n, samples = len(static), int(slip.samples)
     shortest, longest = max(samples - reach, -max_slip(n)), min(samples + reach, max_slip(n))
-    first, last = max(slip.instant - width, 2), min(slip.instant + width, n - 2)
-    before = np.concatenate([[0.0], np.cumsum((measured - static) ** 2)])
+    first, stop = max(slip.instant - width, 2), min(slip.instant + width, n - 2)
+    cumulative = np.concatenate([[0.0], np.cumsum((measured - static) ** 2)])
     smallest, best = np.inf, slip
     for length in range(shortest, longest + 1):
         if length == 0:
             continue
         error = measured - static - delay_change(static, np.arange(n), length)
-        total = before[first:last] + np.cumsum((error**2)[::-1])[::-1][first:last]
+        total = cumulative[first:stop] + np.cumsum((error**2)[::-1])[::-1][first:stop]
         j = int(np.argmin(total))
         if total[j] < smallest:
             smallest, best = float(total[j]), replace(slip, instant=first + j, samples=length)
@@ -293,16 +290,20 @@ def undo_slip(view: View, slip: Slip) -> View:
 
 
 def in_step(track: Track, slip: Slip) -> Track:
-    """Shift the readings after a slip back into step, and leave out rows without a reading."""
+    """Shift the readings after a slip back, and drop rows without a reading."""
     samples, count = int(slip.samples), len(track.response)
-    place = np.arange(count)
-    source = np.where(place >= slip.instant, np.clip(place + samples, 0, count - 1), place)
+    samples_of_track = np.arange(count)
+    source = np.where(
+        samples_of_track >= slip.instant,
+        np.clip(samples_of_track + samples, 0, count - 1),
+        samples_of_track,
+    )
     end = slip.instant + 2 + max(-samples, 0)
-    is_missing = (track.place > slip.instant - 3) & (track.place < end)
-    has_reading = ~is_missing & (track.place + max(samples, 0) < count)
+    is_missing = (track.rows > slip.instant - 3) & (track.rows < end)
+    has_reading = ~is_missing & (track.rows + max(samples, 0) < count)
     return replace(
         track,
         response=track.response[source],
-        place=track.place[has_reading],
+        rows=track.rows[has_reading],
         block=track.block[has_reading],
     )

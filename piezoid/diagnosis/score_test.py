@@ -49,14 +49,14 @@ class ScoreTest:
 
 
 def score_test(effect: Effect, view: View) -> ScoreTest | None:
-    """Return the best of an effect's trials, None where it has none on these recordings."""
+    """Return the score test of the best trial; None if there is no physical trial."""
     trials = [t for t in effect.trials(view) if np.any(t.columns)] if effect.trials else []
     null = null_of(effect, view)
     if not any(trial.physical for trial in trials):
         return None
-    found = screened(effect, null, trials, one_speed=view.one_speed)
-    beside = null.rms / view.null.rms if effect.covariates is not None else 1.0
-    return replace(found, total_gain=1.0 - (1.0 - found.cv.gain) * beside)
+    test = screened(effect, null, trials, one_speed=view.one_speed)
+    null_ratio = null.rms / view.null.rms if effect.covariates is not None else 1.0
+    return replace(test, total_gain=1.0 - (1.0 - test.cv.gain) * null_ratio)
 
 
 def null_of(effect: Effect, view: View) -> Null:
@@ -69,47 +69,46 @@ def null_of(effect: Effect, view: View) -> Null:
 
 
 def screened(effect: Effect, null: Null, trials: Sequence[Trial], *, one_speed: bool) -> ScoreTest:
-    """Judge trials against a null.
+    """Cross-validate the trials of an effect against a null and select the best one.
 
-    one_speed  of the view: what needs time is then a width of the loop, whatever the null leaves
+    one_speed  whether the view has one speed: effects that need time are then loop width
     """
     widths = np.cumsum([0, *(t.columns.shape[1] for t in trials)])
     across = null.without(np.hstack([t.columns for t in trials]))
-    judged = [
+    validated = [
         (t, null.cross_validated(across[:, a:b], projected=True), across[:, a:b])
         for t, a, b in zip(trials, widths[:-1], widths[1:], strict=True)
     ]
-    placebos = [held for t, held, _ in judged if not t.physical]
-    real = [(t, held, c) for t, held, c in judged if t.physical]
+    placebos = [cv for t, cv, _ in validated if not t.physical]
+    real = [(t, cv, c) for t, cv, c in validated if t.physical]
     separable = [row for row in real if not (one_speed and row[0].needs_time) and _is_apart(row)]
     allowed = [row for row in separable if _sound(effect, row[0], row[1])]
-    trial, held, columns = max(allowed or real, key=lambda row: row[1].gain)
-    share, bound = _shares(held, columns)
+    trial, cv, columns = max(allowed or real, key=lambda row: row[1].gain)
+    share, bound = _shares(cv, columns)
     return ScoreTest(
         effect=effect,
         trial=trial,
-        cv=held,
-        placebo=max(placebos, key=lambda held: held.gain, default=None),
+        cv=cv,
+        placebo=max(placebos, key=lambda cv: cv.gain, default=None),
         share=share,
         bound=bound,
         floor=trial.minimum_coefficient * float(np.sqrt(np.mean(columns[:, 0] ** 2))) / 2.0,
         absorption=_absorption(trial, columns),
         physical=bool(allowed),
         separable=bool(separable),
-        total_gain=held.gain,
+        total_gain=cv.gain,
     )
 
 
-def _sound(effect: Effect, trial: Trial, held: CrossValidated) -> bool:
+def _sound(effect: Effect, trial: Trial, cv: CrossValidated) -> bool:
     low, high = trial.coefficient_range
     if not trial.unique:
         return False
     if effect.drive_filter is not None or effect.response_filter is not None:
-        # such a tangent errs by factors, but not in its sign; the share is one after the refit
+        # the tangent of a filter has the right sign, but its length is off by factors
         low, high = LEAST_SHARE, float("inf")
     return bool(
-        low <= held.coefficient[0] <= high
-        and abs(held.coefficient[0]) >= trial.minimum_coefficient
+        low <= cv.coefficient[0] <= high and abs(cv.coefficient[0]) >= trial.minimum_coefficient
     )
 
 
@@ -117,19 +116,19 @@ def _is_apart(row: Row) -> bool:
     trial, _, across = row
     if not trial.needs_time:
         return True
-    whole = trial.columns[:, 0] - trial.columns[:, 0].mean()
-    return bool(np.linalg.norm(across[:, 0]) >= APART * np.linalg.norm(whole))
+    centred = trial.columns[:, 0] - trial.columns[:, 0].mean()
+    return bool(np.linalg.norm(across[:, 0]) >= APART * np.linalg.norm(centred))
 
 
 def _absorption(trial: Trial, across: Array) -> float:
-    """Return how many times longer a trial's columns are than what the null leaves of them."""
-    whole = trial.columns - trial.columns.mean(axis=0)
-    return max(float(np.linalg.norm(whole) / (np.linalg.norm(across) + TINY)), 1.0)
+    """Return the ratio of the norm of a trial to its norm orthogonal to the null."""
+    centred = trial.columns - trial.columns.mean(axis=0)
+    return max(float(np.linalg.norm(centred) / (np.linalg.norm(across) + TINY)), 1.0)
 
 
-def _shares(held: CrossValidated, across: Array) -> tuple[float, float]:
-    """Return the rms of what a trial adds beyond the null, of the whole stroke, and its bound."""
-    own = float(np.sqrt(np.mean((across @ held.coefficient) ** 2)))
+def _shares(cv: CrossValidated, across: Array) -> tuple[float, float]:
+    """Return the rms of a trial beyond the null as a share of the stroke, and its upper bound."""
+    added_rms = float(np.sqrt(np.mean((across @ cv.coefficient) ** 2)))
     length = np.sqrt(np.mean(across**2, axis=0))
-    doubt = float(np.sqrt(np.sum((length * held.spread) ** 2)))
-    return own / 2.0, (own + 1.645 * doubt) / 2.0
+    doubt = float(np.sqrt(np.sum((length * cv.spread) ** 2)))
+    return added_rms / 2.0, (added_rms + 1.645 * doubt) / 2.0

@@ -29,35 +29,35 @@ ABSENT = {"upper_bound_m": "upper_bound", "detection_limit_m": "detection_limit"
 def write_diagnosis(
     diagnosis: Diagnosis,
     *,
-    others: Sequence[Diagnosis] = (),
-    since: Mapping[str, Any] | None = None,
+    further_axes: Sequence[Diagnosis] = (),
+    changes: Mapping[str, Any] | None = None,
 ) -> bytes:
     """Return the sealed bytes of diagnosis.json.
 
-    others  diagnoses of further axes, under ``axes``
-    since   what changed since a model was fitted, under ``since_model``
+    further_axes  diagnoses of further axes, under ``axes``
+    changes       changes since a model was fitted, under ``since_model``
     """
     content = to_json(diagnosis, LAYOUTS)
-    if others:
-        content["axes"] = {other.axis: to_json(other, LAYOUTS) for other in others}
-    if since is not None:
-        content["since_model"] = dict(since)
+    if further_axes:
+        content["axes"] = {further.axis: to_json(further, LAYOUTS) for further in further_axes}
+    if changes is not None:
+        content["since_model"] = dict(changes)
     return seal(SCHEMA, content)
 
 
-def read_diagnosis(content: bytes, place: str = "diagnosis.json") -> Diagnosis:
+def read_diagnosis(content: bytes, location: str = "diagnosis.json") -> Diagnosis:
     """Read diagnosis.json back: the axis at its top.
 
     Raises ``ParameterFileError`` where a bit was changed, the schema is another, or an entry is
     missing or of another kind.
     """
-    return read_diagnoses(content, place)[0]
+    return read_diagnoses(content, location)[0]
 
 
-def read_diagnoses(content: bytes, place: str = "diagnosis.json") -> tuple[Diagnosis, ...]:
+def read_diagnoses(content: bytes, location: str = "diagnosis.json") -> tuple[Diagnosis, ...]:
     """Read the diagnoses of all axes back, the one at the top first; raises the same."""
-    record = unseal(content, SCHEMA, place)
-    with refusing(SCHEMA, place, remedy=REMEDY):
+    record = unseal(content, SCHEMA, location)
+    with refusing(SCHEMA, location, remedy=REMEDY):
         top = {name: entry for name, entry in record.items() if name not in BESIDE}
         axes = (top, *record.get("axes", {}).values())
         return tuple(from_json(Diagnosis, axis, LAYOUTS) for axis in axes)
@@ -65,9 +65,9 @@ def read_diagnoses(content: bytes, place: str = "diagnosis.json") -> tuple[Diagn
 
 def _diagnosis_entries(diagnosis: Diagnosis) -> dict[str, Any]:
     unit = "counts, rms" if "displacement" in diagnosis.counted else "m, rms"
-    said = {n: v for n, v in fields_of(diagnosis).items() if n not in NOT_WRITTEN}
-    absent = [_absent_entries(one, unit) for one in diagnosis.not_detected]
-    return _telling({**said, "not_detected": absent}, "unexplained", "budget", "counted")
+    entries = {n: v for n, v in fields_of(diagnosis).items() if n not in NOT_WRITTEN}
+    absent = [_absent_entries(absence, unit) for absence in diagnosis.not_detected]
+    return _telling({**entries, "not_detected": absent}, "unexplained", "budget", "counted")
 
 
 def _absent_entries(absent: NotDetected, unit: str) -> dict[str, Any]:

@@ -44,10 +44,10 @@ class Track:
     sensor_Hz             that pole, None where it is not declared
     response  (samples,)  displacement over half the stroke, without its middle; it rises with
                           the drive
-    others    scaled drives of other axes that move, by axis
-    place     (rows,)     samples that are compared
+    other_drives  scaled drives of other axes that move, by axis
+    rows      (rows,)     samples that are compared
     block     (rows,)     block of each of these, from 0
-    bridged   (count,)    samples that were never measured: they are not among ``place``
+    bridged   (count,)    samples that were never measured: they are not among ``rows``
     """
 
     name: str
@@ -56,8 +56,8 @@ class Track:
     drive: Array
     sensor_Hz: float | None
     response: Array
-    others: Mapping[str, Array]
-    place: Places
+    other_drives: Mapping[str, Array]
+    rows: Places
     block: Places
     bridged: Places = field(default_factory=lambda: np.zeros(0, dtype=int))
 
@@ -79,22 +79,22 @@ class Track:
 
     @Once
     def branches(self) -> tuple[Places, Places]:
-        """Return where the drive turns, and where it has come ``TURN`` away from there."""
+        """Return the reversals of the drive, and where it is ``TURN`` away from them."""
         step = np.sign(np.diff(self.drive))
         reversals = np.flatnonzero(step[1:] * step[:-1] < 0) + 1
-        found = []
+        pairs = []
         for turn in reversals[:: max(len(reversals) // MOST_TURNS, 1)].tolist():
-            after = self.drive[turn : turn + LONGEST]
-            state = np.flatnonzero(np.abs(after - after[0]) > TURN)
+            stretch = self.drive[turn : turn + LONGEST]
+            state = np.flatnonzero(np.abs(stretch - stretch[0]) > TURN)
             if len(state):
-                found.append((turn, turn + int(state[0])))
-        turn, there = np.array(found, dtype=int).reshape(-1, 2).T
-        return turn, there
+                pairs.append((turn, turn + int(state[0])))
+        turn, end = np.array(pairs, dtype=int).reshape(-1, 2).T
+        return turn, end
 
     @Once
-    def way(self) -> tuple[Array, Places]:
-        """Return the drive where it says all of its way to the rows, and the rows in that."""
-        return way_to(self.drive, self.place)
+    def path(self) -> tuple[Array, Places]:
+        """Return the drive thinned to its reversals and rows, and the rows in it."""
+        return way_to(self.drive, self.rows)
 
     @property
     def time_s(self) -> Array:
@@ -121,19 +121,19 @@ def tracks_of(
               is half a period of delay in recordings that are slower
     """
     pieces = pieces_of(recordings, axis, scales, rig)
-    asked = pieces_of(recordings, axis, scales, Rig())
+    commanded = pieces_of(recordings, axis, scales, Rig())
     share = ROWS // len(pieces)
     starts: dict[int, int] = {}
     tracks = []
-    for piece, plain in zip(pieces, asked, strict=True):
+    for piece, unfiltered in zip(pieces, commanded, strict=True):
         recording = recordings[piece.recording]
         first = _first(recording, len(piece.drive), starts.get(piece.recording, 0))
         starts[piece.recording] = first + len(piece.drive)
         bridged = np.array(recording.bridged, dtype=int) - first
         bridged = bridged[(bridged >= 0) & (bridged < len(piece.drive))]
-        place = np.setdiff1d(rows_between(len(piece.drive), share), bridged)
-        place = place[place >= _settled(piece, rig)]
-        command, drive = _reaching(piece, plain, rig, clock_Hz)
+        rows = np.setdiff1d(rows_between(len(piece.drive), share), bridged)
+        rows = rows[rows >= _settled(piece, rig)]
+        command, drive = _reaching(piece, unfiltered, rig, clock_Hz)
         tracks.append(
             Track(
                 name=piece.name,
@@ -142,9 +142,9 @@ def tracks_of(
                 drive=drive,
                 sensor_Hz=rig.sensor_bandwidth_Hz,
                 response=piece.response,
-                others=_others(recording, axis, first, len(piece.drive)),
-                place=place,
-                block=place * BLOCKS // len(piece.drive),
+                other_drives=_other_drives(recording, axis, first, len(piece.drive)),
+                rows=rows,
+                block=rows * BLOCKS // len(piece.drive),
                 bridged=bridged,
             )
         )
@@ -162,17 +162,19 @@ def _settled(piece: Piece, rig: Rig) -> int:
     return min(samples, len(piece.drive) // 10)
 
 
-def _reaching(piece: Piece, asked: Piece, rig: Rig, clock_Hz: float | None) -> tuple[Array, Array]:
-    """Return what reaches the ceramic, and the same behind the sensor's pole.
+def _reaching(
+    piece: Piece, commanded: Piece, rig: Rig, clock_Hz: float | None
+) -> tuple[Array, Array]:
+    """Return the drive at the ceramic, and the same drive behind the pole of the sensor.
 
-    piece  behind the amplifier's pole as a line between samples
-    asked  in front of it
+    piece      drive behind the pole of the amplifier, linear between samples
+    commanded  drive in front of it
     """
     rate_Hz = piece.sampling_rate_Hz
     amplifier_Hz, sensor_Hz = rig.amplifier_bandwidth_Hz, rig.sensor_bandwidth_Hz
     if is_held(rate_Hz, clock_Hz, rig):
-        ceramic = held(asked.drive, (amplifier_Hz,), rate_Hz)
-        return ceramic, held(asked.drive, (amplifier_Hz, sensor_Hz), rate_Hz)
+        ceramic = staircase_response(commanded.drive, (amplifier_Hz,), rate_Hz)
+        return ceramic, staircase_response(commanded.drive, (amplifier_Hz, sensor_Hz), rate_Hz)
     delay = 0.0 if clock_Hz is None else 0.5 * rate_Hz / clock_Hz
     command = later(piece.drive, delay) if delay else piece.drive
     return command, behind_pole(command, sensor_Hz, rate_Hz)
@@ -189,13 +191,13 @@ def rows_between(samples: int, share: int) -> Places:
     return np.unique(((np.arange(share) + spread) * (samples / share)).astype(int))
 
 
-def _first(recording: Recording, samples: int, after: int) -> int:
+def _first(recording: Recording, samples: int, earliest: int) -> int:
     starts = [int(p.start) for p in recording.pieces if p.stop - p.start == samples]
-    return next(start for start in starts if start >= after)
+    return next(start for start in starts if start >= earliest)
 
 
-def _others(recording: Recording, axis: str, first: int, samples: int) -> dict[str, Array]:
-    found = {}
+def _other_drives(recording: Recording, axis: str, first: int, samples: int) -> dict[str, Array]:
+    drives = {}
     for channel in recording.channels:
         if channel.quantity is not Quantity.VOLTAGE or channel.axis == axis:
             continue
@@ -203,25 +205,27 @@ def _others(recording: Recording, axis: str, first: int, samples: int) -> dict[s
         span = float(np.ptp(values))
         if span > 0.0:
             part = values[first : first + samples]
-            found[channel.axis] = np.asarray(2.0 * (part - values.min()) / span - 1.0)
-    return found
+            drives[channel.axis] = np.asarray(2.0 * (part - values.min()) / span - 1.0)
+    return drives
 
 
 def is_held(rate_Hz: float, clock_Hz: float | None, rig: Rig) -> bool:
-    """Tell whether rows are the converter's own values and a pole of the chain is known."""
-    known = rig.amplifier_bandwidth_Hz is not None or rig.sensor_bandwidth_Hz is not None
-    return known and clock_Hz is not None and abs(rate_Hz / clock_Hz - 1.0) < SAME
+    """Tell whether samples are converter values and a pole of the signal chain is declared."""
+    has_bandwidth = rig.amplifier_bandwidth_Hz is not None or rig.sensor_bandwidth_Hz is not None
+    return has_bandwidth and clock_Hz is not None and abs(rate_Hz / clock_Hz - 1.0) < SAME
 
 
-def held(command: Array, poles_Hz: tuple[float | None, ...], rate_Hz: float) -> Array:
-    """Return a staircase behind up to two poles, at its own samples.
+def staircase_response(
+    command: Array, poles_Hz: tuple[float | None, ...], rate_Hz: float
+) -> Array:
+    """Return the response of up to two poles to a zero-order hold, at its samples.
 
-    At the converter's own rate a command is a staircase, and at the next sample two poles make
+    At the rate of the converter a command is a staircase. Two poles give at the next sample
 
         y[k] = sum_i c_i h_i[k],  h_i[k] = p_i h_i[k-1] + (1 - p_i) u[k-1],  p_i = exp(-w_i T),
         c_1 = w_2 / (w_2 - w_1),  c_2 = -w_1 / (w_2 - w_1),
 
-    which no line between samples knows: it is 2 per cent off where a period has 13 samples.
+    A drive that is linear between samples would be 2 % off at 13 samples per period.
 
     Source: Franklin, Powell & Workman, Digital Control of Dynamic Systems (1998), step invariance.
     """
@@ -242,5 +246,5 @@ def held(command: Array, poles_Hz: tuple[float | None, ...], rate_Hz: float) -> 
 
 def _behind(command: Array, ratio: float) -> Array:
     pole = float(np.exp(-ratio))
-    moved = recursive_filter([0.0, 1.0 - pole], [1.0, -pole], command - command[0])
-    return np.asarray(moved + command[0])
+    response = recursive_filter([0.0, 1.0 - pole], [1.0, -pole], command - command[0])
+    return np.asarray(response + command[0])

@@ -66,23 +66,23 @@ class Outcome:
 
 
 def search(view: View, executor: Executor = SERIAL) -> Outcome:
-    """Find the causes of what the nuisance class cannot follow."""
+    """Search for the causes of the residual of the nuisance class."""
     clean, faults, initial = repaired(view, executor)
     state = select_forward(clean, faults, executor, initial)
     causes, confounded, dismissed = compare_models(state.clean, state.selected, executor)
     final = with_effects(state.clean, [cause.selected for cause in causes])
-    named = {cause.effect.name for cause in causes}
-    found = Outcome(
+    named_effects = {cause.effect.name for cause in causes}
+    outcome = Outcome(
         first=view,
         clean=state.clean,
         final=final,
         faults=state.faults,
         causes=tuple(causes),
         confounded=confounded,
-        screened={**_dropped(final, {*named, *state.screened}), **state.screened},
+        screened={**_dropped(final, {*named_effects, *state.screened}), **state.screened},
         dismissed=tuple(dismissed),
     )
-    return _with_structure(found, executor)
+    return _with_structure(outcome, executor)
 
 
 def without_causes(view: View, against: str, executor: Executor = SERIAL) -> Outcome:
@@ -106,18 +106,18 @@ def without_causes(view: View, against: str, executor: Executor = SERIAL) -> Out
     )
 
 
-def _dropped(final: View, known: Collection[str]) -> dict[str, ScoreTest]:
-    """Return the last word on effects that were selected once and are not any more."""
+def _dropped(final: View, tested: Collection[str]) -> dict[str, ScoreTest]:
+    """Test effects against the final view that were selected and dropped again."""
     screenings = [
         score_test(effect, final)
         for effect in every_effect()
-        if effect.structural is None and effect.name not in known and not effect.untestable(final)
+        if effect.structural is None and effect.name not in tested and not effect.untestable(final)
     ]
-    return {found.effect.name: found for found in screenings if found is not None}
+    return {test.effect.name: test for test in screenings if test is not None}
 
 
 def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
-    """Judge the nuisance class's own structure, with all causes at work."""
+    """Test for missing structure of the nuisance class, beside all causes."""
     final = outcome.final
     for effect in every_effect():
         if effect.structural is None or effect.untestable(final):
@@ -126,11 +126,11 @@ def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
         judgement = structural_candidate(effect, final)
         if judgement is None:
             continue
-        found, structure = judgement
-        if structure.may_be_named and stands(structure, final):
+        test, structure = judgement
+        if structure.may_be_named and may_be_named(structure, final):
             outcome = replace(outcome, causes=(*outcome.causes, structure))
             continue
-        outcome = replace(outcome, screened={**outcome.screened, effect.name: found})
+        outcome = replace(outcome, screened={**outcome.screened, effect.name: test})
         if structure.is_significant:
             outcome = replace(
                 outcome,
@@ -141,38 +141,38 @@ def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
     return outcome
 
 
-def stands(structure: Candidate, final: View) -> bool:
-    """Tell whether structure may be named: what a class that does not fit leaves looks like it."""
+def may_be_named(structure: Candidate, final: View) -> bool:
+    """Tell whether missing structure may be named: a class that does not fit looks like it."""
     clear = explained_share(structure.cv.gain, final.rms, final.noise) > MOST
-    own = structure.effect.structural
-    return clear or own is None or final.rms < own.largest_noise_ratio * final.noise
+    structural = structure.effect.structural
+    return clear or structural is None or final.rms < structural.largest_noise_ratio * final.noise
 
 
 def _with_confounded(confounded: Confounded, effect: Effect) -> Confounded:
-    """Say of causes that this structure may be what they are, or a part of them."""
+    """Add a structural effect to the alternatives of the causes it is confounded with."""
     return {
-        name: (*near, effect.name) if name in effect.confounded else near
-        for name, near in confounded.items()
+        name: (*alternatives, effect.name) if name in effect.confounded else alternatives
+        for name, alternatives in confounded.items()
     }
 
 
 def repaired(
     view: View, executor: Executor, *, but: str = ""
 ) -> tuple[View, dict[str, Fault], InitialStates | None]:
-    """Return the view without the faults that can be undone, and all of them by effect.
+    """Repair faults of the data, and return the repaired view and the faults by effect.
 
-    The initial state is the shared hypothesis that is evident, or a drive cycled over its range.
-    The last value is what is known of initial states, where nothing was repaired.
+    The initial state is the shared hypothesis if it is evident, else a drive cycled over its
+    range. The last value holds the fitted initial states, or None if anything was repaired.
 
-    but  name of a fault that is not looked for
+    but  name of a fault that is not searched for
     """
     faults: dict[str, Fault] = {}
     shared = with_shared_initial_state(view, executor)
-    own = with_own_initial_states(view, shared)
-    evident = shared.rms < EVIDENT * view.rms and shared_does_as_well(shared, own, view)
+    individual = with_own_initial_states(view, shared)
+    evident = shared.rms < EVIDENT * view.rms and shared_does_as_well(shared, individual, view)
     believed = shared if evident else view
-    # a wrong initial state looks like readings that are lost
-    view = own if own.rms < OTHER_INITIAL_STATES * believed.rms else believed
+    # a wrong initial state looks like lost readings
+    view = individual if individual.rms < OTHER_INITIAL_STATES * believed.rms else believed
     for effect in every_effect():
         if effect.fault is None or effect.name == but:
             continue
@@ -181,9 +181,9 @@ def repaired(
             fault = effect.fault.find(view)
             if fault is None:
                 break
-            faults[effect.name] = fault.after(faults.get(effect.name))
+            faults[effect.name] = fault.merged_with(faults.get(effect.name))
             if all(a is b for a, b in zip(fault.tracks, view.tracks, strict=True)):
                 break
             view = with_tracks(view, fault.tracks)
-    known = (shared, own) if view.tracks == own.tracks else None
-    return with_shared_reversals(view, believed.nuisance.reversals), faults, known
+    initial = (shared, individual) if view.tracks == individual.tracks else None
+    return with_shared_reversals(view, believed.nuisance.reversals), faults, initial

@@ -45,9 +45,9 @@ def find_sensor_range_end(view: View, effects: Sequence[SelectedEffect]) -> Sens
 
     effects  selected effects other than a limit of the amplifier
     """
-    ends = [_end_on_side(view, effects, side) for side in (1, -1)]
+    candidates = [_end_on_side(view, effects, side) for side in (1, -1)]
     return max(
-        (end for end in ends if end is not None),
+        (end for end in candidates if end is not None),
         key=lambda end: float(sum(np.sum(error**2) for error in end.error)),
         default=None,
     )
@@ -58,12 +58,12 @@ def _end_on_side(
 ) -> SensorRangeEnd | None:
     starts = [_plateau_start(track, side, view.noise) for track in view.tracks]
     is_on = [side * t.response > start for t, start in zip(view.tracks, starts, strict=True)]
-    rows = [on[track.place] for on, track in zip(is_on, view.tracks, strict=True)]
+    rows = [on[track.rows] for on, track in zip(is_on, view.tracks, strict=True)]
     count = sum(int(on.sum()) for on in rows)
     if not 0 < count < MAX_SHARE * sum(len(on) for on in rows):
         return None
     tracks = tuple(
-        replace(track, place=track.place[~on], block=track.block[~on])
+        replace(track, rows=track.rows[~on], block=track.block[~on])
         for track, on in zip(view.tracks, rows, strict=True)
     )
     fitted = with_effects(with_tracks(view, tracks), effects)
@@ -92,7 +92,7 @@ def _plateau_start(track: Track, side: int, noise: float) -> float:
     top = float(np.quantile(readings, 1.0 - 20.0 / max(len(readings), 200)))
     is_near = readings > top - PLATEAU_WIDTH * noise
     if (
-        int(np.sum(is_near[track.place])) < MIN_ROWS
+        int(np.sum(is_near[track.rows])) < MIN_ROWS
         or np.ptp(readings[is_near]) > 2.0 * PLATEAU_WIDTH * noise
         or np.ptp(track.drive[is_near]) < MIN_DRIVE_RANGE * noise
     ):
@@ -103,4 +103,4 @@ def _plateau_start(track: Track, side: int, noise: float) -> float:
 def _offset(view: View, k: int) -> float:
     """Return the fitted constant of one track."""
     nuisance = view.nuisance
-    return float(view.null.coefficients[nuisance.shared + nuisance.own * k])
+    return float(view.null.coefficients[nuisance.shared + nuisance.columns_per_track * k])

@@ -72,10 +72,10 @@ def drive_change(view: View, passed: Filter, parameters: Parameters) -> Array:
     for k, track in enumerate(view.tracks):
         command = passed(track.command, track.rate_Hz, parameters)
         if command is track.command or np.array_equal(command, track.command):
-            parts.append(np.zeros(len(track.place)))
+            parts.append(np.zeros(len(track.rows)))
             continue
         changed = view.nuisance.static_rows(k, view.weight, track.read(command))
-        parts.append(changed - view.static[k][track.place])
+        parts.append(changed - view.static[k][track.rows])
     return np.concatenate(parts)[:, None]
 
 
@@ -127,7 +127,7 @@ def answers_of_others(view: View, *, backwards: bool = False) -> Array:
 
     backwards  the same drives run backwards in time, which nothing can answer to
     """
-    axes = sorted({axis for track in view.tracks for axis in track.others})
+    axes = sorted({axis for track in view.tracks for axis in track.other_drives})
     parts = [np.zeros((len(view.response), 0))]
     return np.column_stack([*parts, *(_answer(view, axis, backwards) for axis in axes)])
 
@@ -136,10 +136,10 @@ def _answer(view: View, axis: str, backwards: bool) -> Array:
     columns = np.zeros((len(view.response), 2 + len(GAPS)))
     edges = view.nuisance.edges
     for k, track in enumerate(view.tracks):
-        if axis not in track.others:
+        if axis not in track.other_drives:
             continue
-        drive = track.others[axis][:: -1 if backwards else 1]
+        drive = track.other_drives[axis][:: -1 if backwards else 1]
         plays, _ = play_columns(drive, GAPS, np.full(len(GAPS), drive[0]))
-        part = np.column_stack([drive, drive**2, plays])[track.place]
+        part = np.column_stack([drive, drive**2, plays])[track.rows]
         columns[edges[k] : edges[k + 1]] = part
     return columns

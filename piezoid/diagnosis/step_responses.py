@@ -50,99 +50,105 @@ class Trend(NuisanceClass):
 
     @Once
     def columns(self) -> Array:
-        """Return trends of their own for all stretches, at all rows."""
-        place = np.concatenate([track.place for track in self.tracks])
-        ends = [*(np.flatnonzero(np.diff(place) != 1) + 1).tolist(), len(place)]
-        columns = np.zeros((len(place), len(ends) * (DEGREE + 1)), order="F")
-        for k, (first, last) in enumerate(pairwise([0, *ends])):
-            way = 2.0 * np.sqrt(np.arange(last - first) / (last - first)) - 1.0
-            own = slice(k * (DEGREE + 1), (k + 1) * (DEGREE + 1))
-            columns[first:last, own] = np.polynomial.legendre.legvander(way, DEGREE)
+        """Return separate polynomial trends for each stretch of rows, (rows, columns)."""
+        rows = np.concatenate([track.rows for track in self.tracks])
+        stops = [*(np.flatnonzero(np.diff(rows) != 1) + 1).tolist(), len(rows)]
+        columns = np.zeros((len(rows), len(stops) * (DEGREE + 1)), order="F")
+        for k, (first, stop) in enumerate(pairwise([0, *stops])):
+            position = 2.0 * np.sqrt(np.arange(stop - first) / (stop - first)) - 1.0
+            columns_of_segment = slice(k * (DEGREE + 1), (k + 1) * (DEGREE + 1))
+            columns[first:stop, columns_of_segment] = np.polynomial.legendre.legvander(
+                position, DEGREE
+            )
         return columns
 
 
 def modes_behind_jumps(view: View) -> tuple[SelectedEffect, ...]:
-    """Return the modes that jumps of the drive have struck beyond doubt."""
+    """Return the resonances that are significant in step responses."""
     scope = behind_jumps(view)
     if scope is None:
         return ()
-    found = [
+    modes = [
         _struck(in_any_phase(effect), scope) for effect in every_effect() if effect.may_be_absorbed
     ]
-    return tuple(one for one in found if one is not None)
+    return tuple(mode for mode in modes if mode is not None)
 
 
 def in_any_phase(effect: Effect) -> Effect:
-    """Return the effect with its columns as they are and a sample later.
+    """Return the effect with its columns and the same columns delayed by one sample.
 
-    A jump lies between two samples, and may reach the stage by any part of one later: what is
-    added then is a sum of the two.
+    A jump lies between two samples, so its response is delayed by a fraction of a sample: a
+    weighted sum of the two.
     """
     assert effect.trials is not None
     assert effect.columns is not None
     trials, columns = effect.trials, effect.columns
 
-    def both(view: View, parameters: Parameters) -> Array:
+    def two_phases(view: View, parameters: Parameters) -> Array:
         return np.hstack([columns(view, parameters), columns(_earlier(view), parameters)])
 
     def either(view: View) -> list[Trial]:
         return [
             replace(
-                trial, columns=both(view, trial.parameters), coefficient_range=(-np.inf, np.inf)
+                trial,
+                columns=two_phases(view, trial.parameters),
+                coefficient_range=(-np.inf, np.inf),
             )
             for trial in trials(view)
         ]
 
-    return replace(effect, trials=either, columns=both)
+    return replace(effect, trials=either, columns=two_phases)
 
 
 def _earlier(view: View) -> View:
-    tracks = [replace(track, place=np.maximum(track.place - 1, 0)) for track in view.tracks]
+    tracks = [replace(track, rows=np.maximum(track.rows - 1, 0)) for track in view.tracks]
     return replace(with_tracks(view, tracks), guess=view.static)
 
 
 def behind_jumps(view: View) -> View | None:
-    """Return what follows jumps with static responses as they are, None where nothing jumps."""
-    there = {k: _stretches(track.drive) for k, track in enumerate(view.tracks)}
-    kept = [k for k, stretches in there.items() if stretches]
-    if not kept:
+    """Return the view of the step responses with fixed static responses; None without jumps."""
+    by_track = {k: _stretches(track.drive) for k, track in enumerate(view.tracks)}
+    tracks_with_jumps = [k for k, stretches in by_track.items() if stretches]
+    if not tracks_with_jumps:
         return None
-    tracks = [_only(view.tracks[k], there[k]) for k in kept]
-    reversals = [view.nuisance.reversals[k] for k in kept]
+    tracks = [_only(view.tracks[k], by_track[k]) for k in tracks_with_jumps]
+    reversals = [view.nuisance.reversals[k] for k in tracks_with_jumps]
     histories = [History(track=t, reversals=p) for t, p in zip(tracks, reversals, strict=True)]
     trend = Trend(histories=tuple(histories))
-    known = tuple(view.static[k] for k in kept)
-    return replace(with_tracks(replace(view, nuisance=trend), tracks), guess=known)
+    static = tuple(view.static[k] for k in tracks_with_jumps)
+    return replace(with_tracks(replace(view, nuisance=trend), tracks), guess=static)
 
 
 def _stretches(drive: Array) -> list[Stretch]:
-    """Return first and last sample of what follows each jump behind which the drive is calm."""
-    way = np.abs(drive[WITHIN:] - drive[:-WITHIN])
-    fast = np.concatenate([[False], way >= JUMP, [False]])
-    begins, ends = (np.flatnonzero(np.diff(fast.astype(int)) == sign) for sign in (1, -1))
-    following = np.append(begins[1:], len(way))[: len(begins)]
-    found = []
-    for begin, end, next_one in zip(*(a.tolist() for a in (begins, ends, following)), strict=True):
+    """Return the stretches (first sample, end) after jumps that are followed by a calm drive."""
+    change = np.abs(drive[WITHIN:] - drive[:-WITHIN])
+    fast = np.concatenate([[False], change >= JUMP, [False]])
+    starts, stops = (np.flatnonzero(np.diff(fast.astype(int)) == sign) for sign in (1, -1))
+    following = np.append(starts[1:], len(change))[: len(starts)]
+    stretches = []
+    for begin, end, next_one in zip(
+        *(a.tolist() for a in (starts, stops, following)), strict=True
+    ):
         first = end + SETTLED
-        last = min(first + STRETCH, next_one)
-        if end - begin > 2 * WITHIN or last - first < FEWEST:
+        stop = min(first + STRETCH, next_one)
+        if end - begin > 2 * WITHIN or stop - first < FEWEST:
             continue
-        if way[end:last].max() < CALM * way[begin:end].max():
-            found.append((first, last))
-    return found
+        if change[end:stop].max() < CALM * change[begin:end].max():
+            stretches.append((first, stop))
+    return stretches
 
 
 def _only(track: Track, stretches: Sequence[Stretch]) -> Track:
-    place = [np.arange(first, last) for first, last in stretches]
-    block = [(p - p[0]) * BLOCKS // STRETCH for p in place]
-    return replace(track, place=np.concatenate(place), block=np.concatenate(block))
+    rows = [np.arange(first, last) for first, last in stretches]
+    block = [(p - p[0]) * BLOCKS // STRETCH for p in rows]
+    return replace(track, rows=np.concatenate(rows), block=np.concatenate(block))
 
 
 def _struck(effect: Effect, scope: View) -> SelectedEffect | None:
-    seen = None if effect.untestable(scope) else score_test(effect, scope)
-    if seen is None or not seen.physical:
+    test = None if effect.untestable(scope) else score_test(effect, scope)
+    if test is None or not test.physical:
         return None
-    one = initial_guess(effect, seen.trial, float(seen.cv.coefficient[0]))
-    better, view = refine(one, scope, [])
-    found = evaluate(better, view, scope, test=seen)
-    return replace(better, from_jumps=True) if found.is_significant else None
+    guess = initial_guess(effect, test.trial, float(test.cv.coefficient[0]))
+    refined, view = refine(guess, scope, [])
+    candidate = evaluate(refined, view, scope, test=test)
+    return replace(refined, from_jumps=True) if candidate.is_significant else None

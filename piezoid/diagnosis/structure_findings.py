@@ -36,14 +36,15 @@ NOISE_EXPERIMENT = (
 def structure_finding(
     structure: ResidualStructure,
     *,
-    before: HeldOut,
-    after: HeldOut,
+    without_curve: HeldOut,
+    with_curve: HeldOut,
     scale_m: float,
     middle_m: float,
 ) -> Finding:
     """Return the finding of structure that was subtracted from the readings.
 
-    before, after  held-out errors of the model without the curve and with it
+    without_curve  held-out error of the model without the curve
+    with_curve     and with it
     scale_m        displacement of 1 in scaled units
     middle_m       displacement of 0
     """
@@ -56,9 +57,9 @@ def structure_finding(
     share = f"{100 * structure.share:.0f} % of what no cause explains beyond the noise"
     return Finding(
         effect=SOMETHING_ELSE,
-        held_out_gain=held_out_gain(before.rms_m, after.rms_m),
-        held_out_rms_before_m=before.rms_m,
-        held_out_rms_after_m=after.rms_m,
+        held_out_gain=held_out_gain(without_curve.rms_m, with_curve.rms_m),
+        held_out_rms_before_m=without_curve.rms_m,
+        held_out_rms_after_m=with_curve.rms_m,
         p_value=structure.healthy_p_value,
         rms_percent=50.0 * rms_m / view.half_stroke_m,
         size=_size(low_m, rms_m, high_m),
@@ -200,7 +201,7 @@ def _profile(
 def _position(score: CoordinateScore, view: View, k: int) -> Array:
     """Return the coordinate of a track's rows; if periodic, as a fraction of the period."""
     basis = score.basis
-    position = basis.position[k][view.tracks[k].place]
+    position = basis.position[k][view.tracks[k].rows]
     if not basis.per_unit:
         return position
     if not basis.harmonics:

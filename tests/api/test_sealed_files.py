@@ -78,7 +78,7 @@ def test_diagnoses_come_back_one_for_each_axis(tmp_path) -> None:
     assert piezoid.load(place) == (diagnosis("x"),)
     piezoid.save([diagnosis("x"), diagnosis("y")], place)
     assert piezoid.load(place) == (diagnosis("x"), diagnosis("y"))
-    assert place.read_bytes() == write_diagnosis(diagnosis("x"), others=[diagnosis("y")])
+    assert place.read_bytes() == write_diagnosis(diagnosis("x"), further_axes=[diagnosis("y")])
 
 
 def test_what_ships_is_verified_again_to_the_same_bytes(lab, shipping) -> None:

@@ -40,8 +40,8 @@ def track_of(drive: Array, left: Array) -> Track:
         drive=drive,
         sensor_Hz=None,
         response=0.6 * drive + 0.3 * drive**3 + left + QUIET,
-        others={},
-        place=place,
+        other_drives={},
+        rows=place,
         block=place * BLOCKS // ROWS,
     )
 
@@ -49,7 +49,7 @@ def track_of(drive: Array, left: Array) -> Track:
 def fault_of(*seen: tuple[Array, Array]):
     """Return the fault that drives and what a smooth stage does not do behind them show."""
     tracks = [track_of(drive, left) for drive, left in seen]
-    view = view_of(tracks, half_stroke_m=1e-5, voltage_V=50.0, rest=-1.0)
+    view = view_of(tracks, half_stroke_m=1e-5, voltage_V=50.0, rest_drive=-1.0)
     return quantisation.EFFECT.fault.find(view)
 
 

@@ -209,7 +209,7 @@ def test_what_is_larger_than_a_fault_that_could_hide_is_found():
 def test_a_fault_found_in_several_goes_has_the_larger_size_and_the_surer_p():
     first = Fault(tracks=healthy().tracks, value=-5.0, spread=0.5, p_value=0.01)
     second = Fault(tracks=(), value=2.0, spread=0.1, p_value=0.001)
-    both = second.after(first)
+    both = second.merged_with(first)
     assert (both.value, both.spread, both.p_value) == (-5.0, 0.5, 0.001)
     assert both.tracks == ()
 
@@ -224,7 +224,7 @@ def test_bridged_samples_are_neither_compared_nor_steps_of_a_converter():
         axis="x",
         lab=Lab(),
     )
-    assert not np.isin(view.tracks[0].place, lost).any()
+    assert not np.isin(view.tracks[0].rows, lost).any()
     assert within(quantisation.EFFECT.fault.find(view), 1e9 * step_m)
 
 

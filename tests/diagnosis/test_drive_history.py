@@ -46,8 +46,8 @@ def track(drive: np.ndarray) -> Track:
         drive=drive,
         sensor_Hz=None,
         response=drive,
-        others={},
-        place=place,
+        other_drives={},
+        rows=place,
         block=place * 15 // len(drive),
     )
 
@@ -60,7 +60,7 @@ def every_state(drive: np.ndarray, reversals: tuple[float, ...]) -> tuple[np.nda
 @pytest.mark.parametrize("reversals", RANDOM_HYPOTHESES)
 def test_states_at_rows_follow_from_rows_and_turns_alone(reversals) -> None:
     drive = drive_with_holds()
-    place = track(drive).place
+    place = track(drive).rows
     assert len(way_to(drive, place)[0]) < len(place) + 60
     plays, friction = every_state(drive, reversals)
     found = states_at(drive, reversals, place)
@@ -72,7 +72,7 @@ def test_the_bouc_wen_state_at_rows_is_that_of_every_sample() -> None:
     view = healthy_view()
     bouc_wen = (1.6, 0.6, 1.6, 0.1)
     bent = replace(view.nuisance, bouc_wen=bouc_wen)
-    drive, place = drive_with_holds(), track(drive_with_holds()).place
+    drive, place = drive_with_holds(), track(drive_with_holds()).rows
     every = states_under(bouc_wen, RANDOM_HYPOTHESES[0], drive)[place]
     np.testing.assert_allclose(bent.bent_at(RANDOM_HYPOTHESES[0], drive, place), every, atol=1e-4)
 
@@ -80,13 +80,13 @@ def test_the_bouc_wen_state_at_rows_is_that_of_every_sample() -> None:
 @pytest.mark.parametrize("reversals", RANDOM_HYPOTHESES)
 def test_first_states_are_kept_until_a_play_moves(reversals) -> None:
     history = History(track=track(drive_with_holds()), reversals=reversals)
-    drive, place = history.track.drive, history.track.place
+    drive, place = history.track.drive, history.track.rows
     first = memory_after(drive, reversals)
     states, _ = play_columns(drive, THRESHOLD, first)
     memory = np.logical_and.accumulate(states == first, axis=0)[place].astype(float)
     groups = np.array_split(np.arange(6, 18), 4)
     expected = np.column_stack([memory[:, group].mean(axis=1) for group in groups])
-    np.testing.assert_array_equal(history.kept(4), expected)
+    np.testing.assert_array_equal(history.retained_memory(4), expected)
     assert 0.0 < expected.mean() < 1.0
 
 
@@ -124,7 +124,7 @@ def test_states_are_known_again_where_drive_and_past_are_the_same() -> None:
     assert with_tracks(view, mended).nuisance.histories[0].states is first.states
     other = with_reversals(view, ((0.0,),) * len(view.tracks)).nuisance.histories[0]
     assert not np.array_equal(other.states[0], first.states[0])
-    assert other.after((0.0,)) is other
+    assert other.with_reversals((0.0,)) is other
 
 
 def test_what_ends_a_drive_ended_it_before_the_recording_as_well() -> None:
@@ -148,11 +148,11 @@ def test_what_is_poled_for_good_grows_only_where_the_drive_comes_for_the_first_t
     drive = np.interp(np.linspace(0.0, 9.0, 9_001), np.arange(10.0), way)
     history = History(track=track(drive), reversals=RANDOM_HYPOTHESES[0])
     above, far_above, *below = history.poled().T
-    at = drive[history.track.place]
-    first = history.track.place < 2_000
+    at = drive[history.track.rows]
+    first = history.track.rows < 2_000
     np.testing.assert_allclose(above[first], np.maximum(at[first], 0.0), atol=1e-12)
-    assert (above[(history.track.place > 2_000) & (history.track.place < 4_150)] == 0.3).all()
-    np.testing.assert_allclose(above[history.track.place > 7_000], 1.0)
+    assert (above[(history.track.rows > 2_000) & (history.track.rows < 4_150)] == 0.3).all()
+    np.testing.assert_allclose(above[history.track.rows > 7_000], 1.0)
     np.testing.assert_allclose(far_above, np.maximum(above - 0.5, 0.0), atol=1e-12)
     assert not np.any(below)  # it began at its lowest
     assert (np.diff(above) >= 0.0).all()

@@ -61,11 +61,11 @@ def test_the_laboratory_plays_the_plan_and_separates_creep_from_drift_as_promise
     planned, axis = _planned(), model_of(case).axes["x"]
     before = really_separable(case, axis, SLOW, None, drifting=True)
     after = really_separable(case, axis, SLOW, planned.drive, drifting=True)
-    assert planned.before is not None
-    assert planned.before.separability < 0.2
+    assert planned.recorded is not None
+    assert planned.recorded.separability < 0.2
     assert before < 0.2
     assert after > 2.0 * before
-    assert planned.after.separability / 2 < after < 2.5 * planned.after.separability
+    assert planned.planned.separability / 2 < after < 2.5 * planned.planned.separability
 
 
 def test_the_laboratory_separates_delay_from_lag_once_small_motion_is_fast() -> None:
@@ -77,8 +77,8 @@ def test_the_laboratory_separates_delay_from_lag_once_small_motion_is_fast() -> 
     planned = plan(model, diagnosis, recordings=before, clock_Hz=CLOCK_Hz)
     axis = model.axes["x"]
     assert planned.drive.name == "small_multisine"
-    assert planned.before is not None
-    promised = planned.after.separability / planned.before.separability
+    assert planned.recorded is not None
+    promised = planned.planned.separability / planned.recorded.separability
     kept = really_separable(case, axis, LATE, planned.drive, drifting=False)
     kept /= really_separable(case, axis, LATE, None, drifting=False)
     assert promised > 5.0
@@ -113,7 +113,7 @@ def test_every_drive_of_the_menu_stays_inside_range_and_slew(
     experiment: Experiment, slew_V_per_s: float
 ) -> None:
     limits = DriveLimits(voltage_min_V=1.0, voltage_max_V=8.0, slew_V_per_s=slew_V_per_s)
-    bench = Bench(axis="x", limits=limits, clock_Hz=CLOCK_Hz, others={"y": limits})
+    bench = Bench(axis="x", limits=limits, clock_Hz=CLOCK_Hz, other_limits={"y": limits})
     drive = played(experiment, bench, 0)
     assert drive.voltage_V.min() >= 1.0
     assert drive.voltage_V.max() <= 8.0

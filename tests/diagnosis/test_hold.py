@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
-from piezoid.diagnosis.segments import held, is_held
+from piezoid.diagnosis.segments import is_held, staircase_response
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
@@ -26,19 +26,21 @@ def behind(command, poles_Hz):
 @pytest.mark.parametrize("poles_Hz", [(4e3,), (4e3, 8.5e3), (8.5e3, 4e3), (300.0, 9e3)])
 def test_a_held_command_comes_out_as_a_state_space_of_the_same_poles_has_it(poles_Hz):
     command = np.random.default_rng(3).uniform(-1.0, 1.0, 400)
-    assert np.allclose(held(command, poles_Hz, RATE_Hz), behind(command, poles_Hz), atol=1e-12)
+    assert np.allclose(
+        staircase_response(command, poles_Hz, RATE_Hz), behind(command, poles_Hz), atol=1e-12
+    )
 
 
 def test_two_equal_poles_answer_a_step_by_the_closed_form():
     command = np.concatenate([[0.0], np.ones(40)])
     time = 2.0 * np.pi * 2e3 * np.arange(-1, 40) / RATE_Hz
     expected = np.where(time > 0, 1.0 - (1.0 + time) * np.exp(-time), 0.0)
-    assert np.allclose(held(command, (2e3, 2e3), RATE_Hz), expected, atol=1e-4)
+    assert np.allclose(staircase_response(command, (2e3, 2e3), RATE_Hz), expected, atol=1e-4)
 
 
 def test_a_pole_that_is_not_declared_leaves_the_hold_of_one_sample():
     command = np.array([0.3, 1.0, -2.0, 4.0])
-    assert held(command, (None, None), RATE_Hz).tolist() == [0.3, 0.3, 1.0, -2.0]
+    assert staircase_response(command, (None, None), RATE_Hz).tolist() == [0.3, 0.3, 1.0, -2.0]
 
 
 def test_rows_are_held_only_at_the_declared_clock_and_with_a_declared_pole():

@@ -91,7 +91,7 @@ def test_a_coupling_that_no_recording_excites_has_a_size_along_the_drive_that_wo
 def test_other_axes_that_reach_their_loops_late_are_waited_for() -> None:
     slow = DriveLimits(voltage_min_V=0.0, voltage_max_V=10.0, slew_V_per_s=1.0)
     fast = replace(slow, slew_V_per_s=50.0)
-    bench = Bench(axis="x", limits=fast, clock_Hz=CLOCK_Hz, others={"y": slow, "z": fast})
+    bench = Bench(axis="x", limits=fast, clock_Hz=CLOCK_Hz, other_limits={"y": slow, "z": fast})
     drive = played(next(one for one in MENU if one.needs_other), bench, 0)
     still_V = drive.voltage_V[:, 0] == 5.0
     for k in (1, 2):
@@ -110,9 +110,9 @@ def test_where_speed_is_what_is_missing_the_plan_says_so_and_is_right() -> None:
     )
     assert said is not None
     faster = _planned(_open(delay=HIGH_m), 8.0, effect="delay")
-    left = left_open(faster.question, None, faster.after)
+    left = left_open(faster.question, None, faster.planned)
     assert 100 * left == pytest.approx(float(said[1]), abs=0.6)
-    assert left < left_open(slow.question, None, slow.after)
+    assert left < left_open(slow.question, None, slow.planned)
 
 
 def test_a_question_that_no_drive_answers_gives_way_to_one_that_is_answered() -> None:

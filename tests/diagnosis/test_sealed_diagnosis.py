@@ -13,7 +13,7 @@ from tests.reports.known_diagnosis import diagnosed, finding
 
 WRONG: tuple[Any, ...] = ("x", [[]], {"x": []}, True, None, 7.5)
 KNOWN = diagnosed(finding("creep", 0.3), finding("lag", 0.1))
-WRITTEN = json.loads(write_diagnosis(KNOWN, others=(KNOWN,)))
+WRITTEN = json.loads(write_diagnosis(KNOWN, further_axes=(KNOWN,)))
 NOT_READ = {"schema", "digest", "unit"}
 
 
@@ -60,7 +60,7 @@ def test_an_entry_of_another_kind_is_refused() -> None:
 
 
 def test_what_was_written_is_read_back_the_same_for_every_axis() -> None:
-    assert read_diagnoses(write_diagnosis(KNOWN, others=(KNOWN,))) == (
+    assert read_diagnoses(write_diagnosis(KNOWN, further_axes=(KNOWN,))) == (
         KNOWN,
         KNOWN,
     )

@@ -36,10 +36,10 @@ def test_no_row_is_where_a_declared_pole_still_thinks_that_the_drive_rested() ->
     scale = np.polyfit(track.drive[2000:], shown[2000:], 1)
     missed = np.abs(np.polyval(scale, track.drive) - shown)
     assert missed.max() > 0.015 * np.ptp(shown)
-    assert missed[track.place].max() < 1e-3 * np.ptp(shown)
+    assert missed[track.rows].max() < 1e-3 * np.ptp(shown)
 
 
 def test_where_no_pole_is_declared_nothing_of_the_beginning_is_left_out() -> None:
     late, _ = begun_late()
     (track,) = tracks_of([late], "x", scales_of([late], "x"), Rig())
-    assert track.place[0] == 0
+    assert track.rows[0] == 0

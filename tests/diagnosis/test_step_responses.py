@@ -115,8 +115,8 @@ def test_what_follows_a_jump_is_looked_at_from_where_it_has_settled() -> None:
     recordings = [recording("sweep"), recording("walk", STROKE_m * static(), jumping())]
     there = behind_jumps(view_on(recordings, axis="x", lab=Lab()))
     (track,) = there.tracks
-    assert track.place[0] == JUMP_AT + SETTLED
-    assert np.all(np.diff(track.place) == 1)
+    assert track.rows[0] == JUMP_AT + SETTLED
+    assert np.all(np.diff(track.rows) == 1)
     assert len(np.unique(track.block)) > 10
 
 

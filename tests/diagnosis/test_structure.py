@@ -66,7 +66,7 @@ def test_columns_behind_the_others_and_products_that_are_known_change_nothing() 
     columns, more = view.nuisance.columns, np.linspace(-1.0, 1.0, len(view.response))[:, None]
     rest = {"response": view.response, "block": view.block}
     made = Null(columns=np.hstack([columns, more]), **rest)
-    known = Null(columns=columns, more=more, known=view.nuisance.gram, **rest)
+    known = Null(columns=columns, extra=more, column_gram=view.nuisance.gram, **rest)
     np.testing.assert_allclose(known.gram, made.gram, rtol=1e-12, atol=1e-9)
     np.testing.assert_allclose(known.residual, made.residual, atol=1e-9)
     assert known.rms == pytest.approx(made.rms, rel=1e-9)
@@ -78,7 +78,7 @@ def test_a_part_that_no_bouc_wen_state_does_as_well_is_judged_without_one() -> N
         1, truth="jiles_atherton", effects={"non_congruence": 3.0}, plans=("sweep", "check")
     )
     view = view_of_recordings(*recorded(campaign))
-    few = [replace(t, place=t.place[::EVERY], block=t.block[::EVERY]) for t in view.tracks]
+    few = [replace(t, rows=t.rows[::EVERY], block=t.block[::EVERY]) for t in view.tracks]
     view = with_tracks(view, few)
     found, structure = structural_candidate(non_congruence.EFFECT, view)
     assert structure.view is view

@@ -191,8 +191,8 @@ def test_a_plan_can_ask_about_it(known: Known) -> None:
         known.model, known.found, recordings=known.recordings, effect="charge_leak", clock_Hz=1e3
     )
     assert planned.question.effects == ("charge_leak",)
-    assert planned.before is not None
-    assert planned.after.errors[0] < planned.before.errors[0]
+    assert planned.recorded is not None
+    assert planned.planned.errors[0] < planned.recorded.errors[0]
 
 
 def test_the_plant_of_verification_overshoots_by_it(known: Known) -> None:

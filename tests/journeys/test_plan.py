@@ -24,7 +24,7 @@ def stage(tmp_path: Path) -> Path:
     other = replace(diagnosed(finding("lag", rivals=("delay",))), axis="y")
     (folder / "model.json").write_bytes(write_model(model))
     creep = diagnosed(finding("creep", rivals=("thermal_drift",)))
-    (folder / "diagnosis.json").write_bytes(write_diagnosis(creep, others=(other,)))
+    (folder / "diagnosis.json").write_bytes(write_diagnosis(creep, further_axes=(other,)))
     return folder
 
 

@@ -50,28 +50,28 @@ def _clip(drive: Array, _: float, parameters: Parameters) -> Array:
 def _trials(view: View) -> list[Trial]:
     high = max(float(track.command.max()) for track in view.tracks)
     low = min(float(track.command.min()) for track in view.tracks)
-    least, middle = LEAST * (high - low), 0.5 * (high + low)
+    margin, middle = LEAST * (high - low), 0.5 * (high + low)
     ways = [
-        (depth, way, limits)
+        (depth, levels, limits)
         for depth in (*DEPTHS, *DEEPER)
-        for way, limits in (
-            ({"high": high - depth}, {"high": (low + least, np.inf)}),
-            ({"low": low + depth}, {"low": (-np.inf, high - least)}),
+        for levels, limits in (
+            ({"high": high - depth}, {"high": (low + margin, np.inf)}),
+            ({"low": low + depth}, {"low": (-np.inf, high - margin)}),
             (
                 {"high": high - depth, "low": low + depth},
-                {"high": (middle + least, np.inf), "low": (-np.inf, middle - least)},
+                {"high": (middle + margin, np.inf), "low": (-np.inf, middle - margin)},
             ),
         )
     ]
     return [
         Trial(
-            columns=drive_change(view, _clip, way) if depth in DEPTHS else untested(view),
-            parameters=way,
-            free=dict.fromkeys(way, max(SHORTEST, STEP * depth)),
+            columns=drive_change(view, _clip, levels) if depth in DEPTHS else untested(view),
+            parameters=levels,
+            free=dict.fromkeys(levels, max(SHORTEST, STEP * depth)),
             limits=limits,
         )
-        for depth, way, limits in ways
-        if all(limits[side][0] < level < limits[side][1] for side, level in way.items())
+        for depth, levels, limits in ways
+        if all(limits[side][0] < level < limits[side][1] for side, level in levels.items())
     ]
 
 
@@ -99,15 +99,15 @@ def inject(recording: Recording, share: float) -> Recording:
     )
 
 
-def extend(found: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
-    """Return the part of the model that begins where a search found it.
+def extend(estimate: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
+    """Return the model extension, starting from the estimate of the search.
 
-    A limit that no drive came to, all of which lie between -1 and 1, is not in the data.
+    Drives lie between -1 and 1: a limit outside was never reached and is not included.
     """
     level_V = {
-        side: setting.voltage_offset_V + setting.voltage_V * found.parameters[side]
+        side: setting.voltage_offset_V + setting.voltage_V * estimate.parameters[side]
         for side in ("low", "high")
-        if abs(found.parameters.get(side, np.inf)) < 1.0
+        if abs(estimate.parameters.get(side, np.inf)) < 1.0
     }
     if not level_V:
         return ()

@@ -74,8 +74,8 @@ def _longest_s(view: View) -> float:
 
 def _ladder(view: View, parameters: Parameters, *, backwards: bool = False) -> Array:
     """Return the relaxation of the static response that adds a whole step in a decade."""
-    first, last = np.log10([FASTEST_s, LONGER * _longest_s(view)])
-    decade = np.arange(first + 0.5 / PER_DECADE, last, 1.0 / PER_DECADE)
+    first, stop = np.log10([FASTEST_s, LONGER * _longest_s(view)])
+    decade = np.arange(first + 0.5 / PER_DECADE, stop, 1.0 / PER_DECADE)
     share = 1.0 + parameters["tilt"] * (decade - np.log10(min(TOLD_AT_s, _longest_s(view))))
     share[0] *= parameters["begins"]
     times_s, share = (10.0**decade).tolist(), np.maximum(share, 0.0) / PER_DECADE
@@ -89,10 +89,10 @@ def _ladder(view: View, parameters: Parameters, *, backwards: bool = False) -> A
 
 
 def _trials(view: View) -> list[Trial]:
-    found = []
-    for tilt, begins, backwards in product(TILTS, BEGINS, (False, True)):
-        spectrum = {"tilt": tilt, "begins": begins}
-        found.append(
+    trials = []
+    for tilt, first_rung, backwards in product(TILTS, BEGINS, (False, True)):
+        spectrum = {"tilt": tilt, "begins": first_rung}
+        trials.append(
             Trial(
                 columns=_ladder(view, spectrum, backwards=backwards),
                 parameters=spectrum,
@@ -100,40 +100,40 @@ def _trials(view: View) -> list[Trial]:
                 coefficient_range=ALLOWED,
             )
         )
-    return found
+    return trials
 
 
 def _decays(view: View) -> Array:
     """Return each track's own return to rest: creep that began before it did."""
     return np.column_stack(
         [
-            view.of_track(k, np.exp(-track.place / (track.rate_Hz * DECAY_s)))
+            view.of_track(k, np.exp(-track.rows / (track.rate_Hz * DECAY_s)))
             for k, track in enumerate(view.tracks)
         ]
     )
 
 
 def _tangent(drive: Driven, _: float) -> Array:
-    first, last = np.log10(PLANNED_s)
-    times_s = np.logspace(first, last, round((last - first) * PER_DECADE))
+    first, stop = np.log10(PLANNED_s)
+    times_s = np.logspace(first, stop, round((stop - first) * PER_DECADE))
     rungs = [first_order(time_s, drive.rate_Hz) for time_s in times_s]
     return ladder(drive.static_m, rungs, 1.0 / PER_DECADE)[:, None]
 
 
 def _in_holds(recording: Recording) -> tuple[Array, Array]:
-    """Return decades of time since the drive stopped, and the direction it had come from."""
+    """Return decades of time since the drive stopped, and the direction of its last move."""
     voltage_V, rate_Hz = recording.voltage_V(), recording.sampling_rate_Hz
     step = np.diff(voltage_V, prepend=voltage_V[0])
     moving = np.abs(step) > STILL * max(float(np.ptp(voltage_V)), 1e-30)
-    last = np.maximum.accumulate(np.where(moving, np.arange(len(step)), 0))
-    since_s = (np.arange(len(step)) - last) / rate_Hz
+    last_move = np.maximum.accumulate(np.where(moving, np.arange(len(step)), 0))
+    since_s = (np.arange(len(step)) - last_move) / rate_Hz
     with np.errstate(divide="ignore"):
         decades = np.where(moving | (since_s <= 0.0), np.nan, np.log10(since_s))
-    ends = np.flatnonzero(np.diff(np.append(moving, True).astype(int)) > 0)
-    for end in ends:
+    stops = np.flatnonzero(np.diff(np.append(moving, True).astype(int)) > 0)
+    for end in stops:
         if since_s[end] < SHORTEST_HOLD_s:
-            decades[last[end] : end + 1] = np.nan
-    return np.asarray(decades), np.asarray(np.sign(step[last]))
+            decades[last_move[end] : end + 1] = np.nan
+    return np.asarray(decades), np.asarray(np.sign(step[last_move]))
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -144,10 +144,10 @@ def inject(recording: Recording, share: float) -> Recording:
     return with_added(recording, crept_m - crept_m.mean(), share)
 
 
-def extend(found: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
-    """Return the part of the model that begins with the share that a search found."""
+def extend(estimate: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
+    """Return the model extension, starting from the creep share of the search."""
     time_s = np.geomspace(FASTEST_s, LONGER * setting.longest_s, RUNGS)
-    share = np.clip(found.first_coefficient * np.log10(time_s[1] / time_s[0]), 1e-4, 0.1)
+    share = np.clip(estimate.first_coefficient * np.log10(time_s[1] / time_s[0]), 1e-4, 0.1)
     return (CreepLadder(time_s=tuple(time_s.tolist()), share=(float(share),) * RUNGS, even=True),)
 
 

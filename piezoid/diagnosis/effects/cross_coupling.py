@@ -36,7 +36,7 @@ from piezoid.records.recording import Quantity, Recording
 
 
 def _untestable(view: View) -> str:
-    if any(track.others for track in view.tracks):
+    if any(track.other_drives for track in view.tracks):
         return ""
     return "no recording holds the moving drive of another axis"
 
@@ -49,9 +49,9 @@ def _trials(view: View) -> list[Trial]:
 
 
 def _tangent(drive: Driven, _: float) -> Array:
-    if not drive.others:
+    if not drive.other_drives:
         return np.zeros((len(drive.voltage_V), 1))
-    return 1e-6 * np.column_stack(list(drive.others.values()))
+    return 1e-6 * np.column_stack(list(drive.other_drives.values()))
 
 
 def _other_drive(recording: Recording) -> tuple[Array, Array]:
@@ -62,16 +62,16 @@ def _other_drive(recording: Recording) -> tuple[Array, Array]:
 
 
 def _at_rest(standing: ConstantDriveData) -> Array | str:
-    others = [
+    other_drives = [
         channel.values[standing.keep]
         for channel in standing.recording.channels
         if channel.quantity is Quantity.VOLTAGE
         and channel.axis != standing.axis
         and np.ptp(channel.values) > 10.0 * white_noise_rms(channel.values)
     ]
-    if not others:
+    if not other_drives:
         return "the drive of no other axis moves in it"
-    return np.column_stack([u / max(float(np.ptp(u)), 1e-30) for u in others])
+    return np.column_stack([u / max(float(np.ptp(u)), 1e-30) for u in other_drives])
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -91,7 +91,7 @@ def inject(recording: Recording, share: float) -> Recording:
 
 
 def extend(_: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
-    """Return the part of the model that begins where a search found it."""
+    """Return the model extension, starting from the estimate of the search."""
     axes = sorted({axis for piece in setting.pieces for axis in piece.others_V})
     return tuple(_coupled(axis, setting) for axis in axes)
 

@@ -68,12 +68,12 @@ def _size(view: View, parameters: Parameters, _: Array) -> float:
     return 1e6 * time_s
 
 
-def extend(found: EffectEstimate, _: SearchScaling) -> tuple[Extension, ...]:
-    """Return the part of the model that begins where a search found it."""
-    samples = found.parameters.get("delay_samples", 0.0)
+def extend(estimate: EffectEstimate, _: SearchScaling) -> tuple[Extension, ...]:
+    """Return the model extension, starting from the estimate of the search."""
+    samples = estimate.parameters.get("delay_samples", 0.0)
     if samples > 0.0:
         return (Delay(delay_samples=samples),)
-    return (Delay(delay_s=max(found.parameters.get("delay_s", 0.0), 0.0)),)
+    return (Delay(delay_s=max(estimate.parameters.get("delay_s", 0.0), 0.0)),)
 
 
 EFFECT = Effect(

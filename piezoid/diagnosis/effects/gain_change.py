@@ -56,18 +56,18 @@ def _change(
 ) -> Array:
     """Return columns of a gain and a zero that change in one track, in shares of its duration."""
     track = view.tracks[k]
-    time = track.place / len(track.drive)
+    time = track.rows / len(track.drive)
     share = turned(time, instant, duration)
     if is_temporary:
         share = share - turned(time, instant + TEMPORARY, duration)
-    response = view.static[k][track.place]
+    response = view.static[k][track.rows]
     return np.column_stack([view.of_track(k, share * response), view.of_track(k, share)])
 
 
 def _gains_of_tracks(view: View) -> Array:
     """Return columns of a gain of each track but the first: no evidence of a change in a track."""
     columns = [
-        view.of_track(k, view.static[k][track.place])
+        view.of_track(k, view.static[k][track.rows])
         for k, track in enumerate(view.tracks)
         if k > 0
     ]
@@ -117,7 +117,7 @@ def _trial(
 def _from_track_on(view: View, first: int) -> Array:
     """Return the column of a gain of all tracks from one on."""
     parts = [
-        static[track.place] * float(k >= first)
+        static[track.rows] * float(k >= first)
         for k, (track, static) in enumerate(zip(view.tracks, view.static, strict=True))
     ]
     return np.concatenate(parts)[:, None]
@@ -145,8 +145,8 @@ def _trials_between(view: View) -> list[Trial]:
     return [*changes, *placebos]
 
 
-def _have_similar_speed(before: Sequence[float], after: Sequence[float]) -> bool:
-    return any(a < EQUAL_SPEED * b and b < EQUAL_SPEED * a for a in before for b in after)
+def _have_similar_speed(earlier: Sequence[float], later: Sequence[float]) -> bool:
+    return any(a < EQUAL_SPEED * b and b < EQUAL_SPEED * a for a in earlier for b in later)
 
 
 def _trial_between(track: int, columns: Array, *, physical: bool = True) -> Trial:
@@ -160,8 +160,8 @@ def _columns(view: View, parameters: Parameters) -> Array:
 
 
 def _tangent(drive: Driven, _: float) -> Array:
-    after = drive.time_s > 0.5 * drive.time_s[-1]
-    return np.asarray((drive.static_m * after)[:, None])
+    is_late = drive.time_s > 0.5 * drive.time_s[-1]
+    return np.asarray((drive.static_m * is_late)[:, None])
 
 
 def _about_middle(recording: Recording) -> tuple[Array, Array]:
@@ -177,19 +177,19 @@ def inject(recording: Recording, share: float) -> Recording:
     return through(recording, change)
 
 
-def extend(found: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
-    """Return the part of the model that begins where a search found it."""
-    piece = setting.pieces[int(found.parameters["track"])]
+def extend(estimate: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
+    """Return the model extension, starting from the estimate of the search."""
+    piece = setting.pieces[int(estimate.parameters["track"])]
     whole_s = piece.samples / piece.rate_Hz
-    instant_s = piece.first / piece.rate_Hz + found.parameters["place"] * whole_s
-    after = setting.recordings.index(piece.recording) + 1
+    instant_s = piece.first / piece.rate_Hz + estimate.parameters["place"] * whole_s
+    following = setting.recordings.index(piece.recording) + 1
     return (
         GainChange(
             recording=piece.recording,
             instant_s=instant_s,
-            ratio=float(np.clip(1.0 + found.first_coefficient, 0.5, 2.0)),
-            later=setting.recordings[after:],
-            lasts_s=found.parameters.get("lasts", 0.0) * whole_s,
+            ratio=float(np.clip(1.0 + estimate.first_coefficient, 0.5, 2.0)),
+            later=setting.recordings[following:],
+            lasts_s=estimate.parameters.get("lasts", 0.0) * whole_s,
         ),
     )
 
@@ -210,7 +210,7 @@ WITHIN = Effect(
         reading="Multiplied by the side of the range. A gain change: a permanent step, or a "
         "slope from end to end.",
     ),
-    tangent=Tangent(columns=_tangent, own=True),
+    tangent=Tangent(columns=_tangent, per_drive=True),
     confounded=("creep", "thermal_drift"),
     trials=_trials,
     columns=_columns,

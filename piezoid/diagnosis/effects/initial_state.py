@@ -40,19 +40,19 @@ def _against(view: View) -> Null:
 
 
 def _trials(view: View) -> list[Trial]:
-    before, free = with_shared_where_as_good(view), with_free_memory(view)
+    shared, free = with_shared_where_as_good(view), with_free_memory(view)
     columns = []
     for k in range(len(view.tracks)):
         drive = view.tracks[k].drive
-        known = before.nuisance.static_rows(k, view.weight, drive)
-        columns.append(view.of_track(k, view.static[k][view.tracks[k].place] - known))
+        static = shared.nuisance.static_rows(k, view.weight, drive)
+        columns.append(view.of_track(k, view.static[k][view.tracks[k].rows] - static))
     memory = free.nuisance.columns[:, list(free.nuisance.memory_columns)]
-    both = np.column_stack([*columns, memory])
-    return [Trial(columns=both[:, np.abs(both).max(axis=0) > CHANGE])]
+    columns_and_memory = np.column_stack([*columns, memory])
+    return [Trial(columns=columns_and_memory[:, np.abs(columns_and_memory).max(axis=0) > CHANGE])]
 
 
-def _structure(structure: Structure, _: AxisModel, found: bool) -> Structure:
-    return replace(structure, memory=found)
+def _structure(structure: Structure, _: AxisModel, is_selected: bool) -> Structure:
+    return replace(structure, memory=is_selected)
 
 
 def _cycled(axis: AxisModel, recording: Recording) -> AxisModel:

@@ -69,7 +69,7 @@ BEHIND = Effect(
     response_filter=_passed,
     size=lambda _, parameters, __: 1e6 * parameters["time_s"],
     inject=lambda recording, share: through(recording, FirstOrderLag(lag_s=share / SPEED)),
-    extend=lambda found, _: (FirstOrderLag(lag_s=max(found.parameters["time_s"], 0.0)),),
+    extend=lambda estimate, _: (FirstOrderLag(lag_s=max(estimate.parameters["time_s"], 0.0)),),
     without=without_part(FirstOrderLag, lag=True),
 )
 IN_FRONT = replace(BEHIND, response_filter=None, drive_filter=_passed, other_side=BEHIND)

@@ -100,7 +100,7 @@ class DrivenLines:
         """Return the largest amplitude of the residual of a track near a frequency."""
         track, residual = self.view.tracks[k], self.view.null.residual[self.view.track_rows(k)]
         trials_Hz = _around(frequency_Hz)
-        powers = _powers(residual, 2.0 * np.pi * trials_Hz / track.rate_Hz, track.place)
+        powers = _powers(residual, 2.0 * np.pi * trials_Hz / track.rate_Hz, track.rows)
         return 2.0 * float(np.sqrt(powers.max())) / len(residual)
 
 
@@ -117,7 +117,7 @@ def _line_columns(driven: DrivenLines, grid_Hz: float, harmonics: tuple[int, ...
     """Return columns of lines whose phase may wander, in tracks whose motion has no such line."""
     view, columns = driven.view, []
     for k, track in enumerate(view.tracks):
-        time_s = track.place / track.rate_Hz
+        time_s = track.rows / track.rate_Hz
         knots = min(1 + int(track.duration_s / PHASE_TIME_s), MAX_KNOTS)
         position = time_s / max(track.duration_s, 1e-9) * (knots - 1)
         splines = np.maximum(1.0 - np.abs(position[:, None] - np.arange(knots)), 0.0)
@@ -141,19 +141,19 @@ def _strongest_line(driven: DrivenLines, nominal_Hz: float) -> tuple[float, int]
             if is_slow or driven.is_driven(k, n * nominal_Hz):
                 continue
             angles_rad = 2 * np.pi * n * trials_Hz / track.rate_Hz
-            power += _powers(view.null.residual[view.track_rows(k)], angles_rad, track.place)
+            power += _powers(view.null.residual[view.track_rows(k)], angles_rad, track.rows)
         j = int(np.argmax(power))
         best = max(best, (float(power[j]), float(trials_Hz[j]), n))
     return best[1], best[2]
 
 
-def _powers(signal: Array, angles_rad: Array, place: Places) -> Array:
+def _powers(signal: Array, angles_rad: Array, samples: Places) -> Array:
     """Return |sum_k s_k exp(i w k)|^2 for equally spaced angles w per sample, (angles,).
 
-    The next wave is the last one times a slow one: a product instead of a sine for every sample.
+    Each wave is the previous one times a step: a product instead of a sine for every sample.
     """
-    wave = signal * np.exp(1j * angles_rad[0] * place)
-    step = np.exp(1j * (angles_rad[1] - angles_rad[0]) * place)
+    wave = signal * np.exp(1j * angles_rad[0] * samples)
+    step = np.exp(1j * (angles_rad[1] - angles_rad[0]) * samples)
     sums = [wave.sum()]
     for _ in angles_rad[1:]:
         wave *= step
@@ -228,7 +228,7 @@ EFFECT = Effect(
     control="A controller with gain at this frequency makes the stage follow the hum. Repair "
     "the wiring before you raise the bandwidth.",
     shows=IN_SPECTRUM,
-    tangent=Tangent(columns=_tangent, own=True),
+    tangent=Tangent(columns=_tangent, per_drive=True),
     untestable=_untestable,
     trials=_trials,
     columns=_columns,
@@ -237,8 +237,8 @@ EFFECT = Effect(
     model_error=0.04,  # a phase that wanders between knots, and higher harmonics, are not in it
     at_rest=_at_rest,
     inject=inject,
-    extend=lambda found, setting: (
-        MainsLines.of(setting.pieces, found.parameters["frequency_Hz"]),
+    extend=lambda estimate, setting: (
+        MainsLines.of(setting.pieces, estimate.parameters["frequency_Hz"]),
     ),
     without=without_part(MainsLines),
 )

@@ -47,29 +47,29 @@ def _against(view: View) -> Null:
 
 
 def _trials(view: View) -> list[Trial]:
-    place, width = [t.drive[t.place] for t in view.tracks], _irreversible(view)
-    column = np.concatenate(place) * width
+    drives, width = [t.drive[t.rows] for t in view.tracks], _irreversible(view)
+    column = np.concatenate(drives) * width
     return [
         Trial(columns=column[:, None], minimum_coefficient=OPENING, unique=_is_alone(view, column))
     ]
 
 
 def _is_alone(view: View, column: Array) -> bool:
-    """Tell whether one column explains a good part of what all products with the drive do."""
+    """Tell whether one column explains most of the gain of all products with the drive."""
     null, bias = _against(view), len(view.nuisance.bias_columns)
     across, residual = null.without(column), null.residual
-    one = float(across @ residual) ** 2 / (float(across @ across) + 1e-300)
-    left = float(np.sum(view.null.residual**2))
+    explained = float(across @ residual) ** 2 / (float(across @ across) + 1e-300)
+    widest_error = float(np.sum(view.null.residual**2))
     error = float(np.sum(residual**2))
-    return one > ALONE * (error - left * (1.0 + bias / len(residual)))
+    return explained > ALONE * (error - widest_error * (1.0 + bias / len(residual)))
 
 
 def _irreversible(view: View) -> Array:
-    """Return what congruent loops are away from the middle line of the largest, at the rows."""
+    """Return the distance of congruent loops from the mean of the largest loop, at the rows."""
     null, nuisance = _against(view), view.nuisance
-    kept = np.setdiff1d(np.arange(view.null.every.shape[1]), nuisance.bias_columns)
+    congruent = np.setdiff1d(np.arange(view.null.every.shape[1]), nuisance.bias_columns)
     weight = np.zeros(nuisance.shared)
-    shared = kept[kept < nuisance.shared]
+    shared = congruent[congruent < nuisance.shared]
     weight[shared] = null.fit(view.response)[: len(shared)]
     up = np.linspace(-1.0, 1.0, POINTS)
     loop = nuisance.along(np.concatenate([up, up[::-1]]), (1.0, -1.0), weight)
@@ -77,7 +77,7 @@ def _irreversible(view: View) -> Array:
     parts = []
     for k, track in enumerate(view.tracks):
         static = nuisance.static(k, weight)
-        parts.append((static - np.interp(track.drive, up, middle))[track.place])
+        parts.append((static - np.interp(track.drive, up, middle))[track.rows])
     return np.concatenate(parts)
 
 
@@ -86,17 +86,19 @@ def _tangent(drive: Driven, _: float) -> Array:
     return np.column_stack([drive.walls_m * unit, drive.walls_m * unit**2])
 
 
-def _structure(structure: Structure, model: AxisModel, found: bool) -> Structure:
-    """Return a structure with an envelope where minor loops asked for one."""
-    return replace(structure, bends=(model.hysteresis.envelope.zero or BENDS) if found else 0)
+def _structure(structure: Structure, model: AxisModel, is_selected: bool) -> Structure:
+    """Return the structure with a free envelope if the effect is selected."""
+    return replace(
+        structure, bends=(model.hysteresis.envelope.zero or BENDS) if is_selected else 0
+    )
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Let plays open at one end of the range: by the share of the stroke on the largest loop."""
+    """Add plays that open towards one end of the range, with a share of the stroke."""
     drive_V, moved_m = recording.voltage_V(), recording.displacement_m()
     drive = 2.0 * (drive_V - drive_V.min()) / max(float(np.ptp(drive_V)), 1e-30) - 1.0
-    way = np.linspace(-1.0, 1.0, POINTS)
-    largest = _opened(np.concatenate([way[::-1], way, way[::-1]]))[POINTS:]
+    path = np.linspace(-1.0, 1.0, POINTS)
+    largest = _opened(np.concatenate([path[::-1], path, path[::-1]]))[POINTS:]
     rms_m = share * stroke_of(recording)
     opened_m = rms_m / float(np.sqrt(np.mean(largest**2))) * _opened(drive)
     return with_displacement(recording, moved_m + opened_m)

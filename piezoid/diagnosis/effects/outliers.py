@@ -141,8 +141,8 @@ def without_spikes(track: Track, static: Array) -> Track:
 
 
 def _interpolated(track: Track, is_spike: Array) -> Track:
-    place, is_good = np.arange(len(is_spike)), ~is_spike.astype(bool)
-    response = np.interp(place, place[is_good], track.response[is_good])
+    samples, is_good = np.arange(len(is_spike)), ~is_spike.astype(bool)
+    response = np.interp(samples, samples[is_good], track.response[is_good])
     return replace(track, response=response)
 
 
@@ -175,10 +175,10 @@ def find_outliers(view: View) -> Fault | None:
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Put a spike into every five-hundredth sample."""
+    """Add a spike to every 500th sample."""
     moved_m = np.array(recording.displacement_m())
-    places = np.arange(137, len(moved_m), 500)
-    moved_m[places] += share * stroke_of(recording) * np.where(places % 2, 1.0, -1.0)
+    spikes = np.arange(137, len(moved_m), 500)
+    moved_m[spikes] += share * stroke_of(recording) * np.where(spikes % 2, 1.0, -1.0)
     return with_displacement(recording, moved_m)
 
 

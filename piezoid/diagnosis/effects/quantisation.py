@@ -206,7 +206,7 @@ def _is_finer(view: View, step: float) -> NDArray[np.bool_]:
     for track in view.tracks:
         values = np.unique(np.round(track.drive, DRIVE_DECIMALS))
         gap = float(np.median(np.diff(values))) if len(values) > 1 else np.inf
-        is_finer.append(np.full(len(track.place), gap * VALUES_PER_STEP < step))
+        is_finer.append(np.full(len(track.rows), gap * VALUES_PER_STEP < step))
     return np.concatenate(is_finer)
 
 

@@ -51,20 +51,20 @@ SPEED = 50.0  # strokes per second at which the injected lag is the share that i
 
 
 def reversible(view: View) -> Array:
-    """Return the reversible part as a polynomial of the drive: the slope just behind reversals.
+    """Fit the reversible slope just after reversals as a polynomial of the drive.
 
-    There no wall moves yet. The slope is a straight line over the drive, (2,) highest power first;
-    where the drive turns at one place only, a constant.
+    Just after a reversal no domain wall moves yet. The slope is linear in the drive, (2,) highest
+    power first, or constant if the drive turns at one level only.
     """
-    place, slopes = [], []
+    levels, slopes = [], []
     for track, static in zip(view.tracks, view.static, strict=True):
-        turn, there = track.branches
-        rise = track.drive[there] - track.drive[turn]
-        place.append(track.drive[turn])
-        slopes.append((static[there] - static[turn]) / rise)
-    if sum(map(len, place)) < FEWEST:
+        turn, end = track.branches
+        rise = track.drive[end] - track.drive[turn]
+        levels.append(track.drive[turn])
+        slopes.append((static[end] - static[turn]) / rise)
+    if sum(map(len, levels)) < FEWEST:
         return np.array([0.0, 0.0])
-    where, slope = np.concatenate(place), np.concatenate(slopes)
+    where, slope = np.concatenate(levels), np.concatenate(slopes)
     if np.ptp(where) < ONE_PLACE:
         return np.array([0.0, float(slope.mean())])
     return np.asarray(np.polyfit(where, slope, 1))
@@ -117,13 +117,16 @@ def inject(recording: Recording, share: float) -> Recording:
     return with_displacement(recording, moved_m + (late_m - walls_m))
 
 
-def extend(found: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
+def extend(estimate: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
     """A share of the lag is a lag of a shorter time and a smaller strain, where motion is slow."""
-    strain, share = found.parameters["strain"], float(np.clip(found.first_coefficient, *SHARES))
+    strain, share = (
+        estimate.parameters["strain"],
+        float(np.clip(estimate.first_coefficient, *SHARES)),
+    )
     bends = strain < LINEAR_STRAIN
     return (
         RateDependence(
-            time_s=share * found.parameters["time_s"],
+            time_s=share * estimate.parameters["time_s"],
             strain_m=share * strain * setting.half_stroke_m if bends else 0.0,
         ),
     )

@@ -70,18 +70,18 @@ def _trials(view: View) -> list[Trial]:
         for f in np.geomspace(LOWEST_Hz, highest_Hz, count)
         for q in QUALITIES
     ]
-    trials = [_trial(view, way, highest_Hz) for way in ways]
-    best, taken = _best(view, trials)
-    if taken < TELLING:
+    trials = [_trial(view, mode, highest_Hz) for mode in ways]
+    best, share = _best(view, trials)
+    if share < TELLING:
         return trials
-    plain = with_polynomial_response(view)
-    return trials + [_trial(plain, way, highest_Hz) for way in _closer(best.parameters)]
+    smooth = with_polynomial_response(view)
+    return trials + [_trial(smooth, mode, highest_Hz) for mode in _closer(best.parameters)]
 
 
-def _trial(view: View, way: Parameters, highest_Hz: float) -> Trial:
+def _trial(view: View, mode: Parameters, highest_Hz: float) -> Trial:
     return Trial(
-        columns=_columns(view, way),
-        parameters=way,
+        columns=_columns(view, mode),
+        parameters=mode,
         coefficient_range=ALLOWED,
         free={"frequency_Hz": 1.06, "quality": 1.6},
         limits={"quality": DAMPED, "frequency_Hz": (LOWEST_Hz, highest_Hz)},
@@ -89,13 +89,13 @@ def _trial(view: View, way: Parameters, highest_Hz: float) -> Trial:
 
 
 def _best(view: View, trials: list[Trial]) -> tuple[Trial, float]:
-    """Return the trial that takes most of the squared residual, and which part of it."""
+    """Return the trial that explains most of the squared residual, and its share."""
     across = view.null.without(np.hstack([trial.columns for trial in trials]))
     residual = view.null.residual
     square = np.einsum("ij,ij->j", across, across) + 1e-300
-    taken = (across.T @ residual) ** 2 / square / float(residual @ residual)
-    k = int(np.argmax(taken))
-    return trials[k], float(taken[k])
+    shares = (across.T @ residual) ** 2 / square / float(residual @ residual)
+    k = int(np.argmax(shares))
+    return trials[k], float(shares[k])
 
 
 def _closer(best: Parameters) -> list[dict[str, float]]:
@@ -127,17 +127,17 @@ def inject(recording: Recording, share: float) -> Recording:
     return through(recording, ringing)
 
 
-def extend(found: EffectEstimate, _: SearchScaling) -> tuple[Extension, ...]:
-    """Return the part of the model that begins where a search found it."""
-    # behind a jump it has two columns, a sample apart: of one mode the sum
+def extend(estimate: EffectEstimate, _: SearchScaling) -> tuple[Extension, ...]:
+    """Return the model extension, starting from the estimate of the search."""
+    # after a jump it has two columns, one sample apart: their sum is the mode
     kind, share = (
-        (StruckMode, float(np.sum(found.coefficient)))
-        if found.from_jumps
-        else (LinearMode, found.first_coefficient)
+        (StruckMode, float(np.sum(estimate.coefficient)))
+        if estimate.from_jumps
+        else (LinearMode, estimate.first_coefficient)
     )
     mode = kind(
-        frequency_Hz=found.parameters["frequency_Hz"],
-        quality=max(found.parameters["quality"], 0.5),
+        frequency_Hz=estimate.parameters["frequency_Hz"],
+        quality=max(estimate.parameters["quality"], 0.5),
         participation=float(np.clip(share, 0.0, 2.0)),
     )
     return (mode,)
@@ -153,7 +153,7 @@ EFFECT = Effect(
     control="The resonance limits the bandwidth: use a notch or a limit on the sensitivity "
     "there, and round the corners of triangles.",
     shows=IN_SPECTRUM,
-    tangent=Tangent(columns=_tangent, lags=True, scale=500.0, found="frequency_Hz"),
+    tangent=Tangent(columns=_tangent, lags=True, scale=500.0, scale_parameter="frequency_Hz"),
     confounded=("delay", "lag"),
     untestable=_untestable,
     trials=_trials,

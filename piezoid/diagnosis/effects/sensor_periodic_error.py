@@ -59,7 +59,7 @@ def _position(view: View, k: int, error: Array) -> Array:
 
 def _reading_at_rows(view: View, k: int) -> Array:
     track = view.tracks[k]
-    return _position(view, k, np.zeros(len(track.response)))[track.place]
+    return _position(view, k, np.zeros(len(track.response)))[track.rows]
 
 
 def _harmonics(position: Array, periods: float) -> Array:
@@ -79,10 +79,10 @@ def _waves_of_track(view: View, k: int, periods: float) -> Array:
     deviation = track.response - view.static[k]
     for _ in range(ROUNDS):
         waves = _harmonics(_position(view, k, error), periods)
-        rows = np.column_stack([waves[track.place], np.ones(len(track.place))])
-        coefficients = np.linalg.lstsq(rows, deviation[track.place], rcond=None)[0]
+        rows = np.column_stack([waves[track.rows], np.ones(len(track.rows))])
+        coefficients = np.linalg.lstsq(rows, deviation[track.rows], rcond=None)[0]
         error += DAMPING * (waves @ coefficients[:-1] - error)
-    return _harmonics(_position(view, k, error)[track.place], periods)
+    return _harmonics(_position(view, k, error)[track.rows], periods)
 
 
 def _columns(view: View, periods: float) -> Array:
@@ -125,11 +125,11 @@ def _trials(view: View) -> list[Trial]:
     trials = [_trial(view, best, physical=True)]
     remaining = np.where(np.abs(frequencies - best) > PEAK_WIDTH, power, 0.0)
     for _ in range(3):
-        other = float(frequencies[int(np.argmax(remaining))])
+        placebo = float(frequencies[int(np.argmax(remaining))])
         # half and twice the frequency belong to the same error
-        if min(abs(other - 2 * best), abs(other - best / 2)) > 2 * PEAK_WIDTH:
-            trials.append(_trial(view, other, physical=False))
-        remaining = np.where(np.abs(frequencies - other) > PEAK_WIDTH, remaining, 0.0)
+        if min(abs(placebo - 2 * best), abs(placebo - best / 2)) > 2 * PEAK_WIDTH:
+            trials.append(_trial(view, placebo, physical=False))
+        remaining = np.where(np.abs(frequencies - placebo) > PEAK_WIDTH, remaining, 0.0)
     return trials
 
 
@@ -161,8 +161,8 @@ def _near_middle(recording: Recording) -> tuple[Array, Array]:
     measured_m[list(recording.bridged)] = np.nan
     middle = float(np.nanmedian(measured_m))
     range_m = float(np.nanmax(measured_m) - np.nanmin(measured_m))
-    near = np.abs(measured_m - middle) < range_m / 40.0
-    return unsigned(np.where(near, measured_m, np.nan))
+    is_near = np.abs(measured_m - middle) < range_m / 40.0
+    return unsigned(np.where(is_near, measured_m, np.nan))
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -172,9 +172,9 @@ def inject(recording: Recording, share: float) -> Recording:
     return with_displacement(recording, moved_m + ripple)
 
 
-def extend(found: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
-    """Return the part of the model that begins where a search found it."""
-    wavelength_m = 2.0 * setting.half_stroke_m / found.parameters["periods"]
+def extend(estimate: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
+    """Return the model extension, starting from the estimate of the search."""
+    wavelength_m = 2.0 * setting.half_stroke_m / estimate.parameters["periods"]
     return (PeriodicError(wavelength_m=wavelength_m, cosine_m=(0.0, 0.0), sine_m=(0.0, 0.0)),)
 
 

@@ -50,12 +50,12 @@ def _trials(view: View) -> list[Trial]:
     ways = [(share, {"limit_per_s": share * fastest}) for share in (*SLOWER, *SHARES)]
     return [
         Trial(
-            columns=drive_change(view, _limited, way) if share in SHARES else untested(view),
-            parameters=way,
+            columns=drive_change(view, _limited, limit) if share in SHARES else untested(view),
+            parameters=limit,
             needs_time=True,
             free={"limit_per_s": 1.12},
         )
-        for share, way in ways
+        for share, limit in ways
     ]
 
 
@@ -68,12 +68,12 @@ def _tangent(drive: Driven, _: float) -> Array:
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Let the displacement go at most so fast that it misses its share of the stroke."""
+    """Limit the slew rate such that the rms error is the share of the stroke."""
     moved_m = recording.displacement_m()
     fastest_m = float(np.abs(np.diff(moved_m)).max())
-    tried = fastest_m * np.geomspace(1.0, 0.05, 25)
-    missed = [float(np.std(slewed(moved_m, step) - moved_m)) for step in tried]
-    step_m = float(np.interp(share * stroke_of(recording), missed, tried))
+    steps_m = fastest_m * np.geomspace(1.0, 0.05, 25)
+    missed = [float(np.std(slewed(moved_m, step) - moved_m)) for step in steps_m]
+    step_m = float(np.interp(share * stroke_of(recording), missed, steps_m))
     return with_displacement(recording, slewed(moved_m, step_m))
 
 
@@ -92,8 +92,8 @@ EFFECT = Effect(
     drive_filter=_limited,
     size=lambda view, parameters, _: view.voltage_V * parameters["limit_per_s"],
     inject=inject,
-    extend=lambda found, setting: (
-        SlewLimit(limit_V_per_s=found.parameters["limit_per_s"] * setting.voltage_V),
+    extend=lambda estimate, setting: (
+        SlewLimit(limit_V_per_s=estimate.parameters["limit_per_s"] * setting.voltage_V),
     ),
     without=without_part(SlewLimit),
 )

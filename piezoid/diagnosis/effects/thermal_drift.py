@@ -47,7 +47,7 @@ def _curves(view: View, first_wave: int = 0) -> Array:
     """Return a smooth curve for every long track; or, for placebos, as many half waves."""
     columns = []
     for k, track in enumerate(view.tracks):
-        share = 2.0 * track.place / len(track.drive) - 1.0
+        share = 2.0 * track.rows / len(track.drive) - 1.0
         for n in range(sum(track.duration_s >= least_s for least_s in DEGREES_s)):
             wave = np.cos(0.5 * np.pi * (first_wave + n) * (share + 1.0))
             curve = wave if first_wave else legval(share, np.eye(n + 2)[n + 1])
@@ -68,9 +68,9 @@ def _tangent(drive: Driven, _: float) -> Array:
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Let a recording drift: the air conditioning and a straight line."""
-    way = seconds_of(recording) / max(recording.duration_s, 1e-9)
-    drift_m = np.sin(2.0 * np.pi * 0.8 * way) + 0.5 * way
+    """Add thermal drift: a slow sine and a straight line."""
+    progress = seconds_of(recording) / max(recording.duration_s, 1e-9)
+    drift_m = np.sin(2.0 * np.pi * 0.8 * progress) + 0.5 * progress
     return with_added(recording, drift_m - drift_m.mean(), share)
 
 
@@ -83,7 +83,7 @@ EFFECT = Effect(
     control="Feedforward cannot compensate drift; feedback from a sensor can. Without it, "
     "wait, and re-zero before long scans.",
     shows=OVER_TIME,
-    tangent=Tangent(columns=_tangent, own=True),
+    tangent=Tangent(columns=_tangent, per_drive=True),
     confounded=("creep",),
     untestable=_untestable,
     trials=_trials,

@@ -115,7 +115,7 @@ def largest_undetected(view: View) -> float:
     null, largest = delay_like_null(view), MIN_RMS
     for k in range(len(view.tracks)):
         scan = SlipScan.of(view, null, k)
-        if len(scan.place) < MIN_ROWS:
+        if len(scan.samples) < MIN_ROWS:
             continue
         first = scan.instants()
         if len(first):
@@ -131,12 +131,12 @@ def slip_evidence(view: View, null: Null, slip: Slip) -> SlipEvidence | None:
     Returns None if no speed occurs on both sides, or the stage moves one way only.
     """
     scan = SlipScan.of(view, null, slip.track)
-    n, samples = len(scan.place), int(slip.samples)
-    first = int(np.searchsorted(scan.place, slip.instant))
+    n, samples = len(scan.samples), int(slip.samples)
+    first = int(np.searchsorted(scan.samples, slip.instant))
     if not MIN_WINDOWS < first < n - MIN_WINDOWS:
         return None
     gain, beta = (float(values[0]) for values in scan.score(samples, np.array([first])))
-    change = delay_change(scan.static, scan.place, samples)
+    change = delay_change(scan.static, scan.samples, samples)
     column = np.zeros(len(null.residual))
     column[scan.rows] = np.where(np.arange(n) >= first, change, 0.0)
     residual = (null.residual - beta * null.without(column))[scan.rows]
@@ -214,7 +214,7 @@ def _permutation_p_value(delay: Array, weight: Array) -> float:
 def find_slips(view: View, refit: Refit | None = None) -> Fault | None:
     """Find slips one after the other, each with all earlier ones undone.
 
-    refit  fits repaired tracks as the view was fitted; None: it contains no effects
+    refit  refits repaired tracks with the effects of the view; None: it has none
     """
     refit = refit or partial(with_tracks, view)
     repaired = _without_spikes(view, refit)
@@ -233,13 +233,13 @@ def find_slips(view: View, refit: Refit | None = None) -> Fault | None:
     tracks = list(view.tracks)
     for evidence in slips:
         tracks[evidence.slip.track] = in_step(tracks[evidence.slip.track], evidence.slip)
-    # the length of a slip found beside other slips is corrected by another one at its instant
+    # the length of a slip is corrected by a second slip at its instant
     first = [evidence for evidence in slips if _is_same(evidence.slip, slips[0].slip, view)]
-    last = first[-1]
+    longest = first[-1]
     return Fault(
         tracks=tuple(tracks),
         value=sum(evidence.slip.samples for evidence in first),
-        spread=float(np.hypot(last.std, last.step - last.slip.samples)),
+        spread=float(np.hypot(longest.std, longest.step - longest.slip.samples)),
         p_value=min(evidence.p_value for evidence in slips),
         where=slip_places([evidence.slip for evidence in slips], view.tracks),
     )
@@ -266,12 +266,12 @@ def _find_equal_slips(view: View, refit: Refit, samples: int) -> Fault | None:
     slips: list[Slip] = []
     for k in range(len(view.tracks)):
         scan = SlipScan.of(repaired, repaired.null, k)
-        first = scan.instants() if len(scan.place) >= MIN_ROWS else np.array([], dtype=int)
+        first = scan.instants() if len(scan.samples) >= MIN_ROWS else np.array([], dtype=int)
         if not len(first):
             continue
         gain, beta = scan.score(samples, first)
         row = int(np.argmax(np.where(beta > 0.0, gain, 0.0)))
-        instant = int(scan.place[first[row]])
+        instant = int(scan.samples[first[row]])
         slip = Slip(track=k, instant=instant, samples=samples, gain=float(gain[row]))
         slip = refine_slip(repaired, slip, refit=refit, has_length=True)
         trial = refit(undo_slip(repaired, slip).tracks)
@@ -322,40 +322,42 @@ def _next_slip(view: View, refit: Refit) -> SlipEvidence | None:
 
 
 def _is_significant_beside_other_axes(view: View, slip: Slip) -> bool:
-    if not any(track.others for track in view.tracks):
+    if not any(track.other_drives for track in view.tracks):
         return True
     evidence = slip_evidence(view, delay_like_null(view, other_axes=True), slip)
     return evidence is not None and evidence.is_significant
 
 
-def _is_confirmed(before: View, after: View, evidence: SlipEvidence) -> bool:
+def _is_confirmed(original: View, undone: View, evidence: SlipEvidence) -> bool:
     """Tell whether undoing a slip reduces the error; undoing a wrong one hides the true one.
 
-    Beside slips of other tracks the error may fall only beside all that resembles a delay: then an
-    evident slip must explain most of what its tangent promised.
+    With slips in other tracks the total error may not fall. Then an evident slip must explain most
+    of its expected gain beside delay-like columns.
     """
-    if after.rms < before.rms:
+    if undone.rms < original.rms:
         return True
-    null, undone_null = delay_like_null(before), delay_like_null(after)
-    rows = before.track_rows(evidence.slip.track)
+    null, undone_null = delay_like_null(original), delay_like_null(undone)
+    rows = original.track_rows(evidence.slip.track)
     promised = evidence.slip.gain * float(np.sum(null.residual[rows] ** 2))
     explained = float(np.sum(null.residual**2) - np.sum(undone_null.residual**2))
     return evidence.slip.gain > EVIDENT_GAIN and explained > MIN_KEPT * promised
 
 
-def _is_same(slip: Slip, other: Slip, view: View) -> bool:
-    """Tell whether two slips are the same one, found in two steps."""
-    width = instant_error(len(view.tracks[other.track].drive))
-    return slip.track == other.track and abs(slip.instant - other.instant) <= width
+def _is_same(slip: Slip, reference: Slip, view: View) -> bool:
+    """Tell whether two slips have the same track and instant."""
+    width = instant_error(len(view.tracks[reference.track].drive))
+    return slip.track == reference.track and abs(slip.instant - reference.instant) <= width
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Lose readings in the middle, as many as are worth the share."""
+    """Drop as many samples in the middle as give the share."""
     moved_m = recording.displacement_m()
     step_m = float(np.sqrt(np.mean(np.diff(moved_m) ** 2)))
     rows = max(round(2.0 * share * float(np.ptp(moved_m)) / max(step_m, 1e-30)), 1)
-    place = np.arange(len(moved_m))
-    source = np.where(place > len(place) // 2, np.minimum(place + rows, len(place) - 1), place)
+    samples = np.arange(len(moved_m))
+    source = np.where(
+        samples > len(samples) // 2, np.minimum(samples + rows, len(samples) - 1), samples
+    )
     return with_displacement(recording, moved_m[source])
 
 

@@ -60,7 +60,7 @@ def played(experiment: Experiment, bench: Bench, seed: int) -> Drive:
 
     Raises ``ExcitationError`` where the bench cannot play it.
     """
-    if experiment.needs_other and not bench.others:
+    if experiment.needs_other and not bench.other_limits:
         raise ExcitationError(
             "no other axis is known to the model or to lab.toml",
             needed="another axis that can be driven",
@@ -124,11 +124,11 @@ def _other_axes(bench: Bench, _: np.random.Generator) -> Made:
     second, middle_V = round(rate_Hz), 0.5 * sum(bench.limits.range_V)
     loops = {
         axis: decaying_loops(limits, rate_Hz, frequency_Hz=0.7, cycles=10)
-        for axis, limits in bench.others.items()
+        for axis, limits in bench.other_limits.items()
     }
     approach = {
         axis: path_V([rest_V(limits), float(loops[axis][0])], limits, rate_Hz, move_s=1.0)
-        for axis, limits in bench.others.items()
+        for axis, limits in bench.other_limits.items()
     }
     longest = max(map(len, loops.values()))
     own_V = between(np.full(longest + 2 * second, middle_V), rate_Hz, bench.limits)
@@ -136,10 +136,10 @@ def _other_axes(bench: Bench, _: np.random.Generator) -> Made:
     begin = max(settled, *map(len, approach.values()))
     own_V = np.pad(own_V, (begin - settled, 0), mode="edge")
     others_V = {}
-    for axis, limits in bench.others.items():
-        rest, loop_V = rest_V(limits), loops[axis]
-        wait_V = np.full(begin - len(approach[axis]), rest)
-        return_V = path_V([float(loop_V[-1]), rest], limits, rate_Hz, move_s=1.0)
+    for axis, limits in bench.other_limits.items():
+        zero_V, loop_V = rest_V(limits), loops[axis]
+        wait_V = np.full(begin - len(approach[axis]), zero_V)
+        return_V = path_V([float(loop_V[-1]), zero_V], limits, rate_Hz, move_s=1.0)
         others_V[axis] = np.concatenate([wait_V, approach[axis], loop_V, return_V])
     samples = max(len(own_V), *map(len, others_V.values()))
 

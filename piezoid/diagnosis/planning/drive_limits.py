@@ -81,7 +81,7 @@ class Bench:
     axis         whose next experiment is planned
     limits       of its drive
     clock_Hz     of the converters
-    others       limits of other axes that may be driven, by name
+    other_limits  limits of other axes that may be driven, by name
     range_from   origin of the range, in words
     speed_from   origin of the largest speed, in words
     """
@@ -89,7 +89,7 @@ class Bench:
     axis: str
     limits: DriveLimits
     clock_Hz: float
-    others: Mapping[str, DriveLimits] = field(default_factory=dict)
+    other_limits: Mapping[str, DriveLimits] = field(default_factory=dict)
     range_from: str = ""
     speed_from: str = ""
 
@@ -108,22 +108,27 @@ def bench_of(
 ) -> Bench:
     """Return the limits of an axis and of the axes beside it, from the model and lab.toml."""
     limits, range_from, speed_from = _limits(axis, lab)
-    others = {
-        name: _limits(other, lab)[0] for name, other in model.axes.items() if name != axis.axis
+    other_axes = {
+        name: _limits(model_axis, lab)[0]
+        for name, model_axis in model.axes.items()
+        if name != axis.axis
     }
     for recording in recordings:
         for channel in recording.channels:
-            if channel.quantity is Quantity.VOLTAGE and channel.axis not in (axis.axis, *others):
+            if channel.quantity is Quantity.VOLTAGE and channel.axis not in (
+                axis.axis,
+                *other_axes,
+            ):
                 low_V, high_V = float(channel.values.min()), float(channel.values.max())
                 if high_V > low_V:
-                    others[channel.axis] = replace(
+                    other_axes[channel.axis] = replace(
                         limits, voltage_min_V=low_V, voltage_max_V=high_V
                     )
     return Bench(
         axis=axis.axis,
         limits=limits,
         clock_Hz=_clock_Hz(model, lab, recordings, clock_Hz),
-        others=others,
+        other_limits=other_axes,
         range_from=range_from,
         speed_from=speed_from,
     )

@@ -102,7 +102,9 @@ def is_open(question: Question) -> bool:
 def suspect_of(finding: Finding, stroke_m: float) -> Suspect | None:
     """Return the suspect of a finding, or None for a fault of the data."""
     suspect = _suspect(finding.effect, finding.share, stroke_m)
-    return suspect and replace(suspect, scale=finding.parameters.get(suspect.tangent.found))
+    return suspect and replace(
+        suspect, scale=finding.parameters.get(suspect.tangent.scale_parameter)
+    )
 
 
 def _to_separate(diagnosis: Diagnosis) -> list[Question]:
@@ -111,10 +113,10 @@ def _to_separate(diagnosis: Diagnosis) -> list[Question]:
     for finding in diagnosis.findings:
         suspect = suspect_of(finding, diagnosis.stroke_m)
         for name in finding.not_separable_from:
-            other = _suspect(name, shares.get(name, finding.share), diagnosis.stroke_m)
-            if suspect and other:
+            alternative = _suspect(name, shares.get(name, finding.share), diagnosis.stroke_m)
+            if suspect and alternative:
                 questions.append(
-                    Question(kind="separate", suspects=(suspect, other), finding=finding)
+                    Question(kind="separate", suspects=(suspect, alternative), finding=finding)
                 )
     return questions
 
@@ -125,9 +127,9 @@ def _to_tighten(diagnosis: Diagnosis) -> list[Question]:
     for finding in sorted(diagnosis.findings, key=_relative_width, reverse=True):
         suspect = suspect_of(finding, diagnosis.stroke_m)
         if suspect:
-            others = tuple(s for s in suspects if s and s.name != finding.effect)
+            further = tuple(s for s in suspects if s and s.name != finding.effect)
             questions.append(
-                Question(kind="tighten", suspects=(suspect, *others), finding=finding)
+                Question(kind="tighten", suspects=(suspect, *further), finding=finding)
             )
     return questions
 
@@ -168,24 +170,24 @@ def _relative_width(finding: Finding) -> float:
 
 
 def answers(
-    question: Question, before: SeparationEstimate | None, after: SeparationEstimate
+    question: Question, recorded: SeparationEstimate | None, planned: SeparationEstimate
 ) -> bool:
-    """Tell whether a drive answers enough of a question to be worth playing."""
-    exceed_errors = question.kind != "separate" or POWER * after.worst <= 1.0
-    return exceed_errors and left_open(question, before, after) <= MAX_LEFT
+    """Tell whether a drive answers enough of a question to be worth recording."""
+    exceed_errors = question.kind != "separate" or POWER * planned.worst <= 1.0
+    return exceed_errors and left_open(question, recorded, planned) <= MAX_LEFT
 
 
 def left_open(
-    question: Question, before: SeparationEstimate | None, after: SeparationEstimate
+    question: Question, recorded: SeparationEstimate | None, planned: SeparationEstimate
 ) -> float:
-    """Return the share of a question that a drive leaves, 0 to 1."""
+    """Return the share of the uncertainty that remains after a drive, 0 to 1."""
     if question.kind == "separate":
-        expected, present = after.worst, 1.0 / POWER if before is None else before.worst
+        expected, present = planned.worst, 1.0 / POWER if recorded is None else recorded.worst
     elif question.finding is not None:
-        expected = expected_half(question, before, after)
+        expected = expected_half(question, recorded, planned)
         present = question.finding.size.half_width
     else:
-        expected = expected_limit_m(question, before, after)
+        expected = expected_limit_m(question, recorded, planned)
         present = question.suspects[0].rms_m if question.limit_m is None else question.limit_m
     if not isfinite(expected) or present <= 0.0:
         return 1.0
@@ -193,7 +195,7 @@ def left_open(
 
 
 def expected_half(
-    question: Question, before: SeparationEstimate | None, after: SeparationEstimate
+    question: Question, recorded: SeparationEstimate | None, planned: SeparationEstimate
 ) -> float:
     """Return the expected half width of the interval of a diagnosed size, in its own unit.
 
@@ -201,28 +203,28 @@ def expected_half(
     """
     if question.finding is None:
         raise TypeError("no size was diagnosed")
-    size, error = question.finding.size, after.errors[0]
+    size, error = question.finding.size, planned.errors[0]
     half = size.half_width
-    if before is not None and isfinite(before.errors[0]):
-        return half * min(error / before.errors[0], 1.0)
+    if recorded is not None and isfinite(recorded.errors[0]):
+        return half * min(error / recorded.errors[0], 1.0)
     if not isfinite(error):
         return half
-    alone = HALF_95 * error * abs(size.value)
-    return half * alone / sqrt(half**2 + alone**2) if half > 0.0 else 0.0
+    planned_half = HALF_95 * error * abs(size.value)
+    return half * planned_half / sqrt(half**2 + planned_half**2) if half > 0.0 else 0.0
 
 
 def expected_limit_m(
-    question: Question, before: SeparationEstimate | None, after: SeparationEstimate
+    question: Question, recorded: SeparationEstimate | None, planned: SeparationEstimate
 ) -> float:
     """Return the expected detection limit of an effect, rms in m.
 
-    It is never below the size that the diagnosis requires of a name, however often a drive is
-    repeated: smaller shapes may be the model's own error.
+    It is never below the minimum size that the diagnosis reports, however often a drive is
+    repeated: smaller shapes may be model error.
     """
     present_m = question.limit_m
-    expected_m = POWER * after.errors[0] * question.suspects[0].rms_m
+    expected_m = POWER * planned.errors[0] * question.suspects[0].rms_m
     if present_m is None:
         return max(expected_m, question.floor_m)
-    if before is not None and isfinite(before.errors[0]):
-        expected_m = present_m * after.errors[0] / before.errors[0]
+    if recorded is not None and isfinite(recorded.errors[0]):
+        expected_m = present_m * planned.errors[0] / recorded.errors[0]
     return min(max(expected_m, question.floor_m), present_m)

@@ -56,8 +56,8 @@ def plan_json(plan: Plan) -> dict[str, Any]:
         "answers": plan.answers,
         "forbids": plan.forbids,
         "set_aside": [_question_json(question) for question in plan.set_aside],
-        "before": _estimate_json(question, plan.before),
-        "after": _estimate_json(question, plan.after),
+        "before": _estimate_json(question, plan.recorded),
+        "after": _estimate_json(question, plan.planned),
         "size": _size_json(plan),
         "alternatives": [
             {
@@ -99,14 +99,14 @@ def _size_json(plan: Plan) -> Mapping[str, Any]:
         return {
             "unit": "m, rms",
             "detection_limit": question.limit_m,
-            "expected_detection_limit": expected_limit_m(question, plan.before, plan.after),
+            "expected_detection_limit": expected_limit_m(question, plan.recorded, plan.planned),
         }
     size = question.finding.size
     return {
         "unit": size.unit,
         "value": size.value,
         "half": size.half_width,
-        "expected_half": expected_half(question, plan.before, plan.after),
+        "expected_half": expected_half(question, plan.recorded, plan.planned),
     }
 
 
@@ -142,9 +142,9 @@ def _drive_text(plan: Plan) -> str:
 
 
 def _reason(question: Question) -> str:
-    first, *others = map(words, question.effects)
+    first, *further = map(words, question.effects)
     if question.kind == "separate":
-        return f"These recordings cannot separate {first} from {others[0]}."
+        return f"These recordings cannot separate {first} from {further[0]}."
     if question.finding is not None:
         size = question.finding.size
         low, high = map(significant, size.ci95)
@@ -158,17 +158,17 @@ def _reason(question: Question) -> str:
 
 
 def _expectation(plan: Plan) -> str:
-    question, before, after = plan.question, plan.before, plan.after
+    question, recorded, planned = plan.question, plan.recorded, plan.planned
     if question.kind == "separate":
-        return _separability_text(question, before, after)
+        return _separability_text(question, recorded, planned)
     if question.finding is not None:
         size = question.finding.size
-        expected = significant(expected_half(question, before, after), 2)
+        expected = significant(expected_half(question, recorded, planned), 2)
         return (
             f"Expected half width of the 95 % interval: {expected} {size.unit} (now "
             f"{significant(size.half_width, 2)})."
         )
-    expected_m = expected_limit_m(question, before, after)
+    expected_m = expected_limit_m(question, recorded, planned)
     now = ", as now" if question.limit_m is not None and expected_m >= question.limit_m else ""
     is_smallest = expected_m <= question.floor_m
     smallest = ", the smallest size that a diagnosis reports" if is_smallest else ""
@@ -176,17 +176,17 @@ def _expectation(plan: Plan) -> str:
 
 
 def _separability_text(
-    question: Question, before: SeparationEstimate | None, after: SeparationEstimate
+    question: Question, recorded: SeparationEstimate | None, planned: SeparationEstimate
 ) -> str:
-    text = f"Expected separability of the two: {after.separability:.2g} of 1"
-    if before is not None:
-        text += f" (now {before.separability:.2g})"
-        shrinks = after.worst / before.worst if isfinite(before.worst) else 1.0
+    text = f"Expected separability of the two: {planned.separability:.2g} of 1"
+    if recorded is not None:
+        text += f" (now {recorded.separability:.2g})"
+        shrinks = planned.worst / recorded.worst if isfinite(recorded.worst) else 1.0
         if shrinks < 1.0:
             text += f"; the wider interval shrinks to {100 * shrinks:.0f} % of its width"
     uncertain = [
         words(name)
-        for name, error in zip(question.effects, after.errors, strict=True)
+        for name, error in zip(question.effects, planned.errors, strict=True)
         if POWER * error > 1.0
     ]
     if uncertain:
@@ -199,9 +199,9 @@ def _remaining_questions(questions: Sequence[Question]) -> str:
         return ""
     texts = []
     for question in questions:
-        first, *others = map(words, question.effects)
+        first, *further = map(words, question.effects)
         if question.kind == "separate":
-            texts.append(f"{first} or {others[0]}")
+            texts.append(f"{first} or {further[0]}")
         elif question.kind == "tighten":
             texts.append(f"the size of {first}")
         else:

@@ -45,15 +45,15 @@ class Choice:
 
     alternatives  all candidates, best first
     best          of these, or a shorter one that is nearly as good
-    before        what the recordings show; None without them
-    left          share of the question that the drive leaves, 0 to 1
+    recorded      estimate from the recordings; None without them
+    remaining_share  share of the uncertainty that remains after the drive, 0 to 1
     """
 
     question: Question
     alternatives: tuple[Alternative, ...]
     best: Alternative
-    before: SeparationEstimate | None
-    left: float
+    recorded: SeparationEstimate | None
+    remaining_share: float
 
     @property
     def shows(self) -> bool:
@@ -66,7 +66,7 @@ class Choice:
         estimate = self.best.estimate
         if estimate is None or not self.shows:
             return False
-        return answers(self.question, self.before, estimate)
+        return answers(self.question, self.recorded, estimate)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,7 +87,7 @@ class Table:
 
     def choice(self, question: Question) -> Choice:
         """Return the best drive for a question, or a shorter one that is nearly as good."""
-        before = self._estimate(question) if self.recorded else None
+        recorded = self._estimate(question) if self.recorded else None
         alternatives = [self._alternative(experiment, question) for experiment in MENU]
         ranked = tuple(sorted(alternatives, key=lambda alternative: -alternative.score))
         best = ranked[0]
@@ -95,14 +95,16 @@ class Table:
             question=question,
             alternatives=ranked,
             best=best,
-            before=before,
-            left=_share_left(question, before, best),
+            recorded=recorded,
+            remaining_share=_share_left(question, recorded, best),
         )
         nearly = [a for a in ranked if a.score >= NEARLY * best.score > 0.0]
         if not nearly:
             return choice
         shortest = min(nearly, key=lambda alternative: alternative.duration_s)
-        shorter = replace(choice, best=shortest, left=_share_left(question, before, shortest))
+        shorter = replace(
+            choice, best=shortest, remaining_share=_share_left(question, recorded, shortest)
+        )
         return shorter if shorter.answers else choice
 
     def _alternative(self, experiment: Experiment, question: Question) -> Alternative:
@@ -125,11 +127,11 @@ class Table:
 
 
 def _share_left(
-    question: Question, before: SeparationEstimate | None, alternative: Alternative
+    question: Question, recorded: SeparationEstimate | None, alternative: Alternative
 ) -> float:
     if alternative.estimate is None or alternative.score <= 0.0:
         return 1.0
-    return left_open(question, before, alternative.estimate)
+    return left_open(question, recorded, alternative.estimate)
 
 
 def table_of(
@@ -164,7 +166,7 @@ def driven_drive(axis: AxisModel, drive: Drive) -> Driven:
         rate_Hz=drive.sampling_rate_Hz,
         voltage_V=drive.voltage_V[:, 0],
         rows=rows_of(len(drive.voltage_V), ROWS),
-        others=scaled_drives(
+        other_drives=scaled_drives(
             {name: drive.voltage_V[:, k + 1] for k, name in enumerate(drive.axes[1:])}
         ),
     )

@@ -95,9 +95,11 @@ def estimate_separation(
     for k, (suspect, scale) in enumerate(zip(suspects, scales, strict=True)):
         strength = suspect.rms_m / _unit_rms(suspect.tangent, scale, reference, drives)
         sums = np.concatenate(_column_sums(suspect.tangent, scale, drives))
-        others = [basis, *(basis_of(block) for j, block in enumerate(blocks) if j != k)]
+        other_bases = [basis, *(basis_of(block) for j, block in enumerate(blocks) if j != k)]
         column = weight * strength * sums
-        relative_errors.append(_relative_error(column, np.hstack(others), weight, drives, errors))
+        relative_errors.append(
+            _relative_error(column, np.hstack(other_bases), weight, drives, errors)
+        )
     return SeparationEstimate(separability=_separability(blocks), errors=tuple(relative_errors))
 
 
@@ -121,7 +123,7 @@ def row_weights(drives: Sequence[Driven]) -> Array:
 def block_of(tangent: Tangent, scale: float, drives: Sequence[Driven]) -> Array:
     """Return an effect's columns at the rows of all drives, (rows, columns)."""
     blocks = [tangent.columns(drive, scale)[drive.rows] for drive in drives]
-    if tangent.own:
+    if tangent.per_drive:
         return side_by_side(blocks)
     width = max(block.shape[1] for block in blocks)
     return np.vstack([np.pad(b, ((0, 0), (0, width - b.shape[1]))) for b in blocks])
@@ -156,18 +158,18 @@ def basis_of(columns: Array) -> Array:
     """Return an orthonormal basis of columns, up to rounding."""
     length = np.linalg.norm(columns, axis=0)
     unit = columns[:, length > 0.0] / length[length > 0.0]
-    left, singular, _ = np.linalg.svd(unit, full_matrices=False)
+    directions, singular, _ = np.linalg.svd(unit, full_matrices=False)
     if not len(singular):
         return np.zeros((len(columns), 0))
-    return np.asarray(left[:, singular > ROUNDING * singular[0]])
+    return np.asarray(directions[:, singular > ROUNDING * singular[0]])
 
 
 def orthogonal_to(basis: Array, columns: Array) -> Array:
     """Return the part of columns orthogonal to a basis, without columns that are in its span."""
-    rest = columns - basis @ (basis.T @ columns)
-    rest = rest - basis @ (basis.T @ rest)
+    remainder = columns - basis @ (basis.T @ columns)
+    remainder = remainder - basis @ (basis.T @ remainder)
     length = np.linalg.norm(columns, axis=0)
-    return np.asarray(rest[:, np.linalg.norm(rest, axis=0) > 1e3 * ROUNDING * length])
+    return np.asarray(remainder[:, np.linalg.norm(remainder, axis=0) > 1e3 * ROUNDING * length])
 
 
 def _separability(blocks: Sequence[Array]) -> float:
@@ -185,12 +187,12 @@ def _separability_of_pair(a: Array, b: Array) -> float:
 
 
 def _relative_error(
-    column: Array, others: Array, weight: Array, drives: Sequence[Driven], errors: Errors
+    column: Array, nuisance: Array, weight: Array, drives: Sequence[Driven], errors: Errors
 ) -> float:
-    rest = orthogonal_to(basis_of(others), column[:, None])
-    if not rest.shape[1]:
+    remainder = orthogonal_to(basis_of(nuisance), column[:, None])
+    if not remainder.shape[1]:
         return float("inf")
-    estimator = weight * rest[:, 0] / float(rest[:, 0] @ rest[:, 0])
+    estimator = weight * remainder[:, 0] / float(remainder[:, 0] @ remainder[:, 0])
     rows, share = [len(drive.rows) for drive in drives], ENGINE_ROWS / len(drives)
     samples_per_row = [
         max(min(len(drive.voltage_V), share) / count, 1.0)
