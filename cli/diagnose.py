@@ -147,6 +147,7 @@ def _model_in_front(files: list[Path]) -> "tuple[ActuatorModel | None, str, list
 
 def _show_unused(recordings: "Sequence[Recording]", axis: str) -> None:
     """Print which recordings do not contribute to the diagnosis of an axis."""
+    from piezoid.identification.dynamics.excitation import excites_dynamics
     from piezoid.identification.fit import moving, recorded_of
     from piezoid.records.checks.feedback import is_held_throughout
 
@@ -155,6 +156,14 @@ def _show_unused(recordings: "Sequence[Recording]", axis: str) -> None:
     unused = [r.name for r in recordings if r.name not in (*used_names, *servo)]
     if servo and not set(servo) & used_names:
         say(f"{', '.join(servo)}: recorded in closed loop; only creep was tested")
+    fast_names = {recording.name for recording, _ in excites_dynamics(recordings, axis)}
+    fast = [name for name in unused if name in fast_names]
+    if fast:
+        say(
+            f"used for the dynamics only: {', '.join(fast)} (the drive of axis {axis} is too "
+            "small to show hysteresis)"
+        )
+    unused = [name for name in unused if name not in fast]
     if unused:
         say(
             f"not used: {', '.join(unused)} (axis {axis} does not move or was not recorded; see "

@@ -61,8 +61,10 @@ def fit(
     of the controller, or nothing limits the speed of the stage, no controller is designed, and the
     report states what is missing.
 
-    Exit status 1 means that a verdict failed, that the model class does not apply, or that an axis
-    does not ship; the other axes still ship, and the report states the reason.
+    Exit status 1 means that a verdict failed, that the model class does not apply, or that the
+    controller of an axis does not ship; the other axes still ship, and the report states the
+    reason. It is 0 if nothing could be designed because a fact is missing: --json states
+    "undesigned".
 
     [bold]Examples[/bold]
 

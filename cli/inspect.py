@@ -100,7 +100,8 @@ def show(inspections: "tuple[Inspection, ...]") -> None:
         about = f": {inspection.format}, {inspection.rows} rows" if inspection.format else ""
         console.print(plain(f"{inspection.name}{about}", style="bold"))
         if inspection.columns:
-            console.print(_table(inspection.columns, console.width))
+            has_noise = inspection.response is None
+            console.print(_table(inspection.columns, console.width, has_noise=has_noise))
         if inspection.axis is not None:
             console.print(plain(_clock_line(inspection)))
         if inspection.response is not None:
@@ -131,14 +132,17 @@ def _clock_line(inspection: "Inspection") -> str:
     return line
 
 
-def _table(columns: "tuple[ColumnSummary, ...]", width: int) -> "RenderableType":
+def _table(
+    columns: "tuple[ColumnSummary, ...]", width: int, *, has_noise: bool
+) -> "RenderableType":
     """Return a row for each column of a file; numbers are not broken if the terminal has room.
 
-    width  of the terminal, characters
+    width      of the terminal, characters
+    has_noise  whether the rows are samples
     """
     from rich.table import Table
 
-    rows = [_cells(column) for column in columns]
+    rows = [_cells(column, has_noise=has_noise) for column in columns]
     shown = [k for k in range(len(HEADINGS)) if k < N_ALWAYS or any(row[k] for row in rows)]
     numbers = [k for k in shown if k not in (LABEL, MEANING)]
     spent = sum(max(len(row[k]) for row in (HEADINGS, *rows)) for k in numbers)
@@ -151,8 +155,11 @@ def _table(columns: "tuple[ColumnSummary, ...]", width: int) -> "RenderableType"
     return table
 
 
-def _cells(column: "ColumnSummary") -> tuple[str, ...]:
+def _cells(column: "ColumnSummary", *, has_noise: bool) -> tuple[str, ...]:
     is_clock = column.meaning == "time"  # whose noise and steps are the line below the table
+    noise = _quantity(_noise(column), column.si_unit)
+    if has_noise and column.noise_rms is None and column.minimum is not None:
+        noise = "not determined"  # too few samples, or a signal too fast
     return tuple(
         _cut(cell)
         for cell in (
@@ -162,7 +169,7 @@ def _cells(column: "ColumnSummary") -> tuple[str, ...]:
             column.unit,
             _quantity(column.minimum, column.si_unit),
             _quantity(column.maximum, column.si_unit),
-            "" if is_clock else _quantity(_noise(column), column.si_unit),
+            "" if is_clock else noise,
             "" if is_clock else _quantity(column.step or None, column.si_unit),
             _state(column),
         )

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from piezoid.diagnosis.experiment import Plan
+    from piezoid.identification.model import AxisModel
 
 
 def plan(
@@ -94,15 +95,23 @@ def plan(
     if json:
         print_raw(written["plan.json"])
     elif not quiet:
-        _show(planned, (out or stage) / "drive.csv")
+        _show(planned, model[planned.axis], (out or stage) / "drive.csv")
 
 
-def _show(planned: "Plan", drive: Path) -> None:
+def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
     from rich.console import Console
 
     from piezoid.diagnosis.planning.plan_file import sentences
+    from piezoid.identification.extensions.linear_mode import LinearMode
 
     console = Console()
+    if axis.dynamics is None and not any(isinstance(e, LinearMode) for e in axis.extensions):
+        text = (
+            f"No resonance or pole of axis {axis.axis} was fitted. If a controller is wanted, "
+            "record a small chirp first, at the rate of the controller. The plan is about the "
+            "effects of the diagnosis."
+        )
+        console.print(plain(text, style="bold"))
     for sentence in sentences(planned):
         console.print(plain(sentence))
     console.print(_table(planned))
@@ -129,4 +138,4 @@ def _table(planned: "Plan") -> "Table":
             )
         )
     title = f"axis {planned.axis}: {' against '.join(planned.question.effects)}"
-    return table(title, (*headings, "expected error"), rows, n_words=1)
+    return table(title, (*headings, "standard error, of the size"), rows, n_words=1)

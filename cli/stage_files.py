@@ -127,9 +127,16 @@ def _missing(path: Path) -> ParameterFileError:
             needed="the folder of a stage, as `piezoid fit` writes it",
             remedy="Check its name, or make it: piezoid fit RECORDINGS --out FOLDER",
         )
+    if path.name == "params.json" and (folder / "refused").is_dir():
+        return ParameterFileError(
+            f"{folder} holds no controller: what was designed failed its verification",
+            needed="a controller that passed",
+            remedy=f"Read the failed verdicts in {folder / 'refused' / 'verification.json'}, "
+            "record what the model lacks, and fit again.",
+        )
     return ParameterFileError(
         f"{folder} holds no {path.name}",
-        needed="the folder of a stage that has come so far",
+        needed=f"the folder of a stage with {path.name}",
         remedy=f"Run `{WRITTEN_BY[path.name].format(folder)}` first.",
     )
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.drive_response import driven_recording
+from piezoid.diagnosis.effects.cross_coupling import NAME as COUPLING
 from piezoid.diagnosis.planning.drive_limits import Bench, Drive, DriveLimits, bench_of
 from piezoid.diagnosis.planning.open_questions import Question, is_open, questions_of
 from piezoid.diagnosis.planning.plan_ranking import Alternative, Choice, Table, table_of
@@ -95,7 +96,10 @@ def plan(
         return table_of(axis, bench, diagnosis, recorded, seed)
 
     table = table_on(bench)
-    choice, set_aside = _first_answered(table, questions_of(diagnosis, effect))
+    questions = questions_of(diagnosis, effect)
+    if effect is None and not bench.others:  # no drive of this rig shows it
+        questions = tuple(q for q in questions if COUPLING not in q.effects) or questions
+    choice, set_aside = _first_answered(table, questions)
     question, best = choice.question, choice.best
     forbids = ""
     if not choice.answers and (question.kind != "detect" or is_open(question)):

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from piezoid.errors import IdentificationError
 from piezoid.formatting import significant, with_unit, words
 from piezoid.identification.coupled.coupled_stage import CoupledStage
-from piezoid.identification.fit_statements import grade_of
+from piezoid.identification.fit_statements import GOOD_SCORE, grade_of
 from piezoid.identification.interchange import to_control, to_scipy
 from piezoid.identification.model import AxisModel
 from piezoid.identification.parameters import parameters_of
@@ -261,6 +261,10 @@ def _notes(axis: AxisModel) -> list[str]:
     notes = []
     if not axis.verdict.applies:
         notes.append(f"axis {axis.axis}: the model class does not apply: {axis.verdict.reason}")
+    reasons = [limit.reason for limit in axis.quality.limits if limit.most < GOOD_SCORE]
+    if axis.verdict.applies and reasons:
+        grade = grade_of(axis).value
+        notes.append(f"axis {axis.axis}: {grade}, because {'; '.join(reasons)}")
     if axis.extensions:
         kinds = ", ".join(words(extension.kind) for extension in axis.extensions)
         notes.append(f"axis {axis.axis}: extended by {kinds}")

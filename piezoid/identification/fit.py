@@ -25,6 +25,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.identification.tunnelling.junction import fit_junction, remarks_on_currents
 from piezoid.identification.tunnelling.loop_files import is_loop
 from piezoid.records.checks import check_set, refuse_unusable
+from piezoid.records.checks.command_range import MAY_BE_HIGH_VOLTAGE
 from piezoid.records.checks.copies import copies
 from piezoid.records.checks.drive_ranges import MIN_RANGE
 from piezoid.records.checks.feedback import is_held_throughout
@@ -173,6 +174,7 @@ def unfitted(
             *remarks_on_currents(recordings),
             *(s.text for s in statements),
             *remarks_on_reading(recordings, CONTROLLER_RATE),
+            *remarks_on_reading(recordings, MAY_BE_HIGH_VOLTAGE),
             *(() if lab.coupled.axes else remarks_on_reading(recordings, "coupled_drives")[:1]),
         ),
         controller_rate_Hz=lab.acquisition.sampling_rate_Hz,

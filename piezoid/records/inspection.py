@@ -22,7 +22,13 @@ from piezoid.records.response_ingest import ingest_response
 from piezoid.records.response_summary import ResponseSummary, summary_of
 from piezoid.records.response_units import unit_in_heading
 from piezoid.records.reversals import noise_of, reversals_of
-from piezoid.records.sample_statistics import clipped_share, is_dead, noise_rms, step_size
+from piezoid.records.sample_statistics import (
+    clipped_share,
+    is_dead,
+    is_noise_hidden,
+    noise_rms,
+    step_size,
+)
 from piezoid.records.table import Column, RawTable
 from piezoid.statement import Statement, finding
 
@@ -44,7 +50,7 @@ class ColumnSummary:
     unit       as found, empty where none was
     si_unit    of the numbers below, empty where none is known
     minimum, maximum   of the numbers it holds; None where it holds none
-    noise_rms  robust white noise; None where there are too few samples
+    noise_rms  robust white noise; None where there are too few samples or the signal is too fast
     step       the smallest step of its values, 0 where there is none
     is_dead    it never changes
     clipped    share of samples resting on an extreme
@@ -251,6 +257,7 @@ def _summary(
 ) -> ColumnSummary:
     numbers = values[np.isfinite(values)]
     is_empty = not len(numbers)
+    is_noise_unknown = len(numbers) < 5 or is_noise_hidden(numbers)
     return ColumnSummary(
         number=column.number,
         label=column.label,
@@ -259,7 +266,7 @@ def _summary(
         si_unit=si_unit,
         minimum=None if is_empty else float(numbers.min()),
         maximum=None if is_empty else float(numbers.max()),
-        noise_rms=noise_rms(numbers) if len(numbers) > 4 else None,
+        noise_rms=None if is_noise_unknown else noise_rms(numbers),
         step=0.0 if is_empty else step_size(numbers),
         is_dead=not is_empty and is_dead(numbers),
         clipped=clipped_share(numbers, rest=0.0 if si_unit == "V" else None),

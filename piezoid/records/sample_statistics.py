@@ -15,6 +15,10 @@ _CLIPPED_RATIO = 8
 # A drive that jumps to its extreme, in typical steps or in shares of the span, was sent there.
 _JUMP = 5.0
 _JUMP_SHARE = 0.2
+# Noise by third over noise by second differences: 1.0 for white noise, 0.64 for a sine of a fifth
+# of the sampling rate. A smaller share of the range than this is not worth a remark.
+_MIN_WHITE = 0.8
+_NOTICEABLE = 1e-3
 
 
 def noise_rms(values: Array) -> float:
@@ -26,9 +30,25 @@ def noise_rms(values: Array) -> float:
     """
     if len(values) < 5:
         return 0.0
-    second = np.diff(values, 2)
-    spread = 1.4826 * float(np.median(np.abs(second - np.median(second))))
+    spread = _spread(np.diff(values, 2))
     return spread / math.sqrt(6.0) if spread > 0 else step_size(values) / math.sqrt(12.0)
+
+
+def is_noise_hidden(values: Array) -> bool:
+    """Return whether a signal is so fast that ``noise_rms`` is that of the signal.
+
+    The third difference of white noise has twenty times its variance, so that both differences
+    give the same noise. A sine of w radians a sample gives 2 sin(w / 2) sqrt(6 / 20) times as much
+    by the third as by the second one.
+    """
+    second, third = (_spread(np.diff(values, order)) for order in (2, 3))
+    is_noticeable = second / math.sqrt(6.0) > _NOTICEABLE * float(np.ptp(values))
+    return is_noticeable and third / math.sqrt(20.0) < _MIN_WHITE * second / math.sqrt(6.0)
+
+
+def _spread(values: Array) -> float:
+    """Return the standard deviation of a normal distribution with the median deviation."""
+    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
 def step_size(values: Array) -> float:

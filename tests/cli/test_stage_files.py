@@ -62,6 +62,14 @@ def test_what_is_missing_is_named_with_the_verb_that_writes_it(
     assert f"Run `{verb} {tmp_path}` first." in str(found.value)
 
 
+def test_a_stage_whose_controllers_failed_is_not_sent_back_to_export(tmp_path: Path) -> None:
+    (tmp_path / "refused").mkdir()
+    with pytest.raises(ParameterFileError, match="failed its verification") as found:
+        content_of(tmp_path / "params.json")
+    assert "refused/verification.json" in str(found.value)
+    assert "piezoid export" not in str(found.value)
+
+
 def test_a_folder_that_is_not_there_and_a_file_in_its_place_are_told_apart(
     tmp_path: Path,
 ) -> None:

@@ -91,17 +91,6 @@ def test_every_shell_block_is_walked_or_run_when_the_page_is_built() -> None:
     assert shells == set(WALKED)
 
 
-def test_the_calls_of_the_runtime_are_those_of_its_header() -> None:
-    (block,) = re.findall(r"```c\n(.*?)```", text_of("docs/guide/runtime.md"), flags=re.DOTALL)
-    header = text_of("piezoid/runtime/piezoid_runtime.h")
-    example = text_of("piezoid/runtime/example_main.c")
-    names = set(re.findall(r"\bpz_\w+", block))
-    assert {"pz_state", "pz_start", "pz_step"} <= names
-    for name in names:
-        assert name in header
-        assert name in example
-
-
 def test_the_map_names_every_folder_of_the_library() -> None:
     house = text_of("docs/map.md")
     folders = {path.parent.name for path in (ROOT / "piezoid").glob("*/__init__.py")}

@@ -10,7 +10,12 @@ from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array
 from piezoid.records.collection import collect
 from piezoid.records.recording import Recording
-from piezoid.records.sample_statistics import clipped_share, noise_rms, step_size
+from piezoid.records.sample_statistics import (
+    clipped_share,
+    is_noise_hidden,
+    noise_rms,
+    step_size,
+)
 
 PHASE = 2 * np.pi * np.arange(20000) / 4000
 SINE = np.sin(PHASE)
@@ -19,6 +24,14 @@ SINE = np.sin(PHASE)
 @pytest.mark.parametrize("noise", [1e-5, 1e-3, 1e-2])
 def test_noise_on_a_smooth_signal_is_measured(noise: float, rng: np.random.Generator) -> None:
     assert noise_rms(SINE + rng.normal(0, noise, len(SINE))) == pytest.approx(noise, rel=0.05)
+
+
+@pytest.mark.parametrize(("per_sample", "is_hidden"), [(1e-3, False), (0.2, True)])
+def test_a_signal_as_fast_as_noise_hides_it(
+    per_sample: float, is_hidden: bool, rng: np.random.Generator
+) -> None:
+    fast = np.sin(2 * np.pi * per_sample * np.arange(20000))
+    assert is_noise_hidden(fast + rng.normal(0, 1e-2, len(fast))) is is_hidden
 
 
 def test_spikes_do_not_count_as_noise(rng: np.random.Generator) -> None:

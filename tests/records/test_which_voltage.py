@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from piezoid.records.checks.command_range import DRIVE_VOLTAGE_NOTE
+from piezoid.records.checks.command_range import DRIVE_VOLTAGE_NOTE, MAY_BE_HIGH_VOLTAGE
 from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
 from piezoid.records.lab_draft import draft_lab
@@ -65,3 +65,25 @@ def test_the_same_sentence_stands_wherever_it_matters(tmp_path: Path) -> None:
     assert DRIVE_VOLTAGE_NOTE in draft
     for name in ("README.md", "docs/guide/lab_toml.md", "docs/tutorials/five_minutes.md"):
         assert DRIVE_VOLTAGE_NOTE in (ROOT / name).read_text().replace("\n", " "), name
+
+
+@pytest.mark.parametrize(
+    ("heading", "lab", "is_asked"),
+    [
+        ("HV monitor (V)", "", True),
+        ("High voltage (V)", GAIN, True),
+        ("HV monitor (V)", GAIN + "output_min_V = -30\noutput_max_V = 3000\n", False),
+        ("HV monitor (V)", '[[recording]]\nfile = "hv.csv"\nscale = { voltage = 0.1 }\n', False),
+        ("drive voltage (V)", "", False),
+    ],
+)
+def test_a_heading_of_high_voltage_asks_which_voltage_it_is(
+    tmp_path: Path, heading: str, lab: str, is_asked: bool
+) -> None:
+    drive_V = 50.0 * (1.0 + triangles(5, 240, 0.15))
+    rows = "".join(f"{k / 1e3},{v:.6f},{v / 5:.6f}\n" for k, v in enumerate(drive_V))
+    (tmp_path / "hv.csv").write_text(f"time (s),{heading},position (um)\n{rows}")
+    (tmp_path / "lab.toml").write_text(lab)
+    (recording,) = collect([tmp_path / "hv.csv"], read_lab(tmp_path / "lab.toml"))
+    asked = [fact for fact in recording.statements if fact.quantity == MAY_BE_HIGH_VOLTAGE]
+    assert bool(asked) is is_asked

@@ -34,6 +34,8 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.recording import Quantity, Recording
 
+NAME = "cross_coupling"
+
 
 def _untestable(view: View) -> str:
     if any(track.other_drives for track in view.tracks):
@@ -111,7 +113,7 @@ def _coupled(axis: str, setting: SearchScaling) -> Extension:
 
 
 EFFECT = Effect(
-    name="cross_coupling",
+    name=NAME,
     explanation=__doc__ or "",
     unit="percent of the stroke, rms where most",
     experiment="Hold this axis, drive the other one over its range in decaying loops, and "

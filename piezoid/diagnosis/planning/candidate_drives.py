@@ -177,7 +177,7 @@ MENU: tuple[Experiment, ...] = (
     ),
     Experiment(
         name="reversal_curves",
-        why="First-order reversal curves: how the shape of minor loops depends on the bias.",
+        why="First-order reversal curves: from the top down to ten ever lower turns and back.",
         drive=at(SLOW_Hz, lambda b, f, _: reversal_curves(b.limits, f, curves=10, move_s=1.0)),
     ),
     Experiment(
@@ -240,8 +240,7 @@ MENU: tuple[Experiment, ...] = (
     ),
     Experiment(
         name="slow_ramp",
-        why="The whole range once, slowly: errors that repeat with displacement, and the "
-        "difference between slow and fast loops.",
+        why="The whole range once, slowly, up and down.",
         drive=at(1000.0, _slow_ramp),
     ),
 )

@@ -4,7 +4,9 @@ Between converter and ceramic stands an amplifier. A loop is designed for, ships
 the voltage in front of it; a recording of the other side is off by the gain.
 """
 
+import re
 from math import inf, isfinite
+from pathlib import Path
 
 from piezoid.formatting import with_unit
 from piezoid.records.lab import Amplifier, Lab
@@ -15,6 +17,8 @@ DRIVE_VOLTAGE_NOTE = (
     "Every drive voltage is the controller's output, the command in front of the amplifier, "
     "not the high voltage at the ceramic."
 )
+HIGH_VOLTAGE = re.compile(r"(?<![A-Za-z])HV(?![A-Za-z])|high.?voltage", re.IGNORECASE)
+MAY_BE_HIGH_VOLTAGE = "may_be_high_voltage"  # statement about a heading
 ROUNDING = 1e-6  # of the range
 MONITOR_ERROR = 0.02  # of the range: noise and calibration of a monitor of the command
 
@@ -27,7 +31,10 @@ def check_command_range(recording: Recording, lab: Lab) -> list[Statement]:
     for axis in recording.axes:
         drive = recording.find(Quantity.VOLTAGE, axis)
         command_V = command_range_V(lab, axis)
-        if drive is None or command_V is None or drive.is_counted:
+        if drive is None or drive.is_counted:
+            continue
+        if command_V is None:
+            statements += _high_voltage(recording, axis, drive.label, lab)
             continue
         drive_V = float(drive.values.min()), float(drive.values.max())
         if exceeds_range(drive_V, command_V, tolerance=MONITOR_ERROR):
@@ -41,6 +48,20 @@ def check_command_range(recording: Recording, lab: Lab) -> list[Statement]:
             )
             statements.append(finding("beyond_the_controller", text, axis=axis))
     return statements
+
+
+def _high_voltage(recording: Recording, axis: str, label: str, lab: Lab) -> list[Statement]:
+    """Ask about a drive that its heading calls a high voltage, unless lab.toml scales it."""
+    scales = [entry.scale for entry in lab.recordings if Path(entry.file).name == recording.name]
+    is_scaled = any(f"voltage_{axis}" in scale or "voltage" in scale for scale in scales)
+    if is_scaled or not HIGH_VOLTAGE.search(label):
+        return []
+    text = (
+        f"{axis}: {label!r} may be the high voltage behind the amplifier. {DRIVE_VOLTAGE_NOTE} "
+        f"If it is the high voltage, write {amplifier_scale(lab, axis)} into its [[recording]]; "
+        "else state output_min_V and output_max_V of [amplifier]."
+    )
+    return [finding(MAY_BE_HIGH_VOLTAGE, text, axis=axis, place=label)]
 
 
 def command_range_V(lab: Lab, axis: str) -> Range_V | None:

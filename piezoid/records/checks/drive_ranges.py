@@ -25,8 +25,8 @@ def check_drive_ranges(recordings: Sequence[Recording]) -> list[Statement]:
             if range_V <= MIN_RANGE * widest_V:
                 text = (
                     f"{name}: the drive of axis {axis} moves by {with_unit(range_V, 'V')}, less "
-                    f"than a hundredth of the {with_unit(widest_V, 'V')} of {widest}; it shows "
-                    "nothing of the hysteresis."
+                    f"than a hundredth of the {with_unit(widest_V, 'V')} of {widest}; it may show "
+                    "the dynamics, but not the hysteresis."
                 )
                 statements.append(
                     finding(
