@@ -159,7 +159,7 @@ def _cells(column: "ColumnSummary", *, has_noise: bool) -> tuple[str, ...]:
     is_clock = column.meaning == "time"  # whose noise and steps are the line below the table
     noise = _quantity(_noise(column), column.si_unit)
     if has_noise and column.noise_rms is None and column.minimum is not None:
-        noise = "not determined"  # too few samples, or a signal too fast
+        noise = "unknown"  # too few samples, or a signal too fast
     return tuple(
         _cut(cell)
         for cell in (

@@ -97,7 +97,7 @@ def plan(
 
     table = table_on(bench)
     questions = questions_of(diagnosis, effect)
-    if effect is None and not bench.others:  # no drive of this rig shows it
+    if effect is None and not bench.other_limits:  # no drive of this rig shows it
         questions = tuple(q for q in questions if COUPLING not in q.effects) or questions
     choice, set_aside = _first_answered(table, questions)
     question, best = choice.question, choice.best

@@ -58,8 +58,8 @@ def _high_voltage(recording: Recording, axis: str, label: str, lab: Lab) -> list
         return []
     text = (
         f"{axis}: {label!r} may be the high voltage behind the amplifier. {DRIVE_VOLTAGE_NOTE} "
-        f"If it is the high voltage, write {amplifier_scale(lab, axis)} into its [[recording]]; "
-        "else state output_min_V and output_max_V of [amplifier]."
+        f"If so, its [[recording]] needs {amplifier_scale(lab, axis)}. If not, state output_min_V "
+        "and output_max_V of [amplifier]."
     )
     return [finding(MAY_BE_HIGH_VOLTAGE, text, axis=axis, place=label)]
 
