@@ -125,6 +125,13 @@ def test_a_question_that_no_drive_answers_gives_way_to_one_that_is_answered() ->
     assert "whether there is delay" in sentences(planned)[-1]
 
 
+def test_a_stage_of_one_axis_is_not_asked_for_coupling() -> None:
+    found = _open(cross_coupling=HIGH_m, thermal_drift=1e-8)
+    alone = plan(stage_model(axis_model("x")), found, clock_Hz=CLOCK_Hz)
+    assert (alone.question.effects, alone.set_aside) == (("thermal_drift",), ())
+    assert _planned(found).question.effects == ("cross_coupling",)
+
+
 def test_what_shows_already_from_the_least_that_is_named_needs_no_recording() -> None:
     planned = _planned(_open(), effect="delay")
     assert not planned.answers

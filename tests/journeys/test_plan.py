@@ -50,3 +50,10 @@ def test_an_axis_that_was_not_diagnosed_is_a_wrong_use_and_nothing_is_written(st
     done = CliRunner().invoke(app, ["plan", str(stage), *RATE, "--axis", "w"])
     assert done.exit_code == 2
     assert not (stage / "plan.json").exists()
+
+
+def test_what_the_plan_does_not_cover_is_said(stage: Path) -> None:
+    done = CliRunner().invoke(app, ["plan", str(stage), *RATE])
+    shown = " ".join(done.output.split())
+    assert "record a small chirp first" in shown
+    assert "The recordings of the diagnosis were not given" in shown

@@ -148,8 +148,8 @@ EFFECT = Effect(
     explanation=__doc__ or "",
     unit="Hz",
     model_error=0.002,
-    experiment="Record a small chirp or multisine through the suspected mode, at three "
-    "amplitudes, at ten times its frequency or more.",
+    experiment="Record small chirps of three amplitudes through the suspected mode, at the rate "
+    "of the controller or faster.",
     control="The resonance limits the bandwidth: use a notch or a limit on the sensitivity "
     "there, and round the corners of triangles.",
     shows=IN_SPECTRUM,

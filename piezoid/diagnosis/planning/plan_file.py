@@ -18,6 +18,10 @@ from piezoid.digests import digest_of_bytes, seal
 from piezoid.formatting import significant, with_unit, words
 
 SCHEMA = "piezoid.plan/1"
+ALONE = (
+    "The recordings of the diagnosis were not given: the estimate is for the new drive alone, and "
+    "too optimistic."
+)
 
 
 def plan_files(plan: Plan, *, model_digest: str, diagnosis_digest: str) -> dict[str, bytes]:
@@ -127,6 +131,7 @@ def sentences(plan: Plan) -> tuple[str, ...]:
         if plan.answers
         else f"No drive answers this within these limits; the best is {drive}",
         _expectation(plan),
+        ALONE if plan.recorded is None else "",
         plan.forbids,
         _remaining_questions(plan.set_aside),
     )

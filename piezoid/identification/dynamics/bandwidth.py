@@ -195,5 +195,9 @@ def _stated(stated_Hz: float | None) -> str:
 
 
 def _remedy(stated_Hz: float | None) -> str:
-    end = "until the gain has fallen" if stated_Hz is None else f"through {stated_Hz:g} Hz"
-    return f"Record a small chirp {end}, at the rate of the controller or faster."
+    if stated_Hz is None:
+        return "Record a small chirp until the gain has fallen, at the rate of the controller."
+    return (
+        "Record a small chirp through that frequency, sampled at the rate of the controller or "
+        "faster, at least at three times that frequency."
+    )

@@ -87,7 +87,7 @@ def test_lines_that_end_before_the_gain_falls_decide_nothing(
     verdict = decide_bandwidth(short, DECLARATION, delay_s=KNOWN, stated_Hz=630.0)
     assert verdict.kind == "undecided"
     assert verdict.fallen_Hz is None
-    assert "through 630 Hz" in verdict.text
+    assert "A bandwidth of 630 Hz is stated" in verdict.text
 
 
 def test_a_gain_without_lines_at_rest_decides_nothing(rng: np.random.Generator) -> None:
