@@ -279,7 +279,7 @@ def draw_replicates(
     Numbers on a bound have no variance and stay there.
     """
     if axis.minor_loops is not None:
-        return axis.minor_loops.drawn(rng, draws)
+        return axis.minor_loops.draw(rng, draws)
     uncertainty = axis.uncertainty
     values, vectors = np.linalg.eigh(uncertainty.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))

@@ -254,10 +254,10 @@ def _remaining_part(
 
 def _extrapolation_text(recordings_m: Mapping[str, float]) -> str:
     """Name the recording that makes the error, if one is far worse than all others."""
-    *others, worst = sorted(recordings_m, key=lambda name: recordings_m[name]) or [""]
-    if not others or recordings_m[worst] < MANY_TIMES * recordings_m[others[-1]]:
+    *smaller, worst = sorted(recordings_m, key=lambda name: recordings_m[name]) or [""]
+    if not smaller or recordings_m[worst] < MANY_TIMES * recordings_m[smaller[-1]]:
         return EXTRAPOLATION_TEXT
-    rms, others_rms = (with_unit(recordings_m[name], "m") for name in (worst, others[-1]))
+    rms, others_rms = (with_unit(recordings_m[name], "m") for name in (worst, smaller[-1]))
     return (
         f"The error comes from {worst}: the model misses it by {rms} rms, the other recordings by "
         f"at most {others_rms}. Leave it out, or record it again; a chirp needs a smaller "

@@ -72,7 +72,7 @@ class Driven:
     @cached_property
     def past_V(self) -> Array:
         """Return the memory before the first sample."""
-        return self._after(1.0) if self.memory_V is None else self.memory_V
+        return self._memory_after(1.0) if self.memory_V is None else self.memory_V
 
     @cached_property
     def output_m(self) -> Array:
@@ -124,7 +124,9 @@ class Driven:
     @cached_property
     def individual(self) -> Array:
         """Return the columns of this drive only: its zero and changes of its initial state."""
-        memories_V = [self._after(side) for side in (-1.0, 1.0)] + [self.model.virgin_memory_V]
+        memories_V = [self._memory_after(side) for side in (-1.0, 1.0)] + [
+            self.model.virgin_memory_V
+        ]
         parts = [np.ones(len(self.rows))]
         for memory_V in memories_V:
             changed = self._plays(self.drive_V, memory_V) - self.output_m
@@ -157,7 +159,7 @@ class Driven:
             self.slope * (self._plays(self.drive_V + bend_V, self.past_V) - self.output_m) / BEND
         )
 
-    def _after(self, side: float) -> Array:
+    def _memory_after(self, side: float) -> Array:
         """Return the memory after cycles over the range, arriving from above (1) or below (-1)."""
         reach_V, start_V = self.half_range_V, float(self.drive_V[0])
         middle_V = sum(self.model.voltage_V) / 2 - self.model.hysteresis.voltage_offset_V

@@ -79,7 +79,9 @@ def _evaluation_view(
     jumps = behind_jumps(with_effects(clean, remaining)) if effect.from_jumps else None
     if jumps is None:
         return clean, remaining
-    return jumps, [other for other in remaining if other.effect.drive_filter is None]
+    return jumps, [
+        effect_beside for effect_beside in remaining if effect_beside.effect.drive_filter is None
+    ]
 
 
 def _find_confounded(

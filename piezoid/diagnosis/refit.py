@@ -136,11 +136,16 @@ def refit_model(
     baseline = fit_extended(model, raw, declared, structure=STATIC)
     alternatives = (baseline.model,)
     final = fit_extended(
-        model, recordings, extensions, others=alternatives, structure=structure, places=rows
+        model,
+        recordings,
+        extensions,
+        further_starts=alternatives,
+        structure=structure,
+        samples=rows,
     )
     final = _with_free_rungs(final, recordings, structure, rows)
     fitted = final.model.extensions
-    refit = partial(fit_extended, final.model, others=alternatives)
+    refit = partial(fit_extended, final.model, further_starts=alternatives)
     without = {}
     for estimate in estimates:
         progress(f"refitting without {words(estimate.effect)}")
@@ -151,14 +156,14 @@ def refit_model(
             if not any(start is part for part in removed)
         ]
         reduced = _structure_of(structure, estimate, model, has_effect=False)
-        without[estimate.effect] = refit(recordings, remaining, structure=reduced, places=rows)
+        without[estimate.effect] = refit(recordings, remaining, structure=reduced, samples=rows)
     if faults:
         unrepaired = refit(raw, fitted, structure=structure)
         without |= dict.fromkeys(faults, unrepaired)
     if with_structure is not None:
         progress("refitting without the unnamed structure")
         without[SOMETHING_ELSE] = refit(
-            with_structure, fitted, structure=structure, places=structure_rows
+            with_structure, fitted, structure=structure, samples=structure_rows
         )
     # a refit without a drift would drop a zero that moves
     drifts = wandering_zeros(model.starts, model.quality.rms_m, model.quality.range_m)
@@ -220,7 +225,7 @@ def _with_free_rungs(
     if not any(isinstance(extension, CreepLadder) for extension in extensions):
         return final
     free = [replace(e, even=False) if isinstance(e, CreepLadder) else e for e in extensions]
-    refit = fit_extended(final.model, recordings, free, structure=structure, places=rows)
+    refit = fit_extended(final.model, recordings, free, structure=structure, samples=rows)
     return refit if refit.held_out_rms_m < FREE_RUNGS * final.held_out_rms_m else final
 
 
@@ -244,9 +249,9 @@ def _shipped(
             replace(final.model, lag=model.lag),
             recordings,
             extensions,
-            others=(replace(final.model, lag=small),),
+            further_starts=(replace(final.model, lag=small),),
             structure=replace(structure, lag=True),
-            places=rows,
+            samples=rows,
         ).model
     if isinstance(lag, FirstOrderLag):
         model_lag = Lag(kind="first_order", time_s=lag.lag_s)

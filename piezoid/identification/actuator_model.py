@@ -99,7 +99,7 @@ class ActuatorModel(Summarised):
         return all(axis.verdict.applies for axis in self.axes.values())
 
     def one(self, axis: str | None = None) -> AxisModel:
-        """Return the named axis, or the only one there is; several are refused without a name.
+        """Return the named axis, or the only axis; without a name, several axes are an error.
 
         >>> model.one().axis
         'x'

@@ -84,35 +84,35 @@ class Forward:
         return np.concatenate([inner, inner + np.cumsum(self.operator.gap * slope)])
 
     def static(self, drive: Array, memory: Array, rate_Hz: float) -> tuple[Array, Array]:
-        """Return Psi(H[gamma(u)]), its irreversible part as late as it comes, (samples,).
+        """Return Psi(H[gamma(u)]), (samples,), with a delayed irreversible part, and the memory.
 
-        memory    (plays,)  before the first sample; of a chunk what the one before returned
-        returned  besides, the memory after the last sample
+        memory    (plays,)  before the first sample; for a chunk that of the previous chunk
+        returned  also the memory after the last sample
         """
         operator, inner = self.operator, self.inner(drive)
-        h, after = operator.plays.run(inner, memory)
+        h, memory_after = operator.plays.run(inner, memory)
         stroke_m = abs(self.scales.displacement_m)
         for extension in self.extensions:
             reversible = operator.plays.weight[0] * inner
             walls_m = (h - reversible) * stroke_m
             later_m = extension.irreversible(walls_m, rate_Hz)
             h = h if later_m is walls_m else reversible + later_m / stroke_m
-        return operator.dead_zones.run(h), after
+        return operator.dead_zones.run(h), memory_after
 
-    def behind(self, moved: Array, where: Where, *, instant: bool = False) -> Array:
-        """Return what all that is linear makes of a hysteresis' output, or of columns of it.
+    def behind(self, displacement: Array, where: Where, *, instant: bool = False) -> Array:
+        """Apply the linear part of the model to the output of the hysteresis.
 
-        moved    (samples,) or (samples, columns)
-        instant  of the extensions those alone that follow within samples
+        displacement  (samples,) or (samples, columns)
+        instant       whether to apply only extensions that follow within samples
         """
         for extension in self.extensions:
             if extension.instant or not instant:
-                moved = extension.response(moved, where)
-        return self.filtered(moved, where.rate_Hz)
+                displacement = extension.response(displacement, where)
+        return self.filtered(displacement, where.rate_Hz)
 
-    def filtered(self, moved: Array, rate_Hz: float) -> Array:
-        """Return a signal, or columns, behind the own lag and the declared sensor."""
-        return behind_pole(lagged(moved, self.lag, self.lag_s, rate_Hz), self.sensor_Hz, rate_Hz)
+    def filtered(self, signal: Array, rate_Hz: float) -> Array:
+        """Filter a signal, or columns, by the lag of the model and the declared sensor."""
+        return behind_pole(lagged(signal, self.lag, self.lag_s, rate_Hz), self.sensor_Hz, rate_Hz)
 
     @property
     def is_memoryless(self) -> bool:
@@ -172,7 +172,7 @@ class Run:
     """One piece from end to end, and how its reading changes with every number of the model.
 
     forward       the model
-    asked         (samples,)  scaled drive
+    command       (samples,)  scaled drive
     memory_slope  (plays - 1,)  of the states before the first sample
     zero_m        m, of the piece
     centre_m      m, subtracted from readings before they are scaled
@@ -180,7 +180,7 @@ class Run:
     """
 
     forward: Forward
-    asked: Array
+    command: Array
     memory_slope: Array
     zero_m: float
     centre_m: float
@@ -189,7 +189,7 @@ class Run:
     @Once
     def drive(self) -> Array:
         """What reaches the ceramic, scaled, (samples,)."""
-        return self.forward.driven(self.asked, self.where.rate_Hz)
+        return self.forward.driven(self.command, self.where.rate_Hz)
 
     @Once
     def static(self) -> Array:

@@ -72,8 +72,8 @@ class LoopModel:
     @property
     def activation(self) -> tuple[float, float]:
         """Time constant and strain with which the irreversible part follows, s and m."""
-        late = [e for e in self.effects if e.activation_s > 0.0]
-        return (late[0].activation_s, late[0].activation_m) if late else (0.0, 0.0)
+        delayed = [e for e in self.effects if e.activation_s > 0.0]
+        return (delayed[0].activation_s, delayed[0].activation_m) if delayed else (0.0, 0.0)
 
 
 def loop_model(axis: AxisModel, rate_Hz: float) -> LoopModel:
@@ -133,27 +133,26 @@ def at_corner(axis: AxisModel, slower: float, sharper: float) -> AxisModel:
 
 def lag_half_s(axis: AxisModel) -> float:
     """Return half the 95 % interval of the lag."""
-    place = axis.uncertainty.names.index("lag_s")
-    return float(NORMAL_95 * np.sqrt(axis.uncertainty.covariance[place, place]))
+    index = axis.uncertainty.names.index("lag_s")
+    return float(NORMAL_95 * np.sqrt(axis.uncertainty.covariance[index, index]))
 
 
 def mode_half(axis: AxisModel) -> float:
-    """Return the widest half interval of a mode of the axis, relative to its frequency.
+    """Return the widest 95 % half interval of a mode frequency, in half widths of the mode.
 
-    In units of the mode's own half width: above 1 the ends of the interval do not stand for what
-    lies between them.
+    Above 1 the ends of the interval do not bound the responses between them.
     """
-    found = [0.0]
+    half_widths = [0.0]
     for extension in axis.extensions:
         if isinstance(extension, LinearMode):
             f, quality = extension.frequency_Hz, extension.quality
-            found.append(mode_spread(f, quality, extension.std)[0] * 2.0 * quality)
+            half_widths.append(mode_spread(f, quality, extension.std)[0] * 2.0 * quality)
     if axis.dynamics is not None:
         for (half, _), damping in zip(
             _mode_spreads(axis.dynamics), axis.dynamics.mode_damping, strict=True
         ):
-            found.append(half / float(damping))
-    return max(found)
+            half_widths.append(half / float(damping))
+    return max(half_widths)
 
 
 def rest_gain(system: ContinuousSystem) -> float:
@@ -187,29 +186,31 @@ def _with_lag(axis: AxisModel, quick: list[ContinuousSystem]) -> tuple[Continuou
 def _of_dynamics(
     axis: AxisModel, dynamics: LinearDynamics, rate_Hz: float
 ) -> tuple[ContinuousSystem, float, float]:
-    """Return identified dynamics in front of the sensor, gain 1 at rest, their delay, and gain.
+    """Return identified dynamics in front of the sensor with unit static gain, delay and gain.
 
-    A lag far below the mode that carries the motion is none of its sections: it is what a linear
-    fit makes of hysteresis, and often lies below the band. The gain, the last of the three, is
-    that of all else, as measured with a small quick drive, over the middle of the slope sector.
+    A lag far below the mode that carries the motion is omitted: it is the image of hysteresis in a
+    linear fit, and often lies below the measured band. The gain is that of the remaining dynamics,
+    measured with a small fast drive, over the middle of the slope sector.
     """
     declared = tuple(
-        known
-        for known in dynamics.declared
-        if known.name != "sensor" and known.frequency_Hz <= INSTANTANEOUS * rate_Hz
+        filter_
+        for filter_ in dynamics.declared
+        if filter_.name != "sensor" and filter_.frequency_Hz <= INSTANTANEOUS * rate_Hz
     )
     path = replace(dynamics, declared=declared)
     middle = _middle_m_per_V(axis)
-    apart = _is_drawn(path, middle)
+    is_slow = _is_slow_lag(path, middle)
     quick = replace(
         path,
-        lag_frequency_Hz=path.lag_frequency_Hz[~apart],
-        lag_gain_m_per_V=path.lag_gain_m_per_V[~apart],
-        shape_covariance=_without_lags(path, apart),
+        lag_frequency_Hz=path.lag_frequency_Hz[~is_slow],
+        lag_gain_m_per_V=path.lag_gain_m_per_V[~is_slow],
+        shape_covariance=_without_lags(path, is_slow),
     )
-    known = quick.realised()
+    system_m_per_V = quick.realised()
     at_once = quick.static_gain_m_per_V
-    scaled = replace(known, C=known.C / at_once, D=known.D / at_once, delay_s=0.0)
+    scaled = replace(
+        system_m_per_V, C=system_m_per_V.C / at_once, D=system_m_per_V.D / at_once, delay_s=0.0
+    )
     further = [
         system
         for extension in axis.extensions
@@ -217,7 +218,7 @@ def _of_dynamics(
         and not _is_known(dynamics, extension)
         and (system := extension.loop_effect(rate_Hz).system) is not None
     ]
-    return cascade(scaled, *further), known.delay_s, abs(at_once) / middle
+    return cascade(scaled, *further), system_m_per_V.delay_s, abs(at_once) / middle
 
 
 def _middle_m_per_V(axis: AxisModel) -> float:
@@ -225,11 +226,11 @@ def _middle_m_per_V(axis: AxisModel) -> float:
     return 0.5 * sum(axis.operator.slope_sector_m_per_V)
 
 
-def _is_drawn(path: LinearDynamics, middle_m_per_V: float) -> NDArray[np.bool_]:
-    """Tell which lags of one path lie far below the modes that carry most of the motion.
+def _is_slow_lag(path: LinearDynamics, middle_m_per_V: float) -> NDArray[np.bool_]:
+    """Tell which lags lie far below the modes, where these carry most of the motion.
 
-    Most of the motion is that of the hysteresis: the gain at rest of linear dynamics lies below
-    their band, where a lag may make anything of it.
+    The motion is that of the hysteresis: the static gain of the linear dynamics is extrapolated
+    below their band, where a lag can change it arbitrarily.
     """
     carried = abs(float(path.mode_gain_m_per_V.sum())) / middle_m_per_V
     if not len(path.mode_frequency_Hz) or carried < CARRIES:
@@ -237,15 +238,15 @@ def _is_drawn(path: LinearDynamics, middle_m_per_V: float) -> NDArray[np.bool_]:
     return np.asarray(path.lag_frequency_Hz < FAR_BELOW * path.mode_frequency_Hz.min())
 
 
-def _without_lags(path: LinearDynamics, apart: NDArray[np.bool_]) -> Array:
+def _without_lags(path: LinearDynamics, is_slow: NDArray[np.bool_]) -> Array:
     modes = 2 * len(path.mode_frequency_Hz)
-    kept = np.concatenate([np.ones(modes, np.bool_), ~apart, np.ones(1, np.bool_)])
-    return np.asarray(path.shape_covariance[np.ix_(kept, kept)])
+    is_kept = np.concatenate([np.ones(modes, np.bool_), ~is_slow, np.ones(1, np.bool_)])
+    return np.asarray(path.shape_covariance[np.ix_(is_kept, is_kept)])
 
 
 def _is_known(dynamics: LinearDynamics, mode: LinearMode) -> bool:
-    apart = np.abs(np.log(dynamics.mode_frequency_Hz / mode.frequency_Hz))
-    return bool((apart < SAME_MODE).any())
+    octaves = np.abs(np.log(dynamics.mode_frequency_Hz / mode.frequency_Hz))
+    return bool((octaves < SAME_MODE).any())
 
 
 def _mode_spreads(dynamics: LinearDynamics) -> list[tuple[float, float]]:
@@ -263,15 +264,14 @@ def _moved(
 ) -> LinearDynamics:
     """Return dynamics at an end of their intervals.
 
-    A lag that is none of the sections stays where it is: the end of its wide interval may lie
-    among the modes, and it would be one.
+    An omitted slow lag does not change: the end of its wide interval may lie among the modes.
     """
     spreads = np.array(_mode_spreads(dynamics)).reshape(-1, 2)
     lag_Hz = dynamics.lag_frequency_Hz
     if len(lag_Hz):
         high = dynamics.lag_frequency_interval_Hz()[:, 1] / lag_Hz
         moved_Hz = lag_Hz / np.maximum(high, 1.0 + DECLARED_SPREAD) ** slower
-        lag_Hz = np.where(_is_drawn(dynamics, _middle_m_per_V(axis)), lag_Hz, moved_Hz)
+        lag_Hz = np.where(_is_slow_lag(dynamics, _middle_m_per_V(axis)), lag_Hz, moved_Hz)
     early_s, late_s = dynamics.delay_interval_s()
     half_s = max(float(late_s - early_s) / 2.0, DECLARED_SPREAD * dynamics.delay_s)
     spread = 1.0 + slower * DECLARED_SPREAD
@@ -282,6 +282,7 @@ def _moved(
         lag_frequency_Hz=lag_Hz,
         delay_s=max(dynamics.delay_s + slower * half_s, 0.0),
         declared=tuple(
-            replace(known, frequency_Hz=known.frequency_Hz / spread) for known in dynamics.declared
+            replace(declared, frequency_Hz=declared.frequency_Hz / spread)
+            for declared in dynamics.declared
         ),
     )

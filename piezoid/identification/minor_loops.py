@@ -146,27 +146,31 @@ class Rows:
 
 
 def with_minor_loops(axis: AxisModel, recordings: Sequence[Recording]) -> AxisModel:
-    """Return the axis with plays behind functions where they predict its recordings better.
+    """Return the axis with plays behind functions if these predict its recordings better.
 
-    recordings  of the fit; one that the model does not know is passed over
+    recordings  of the fit; recordings that the model does not contain are skipped
     """
-    plain = axis.without_loop_shape()
-    is_late = any(isinstance(extension, RateDependence) for extension in plain.extensions)
-    if is_late or not plain.quality.is_tested:  # walls that come late are not linear in functions
-        return plain
-    low_V, high_V = plain.voltage_V
+    without_functions = axis.without_loop_shape()
+    is_late = any(
+        isinstance(extension, RateDependence) for extension in without_functions.extensions
+    )
+    if (
+        is_late or not without_functions.quality.is_tested
+    ):  # delayed domain walls are not linear in the functions
+        return without_functions
+    low_V, high_V = without_functions.voltage_V
     half_V = 0.5 * (high_V - low_V)
 
     def cross_validate(pieces: int) -> "_Trial":
         lattice = Lattice(centre_V=low_V + half_V, reach_V=half_V, pieces=pieces)
-        rows = [part for r in recordings for part in _rows(plain, r, lattice)]
-        return _cross_validated(rows, lattice, plain.quality.range_m)
+        rows = [part for r in recordings for part in _rows(without_functions, r, lattice)]
+        return _cross_validated(rows, lattice, without_functions.quality.range_m)
 
     largest = cross_validate(SHAPES[-1])
     if not len(largest.error_m):
-        return plain
+        return without_functions
     trials, best = [largest], None
-    if largest.is_better_than(plain.quality.held_out_rms_m):
+    if largest.is_better_than(without_functions.quality.held_out_rms_m):
         best = largest
         for pieces in SHAPES[:-1]:
             trials.append(cross_validate(pieces))
@@ -182,7 +186,7 @@ def with_minor_loops(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMo
         )
         for trial in trials
     )
-    axis = replace(plain, function_orders=orders)
+    axis = replace(without_functions, function_orders=orders)
     return axis if best is None else _restarted(_with_functions(axis, best), recordings)
 
 
@@ -287,7 +291,7 @@ def _with_functions(axis: AxisModel, trial: _Trial) -> AxisModel:
             starts=axis.starts,
         ),
     )
-    draws = minor_loops.drawn(np.random.default_rng(SEED), DRAWS)
+    draws = minor_loops.draw(np.random.default_rng(SEED), DRAWS)
     distance_m = farthest_apart_m(minor_loops.operator, draws, axis.certificate.reach_V)
     likely_m = float(np.quantile(distance_m, 0.95))
     remark = (

@@ -69,12 +69,12 @@ class MinorLoops:
         spread = self.without_m.std(axis=0) * np.sqrt(blocks - 1.0)
         return np.asarray(student_quantile(0.975, blocks - 1) * spread)
 
-    def drawn(self, rng: np.random.Generator, draws: int) -> tuple[PreisachPlays, ...]:
-        """Draw operators that the recordings allow.
+    def draw(self, rng: np.random.Generator, draws: int) -> tuple[PreisachPlays, ...]:
+        """Draw operators from the jackknife distribution of the fit.
 
             rise + sum_c xi_c sqrt((G - 1)/G) (rise_(c) - mean),   xi standard normal
 
-        None of their functions falls, as none does in a fit.
+        All their functions are non-decreasing, as in the fit.
         """
         blocks = len(self.without_m)
         kicks = rng.standard_normal((draws, blocks)) * np.sqrt((blocks - 1) / blocks)

@@ -204,7 +204,7 @@ class AxisModel:
         *,
         zero_m: float | None = None,
     ) -> Array:
-        """Return the displacement this axis makes of a drive.
+        """Simulate the displacement of this axis for a drive.
 
         voltage_V         (samples,)  V
         sampling_rate_Hz  Hz
@@ -217,12 +217,12 @@ class AxisModel:
         a loop over the range, and leave its displacement out.
 
         >>> moved_m = model["x"].simulate([0.0, 5.0, 10.0, 5.0], 1000.0)
-        >>> bool(moved_m[3] > moved_m[1])  # it comes down on another branch
+        >>> bool(moved_m[3] > moved_m[1])  # the falling branch lies above the rising one
         True
         """
         drive_V = _drive(voltage_V, f"the drive of axis {self.axis}", "V")
-        here = where or Where(recording="", rate_Hz=sampling_rate_Hz, samples=len(drive_V))
-        moved_m = self.moved(drive_V, self._memory(memory_V), here)
+        location = where or Where(recording="", rate_Hz=sampling_rate_Hz, samples=len(drive_V))
+        moved_m = self.moved(drive_V, self._memory(memory_V), location)
         return self.forward.read((self.zero_m if zero_m is None else zero_m) + moved_m)
 
     def inverse(
@@ -241,7 +241,7 @@ class AxisModel:
         zero_m          m; None: ``zero_m`` of the model
         returned        (samples,)  V
 
-        Of the hysteresis alone: lag, dynamics and what a diagnosis added are not inverted, and
+        Only the hysteresis is inverted, not lag, dynamics and effects of a diagnosis;
         voltages outside ``voltage_V`` extrapolate. Raises ``NotInvertibleError`` for weights
         without an inverse.
 
@@ -250,9 +250,9 @@ class AxisModel:
         (3,)
         """
         if not self.hysteresis.is_invertible:
-            least, _ = self.hysteresis.slope_sector_m_per_V
+            min_slope_m_per_V, _ = self.hysteresis.slope_sector_m_per_V
             raise NotInvertibleError(
-                f"axis {self.axis}: the flattest branch has a slope of {least:g} m/V",
+                f"axis {self.axis}: the flattest branch has a slope of {min_slope_m_per_V:g} m/V",
                 needed="a hysteresis that rises everywhere",
                 remedy="Fit recordings over a range in which the stage does.",
             )
@@ -281,11 +281,11 @@ class AxisModel:
             return memory_V
         return self.memory_at(self.minor_loops.operator.threshold_V, memory_V)
 
-    def _memory(self, given: Array | None) -> Array:
+    def _memory(self, memory: Array | None) -> Array:
         """Return the memory before the first sample, or refuse one of another length."""
-        if given is None:
+        if memory is None:
             return self.virgin_memory_V
-        memory_V, plays = np.asarray(given, dtype=np.float64), len(self.hysteresis.plays.weight)
+        memory_V, plays = np.asarray(memory, dtype=np.float64), len(self.hysteresis.plays.weight)
         if memory_V.shape != (plays,):
             raise IdentificationError(
                 f"axis {self.axis}: a memory of shape {memory_V.shape}",
@@ -301,9 +301,9 @@ class AxisModel:
         where: Where,
         history_weight: Array | None = None,
     ) -> Array:
-        """Return the displacement away from the zero, before the sensor reads it, (samples,).
+        """Return the displacement relative to the zero, in front of the sensor, (samples,).
 
-        history_weight  as in ``PieceStart``; None: the memory is all that is known
+        history_weight  as in ``PieceStart``; None: none
 
         >>> from piezoid.identification.extensions.extension import Where
         >>> where = Where(recording="", rate_Hz=1000.0, samples=3)
@@ -397,10 +397,10 @@ class AxisModel:
     def history_changes_m(
         self, driven_V: Array, memory_V: Array, rate_Hz: float, count: int | None = None
     ) -> Array:
-        """Return by how much other histories change the response, (samples, histories).
+        """Return the change of the response by other histories, (samples, histories).
 
         driven_V  (samples,)  V, in front of the hysteresis
-        memory_V  (plays,)    V, of the history that they are compared with
+        memory_V  (plays,)    V, of the reference history
         count     of histories; None: all
 
         >>> u, memory = np.array([0.0, 5.0]), model["x"].virgin_memory_V
@@ -414,9 +414,9 @@ class AxisModel:
         stop = remembered(scaled)
         drive_V = driven_V[:stop]
         base_m = self.static_m(drive_V, memory_V, rate_Hz)
-        tried = histories(float(scaled[0]))[:count]
-        changes_m = np.zeros((len(driven_V), len(tried)))
-        for number, history in enumerate(tried):
+        candidates = histories(float(scaled[0]))[:count]
+        changes_m = np.zeros((len(driven_V), len(candidates)))
+        for number, history in enumerate(candidates):
             begun_V = self.memory_after(shape.turns_V(history))
             changes_m[:stop, number] = (
                 shape.plays_weight * self.invertible_m(drive_V, begun_V, rate_Hz)
@@ -426,19 +426,19 @@ class AxisModel:
         return changes_m
 
 
-def _drive(given: ArrayLike, place: str, unit: str) -> Array:
-    """Return samples as the operators take them, or refuse what is no signal."""
-    values = np.asarray(given, dtype=np.float64)
+def _drive(signal: ArrayLike, name: str, unit: str) -> Array:
+    """Convert to finite samples, (samples,), or raise ``RecordingError``."""
+    values = np.asarray(signal, dtype=np.float64)
     if values.ndim != 1 or not len(values):
         raise RecordingError(
-            f"{place} has shape {values.shape}",
+            f"{name} has shape {values.shape}",
             needed=f"one number in {unit} for each sample, shape (samples,)",
             remedy="Pass each axis by itself.",
         )
     if not np.isfinite(values).all():
         place_of = int(np.flatnonzero(~np.isfinite(values))[0])
         raise RecordingError(
-            f"{place} is {values[place_of]} at sample {place_of}",
+            f"{name} is {values[place_of]} at sample {place_of}",
             needed="finite numbers",
             remedy="Leave out or bridge the samples without one.",
         )

@@ -38,11 +38,11 @@ class PieceStart:
 def wandering_zeros(
     starts: Sequence[PieceStart], rms_m: float, range_m: float
 ) -> tuple[tuple[PieceStart, float], ...]:
-    """Return the pieces whose zero moves by more than the fit may ask of it, and by how much.
+    """Return the pieces whose zero moves by more than a good fit allows, and the movement.
 
-    rms_m    what the fit leaves
+    rms_m    residual of the fit
     range_m  of the displacement
     """
     least_m = max(SEEN * range_m, BEYOND_THE_FIT * rms_m)
-    moved = [(start, float(np.ptp(start.zero_m))) for start in starts]
-    return tuple((start, by_m) for start, by_m in moved if by_m > least_m)
+    wandering = [(start, float(np.ptp(start.zero_m))) for start in starts]
+    return tuple((start, by_m) for start, by_m in wandering if by_m > least_m)

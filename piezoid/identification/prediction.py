@@ -140,18 +140,22 @@ def compare(model: AxisModel, recording: Recording) -> Comparison:
 
 
 def _followed(model: AxisModel, voltage_V: Array, measured_m: Array, where: Where) -> Array:
-    """Return what a piece should look like, from whichever start leaves less of it."""
-    found = _from_own_start(model, voltage_V, measured_m, where)
+    """Predict a piece from the start with the smallest residual."""
+    prediction = _from_own_start(model, voltage_V, measured_m, where)
     for start in model.starts:
         if start.recording == where.recording and start.last <= len(voltage_V):
             moved_m = model.moved(voltage_V, start.memory_V, where, start.history_weight)
-            again = model.forward.read(zero_of(start, where.samples) + moved_m)
-            found = min(found, again, key=lambda made: float(np.sum((made - measured_m) ** 2)))
-    return found
+            alternative = model.forward.read(zero_of(start, where.samples) + moved_m)
+            prediction = min(
+                prediction,
+                alternative,
+                key=lambda candidate: float(np.sum((candidate - measured_m) ** 2)),
+            )
+    return prediction
 
 
 def _from_own_start(model: AxisModel, voltage_V: Array, measured_m: Array, where: Where) -> Array:
-    """Return a piece from the memory, the history and the zero that fit it best.
+    """Predict a piece from the memory, the history and the zero that fit it best.
 
     The memory of the plays is fitted first, beside loop shape from a de-poled state; then the
     weights of histories, numbers of order one, by ridge regression.
@@ -159,9 +163,11 @@ def _from_own_start(model: AxisModel, voltage_V: Array, measured_m: Array, where
     if model.loop_shape is None:
         memory_V, zero_m = _fitted_start(model, voltage_V, measured_m, where)
         return model.forward.read(zero_m + model.moved(voltage_V, memory_V, where))
-    plain, depoled_V = replace(model, loop_shape=None), model.virgin_memory_V
-    shape_m = model.moved(voltage_V, depoled_V, where) - plain.moved(voltage_V, depoled_V, where)
-    memory_V, zero_m = _fitted_start(plain, voltage_V, measured_m - shape_m, where)
+    plays_only, depoled_V = replace(model, loop_shape=None), model.virgin_memory_V
+    shape_m = model.moved(voltage_V, depoled_V, where) - plays_only.moved(
+        voltage_V, depoled_V, where
+    )
+    memory_V, zero_m = _fitted_start(plays_only, voltage_V, measured_m - shape_m, where)
     driven_V = model.forward.driven_V(voltage_V, where.rate_Hz)
     changes_m = model.history_changes_m(driven_V, memory_V, where.rate_Hz)
     columns_m = model.polarity * model.forward.behind(changes_m, where)

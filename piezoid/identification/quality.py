@@ -170,18 +170,18 @@ class Uncertainty:
             )
 
     def known_anew(self, name: str, value: float, standard: float) -> "Uncertainty":
-        """Return the same with one number as another fit knows it, correlated with no other.
+        """Replace the estimate of one number by that of another fit, uncorrelated with the rest.
 
-        standard  error of the number; 0: the other fit cannot tell. Nothing changes then, nor
-                  where the blocks of this one know it better
+        standard  error of the number; 0: unknown. Nothing changes if it is unknown, or not
+                  smaller than the present error
         """
-        place = self.names.index(name)
-        if not 0.0 < standard < np.sqrt(self.covariance[place, place]):
+        index = self.names.index(name)
+        if not 0.0 < standard < np.sqrt(self.covariance[index, index]):
             return self
         values, covariance = self.values.copy(), self.covariance.copy()
-        values[place] = value
-        covariance[place, :] = covariance[:, place] = 0.0
-        covariance[place, place] = standard**2
+        values[index] = value
+        covariance[index, :] = covariance[:, index] = 0.0
+        covariance[index, index] = standard**2
         return replace(self, values=values, covariance=covariance)
 
 

@@ -46,8 +46,8 @@ def simulate_recording(axis_model: AxisModel, recording: Recording) -> Array:
 
 
 def where_of(recording: Recording, axis: str, part: slice) -> Where:
-    """Return a piece of a recording as extensions see it, with other axes that move."""
-    others = {
+    """Return the location of a piece for extensions, with the drives of other axes that move."""
+    other_drives = {
         channel.axis: channel.values[part]
         for channel in recording.channels
         if channel.quantity is Quantity.VOLTAGE
@@ -59,7 +59,7 @@ def where_of(recording: Recording, axis: str, part: slice) -> Where:
         rate_Hz=recording.sampling_rate_Hz,
         first=part.start,
         samples=part.stop - part.start,
-        others_V=others,
+        others_V=other_drives,
     )
 
 

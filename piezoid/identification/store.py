@@ -27,14 +27,14 @@ def write_model(model: ActuatorModel) -> bytes:
     return seal(SCHEMA, to_json(model, LAYOUTS))
 
 
-def read_model(content: bytes, place: str = "model.json") -> ActuatorModel:
+def read_model(content: bytes, location: str = "model.json") -> ActuatorModel:
     """Read model.json back.
 
     Raises ``ParameterFileError`` where a bit was changed, the schema is another, or an entry that
     this version needs is missing.
     """
     remedy = "Fit the recordings again with this version."
-    return read_sealed(ActuatorModel, content, SCHEMA, place, remedy=remedy, layouts=LAYOUTS)
+    return read_sealed(ActuatorModel, content, SCHEMA, location, remedy=remedy, layouts=LAYOUTS)
 
 
 def _stage_entry(model: ActuatorModel) -> dict[str, Any]:
@@ -115,9 +115,9 @@ def _check_bounds(entry: Mapping[str, Any]) -> None:
         raise _out_of_bounds("all play_weight_m_per_V are 0", "a weight above 0: the stage moves")
 
 
-def _out_of_bounds(found: str, needed: str) -> ParameterFileError:
+def _out_of_bounds(fault: str, needed: str) -> ParameterFileError:
     return ParameterFileError(
-        f"the hysteresis of a model: {found}",
+        f"the hysteresis of a model: {fault}",
         needed=needed,
         remedy="Fit the recordings again with this version.",
     )

@@ -60,16 +60,16 @@ class Rows:
 
     factor    (rows, columns)  J, or its triangular factor
     residual  (rows,)          r, reflected alike
-    place     (columns,)       which numbers the columns belong to; None: each to its own
+    numbers   (columns,)       which numbers the columns belong to; None: each to its own
     """
 
     factor: Array
     residual: Array
-    place: NDArray[np.intp] | None = None
+    numbers: NDArray[np.intp] | None = None
 
     def step(self, lower: Array, upper: Array, damping: float) -> Array:
         """Return the damped step, (numbers,), between bounds of the step."""
-        place = np.arange(len(lower)) if self.place is None else self.place
+        place = np.arange(len(lower)) if self.numbers is None else self.numbers
         step = np.zeros_like(lower)
         step[place] = bounded_step(
             np.vstack([self.factor, np.sqrt(damping) * np.diag(_norms(self.factor))]),
@@ -82,8 +82,8 @@ class Rows:
     def gradient(self, lower: Array, upper: Array) -> float:
         """Return the largest derivative a bound does not hold, columns and r scaled to norm 1."""
         slope = self.factor.T @ self.residual / _norms(self.factor)
-        if self.place is not None:
-            lower, upper = lower[self.place], upper[self.place]
+        if self.numbers is not None:
+            lower, upper = lower[self.numbers], upper[self.numbers]
         size = max(float(np.linalg.norm(self.residual)), 1e-300)
         return _steepest(slope, lower, upper) / size
 

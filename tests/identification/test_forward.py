@@ -69,7 +69,7 @@ def forward_of(*extensions: Extension, filters: str = "none") -> Forward:
 def run_of(forward: Forward) -> Run:
     return Run(
         forward=forward,
-        asked=np.resize(drive(), SAMPLES),
+        command=np.resize(drive(), SAMPLES),
         memory_slope=SLOPES,
         zero_m=ZERO_m,
         centre_m=CENTRE_m,
@@ -105,7 +105,7 @@ def test_a_reading_is_what_the_parts_make_one_after_the_other(filters: str) -> N
     cyclic = PeriodicError(wavelength_m=6e-7, cosine_m=(3e-9,), sine_m=(2e-9,))
     lag = FirstOrderLag(lag_s=3e-3)
     run = run_of(forward_of(limits, walls, CHANGE, lag, answer, cyclic, filters=filters))
-    reached = (np.clip(5.2 + 5.0 * run.asked, 0.9, 9.5) - 5.2) / 5.0
+    reached = (np.clip(5.2 + 5.0 * run.command, 0.9, 9.5) - 5.2) / 5.0
     inner = bent(reached, OPERATOR.envelope.threshold, np.array([0.8, 1.0, 1.0, 1.3]))
     memory = inner[0] + np.array([0.0, 0.16 * 0.4, 0.16 * 0.4 - 0.26 * 0.7])
     h = play_sum(inner, np.array([0.0, 0.16, 0.42]), OPERATOR.weight, memory)
@@ -151,7 +151,7 @@ def test_volts_and_metres_read_as_scaled_numbers_do(filters: str, sign: float) -
     own = Scales(voltage_V=1.0, voltage_offset_V=5.2, displacement_m=sign)
     plain = replace(scaled, operator=physical(OPERATOR, scales), scales=own)
     run = run_of(scaled)
-    driven_V = plain.driven_V(5.2 + 5.0 * run.asked, RATE_Hz)
+    driven_V = plain.driven_V(5.2 + 5.0 * run.command, RATE_Hz)
     memory_V = scaled.memory(run.drive[0], SLOPES) * envelope_stretch(OPERATOR) * 5.0
     static_m, _ = plain.static(driven_V - 5.2, memory_V, RATE_Hz)
     read_m = plain.read(plain.position(static_m, HERE, ZERO_m))
@@ -356,7 +356,7 @@ def slow_run(extensions: tuple[Extension, ...], **chosen: float | str) -> Run:
     """One long swing behind filters that it hardly feels."""
     asked = np.sin(np.linspace(0.3, 6.0, SAMPLES))
     forward = replace(forward_of(*extensions), **chosen)
-    return replace(run_of(forward), asked=np.ascontiguousarray(asked))
+    return replace(run_of(forward), command=np.ascontiguousarray(asked))
 
 
 def test_where_motion_is_slow_filters_are_taken_for_a_delay_and_creep_is_left_out() -> None:
@@ -383,7 +383,7 @@ def test_too_many_numbers_for_one_array_are_taken_for_delayed() -> None:
     asked = np.tile(drive(), LARGEST // 12 // len(drive()) + 1)
     here = where(len(asked))
     lag, late = (
-        replace(run_of(forward), asked=asked, where=here)
+        replace(run_of(forward), command=asked, where=here)
         for forward in (
             forward_of(FirstOrderLag(lag_s=3.4e-3)),
             forward_of(Delay(delay_s=3.4e-3)),

@@ -113,7 +113,7 @@ def test_functions_that_plays_beat_on_the_same_rows_are_no_shape_of_loops():
 def test_what_is_drawn_spreads_as_the_intervals_say_and_makes_the_certificate():
     _, found = fitted("preisach_lorentzian")
     loops = found.minor_loops
-    drawn = loops.drawn(np.random.default_rng(0), 1000)
+    drawn = loops.draw(np.random.default_rng(0), 1000)
     spread_m = np.std([one.rise_m for one in drawn], axis=0)
     inside = loops.operator.rise_m > 2.0 * loops.half_m  # elsewhere none may fall
     told_m = loops.half_m / student_quantile(0.975, len(loops.without_m) - 1)

@@ -264,7 +264,7 @@ def test_what_is_in_the_model_for_no_column_stays_where_it_was() -> None:
 
         def linearised(self) -> Rows:
             residual = np.array([self.x[2] - 3.0, self.x[0] - 1.0])
-            return Rows(factor=np.eye(2), residual=residual, place=np.array([2, 0]))
+            return Rows(factor=np.eye(2), residual=residual, numbers=np.array([2, 0]))
 
     found = minimise(Partly, np.full(3, 0.25), (np.full(3, -9.0), np.full(3, 9.0)), rule=EXACT)
     np.testing.assert_allclose(found.x, [1.0, 0.25, 3.0], atol=1e-6)

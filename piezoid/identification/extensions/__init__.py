@@ -43,7 +43,7 @@ EXTENSIONS: tuple[type[Extension], ...] = (
 
 def in_order(extensions: Iterable[Extension]) -> tuple[Extension, ...]:
     """Return extensions in the order in which a model applies them."""
-    order = {known.kind: number for number, known in enumerate(EXTENSIONS)}
+    order = {extension_type.kind: number for number, extension_type in enumerate(EXTENSIONS)}
     return tuple(sorted(extensions, key=lambda extension: order.get(extension.kind, len(order))))
 
 

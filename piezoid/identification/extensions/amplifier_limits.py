@@ -27,7 +27,7 @@ class AmplifierLimits(Extension):
     high_V: float | None = None
 
     def __post_init__(self) -> None:
-        limits = self._given
+        limits = self._levels
         if not limits:
             raise ValueError("an amplifier without limits is none")
         for value in limits:
@@ -36,7 +36,7 @@ class AmplifierLimits(Extension):
             raise ValueError(f"amplifier limits are {limits}, expected rising")
 
     @property
-    def _given(self) -> tuple[float, ...]:
+    def _levels(self) -> tuple[float, ...]:
         return tuple(value for value in (self.low_V, self.high_V) if value is not None)
 
     def drive(self, voltage_V: Array, rate_Hz: float) -> Array:  # noqa: ARG002
@@ -52,8 +52,8 @@ class AmplifierLimits(Extension):
 
     def free(self) -> Free:
         """Return the limits there are."""
-        span_V = max(abs(value) for value in self._given)
-        return free(self._given, -FARTHEST_V, FARTHEST_V, max(2e-4 * span_V, 1e-9))
+        span_V = max(abs(value) for value in self._levels)
+        return free(self._levels, -FARTHEST_V, FARTHEST_V, max(2e-4 * span_V, 1e-9))
 
     def moved_to(self, value: Array) -> Self:
         """Return other limits on the same sides."""

@@ -30,9 +30,9 @@ class ConverterHold(Extension):
         """Return the delay."""
         return self.hold_s
 
-    def response(self, moved: Array, where: Where) -> Array:
-        """Return the later displacement; in front of the hysteresis it would be the same."""
-        return later(moved, self.hold_s * where.rate_Hz)
+    def response(self, displacement: Array, where: Where) -> Array:
+        """Delay the displacement; a delay in front of the hysteresis would be equivalent."""
+        return later(displacement, self.hold_s * where.rate_Hz)
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
         """Return nothing: the delay of a controller's own converter is part of its loop."""

@@ -45,12 +45,12 @@ class CreepLadder(Extension):
             within("creep time_s", time_s, 1e-6, 1e9)
             within("creep share", share, 0.0, MOST)
 
-    def response(self, moved: Array, where: Where) -> Array:
-        """Return the displacement with what crept."""
+    def response(self, displacement: Array, where: Where) -> Array:
+        """Add creep to the displacement."""
         rungs = [first_order(time_s, where.rate_Hz) for time_s in self.time_s]
-        columns = np.atleast_2d(moved.T)
+        columns = np.atleast_2d(displacement.T)
         crept = np.column_stack([ladder(column, rungs, self.share) for column in columns])
-        return np.asarray(moved + crept.reshape(moved.shape))
+        return np.asarray(displacement + crept.reshape(displacement.shape))
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
         """Return the ladder as a linear system that relaxes over seconds."""

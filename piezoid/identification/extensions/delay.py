@@ -37,9 +37,9 @@ class Delay(Extension):
         """Return the delay in a recording of this rate."""
         return self.delay_s + self.delay_samples / rate_Hz
 
-    def response(self, moved: Array, where: Where) -> Array:
-        """Return the later displacement."""
-        return later(moved, self.late_s(where.rate_Hz) * where.rate_Hz)
+    def response(self, displacement: Array, where: Where) -> Array:
+        """Delay the displacement."""
+        return later(displacement, self.late_s(where.rate_Hz) * where.rate_Hz)
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:
         """Return the delay."""

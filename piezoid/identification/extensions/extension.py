@@ -101,12 +101,12 @@ class Extension:
         """Return the part of the displacement that is not reversible, as it comes about."""
         return part_m
 
-    def response(self, moved: Array, where: Where) -> Array:  # noqa: ARG002
-        """Return what the stage makes of the hysteresis' output; linear, steady before sample 0.
+    def response(self, displacement: Array, where: Where) -> Array:  # noqa: ARG002
+        """Return the linear response to the output of the hysteresis, at rest before sample 0.
 
-        moved  (samples,) or (samples, columns)
+        displacement  (samples,) or (samples, columns)
         """
-        return moved
+        return displacement
 
     def added(self, where: Where) -> Array | float:
         """Return what is added whatever the drive does, (samples,) in m, or 0."""

@@ -36,9 +36,9 @@ class FirstOrderLag(Extension):
         """Return the lag."""
         return self.lag_s
 
-    def response(self, moved: Array, where: Where) -> Array:
-        """Return the displacement behind the pole."""
-        return relaxed(moved, self.lag_s, where.rate_Hz)
+    def response(self, displacement: Array, where: Where) -> Array:
+        """Filter the displacement by the pole."""
+        return relaxed(displacement, self.lag_s, where.rate_Hz)
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
         """Return the pole."""

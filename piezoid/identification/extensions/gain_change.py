@@ -46,24 +46,24 @@ class GainChange(Extension):
         within("gain ratio", self.ratio, 0.1, 10.0)
         within("gain offset_m", self.offset_m, -1.0, 1.0)
 
-    def _after(self, where: Where) -> Array | None:
+    def _share_after(self, where: Where) -> Array | None:
         if where.recording == self.recording:
             return turned(where.time_s, self.instant_s, self.lasts_s)
         return np.ones(where.samples) if where.recording in self.later else None
 
     def gain(self, where: Where) -> Array | float:
         """Return 1 before and the ratio after."""
-        share = self._after(where)
+        share = self._share_after(where)
         if share is None:
             return 1.0
         return np.asarray(1.0 + (self.ratio - 1.0) * share, dtype=np.float64)
 
-    def response(self, moved: Array, where: Where) -> Array:
-        """Return the displacement at the gain of its time."""
+    def response(self, displacement: Array, where: Where) -> Array:
+        """Scale the displacement by the gain at each sample."""
         gain = self.gain(where)
         if isinstance(gain, float):
-            return moved
-        return np.asarray(moved * (gain if moved.ndim == 1 else gain[:, None]))
+            return displacement
+        return np.asarray(displacement * (gain if displacement.ndim == 1 else gain[:, None]))
 
     def added(self, where: Where) -> Array | float:
         """Return the step of the zero."""

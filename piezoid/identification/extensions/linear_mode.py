@@ -47,10 +47,10 @@ class LinearMode(Extension):
         """Return by how much slow motion comes later."""
         return self.participation / (2.0 * pi * self.frequency_Hz * self.quality)
 
-    def response(self, moved: Array, where: Where) -> Array:
-        """Return the displacement with what rings."""
-        ringing = rung(moved, self.frequency_Hz, self.quality, where.rate_Hz)
-        return np.asarray(moved + self.participation * (ringing - moved))
+    def response(self, displacement: Array, where: Where) -> Array:
+        """Add the ringing of the mode to the displacement."""
+        ringing = rung(displacement, self.frequency_Hz, self.quality, where.rate_Hz)
+        return np.asarray(displacement + self.participation * (ringing - displacement))
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
         """Return the mode beside what follows at once."""
@@ -86,15 +86,15 @@ class LinearMode(Extension):
         return type(self)(frequency_Hz=f, quality=quality, participation=part)
 
 
-def rung(moved: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> Array:
-    """Return a signal behind one mode, x'' + (w / Q) x' + w^2 x = w^2 u, straight between samples.
+def rung(signal: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> Array:
+    """Filter by one mode, x'' + (w / Q) x' + w^2 x = w^2 u, with u linear between samples.
 
-    moved  (samples,) or (samples, columns)
+    signal  (samples,) or (samples, columns)
     """
-    fraction, start = _mode(frequency_Hz, quality, rate_Hz), moved[:1]
-    changes = np.atleast_2d((moved - start).T)
+    fraction, start = _mode(frequency_Hz, quality, rate_Hz), signal[:1]
+    changes = np.atleast_2d((signal - start).T)
     rung_up = [recursive_filter(*fraction, change) for change in changes]
-    return np.asarray(np.stack(rung_up, axis=-1).reshape(moved.shape) + start)
+    return np.asarray(np.stack(rung_up, axis=-1).reshape(signal.shape) + start)
 
 
 @lru_cache(maxsize=256)

@@ -152,10 +152,12 @@ class MainsLines(Extension):
         return np.asarray(block_diag(*parts)).reshape(-1, wide)
 
 
-def hats(place: Array, knots: int) -> Array:
-    """Return smooth hats with their tops at 0, 1, .. knots - 1, (samples, knots); they add to 1.
+def hats(position: Array, knots: int) -> Array:
+    """Return raised-cosine basis functions centred at 0 .. knots - 1, (samples, knots).
 
-    place  (samples,)  0 to knots - 1; what lies outside counts as the end
+    They sum to 1.
+
+    position  (samples,)  0 to knots - 1, clipped to that range
     """
-    away = np.abs(np.clip(place, 0.0, knots - 1.0)[:, None] - np.arange(knots))
-    return np.asarray(np.where(away < 1.0, 0.5 * (1.0 + np.cos(np.pi * away)), 0.0))
+    distance = np.abs(np.clip(position, 0.0, knots - 1.0)[:, None] - np.arange(knots))
+    return np.asarray(np.where(distance < 1.0, 0.5 * (1.0 + np.cos(np.pi * distance)), 0.0))

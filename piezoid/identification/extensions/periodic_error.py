@@ -53,11 +53,11 @@ class PeriodicError(Extension):
         return LoopEffect(reading_m=float(self.amplitude_m.sum()))
 
     def free(self) -> Free:
-        """Return wavelength and amplitudes: each as large as it may be beside no other."""
+        """Return wavelength and amplitudes with bounds; each amplitude is bounded by itself."""
         value = (self.wavelength_m, *self.cosine_m, *self.sine_m)
-        most = LARGEST * self.wavelength_m / np.tile(_orders(self.cosine_m), 2)
-        lower = (0.99 * self.wavelength_m, *-most)
-        upper = (1.01 * self.wavelength_m, *most)
+        bound = LARGEST * self.wavelength_m / np.tile(_orders(self.cosine_m), 2)
+        lower = (0.99 * self.wavelength_m, *-bound)
+        upper = (1.01 * self.wavelength_m, *bound)
         steps = (1e-6 * self.wavelength_m, *[1e-5 * self.wavelength_m] * (len(value) - 1))
         return free(value, lower, upper, steps)
 

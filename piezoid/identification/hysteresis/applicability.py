@@ -147,7 +147,7 @@ def _of_material(pieces: Sequence[Piece], reasons: Sequence[str]) -> str:
 
 
 def _butterfly(piece: Piece) -> str:
-    """Return whether the mean displacement has its least or its most inside the drive's range."""
+    """Describe an extremum of the mean displacement inside the drive range, or return ''."""
     rows = slice(piece.first, piece.last)
     drive, response = piece.drive[rows], piece.response[rows]
     edges = np.linspace(drive.min(), drive.max(), BINS + 1)
@@ -158,11 +158,11 @@ def _butterfly(piece: Piece) -> str:
     mean = np.bincount(bins, response, BINS) / count
     height = float(np.ptp(response))
     for curve, extreme in ((mean, "minimum"), (-mean, "maximum")):
-        left, right = float(curve[0] - curve.min()), float(curve[-1] - curve.min())
-        if min(left, right) > BUTTERFLY * height:
+        low_end, right = float(curve[0] - curve.min()), float(curve[-1] - curve.min())
+        if min(low_end, right) > BUTTERFLY * height:
             return (
                 f"the loop reverses its sign (a butterfly): the displacement has its {extreme} "
-                f"inside the range of the drive, {100 * left / height:.0f} % and "
+                f"inside the range of the drive, {100 * low_end / height:.0f} % and "
                 f"{100 * right / height:.0f} % of its range away from its values at the two ends. "
                 "A ceramic driven beyond its coercive field, an electrostrictor and a reading "
                 "without its sign do this; a sum of plays rises with the drive throughout"
@@ -251,25 +251,26 @@ def reason_of_error(pieces: Sequence[Piece], choice: Choice) -> str:
 
 
 def reason_of_no_answer(pieces: Sequence[Piece], choice: Choice, scales: Scales) -> str:
-    """Return that the displacement does not follow its drive at all, or an empty text."""
+    """State that the displacement does not follow its drive, or return an empty text."""
     responses = [p.response[p.first : p.last] for p in pieces]
-    moved = float(np.sqrt(np.mean(np.concatenate([(y - y.mean()) ** 2 for y in responses]))))
-    left = choice.best.held_out_rms
-    if left <= FOLLOWED * moved or any(_follows(piece) for piece in pieces):
+    motion_rms = float(np.sqrt(np.mean(np.concatenate([(y - y.mean()) ** 2 for y in responses]))))
+    residual_rms = choice.best.held_out_rms
+    if residual_rms <= FOLLOWED * motion_rms or any(_follows(piece) for piece in pieces):
         return ""
     stroke_m = abs(scales.displacement_m)
     low, high = widest_swing(pieces)
     return (
-        f"the displacement does not follow the drive: of its {with_unit(moved * stroke_m, 'm')} "
-        f"rms about the mean the best fit leaves {with_unit(left * stroke_m, 'm')} on held-out "
-        f"data, while the drive moves by {with_unit((high - low) * scales.voltage_V, 'V')}; a "
+        "the displacement does not follow the drive: of its "
+        f"{with_unit(motion_rms * stroke_m, 'm')} rms about the mean the best fit leaves "
+        f"{with_unit(residual_rms * stroke_m, 'm')} on held-out data, while "
+        f"the drive moves by {with_unit((high - low) * scales.voltage_V, 'V')}; a "
         "feedback that holds the sensor, a stage that is not connected and another axis' column "
         "look like that"
     )
 
 
 def _follows(piece: Piece) -> bool:
-    """Tell whether a response answers its drive, at once or as the same level of it did before."""
+    """Tell whether the response follows its drive, at once or at equal drive levels."""
     rows = slice(piece.first, piece.last)
     drive, response = piece.drive[rows], piece.response[rows]
     if answers(drive, response):

@@ -52,10 +52,12 @@ def certify(
     reach_V = scales.voltage_V
     vectors = drawn_vectors(jack, coordinates.bounds(longest_lag_s), DRAWS, SEED)
     drawn_models = [physical(operator_of(theta, coordinates), scales) for theta in vectors]
-    terms = [distance_terms(model, drawn, reach_V) for drawn in drawn_models]
+    terms = [distance_terms(model, alternative, reach_V) for alternative in drawn_models]
     plays_m, zones_m = np.quantile(np.array(terms), 0.95, axis=0)
     drives_V = adversarial_drives(reach_V, SEED)
-    reached = [reached_difference(model, drawn, drives_V, reach_V) for drawn in drawn_models]
+    reached = [
+        reached_difference(model, alternative, drives_V, reach_V) for alternative in drawn_models
+    ]
     return Certificate(
         plays_m=float(plays_m),
         dead_zones_m=float(zones_m),
@@ -84,43 +86,44 @@ def adversarial_drives(reach_V: float, seed: int) -> Array:
 
 def reached_difference(
     model: ModifiedPrandtlIshlinskii,
-    drawn: ModifiedPrandtlIshlinskii,
+    alternative: ModifiedPrandtlIshlinskii,
     drives_V: Array,
     reach_V: float,
 ) -> float:
-    """Return the largest difference two models show over many drives and their own worst one.
+    """Return the largest difference of two models over many drives and their worst-case input.
 
-    A common zero is taken away: it is fitted for every recording. The worst input of two play
-    sums begins at the end of the range, so it may follow anything; its mirror image counts too.
+    A common zero is removed, because it is fitted for every recording. The worst-case input of two
+    play sums starts at the end of the range, so any history may precede it; its mirror image is
+    tried as well.
     """
-    worst_V = worst_case(drawn.plays, model.plays, reach_V).extrema
+    worst_V = worst_case(alternative.plays, model.plays, reach_V).extrema
     voltage_V = model.voltage_offset_V + np.concatenate([drives_V, worst_V, -worst_V])
-    first, second = (m.run(voltage_V, m.virgin_memory())[0] for m in (model, drawn))
+    first, second = (m.run(voltage_V, m.virgin_memory())[0] for m in (model, alternative))
     difference = second - first
     return float(np.ptp(difference) / 2)
 
 
 def distance_terms(
-    model: ModifiedPrandtlIshlinskii, drawn: ModifiedPrandtlIshlinskii, reach_V: float
+    model: ModifiedPrandtlIshlinskii, alternative: ModifiedPrandtlIshlinskii, reach_V: float
 ) -> tuple[float, float]:
     """Return the play and the dead-zone term of the distance between two models, m.
 
-    The other model is first brought to the gauge in which its loading curve ends where ours does:
-    the same operator in another gauge is no distance away.
+    The alternative is first rescaled until both loading curves have the same end: one operator has
+    many equivalent scalings.
     """
     end = np.array([reach_V])
-    ratio = float(model.plays.loading_curve(end)[0] / drawn.plays.loading_curve(end)[0])
-    drawn = drawn.rescaled(ratio)
+    ratio = float(model.plays.loading_curve(end)[0] / alternative.plays.loading_curve(end)[0])
+    alternative = alternative.rescaled(ratio)
     steepest = float(model.dead_zones.slope.max())
     reach = np.array([-reach_V, reach_V])
-    widest_V = float(np.abs(drawn.envelope.run(reach)).max())
-    bends_V = _sup_difference(model.envelope, drawn.envelope, reach_V)
+    widest_V = float(np.abs(alternative.envelope.run(reach)).max())
+    bends_V = _sup_difference(model.envelope, alternative.envelope, reach_V)
     plays_m = steepest * (
-        worst_case(drawn.plays, model.plays, widest_V).bound
+        worst_case(alternative.plays, model.plays, widest_V).bound
         + float(np.abs(model.plays.weight).sum()) * bends_V
     )
-    top_m = float(drawn.plays.loading_curve(np.array([widest_V]))[0])
-    return plays_m, _sup_difference(model.dead_zones, drawn.dead_zones, top_m)
+    top_m = float(alternative.plays.loading_curve(np.array([widest_V]))[0])
+    return plays_m, _sup_difference(model.dead_zones, alternative.dead_zones, top_m)
 
 
 def _sup_difference(first: DeadZones, second: DeadZones, reach: float) -> float:

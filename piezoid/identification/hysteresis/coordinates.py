@@ -138,16 +138,16 @@ class Coordinates:
         return lower, upper
 
     def kinks(self) -> tuple[Array, Array]:
-        """Return M and c: M theta + c is by how much the slope changes at every kink there is.
+        """Return M and c such that M theta + c is the change of slope at every kink.
 
-        Of the loading curve those are the play weights, of Psi and gamma the differences of
-        neighbouring slopes, outwards from the two in the middle, which are 1.
+        For the loading curve these are the play weights; for Psi and gamma the differences of
+        neighbouring slopes, outwards from the two middle ones, which are 1.
 
         returned  (kinks, total) and (kinks,)
         """
         rows, constant = [], []
-        for name, place in self.slices.items():
-            numbers = range(place.start, place.stop)
+        for name, numbers_of_name in self.slices.items():
+            numbers = range(numbers_of_name.start, numbers_of_name.stop)
             if name == "weight":
                 numbers = numbers[1:]
             elif not name.endswith(("slope", "envelope")):
@@ -155,7 +155,7 @@ class Coordinates:
             for number in numbers:
                 row = np.zeros(self.total)
                 row[number] = 1.0
-                is_first = number == place.start
+                is_first = number == numbers_of_name.start
                 if name != "weight" and not is_first:
                     row[number - 1] = -1.0
                 rows.append(row)

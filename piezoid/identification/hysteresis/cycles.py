@@ -64,10 +64,10 @@ class Cycles:
 
     @cached_property
     def gain(self) -> Trend | None:
-        """How the sensitivity goes, for each cycle and relative; None where it does not."""
+        """Relative trend of the sensitivity per cycle; None if it is not significant."""
         mean = self.response.mean(axis=0) - self.response.mean()
-        moved = self.response - self.response.mean(axis=1)[:, None]
-        trend = self.trend(moved @ mean / (mean @ mean))
+        centred = self.response - self.response.mean(axis=1)[:, None]
+        trend = self.trend(centred @ mean / (mean @ mean))
         if trend is None or trend.p_value > SURE or abs(trend.slope) * (self.count - 1) < GAIN:
             return None
         return trend

@@ -42,19 +42,19 @@ TRANSIENT = 3.0  # rms of a beginning over that of the rows behind it
 
 
 def without_outliers(fitted: Fitted) -> tuple[tuple[Piece, ...], tuple[str, ...]]:
-    """Return the pieces of a fit with single outliers counted as lost, and a remark for each."""
+    """Exclude single outliers from the pieces of a fit, with a remark for each piece."""
     pieces, remarks = [], []
     for index, piece in enumerate(fitted.task.pieces):
         error = continued(fitted, index, piece) - piece.response
         outliers = outlying(error, piece.drive, piece.response)
         outliers = outliers[(outliers >= piece.first) & (outliers < piece.last)]
-        lost = np.union1d(piece.lost, outliers)
-        count = len(lost) - len(piece.lost)
+        missing = np.union1d(piece.lost, outliers)
+        count = len(missing) - len(piece.lost)
         if len(outliers):
             sample = np.arange(len(piece.response))
-            good = np.setdiff1d(sample, lost)
-            response = np.interp(sample, good, piece.response[good])
-            piece = replace(piece, response=response, lost=lost.astype(np.intp))
+            measured = np.setdiff1d(sample, missing)
+            response = np.interp(sample, measured, piece.response[measured])
+            piece = replace(piece, response=response, lost=missing.astype(np.intp))
         if count:
             remarks.append(
                 f"{piece.name}: {count} single readings ({100 * count / piece.rows:.2g} %) that "
@@ -95,20 +95,20 @@ def _transient(fitted: Fitted, index: int, piece: Piece) -> tuple[int, float]:
 
 
 def outlying(error: Array, drive: Array, response: Array) -> Samples:
-    """Return which samples of a residual stand out of their neighbours, increasing.
+    """Return the samples at which a residual is an outlier among its neighbours, increasing.
 
-    error, drive, response  (samples,)  any unit; the response in that of the error
+    error, drive, response  (samples,)  any unit; response and error in the same unit
     """
     lag, motion = _behind_turns(drive), _motion(drive, response)
-    good = np.arange(len(error))
+    inliers = np.arange(len(error))
     for _ in range(PASSES):
-        if len(good) <= 4 * WIDTH:
+        if len(inliers) <= 4 * WIDTH:
             break
-        outliers = _outliers(error[good], lag[good], motion[good])
+        outliers = _outliers(error[inliers], lag[inliers], motion[inliers])
         if not len(outliers):
             break
-        good = np.delete(good, outliers)
-    return np.setdiff1d(np.arange(len(error)), good)
+        inliers = np.delete(inliers, outliers)
+    return np.setdiff1d(np.arange(len(error)), inliers)
 
 
 def _behind_turns(drive: Array) -> Samples:
@@ -123,11 +123,11 @@ def _behind_turns(drive: Array) -> Samples:
 
 
 def _motion(drive: Array, response: Array) -> Array:
-    """Return how far the drive moves the stage within the window of every sample, (samples,)."""
-    ends = (0.002, 0.998)
-    gain = np.ptp(np.quantile(response, ends)) / max(np.ptp(np.quantile(drive, ends)), 1e-300)
-    moved = maximum_filter1d(drive, WIDTH) - minimum_filter1d(drive, WIDTH)
-    return np.asarray(gain * moved)
+    """Return the motion expected from the drive within the window of every sample, (samples,)."""
+    levels = (0.002, 0.998)
+    gain = np.ptp(np.quantile(response, levels)) / max(np.ptp(np.quantile(drive, levels)), 1e-300)
+    swing = maximum_filter1d(drive, WIDTH) - minimum_filter1d(drive, WIDTH)
+    return np.asarray(gain * swing)
 
 
 def _outliers(error: Array, lag: Samples, motion: Array) -> Samples:
@@ -151,18 +151,18 @@ def _outliers(error: Array, lag: Samples, motion: Array) -> Samples:
 
 
 def _steepness(error: Array, sample: Samples) -> Array:
-    """Return how far samples, alone or with the one beside them, stand off those next to them.
+    """Return the distance of samples, single or in pairs, from their neighbours.
 
-    At a corner of the residual, where a branch begins that the fit does not follow, a sample
-    stands half as far off its two neighbours as off the median of nine, or three quarters off the
-    next but one.
+    At a corner of the residual, at the start of a branch that the fit does not follow, a sample
+    differs from its two neighbours by half as much as from the median of nine, or by three
+    quarters of that from the next but one.
     """
     padded = np.pad(error, 2, mode="edge")
     at, steps = sample + 2, []
-    alone = np.abs(padded[at] - 0.5 * (padded[at - 1] + padded[at + 1]))
+    single = np.abs(padded[at] - 0.5 * (padded[at - 1] + padded[at + 1]))
     for side in (-1, 1):
         level = 0.5 * (padded[at - side] + padded[at + 2 * side])
         pair = padded[at] - level, padded[at + side] - level
         smaller = np.minimum(np.abs(pair[0]), np.abs(pair[1]))
         steps.append(np.where(pair[0] * pair[1] > 0.0, smaller, 0.0) * SOLE)
-    return np.asarray(np.max([alone, *steps], axis=0))
+    return np.asarray(np.max([single, *steps], axis=0))

@@ -103,10 +103,10 @@ def rms_of(theta: Array, task: Task) -> float:
 
 
 def factor_of(theta: Array, task: Task, moving: NDArray[np.bool_]) -> Rows:
-    """Return the triangle of the columns of those numbers that may move.
+    """Return the triangular factor of the columns of the free parameters.
 
-    What only one piece knows is eliminated there: each piece hands on no more than a triangle of
-    what all share.
+    Parameters of one piece are eliminated in that piece: each piece contributes only a triangle of
+    the shared parameters.
     """
     shared = np.flatnonzero(moving[: task.coordinates.shared])
     common = empty_triangle(len(shared) + 1)
@@ -120,7 +120,7 @@ def factor_of(theta: Array, task: Task, moving: NDArray[np.bool_]) -> Rows:
     kinks, constant = task.prior
     prior = np.column_stack([kinks[:, shared], kinks @ theta + constant])
     common = gather(common, prior, spend=True)
-    # The rows of the pieces stand above those of what they share.
+    # The rows of the pieces come first, then those of the shared parameters.
     local = sum(map(len, local_rows))
     factor = np.zeros((local + len(common), local + len(common)), order="F")
     first = 0
@@ -130,8 +130,8 @@ def factor_of(theta: Array, task: Task, moving: NDArray[np.bool_]) -> Rows:
         factor[first:stop, local:] = rows[:, len(rows) :]
         first = stop
     factor[local:, local:] = common
-    place = np.concatenate([*numbers, shared])
-    return Rows(factor=factor[:, :-1], residual=factor[:, -1], place=place)
+    position = np.concatenate([*numbers, shared])
+    return Rows(factor=factor[:, :-1], residual=factor[:, -1], numbers=position)
 
 
 def _piece_triangle(

@@ -59,9 +59,9 @@ def no_lag(pieces: Sequence[Piece], longest_lag_s: float) -> LagRival:
 
 
 def _thinned(piece: Piece) -> Piece:
-    """Return a piece at a lower rate: a lag that makes a loop is as long as many samples."""
+    """Return a piece at a lower rate: a lag that causes a visible loop spans many samples."""
     stride = max(1, len(piece.drive) // SAMPLES)
-    lost = piece.lost[piece.lost % stride == 0] // stride
+    missing = piece.lost[piece.lost % stride == 0] // stride
     return replace(
         piece,
         sampling_rate_Hz=piece.sampling_rate_Hz / stride,
@@ -69,7 +69,7 @@ def _thinned(piece: Piece) -> Piece:
         response=piece.response[::stride],
         first=-(-piece.first // stride),
         last=-(-piece.last // stride),
-        lost=lost,
+        lost=missing,
     )
 
 

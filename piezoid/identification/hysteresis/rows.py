@@ -83,7 +83,7 @@ def simulate(
 ) -> Array:
     """Return the model's output over a whole piece, (samples,), without tangents.
 
-    at  (rows,)  samples in rising order that alone are asked for
+    at  (rows,)  samples to return, increasing; None: all
     """
     rate_Hz = piece.sampling_rate_Hz
     forward = forward_of(theta, coordinates, rate_Hz, rig_pole)
@@ -94,17 +94,17 @@ def simulate(
         whole_samples = int(np.floor(forward.lag_s * rate_Hz))
         part = forward.lag_s * rate_Hz - whole_samples
         drive, nearest = _way(piece, np.maximum(sample - whole_samples, 0))
-        moved, _ = forward.static(drive, memory, rate_Hz)
-        moved = (1.0 - part) * moved[nearest] + part * moved[np.maximum(nearest - 1, 0)]
+        output, _ = forward.static(drive, memory, rate_Hz)
+        output = (1.0 - part) * output[nearest] + part * output[np.maximum(nearest - 1, 0)]
     else:
-        moved, _ = forward.static(piece.drive, memory, rate_Hz)
-        moved = forward.filtered(moved, rate_Hz)[sample]
-    return np.asarray(moved + zero_at(sample, piece, theta[coordinates.offset_slice(index)]))
+        output, _ = forward.static(piece.drive, memory, rate_Hz)
+        output = forward.filtered(output, rate_Hz)[sample]
+    return np.asarray(output + zero_at(sample, piece, theta[coordinates.offset_slice(index)]))
 
 
-def _way(piece: Piece, place: Samples) -> tuple[Array, Samples]:
-    """Return the drive where it says all of its way to some samples and to those before them."""
-    return way_to(piece.drive, place, before=True, turns=piece.turns)
+def _way(piece: Piece, samples: Samples) -> tuple[Array, Samples]:
+    """Return the drive thinned to its turns, some samples and those before, and their rows."""
+    return way_to(piece.drive, samples, before=True, turns=piece.turns)
 
 
 def zero_at(sample: Samples, piece: Piece, knots: Array) -> Array:
@@ -126,9 +126,9 @@ def offset_columns(sample: Samples, piece: Piece, knots: int) -> Array:
     """Return the hat functions of a piece's zero at these samples, (samples, knots)."""
     columns = np.ones((len(sample), knots), order="F")
     if knots > 1:
-        place = np.clip(_knot_place(sample, piece, knots), 0, knots - 1)
+        position = np.clip(_knot_place(sample, piece, knots), 0, knots - 1)
         for knot in range(knots):
-            np.maximum(1.0 - np.abs(place - knot), 0.0, out=columns[:, knot])
+            np.maximum(1.0 - np.abs(position - knot), 0.0, out=columns[:, knot])
     return columns
 
 
@@ -141,23 +141,23 @@ def rows_of(
     sensor_pole: float | None,
     stride: int = 1,
 ) -> Iterator[Rows]:
-    """Yield the rows of a piece that count, chunk by chunk, every ``stride``-th of them."""
-    chain, late = chain_of(theta, coordinates, index, piece, sensor_pole)
+    """Yield every ``stride``-th fitted row of a piece, in chunks."""
+    chain, delay = chain_of(theta, coordinates, index, piece, sensor_pole)
     following = Following(chain, float(piece.drive[0]))
     sample = piece.counting(stride)
-    drive, source = piece.drive, np.maximum(sample - late, 0)
+    drive, source = piece.drive, np.maximum(sample - delay, 0)
     if chain.lag is None and chain.sensor is None and SPARSE * len(sample) < len(drive):
         drive, source = _way(piece, source)
     knots = theta[coordinates.offset_slice(index)]
-    before = done = 0
-    while done < len(sample):
-        last = source[min(done + CHUNK, len(sample)) - 1]
-        end = int(np.searchsorted(source, last, side="right"))
-        block = empty_block(chain, end - done, len(knots))
-        following.rows(drive[before : last + 1], source[done:end] - before, block)
-        measured = piece.response[sample[done:end]]
-        yield finished(block, sample[done:end], measured, coordinates, knots, piece)
-        before, done = int(last) + 1, end
+    first = start = 0
+    while start < len(sample):
+        last_source = source[min(start + CHUNK, len(sample)) - 1]
+        end = int(np.searchsorted(source, last_source, side="right"))
+        block = empty_block(chain, end - start, len(knots))
+        following.rows(drive[first : last_source + 1], source[start:end] - first, block)
+        measured = piece.response[sample[start:end]]
+        yield finished(block, sample[start:end], measured, coordinates, knots, piece)
+        first, start = int(last_source) + 1, end
 
 
 def chain_of(

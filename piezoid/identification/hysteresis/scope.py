@@ -133,9 +133,9 @@ def limits_as_recorded(recordings: Sequence[Recording], axis: str) -> tuple[Limi
 
 
 def limits_of_cycles(cycles: Sequence[Cycles]) -> tuple[Limit, ...]:
-    """Return the recordings whose displacement slides against its drive from cycle to cycle."""
+    """Return limits for displacement that drifts against its drive from cycle to cycle."""
     slides = map(told_slide, cycles)
-    return tuple(Limit(lack="slides", reason=said, most=SLIDES) for said in slides if said)
+    return tuple(Limit(lack="slides", reason=reason, most=SLIDES) for reason in slides if reason)
 
 
 def scope_of(pieces: Sequence[Piece]) -> Scope:
@@ -177,9 +177,9 @@ def branches_of(piece: Piece) -> list[Branch]:
     return branches
 
 
-def _speeds(branches: Sequence[Branch], way: float) -> float:
-    """Return the largest ratio of the speeds of two branches of one direction and like span."""
-    ordered = sorted((b for b in branches if b.span * way > 0.0), key=lambda b: abs(b.span))
+def _speeds(branches: Sequence[Branch], direction: float) -> float:
+    """Return the largest speed ratio of two branches of one direction and similar span."""
+    ordered = sorted((b for b in branches if b.span * direction > 0.0), key=lambda b: abs(b.span))
     largest, first = 1.0, 0
     for stop, branch in enumerate(ordered):
         while abs(branch.span) > ALIKE * abs(ordered[first].span):

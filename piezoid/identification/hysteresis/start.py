@@ -90,11 +90,11 @@ def triangle_of(pieces: Sequence[Piece], threshold: Array, zones: Array, lag_s: 
     for index, piece in enumerate(pieces):
         sample = piece.counting(max(1, piece.rows // ROWS))
         rows = np.zeros((len(sample), unknowns), order="F")
-        done = 0
+        begin = 0
         for first, states in play_blocks(piece.drive, threshold, np.full(plays, piece.drive[0])):
             end = int(np.searchsorted(sample, first + len(states)))
-            rows[done:end, :plays] = states[sample[done:end] - first]
-            done = end
+            rows[begin:end, :plays] = states[sample[begin:end] - first]
+            begin = end
         without_lag = sample + lag_s * piece.sampling_rate_Hz
         measured = np.interp(without_lag, np.arange(len(piece.response)), piece.response)
         rows[:, plays : plays + count] = -unit.columns(measured)

@@ -62,38 +62,38 @@ def fit_extended(
     recordings: Sequence[Recording],
     extensions: Sequence[Extension] = (),
     *,
-    others: Sequence[AxisModel] = (),
+    further_starts: Sequence[AxisModel] = (),
     structure: Structure = WHOLE,
-    places: Sequence[Samples] | None = None,
+    samples: Sequence[Samples] | None = None,
     steps: int = STEPS,
 ) -> Extended:
     """Refit weights, thresholds, memory and zero of an axis together with extensions.
 
-        min over everything of sum over rows of (simulated - measured)^2
+        min over all parameters of sum over rows of (simulated - measured)^2
 
-    model       fitted axis: where the search begins, and how many plays and dead zones there are
-    recordings  of this axis; those the model does not know begin at rest
-    extensions  with start values near the truth
-    others      models to begin at as well, for thresholds have many good places: the closest fit
-                is returned, and that alone is judged on rows left out
-    structure   what of the hysteresis itself may be used
-    places      samples that may count, piece by piece; None: all, spread thinly
+    model           fitted axis: start of the search, with its numbers of plays and dead zones
+    recordings      of this axis; those that the model was not fitted to start at rest
+    extensions      with start values near the truth
+    further_starts  further models to start from, because thresholds have many local minima; only
+                    the closest fit is returned and cross-validated
+    structure       parts of the hysteresis that may be used
+    samples         samples that may be fitted, for each piece; None: all, thinned evenly
 
-    Every piece has one constant zero; slow motion is ``ThermalDrift``'s. The error on rows left
-    out is of blocks of several seconds that neither hysteresis nor extension nor a recording's
-    own zero, drift or hum was fitted to; the states are carried through them by simulation.
-    What goes wrong: a number the rows do not determine stays where it began, and a mode that
-    begins more than its width away is not found.
+    Every piece has one constant zero; slow motion belongs to ``ThermalDrift``. The held-out error
+    is that of blocks of several seconds to which neither hysteresis nor extensions nor the zero,
+    drift or hum of a recording was fitted; the simulation runs through them.
+    What goes wrong: a parameter that the rows do not determine keeps its start value, and a mode
+    that starts more than its width away is not found.
     """
     searches = []
-    for start in (model, *others):
-        parts = parts_of(start, recordings, places)
+    for start in (model, *further_starts):
+        parts = parts_of(start, recordings, samples)
         state = state_of(start, parts, extensions, structure)
         bounds = state.bounds(longest_lag_s([part.piece for part in parts]))
         searches.append((start, bounds, _search(state, parts, bounds, steps)))
     start, bounds, best = min(searches, key=lambda search: search[2].point.rms_m)
     end, stroke_m = best.point, abs(best.point.state.scales.displacement_m)
-    # Added up, not subtracted from the whole: a column may lie in one fold but for rounding.
+    # Sum over folds instead of total minus one fold: a column may be zero outside one fold.
     grams = {fold: _gram_of_fold(end, fold) for fold in (NEVER_OUT, *range(FOLDS))}
     folds = []
     for fold in range(FOLDS):
@@ -177,7 +177,7 @@ class _Point:
     @Once
     def errors(self) -> list[Array]:
         pairs = zip(self.runs, self.parts, strict=True)
-        return [np.asarray(run.reading - part.piece.response)[part.place] for run, part in pairs]
+        return [np.asarray(run.reading - part.piece.response)[part.samples] for run, part in pairs]
 
     @Once
     def tangents(self) -> list[Array]:
@@ -262,21 +262,21 @@ def _gram_of_fold(end: _Point, fold: int) -> Array:
 def _on_fold(
     fold: int, end: _Point, bounds: tuple[Array, Array], gram: Array
 ) -> tuple[Array, list[Array]]:
-    """Return where a few chords on the rows kept lead, and the residual at the rows left out.
+    """Refit without one fold by a few chord steps; return the vector and the held-out residual.
 
-    gram  of the tangents at the rows kept
+    gram  of the tangents at the training rows
     """
-    kept = [part.fold != fold for part in end.parts]
+    is_training = [part.fold != fold for part in end.parts]
     start = end.state.vector
 
     def at(vector: Array) -> _OnFold:
-        is_start = np.array_equal(vector, start)  # the end's residual is worth a simulation
+        is_start = np.array_equal(vector, start)  # saves one simulation
         point = end if is_start else _Point(end.state.at(vector), end.parts)
-        return _OnFold(point, kept, end.tangents, gram)
+        return _OnFold(point, is_training, end.tangents, gram)
 
     fold_minimum = minimise(at, start, bounds, rule=CHORDS)
     errors = fold_minimum.point.point.errors
-    return fold_minimum.x, [error[~k] for error, k in zip(errors, kept, strict=True)]
+    return fold_minimum.x, [error[~k] for error, k in zip(errors, is_training, strict=True)]
 
 
 def _with_prior(state: State, gram: Array, slope: Array, cost: float) -> NormalEquations:
@@ -304,7 +304,7 @@ def _prior_cost(state: State) -> float:
 
 def tangents_of(state: State, index: int, part: Part, run: Run) -> Array:
     """Return d reading / d vector, (rows, numbers)."""
-    coordinates, sample = state.coordinates, part.place
+    coordinates, sample = state.coordinates, part.samples
     rows = np.zeros((len(sample), len(state.vector)), order="F")
     plays, lag = coordinates.shape.plays, coordinates.slices["lag"]
     columns = run.by_hysteresis(sample)

@@ -48,14 +48,14 @@ class Part:
 
     piece  in scaled units, behind the declared amplifier
     where  the same for extensions
-    place  (rows,)  samples that count
+    samples  (rows,)  that are fitted
     fold   (rows,)  in which fold each is left out, NEVER_OUT where in none
     start  how the model says it began, None where the model does not know it
     """
 
     piece: Piece
     where: Where
-    place: Samples
+    samples: Samples
     fold: Samples
     start: PieceStart | None
 
@@ -77,11 +77,11 @@ def scales_from(model: AxisModel) -> Scales:
 def parts_of(
     model: AxisModel,
     recordings: Sequence[Recording],
-    places: Sequence[Samples] | None = None,
+    samples: Sequence[Samples] | None = None,
 ) -> list[Part]:
-    """Cut recordings into parts; those the model knows begin as it says.
+    """Cut recordings into parts, with the fitted starts of those that the model contains.
 
-    places  samples that may count, piece by piece; None chooses them
+    samples  that may be fitted, for each piece; None: thinned evenly
     """
     pieces = pieces_of(recordings, model.axis, scales_from(model), model.rig)
     share = max(ROWS // len(pieces), 50)
@@ -99,11 +99,11 @@ def parts_of(
             piece = replace(piece, first=start.first, last=start.last)
         recording = recordings[piece.recording]
         where = where_of(recording, model.axis, slices[piece.recording].pop(0))
-        sample = _thinned(piece, share) if places is None else places[number]
+        sample = _thinned(piece, share) if samples is None else samples[number]
         sample = sample[(sample >= piece.first) & (sample < piece.last)]
         sample = np.setdiff1d(sample, piece.lost)
         fold = _folds(piece, sample, number)
-        parts.append(Part(piece=piece, where=where, place=sample, fold=fold, start=start))
+        parts.append(Part(piece=piece, where=where, samples=sample, fold=fold, start=start))
     return parts
 
 
@@ -141,7 +141,7 @@ class State:
     theta        (total,)  as in the fit of the hysteresis alone
     extensions   with their own numbers, in the order in which they act
     scales, rig  as the parts were scaled
-    held         places of the vector that may not move
+    fixed        slices of the vector that are not fitted
     """
 
     coordinates: Coordinates
@@ -149,7 +149,7 @@ class State:
     extensions: tuple[Extension, ...]
     scales: Scales
     rig: Rig
-    held: tuple[slice, ...] = ()
+    fixed: tuple[slice, ...] = ()
 
     @cached_property
     def operator(self) -> Scaled:
@@ -173,7 +173,7 @@ class State:
         zero = float(self.theta[self.coordinates.offset_slice(index)][0])
         return Run(
             forward=self.forward,
-            asked=part.piece.drive,
+            command=part.piece.drive,
             memory_slope=self.theta[self.coordinates.memory_slice(index)],
             zero_m=part.piece.centre_m + self.scales.displacement_m * zero,
             centre_m=part.piece.centre_m,
@@ -203,7 +203,7 @@ class State:
         frees = [e.free() for e in self.extensions]
         lower = np.concatenate([lower, *(f.lower for f in frees)])
         upper = np.concatenate([upper, *(f.upper for f in frees)])
-        for numbers in self.held:
+        for numbers in self.fixed:
             lower[numbers] = upper[numbers] = self.vector[numbers]
         return lower, upper
 
@@ -240,7 +240,7 @@ def state_of(
     extensions: Sequence[Extension],
     structure: Structure,
 ) -> State:
-    """Return the point at which a model stands, with extensions put to it."""
+    """Return the parameter vector of a model with extensions."""
     scales = scales_from(model)
     operator = _scaled(model, scales, keep_lag=structure.lag)
     if structure.bends is not None and structure.bends != operator.envelope.zero:
@@ -271,14 +271,14 @@ def state_of(
         scales=scales,
         rig=model.rig,
     )
-    held: list[slice] = []
+    fixed: list[slice] = []
     if not structure.operator:
-        fitted = [any(e is before for before in model.extensions) for e in state.extensions]
-        held += [numbers for numbers, is_old in zip(state.slices, fitted, strict=True) if is_old]
-        held.append(slice(0, coordinates.shared))
+        fitted = [any(e is extension for extension in model.extensions) for e in state.extensions]
+        fixed += [numbers for numbers, is_old in zip(state.slices, fitted, strict=True) if is_old]
+        fixed.append(slice(0, coordinates.shared))
     if not structure.memory:
-        held += [coordinates.memory_slice(k) for k in range(len(parts))]
-    return replace(state, held=tuple(held))
+        fixed += [coordinates.memory_slice(k) for k in range(len(parts))]
+    return replace(state, fixed=tuple(fixed))
 
 
 def _cycled(operator: Scaled, first: float) -> Array:

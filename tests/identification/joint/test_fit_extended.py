@@ -98,7 +98,7 @@ def test_the_model_that_comes_back_simulates_the_residual_the_fit_reports() -> N
     found = fit_extended(known_model(), recordings, true)
     parts = parts_of(known_model(), recordings)
     errors = [
-        (simulate_recording(found.model, recording) - recording.displacement_m())[part.place]
+        (simulate_recording(found.model, recording) - recording.displacement_m())[part.samples]
         for recording, part in zip(recordings, parts, strict=True)
     ]
     rms_m = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
@@ -114,7 +114,7 @@ def test_of_several_starts_the_closest_fit_is_taken_as_if_it_were_alone() -> Non
     held = Structure(lag=False)
     recordings, steps = recordings_of(true), 1
     alone = [fit_extended(m, recordings, structure=held, steps=steps) for m in (far, near)]
-    found = fit_extended(far, recordings, others=(near,), structure=held, steps=steps)
+    found = fit_extended(far, recordings, further_starts=(near,), structure=held, steps=steps)
     best = min(alone, key=lambda fit: fit.rms_m)
     assert (found.rms_m, found.held_out_rms_m) == (best.rms_m, best.held_out_rms_m)
     assert found.rms_m < max(fit.rms_m for fit in alone)
@@ -149,12 +149,12 @@ def test_an_error_of_the_measurement_that_only_the_rows_left_out_hold_is_not_fit
     """A fold must not have seen its rows: a step in them stays in the error at full height."""
     recordings = recordings_of()
     part = parts_of(known_model(), recordings)[0]
-    last = part.place[part.fold == part.fold[-1]]
+    last = part.samples[part.fold == part.fold[-1]]
     rows = slice(int(last[last > 4000][0]), 5000)
     wrong = disturbed(recordings[0], rows, 1e-7)
     found = fit_extended(known_model(), (wrong, recordings[1]))
-    count = sum(len(p.place) for p in parts_of(known_model(), recordings))
-    inside = np.count_nonzero((part.place >= rows.start) & (part.fold != NEVER_OUT))
+    count = sum(len(p.samples) for p in parts_of(known_model(), recordings))
+    inside = np.count_nonzero((part.samples >= rows.start) & (part.fold != NEVER_OUT))
     expected_m = np.sqrt((inside * 1e-14 + count * NOISE_m**2) / len(found.held_m))
     assert found.held_out_rms_m > 0.8 * expected_m
     assert found.held_out_rms_m > 1.1 * found.rms_m

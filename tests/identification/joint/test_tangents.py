@@ -25,12 +25,12 @@ ANSWER = CrossAxis(axis="y", centre_V=5.0, gain_m_per_V=2e-8, curvature_m_per_V_
 
 def differences(state: State, index: int, part: Part) -> Array:
     """The same columns, number by number, from the simulation alone."""
-    found = np.empty((len(part.place), len(state.theta)))
+    found = np.empty((len(part.samples), len(state.theta)))
     for place in range(len(state.theta)):
         step = np.zeros(len(state.vector))
         step[place] = STEP
         ahead, back = (state.at(state.vector + s * step).run(index, part) for s in (1, -1))
-        found[:, place] = (ahead.reading - back.reading)[part.place] / (2.0 * STEP)
+        found[:, place] = (ahead.reading - back.reading)[part.samples] / (2.0 * STEP)
     return found
 
 
