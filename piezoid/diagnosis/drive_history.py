@@ -15,7 +15,7 @@ from piezoid.diagnosis.nuisance_columns import SHARED, THRESHOLD, rubbed, rubbin
 from piezoid.diagnosis.segments import Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
-from piezoid.operators.play import play_columns, way_to
+from piezoid.operators.play import play_columns, thinned_drive
 
 CHUNK = 65536
 ONCE_BEYOND = (0.0, 0.5)  # of half the range: where walls are moved for good
@@ -106,7 +106,7 @@ class History:
 
 def states_at(drive: Array, reversals: Reversals, rows: Places) -> States:
     """Return the states at some samples of a drive with given earlier reversals."""
-    return _states_on(*way_to(drive, rows), reversals)
+    return _states_on(*thinned_drive(drive, rows), reversals)
 
 
 def _states_on(path: Array, rows: Places, reversals: Reversals) -> States:

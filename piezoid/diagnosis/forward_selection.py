@@ -152,7 +152,7 @@ def _next_state(state: SelectionState, executor: Executor) -> SelectionState | N
         return state.updated(selected=exchanged)
     if state.initial is None:
         shared = with_shared_initial_state(view, executor)
-        individual, bent = executor.both(
+        individual, bent = executor.run_both(
             lambda: with_own_initial_states(view, shared), with_bouc_wen_state
         )
     else:

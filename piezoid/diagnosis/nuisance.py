@@ -37,7 +37,7 @@ from piezoid.diagnosis.nuisance_columns import (
 from piezoid.diagnosis.segments import Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
-from piezoid.operators.play import way_to
+from piezoid.operators.play import thinned_drive
 
 FORGETTING = 4  # groups of plays whose first states each track may correct
 MEMORY = FORGETTING + 2 * len(ONCE_BEYOND)  # columns of it, what was poled for good among them
@@ -161,7 +161,7 @@ class NuisanceClass:
 
     def bent_at(self, reversals: Reversals, drive: Array, samples: Places) -> Array:
         """Return the Bouc-Wen state at some samples of a drive after given reversals, (rows,)."""
-        path, rows = way_to(drive, samples)
+        path, rows = thinned_drive(drive, samples)
         return self.bent(reversals, path)[rows]
 
     def static_rows(self, k: int, weight: Array, drive: Array) -> Array:

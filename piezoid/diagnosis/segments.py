@@ -17,7 +17,7 @@ from piezoid.numerics.arrays import Array, frozen
 from piezoid.numerics.executor import Once
 from piezoid.operators.filters import later
 from piezoid.operators.linear import recursive_filter
-from piezoid.operators.play import way_to
+from piezoid.operators.play import thinned_drive
 from piezoid.records.recording import Quantity, Recording
 
 ROWS = 12_000  # of all tracks together
@@ -94,7 +94,7 @@ class Track:
     @Once
     def path(self) -> tuple[Array, Places]:
         """Return the drive thinned to its reversals and rows, and the rows in it."""
-        return way_to(self.drive, self.rows)
+        return thinned_drive(self.drive, self.rows)
 
     @property
     def time_s(self) -> Array:

@@ -26,7 +26,7 @@ from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import starts_of, where_of, zero_of
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.family_ridge import FamilyRidge, Moments
-from piezoid.operators.play import turns_of, way_to
+from piezoid.operators.play import thinned_drive, turns_of
 from piezoid.operators.wide_hysteresis import (
     CHUNK,
     EDGES,
@@ -332,7 +332,7 @@ def _delayed_columns(
     newer = np.maximum(rows - whole, 0)
     older = np.maximum(newer - 1, 0)
     both = np.union1d(newer, older)
-    path, places = way_to(drive, both)
+    path, places = thinned_drive(drive, both)
     level, states = _states(path, places, history)
     share = late - whole
     table: dict[str, Array] = {}

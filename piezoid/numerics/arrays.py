@@ -57,10 +57,10 @@ def expect_shapes(record: object, expected: Mapping[str, tuple[int, ...]]) -> No
             raise ValueError(f"{name} has shape {actual}, expected {shape}")
 
 
-def same_length(named: Sequence[tuple[str, Array]]) -> None:
-    """Raise ``ValueError`` unless all named arrays have as many rows as the first."""
-    first, reference = named[0]
-    for name, array in named[1:]:
+def same_length(arrays: Sequence[tuple[str, Array]]) -> None:
+    """Raise ``ValueError`` unless all arrays have as many rows as the first."""
+    first, reference = arrays[0]
+    for name, array in arrays[1:]:
         if len(array) != len(reference):
             raise ValueError(f"{name} has {len(array)} values, {first} has {len(reference)}")
 

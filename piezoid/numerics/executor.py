@@ -86,10 +86,10 @@ class Executor:
         with ThreadPoolExecutor(self.threads) as pool:
             return list(pool.map(work, items))
 
-    def both(
+    def run_both(
         self, first: Callable[[], Result], second: Callable[[], Other]
     ) -> tuple[Result, Other]:
-        """Return the results of two functions."""
+        """Run two functions concurrently and return their results."""
         if self.threads < 2:
             return first(), second()
         with ThreadPoolExecutor(1) as pool:

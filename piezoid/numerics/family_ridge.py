@@ -84,21 +84,21 @@ class FamilyRidge:
 
         ceiling  (families,)  largest prior variance of each family
         """
-        ridge, before = self, np.inf
+        ridge, previous_noise = self, np.inf
         power = moments.square / max(moments.count, 1)
         w, determined = ridge._determined(moments)
         for step in range(steps):
             energy = np.bincount(self.family, w**2, len(self.variance))
             variance = np.clip(energy / determined, 1e-12 * power, ceiling)
             variance = np.where(np.isinf(ridge.variance), np.inf, variance)
-            left = moments.square - 2.0 * w @ moments.moment + w @ moments.gram @ w
+            residual_power = moments.square - 2.0 * w @ moments.moment + w @ moments.gram @ w
             free = max(moments.count - float(determined.sum()), 1.0)
-            noise = max(float(left) / free, 1e-18 * power)
+            noise = max(float(residual_power) / free, 1e-18 * power)
             ridge = replace(ridge, variance=variance, noise=noise)
             w, determined = ridge._determined(moments)
-            if step > FEWEST_STEPS and abs(np.log(noise / before)) < SETTLED:
+            if step > FEWEST_STEPS and abs(np.log(noise / previous_noise)) < SETTLED:
                 break
-            before = noise
+            previous_noise = noise
         return ridge, w, float(determined.sum())
 
     def _determined(self, moments: Moments) -> tuple[Array, Array]:

@@ -32,11 +32,11 @@ def unit_circle(frequency_Hz: ArrayLike, sampling_rate_Hz: float) -> Response:
 def polynomial_response(polynomial: ArrayLike, delay_operator: Response) -> Response:
     """Return p(q^-1) on given values of q^-1."""
     coefficients = np.asarray(polynomial, dtype=np.float64).tolist()
-    found = np.full(delay_operator.shape, coefficients[-1], dtype=np.complex128)
+    value = np.full(delay_operator.shape, coefficients[-1], dtype=np.complex128)
     for coefficient in coefficients[-2::-1]:
-        found *= delay_operator
-        found += coefficient
-    return found
+        value *= delay_operator
+        value += coefficient
+    return value
 
 
 def response(B: ArrayLike, A: ArrayLike, frequency_Hz: ArrayLike, rate_Hz: float) -> Response:

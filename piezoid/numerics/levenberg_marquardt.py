@@ -56,11 +56,11 @@ class Rule:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rows:
-    """The linear model |J d + r|^2 as rows, or as the triangle that was gathered of them.
+    """Linear model |J d + r|^2 as rows, or as their triangular factor.
 
     factor    (rows, columns)  J, or its triangular factor
-    residual  (rows,)          r, reflected alike
-    numbers   (columns,)       which numbers the columns belong to; None: each to its own
+    residual  (rows,)          r, with the same reflections
+    numbers   (columns,)       indices of the parameters of the columns; None: in order
     """
 
     factor: Array
@@ -69,18 +69,18 @@ class Rows:
 
     def step(self, lower: Array, upper: Array, damping: float) -> Array:
         """Return the damped step, (numbers,), between bounds of the step."""
-        place = np.arange(len(lower)) if self.numbers is None else self.numbers
+        numbers = np.arange(len(lower)) if self.numbers is None else self.numbers
         step = np.zeros_like(lower)
-        step[place] = bounded_step(
+        step[numbers] = bounded_step(
             np.vstack([self.factor, np.sqrt(damping) * np.diag(_norms(self.factor))]),
-            np.concatenate([-self.residual, np.zeros(len(place))]),
-            lower[place],
-            upper[place],
+            np.concatenate([-self.residual, np.zeros(len(numbers))]),
+            lower[numbers],
+            upper[numbers],
         )
         return step
 
     def gradient(self, lower: Array, upper: Array) -> float:
-        """Return the largest derivative a bound does not hold, columns and r scaled to norm 1."""
+        """Return the largest derivative not blocked by a bound, columns and r scaled to norm 1."""
         slope = self.factor.T @ self.residual / _norms(self.factor)
         if self.numbers is not None:
             lower, upper = lower[self.numbers], upper[self.numbers]
@@ -111,7 +111,7 @@ class NormalEquations:
         return np.asarray(step / scale)
 
     def gradient(self, lower: Array, upper: Array) -> float:
-        """Return the largest derivative a bound does not hold, columns and r scaled to norm 1."""
+        """Return the largest derivative not blocked by a bound, columns and r scaled to norm 1."""
         size = max(float(np.sqrt(self.cost)), 1e-300)
         return _steepest(self.slope / self._scale(), lower, upper) / size
 
@@ -128,8 +128,8 @@ def _norms(factor: Array) -> Array:
 
 
 def _steepest(slope: Array, lower: Array, upper: Array) -> float:
-    held = ((lower >= 0.0) & (slope > 0.0)) | ((upper <= 0.0) & (slope < 0.0))
-    return float(np.abs(np.where(held, 0.0, slope)).max(initial=0.0))
+    is_blocked = ((lower >= 0.0) & (slope > 0.0)) | ((upper <= 0.0) & (slope < 0.0))
+    return float(np.abs(np.where(is_blocked, 0.0, slope)).max(initial=0.0))
 
 
 class Point(Protocol):
@@ -182,22 +182,22 @@ def minimise(
     longest: Array | float = np.inf,
     within: Callable[[Array], Array] = lambda x: x,
 ) -> Minimum[AnyPoint]:
-    """Search from a start for the least squares within the bounds.
+    """Minimise a sum of squares within bounds from a start by Levenberg-Marquardt steps.
 
-    at       x -> point; called once for every x that is tried
-    start    (numbers,)  brought within the bounds first
-    bounds   (numbers,) each; equal bounds hold a number
-    longest  (numbers,)  that a number may move in one step; what is longer is cut off
-    within   x -> x that is tried instead, where bounds alone do not say what is allowed
+    at       x -> point; called once for each trial x
+    start    (numbers,)  clipped to the bounds first
+    bounds   (numbers,) each; equal bounds fix a number
+    longest  (numbers,)  largest step of each number; longer steps are clipped
+    within   x -> admissible x, for constraints other than bounds
     """
     lower, upper = bounds
     x = np.clip(start, lower, upper)
-    here = at(x)
-    costs, damping, iterations, evaluations = [here.cost], rule.damping, 0, 1
+    point = at(x)
+    costs, damping, iterations, evaluations = [point.cost], rule.damping, 0, 1
     gradient = np.inf
     reason: Reason | None = None
     while reason is None and iterations < rule.iterations:
-        model, iterations = here.linearised(), iterations + 1
+        model, iterations = point.linearised(), iterations + 1
         gradient = model.gradient(lower - x, upper - x)
         reason = "stationary"
         for _ in range(rule.tries):
@@ -206,16 +206,16 @@ def minimise(
                 break
             step = np.clip(model.step(lower - x, upper - x, damping), -longest, longest)
             trial = within(np.clip(x + step, lower, upper))
-            there, evaluations = at(trial), evaluations + 1
-            if there.cost < here.cost:
-                x, here, damping = trial, there, max(damping / rule.easier, LEAST_DAMPING)
-                costs.append(here.cost)
+            trial_point, evaluations = at(trial), evaluations + 1
+            if trial_point.cost < point.cost:
+                x, point, damping = trial, trial_point, max(damping / rule.easier, LEAST_DAMPING)
+                costs.append(point.cost)
                 reason = _worth_another(costs, rule)
                 break
             damping *= rule.harder
     return Minimum(
         x=x,
-        point=here,
+        point=point,
         reason=reason or "iterations",
         iterations=iterations,
         evaluations=evaluations,

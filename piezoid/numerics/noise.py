@@ -11,10 +11,10 @@ _MEDIAN = 0.6744897501960817  # median of |x| for a standard normal x
 def white_noise_rms(signal: Array, spacing: int = 1) -> float:
     """Return the rms of the white part of a slowly varying signal's noise.
 
-    Third differences remove what is smooth; the median of their magnitude is deaf to jumps and
-    to the few samples at reversals.
+    Third differences remove smooth motion; the median of their magnitude is robust to jumps and to
+    the few samples at reversals.
 
-    signal   (samples,)  any unit; NaN where nothing was measured, which no difference touches;
+    signal   (samples,)  any unit; NaN where nothing was measured: such differences are omitted;
              fewer than 8 samples for each of spacing give 0
     spacing  samples from one to the next of a difference
     """
@@ -23,5 +23,5 @@ def white_noise_rms(signal: Array, spacing: int = 1) -> float:
     third = signal
     for _ in range(3):
         third = third[spacing:] - third[:-spacing]
-    known = third[~np.isnan(third)]
-    return float(np.median(np.abs(known))) / (_MEDIAN * _THIRD) if len(known) else 0.0
+    finite = third[~np.isnan(third)]
+    return float(np.median(np.abs(finite))) / (_MEDIAN * _THIRD) if len(finite) else 0.0

@@ -42,10 +42,10 @@ def delayed(polynomial: ArrayLike, samples: int) -> Array:
 
 
 def trimmed(polynomial: ArrayLike) -> Array:
-    """Drop zero coefficients at the end; the polynomial stays the same, its degree is seen."""
+    """Drop trailing zero coefficients, so that the length shows the degree."""
     array = np.asarray(polynomial, dtype=np.float64)
-    used = np.flatnonzero(array)
-    return array[: used[-1] + 1].copy() if used.size else np.zeros(1)
+    nonzero = np.flatnonzero(array)
+    return array[: nonzero[-1] + 1].copy() if nonzero.size else np.zeros(1)
 
 
 def value_at(polynomial: ArrayLike, z: complex | Roots) -> Roots:
@@ -57,8 +57,8 @@ def value_at(polynomial: ArrayLike, z: complex | Roots) -> Roots:
 def roots_of(polynomial: ArrayLike) -> Roots:
     """Return the values of z where the polynomial vanishes, without the poles at z = 0."""
     array = trimmed(polynomial)
-    used = np.flatnonzero(array)
-    return np.asarray(np.roots(array[used[0] :]), dtype=np.complex128)
+    nonzero = np.flatnonzero(array)
+    return np.asarray(np.roots(array[nonzero[0] :]), dtype=np.complex128)
 
 
 def from_roots(roots: ArrayLike) -> Array:
@@ -89,7 +89,7 @@ class BezoutSolution:
 
 
 def solve_bezout(A: ArrayLike, B: ArrayLike, P: ArrayLike) -> BezoutSolution:
-    """Solve A S + B R = P for the pair of least degree.
+    """Solve A S + B R = P for the pair of minimum degree.
 
         deg R = deg A - 1,   deg S = max(deg B - 1, deg P - deg A)    [Landau & Zito 2006]
 
@@ -113,11 +113,11 @@ def solve_bezout(A: ArrayLike, B: ArrayLike, P: ArrayLike) -> BezoutSolution:
     solution = np.linalg.solve(matrix, target)
     solution += np.linalg.solve(matrix, target - matrix @ solution)
     S, R = solution[: degree_s + 1], solution[degree_s + 1 :] / scale
-    left = total(product(a, S), product(b, R), -target)
+    residual = total(product(a, S), product(b, R), -target)
     return BezoutSolution(
         S=np.asarray(S, dtype=np.float64),
         R=np.asarray(R, dtype=np.float64),
-        residual=float(np.abs(left).max() / np.abs(p).max()),
+        residual=float(np.abs(residual).max() / np.abs(p).max()),
         condition=float(singular[0] / singular[-1]),
     )
 

@@ -85,16 +85,16 @@ def spread_beyond(values: Array, errors: Array) -> Spread:
     The random-effects model of [DerSimonian & Laird 1986] with medians in place of means. Sigma is
     0 where the errors alone explain the scatter.
     """
-    plain = spread_of(values)
+    scatter = spread_of(values)
     if not errors.any():
-        return plain
+        return scatter
     from scipy.optimize import bisect
 
-    low, high = 0.0, 2.0 * float(np.abs(values - plain.median).max())
+    low, high = 0.0, 2.0 * float(np.abs(values - scatter.median).max())
     if _weighted_spread(values, errors, low)[1] > 1.0:
         low = float(bisect(lambda s: _weighted_spread(values, errors, s)[1] - 1.0, low, high))
     median, _ = _weighted_spread(values, errors, low)
-    return replace(plain, median=median, sigma=low)
+    return replace(scatter, median=median, sigma=low)
 
 
 def _weighted_spread(values: Array, errors: Array, sigma: float) -> tuple[float, float]:

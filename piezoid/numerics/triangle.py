@@ -22,11 +22,11 @@ def empty_triangle(columns: int) -> Array:
 
 
 def gather(triangle: Array, rows: Array, *, spend: bool = False) -> Array:
-    """Return the triangular factor of the rows seen so far and these.
+    """Update a triangular factor with further rows.
 
     triangle  (columns, columns)  from ``empty_triangle`` or ``gather``
     rows      (samples, columns)
-    spend     whether column-major rows may be overwritten: nobody needs them again
+    spend     whether column-major rows may be overwritten
     returned  (columns, columns), upper triangular
 
     The rows are reflected onto the triangle, whose zeros are never touched.
@@ -37,8 +37,8 @@ def gather(triangle: Array, rows: Array, *, spend: bool = False) -> Array:
     if not columns or not len(rows):
         return triangle
     block = np.asfortranarray(rows)
-    own = spend or block is not rows
-    found = lapack.dtpqrt(
-        0, min(BLOCK, columns), np.asfortranarray(triangle), block, overwrite_b=own
+    may_overwrite = spend or block is not rows
+    factorisation = lapack.dtpqrt(
+        0, min(BLOCK, columns), np.asfortranarray(triangle), block, overwrite_b=may_overwrite
     )
-    return cast(Array, found[0])
+    return cast(Array, factorisation[0])

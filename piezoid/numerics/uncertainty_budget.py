@@ -115,15 +115,20 @@ def budget_of(
 ) -> Budget:
     """Return the budget of independent contributions.
 
-    positions  independent ones, of which the largest error is asked; at least 2
+    positions  number of independent positions of the largest error; at least 2
     draws      of the propagation; 1e5 give two digits of a 95 % interval
     """
-    combined = math.sqrt(sum(one.standard**2 for one in contributions))
+    combined = math.sqrt(sum(contribution.standard**2 for contribution in contributions))
     freedom = effective_freedom(contributions)
     factor = float(student_quantile(0.5 + CONFIDENCE / 2, freedom))
     rng = np.random.default_rng(seed)
     shared = sum(
-        (_drawn(one, draws, rng) for one in contributions if one.is_shared), np.zeros(draws)
+        (
+            _drawn(contribution, draws, rng)
+            for contribution in contributions
+            if contribution.is_shared
+        ),
+        np.zeros(draws),
     )
     single, largest = _errors(shared, contributions, positions, rng)
     tails = (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2)
@@ -144,14 +149,14 @@ def budget_of(
 
 
 def effective_freedom(contributions: Sequence[Contribution]) -> float:
-    """Return nu_eff of Welch and Satterthwaite; infinite where nothing is estimated."""
-    combined = sum(one.standard**2 for one in contributions)
-    loss = sum(one.standard**4 / one.freedom for one in contributions)
+    """Return nu_eff of Welch and Satterthwaite; infinite if no contribution is estimated."""
+    combined = sum(contribution.standard**2 for contribution in contributions)
+    loss = sum(contribution.standard**4 / contribution.freedom for contribution in contributions)
     return combined**2 / loss if loss > 0.0 else math.inf
 
 
 def tail_of(quantile_ratio: float, probability: float = 0.999) -> float:
-    """Return the t distribution whose quantile lies so many standard deviations out.
+    """Return the degrees of freedom of the t distribution with this quantile over its rms.
 
         t(1/2 + p/2, nu) sqrt((nu - 2) / nu) = ratio
 
@@ -163,9 +168,9 @@ def tail_of(quantile_ratio: float, probability: float = 0.999) -> float:
         return math.inf
     nu = np.geomspace(2.2, 1e3, 400)
     reached = student_quantile(upper, nu) * np.sqrt((nu - 2) / nu)
-    falling = int(np.argmax(reached))  # below it the variance goes to the last few draws
-    place = np.searchsorted(-reached[falling:], -quantile_ratio)
-    return float(nu[min(falling + int(place), len(nu) - 1)])
+    falling = int(np.argmax(reached))  # below it a few extreme draws hold the variance
+    first = np.searchsorted(-reached[falling:], -quantile_ratio)
+    return float(nu[min(falling + int(first), len(nu) - 1)])
 
 
 def _errors(
@@ -178,20 +183,20 @@ def _errors(
     position. Several contributions that are new at each position are added as one of their
     variance and of the heaviest tail among them.
     """
-    own = [one for one in contributions if not one.is_shared]
-    if not own:
+    local = [contribution for contribution in contributions if not contribution.is_shared]
+    if not local:
         return np.abs(shared), np.abs(shared)
-    single = np.abs(shared + sum(_drawn(one, len(shared), rng) for one in own))
-    standard = math.sqrt(sum(one.standard**2 for one in own))
-    tail = min(_tail(one) for one in own)
+    single = np.abs(shared + sum(_drawn(contribution, len(shared), rng) for contribution in local))
+    standard = math.sqrt(sum(contribution.standard**2 for contribution in local))
+    tail = min(_tail(contribution) for contribution in local)
     top = rng.uniform(size=len(shared)) ** (1.0 / positions)
     low = top * -np.expm1(np.log(rng.uniform(size=len(shared))) / (positions - 1))
-    ends = (shared + standard * _unit_quantile(p, tail) for p in (top, low))
-    return single, np.maximum(*(np.abs(end) for end in ends))
+    extremes = (shared + standard * _unit_quantile(p, tail) for p in (top, low))
+    return single, np.maximum(*(np.abs(end) for end in extremes))
 
 
-def _tail(one: Contribution) -> float:
-    return one.tail if one.shape == HEAVY else math.inf
+def _tail(contribution: Contribution) -> float:
+    return contribution.tail if contribution.shape == HEAVY else math.inf
 
 
 def _unit_quantile(probability: Array, tail: float) -> Array:
@@ -199,19 +204,19 @@ def _unit_quantile(probability: Array, tail: float) -> Array:
     inside = np.clip(probability, 1e-15, 1.0 - 1e-15)
     if math.isinf(tail):
         return np.asarray(normal_quantile(inside))
-    score = normal_quantile(inside)  # along it the quantiles of t are smooth: few are worked out
-    known = np.linspace(score.min(), score.max(), KNOWN)
-    quantile = np.interp(score, known, student_quantile(ndtr(known), tail))
+    score = normal_quantile(inside)  # quantiles of t are smooth in it, so they are interpolated
+    knots = np.linspace(score.min(), score.max(), KNOWN)
+    quantile = np.interp(score, knots, student_quantile(ndtr(knots), tail))
     return np.asarray(quantile * math.sqrt((tail - 2.0) / tail))
 
 
-def _drawn(one: Contribution, draws: int, rng: np.random.Generator) -> Array:
-    """Draw a contribution; one that is estimated with few degrees of freedom as Student's t."""
-    if one.shape == RECTANGULAR:
-        return one.standard * math.sqrt(3.0) * rng.uniform(-1.0, 1.0, draws)
-    if one.shape == HEAVY and math.isfinite(one.tail):
-        scale = one.standard * math.sqrt((one.tail - 2.0) / one.tail)
-        return np.asarray(scale * rng.standard_t(one.tail, draws))
-    if math.isfinite(one.freedom):
-        return np.asarray(one.standard * rng.standard_t(one.freedom, draws))
-    return np.asarray(one.standard * rng.standard_normal(draws))
+def _drawn(contribution: Contribution, draws: int, rng: np.random.Generator) -> Array:
+    """Draw a contribution, from Student's t if it has finite degrees of freedom."""
+    if contribution.shape == RECTANGULAR:
+        return contribution.standard * math.sqrt(3.0) * rng.uniform(-1.0, 1.0, draws)
+    if contribution.shape == HEAVY and math.isfinite(contribution.tail):
+        scale = contribution.standard * math.sqrt((contribution.tail - 2.0) / contribution.tail)
+        return np.asarray(scale * rng.standard_t(contribution.tail, draws))
+    if math.isfinite(contribution.freedom):
+        return np.asarray(contribution.standard * rng.standard_t(contribution.freedom, draws))
+    return np.asarray(contribution.standard * rng.standard_normal(draws))

@@ -22,7 +22,7 @@ class SampledSystem:
     C: Array
 
 
-def held(A: Array, B: Array, duration_s: float) -> tuple[Array, Array]:
+def hold_matrices(A: Array, B: Array, duration_s: float) -> tuple[Array, Array]:
     """Return exp(A t) and the integral of exp(A s) B over [0, t], from one exponential.
 
         exp([A B; 0 0] t) = [Ad Bd; 0 1]                                    [Van Loan 1978]
@@ -45,15 +45,15 @@ def sample(A: Array, B: Array, C: Array, period_s: float, delay_s: float = 0.0) 
     A  (n, n)    B  (n,)    C  (n,)
     delay_s  >= 0
     """
-    whole = int(np.floor(delay_s / period_s + 1e-9))
-    rest_s = max(delay_s - whole * period_s, 0.0)
+    delay_samples = int(np.floor(delay_s / period_s + 1e-9))
+    rest_s = max(delay_s - delay_samples * period_s, 0.0)
     if rest_s < 1e-9 * period_s:
         rest_s = 0.0
-    transition, _ = held(A, B, period_s)
-    after, newest = held(A, B, period_s - rest_s)
-    columns = [np.zeros(len(B))] * whole + [newest]
+    transition, _ = hold_matrices(A, B, period_s)
+    following, newest = hold_matrices(A, B, period_s - rest_s)
+    columns = [np.zeros(len(B))] * delay_samples + [newest]
     if rest_s > 0.0:
-        columns.append(after @ held(A, B, rest_s)[1])
+        columns.append(following @ hold_matrices(A, B, rest_s)[1])
     return SampledSystem(A=transition, taps=np.stack(columns, axis=1), C=np.asarray(C, float))
 
 

@@ -55,17 +55,17 @@ KERNELS = opened(
 
 
 def address(array: Array | None) -> ctypes.c_void_p | None:
-    """Return where a contiguous float64 array begins, for a kernel; None stays NULL.
+    """Return the address of a contiguous float64 array for a kernel; None gives NULL.
 
-    The array lives as long as what is returned, so a copy may be made for one call.
+    The pointer keeps the array alive, so a temporary copy may be passed.
     """
     if array is None:
         return None
     if array.dtype != np.float64 or not array.flags.forc:
         raise TypeError(f"a kernel needs contiguous float64, not {array.dtype}")
-    place = _POINTER(array.__array_interface__["data"][0])
-    place.array = array  # type: ignore[attr-defined]
-    return place
+    pointer = _POINTER(array.__array_interface__["data"][0])
+    pointer.array = array  # type: ignore[attr-defined]
+    return pointer
 
 
 def contiguous(values: Array) -> Array:

@@ -129,7 +129,7 @@ def _transfer(
 
 
 def _run_blocks(system: DiscreteSystem, u: Array, x: Array) -> tuple[Array, Array]:
-    """Outputs of a record, block by block, and the state after it.
+    """Return the outputs of a record, computed block by block, and the state after it.
 
     Inside a block: y = observe x + forced u, where forced is the block Toeplitz matrix of the
     impulse response; from block to block: x = A^length x + reach u.
@@ -142,18 +142,18 @@ def _run_blocks(system: DiscreteSystem, u: Array, x: Array) -> tuple[Array, Arra
     observe = np.concatenate([system.C @ power for power in powers[:length]])
     reach = np.concatenate([power @ system.B for power in powers[length - 1 :: -1]], axis=1)
     forced = _block_toeplitz(system.impulse_response(length))
-    whole = len(u) // length
-    blocks = u[: whole * length].reshape(whole, length * inputs)
-    starts = np.empty((whole, len(x)))
+    block_count = len(u) // length
+    blocks = u[: block_count * length].reshape(block_count, length * inputs)
+    starts = np.empty((block_count, len(x)))
     pushes = blocks @ reach.T
-    for k in range(whole):
+    for k in range(block_count):
         starts[k] = x
         x = powers[length] @ x + pushes[k]
-    done = (blocks @ forced.T + starts @ observe.T).reshape(whole * length, outputs)
-    rest = np.empty((len(u) - len(done), outputs))
-    for k, row in enumerate(u[len(done) :]):
-        x, rest[k] = system.step(x, row)
-    return np.concatenate([done, rest]), x
+    block_outputs = (blocks @ forced.T + starts @ observe.T).reshape(block_count * length, outputs)
+    remaining_outputs = np.empty((len(u) - len(block_outputs), outputs))
+    for k, row in enumerate(u[len(block_outputs) :]):
+        x, remaining_outputs[k] = system.step(x, row)
+    return np.concatenate([block_outputs, remaining_outputs]), x
 
 
 def _block_toeplitz(impulse: Array) -> Array:
@@ -175,16 +175,16 @@ def sample(system: ContinuousSystem, sampling_rate_Hz: float) -> DiscreteSystem:
     term sees the input that has arrived: u[k-d] for e = 0, else u[k-d-1].
     """
     interval_s = 1.0 / sampling_rate_Hz
-    whole, transition, taps, direct = _sampled_delay(system, interval_s)
-    taps = [np.zeros_like(system.B)] * whole + taps
-    direct = [np.zeros_like(system.D)] * whole + direct
+    delay_samples, transition, taps, direct = _sampled_delay(system, interval_s)
+    taps = [np.zeros_like(system.B)] * delay_samples + taps
+    direct = [np.zeros_like(system.D)] * delay_samples + direct
     return _with_delayed_inputs(transition, taps, system.C, direct, interval_s)
 
 
 def sampled_fractions(
     numerator: Array, pole: ComplexArray, delay_s: Array, rate_Hz: float, frequency_Hz: Array
 ) -> ComplexArray:
-    """Return the responses of ``sample(...)`` of systems that are known by their poles.
+    """Return the frequency responses of sampled systems given by numerators and poles.
 
         N(s) / prod_k (s - p_k) = sum_k r_k / (s - p_k)
         r (e^(p (T - e)) - 1 + (e^(p T) - e^(p (T - e))) z^-1) / (p (z - e^(p T))) z^-d
@@ -194,55 +194,57 @@ def sampled_fractions(
     delay_s    (systems,)                  d T + e
     returned   (systems, lines, outputs)
 
-    Poles that are alike are moved apart to either side, which costs the square of it, and five
-    digits; three alike cost ten.
+    Equal poles are separated symmetrically, with an error of second order and a loss of five
+    digits; three equal poles lose ten.
     """
     interval_s = 1.0 / rate_Hz
-    split = [_split_delay(float(one), interval_s) for one in delay_s]
-    whole, rest_s = np.array(split).T[:, :, None]
+    split = [_split_delay(float(delay), interval_s) for delay in delay_s]
+    delay_samples, rest_s = np.array(split).T[:, :, None]
     z = np.exp(2j * np.pi * frequency_Hz * interval_s)
-    if not pole.shape[1]:  # a constant sees what has arrived
+    if not pole.shape[1]:  # a constant acts on the delayed input
         return np.asarray(
-            numerator[:, None, :, 0] / z[:, None] ** (whole + (rest_s > 0.0))[:, None]
+            numerator[:, None, :, 0] / z[:, None] ** (delay_samples + (rest_s > 0.0))[:, None]
         )
     number = np.arange(pole.shape[1])
     alike = np.abs(pole[:, :, None] - pole[:, None]) < ALIKE * np.abs(pole)[:, :, None]
     pole = pole * (1.0 + 0.5 * ALIKE * (alike * np.sign(number - number[:, None])).sum(axis=2))
-    apart = pole[:, :, None] - pole[:, None]
-    apart[:, number, number] = 1.0
+    difference = pole[:, :, None] - pole[:, None]
+    difference[:, number, number] = 1.0
     powers = pole[:, None, :, None] ** np.arange(numerator.shape[2])
-    residue = (numerator[:, :, None] * powers).sum(axis=3) / (pole * apart.prod(axis=2))[:, None]
-    held, early = np.exp(pole * interval_s), np.exp(pole * (interval_s - rest_s))
-    newest, oldest = (early - 1.0)[:, None], (held - early)[:, None]
-    inside = 1.0 / (z[:, None] - held[:, None])
-    behind = z**-whole
-    made = inside @ np.swapaxes(residue * newest, 1, 2)
-    made += inside @ np.swapaxes(residue * oldest, 1, 2) / z[:, None]
-    return np.asarray(made * behind[:, :, None])
+    residue = (numerator[:, :, None] * powers).sum(axis=3) / (pole * difference.prod(axis=2))[
+        :, None
+    ]
+    decay, early = np.exp(pole * interval_s), np.exp(pole * (interval_s - rest_s))
+    newest, oldest = (early - 1.0)[:, None], (decay - early)[:, None]
+    inside = 1.0 / (z[:, None] - decay[:, None])
+    behind = z**-delay_samples
+    response = inside @ np.swapaxes(residue * newest, 1, 2)
+    response += inside @ np.swapaxes(residue * oldest, 1, 2) / z[:, None]
+    return np.asarray(response * behind[:, :, None])
 
 
 def _sampled_delay(
     system: ContinuousSystem, interval_s: float
 ) -> tuple[int, Array, list[Array], list[Array]]:
-    """Whole samples of delay, A(T), and the input matrices of states and outputs after them."""
-    whole, rest_s = _split_delay(system.delay_s, interval_s)
-    transition, newest = _held(system, interval_s - rest_s)
+    """Return whole samples of delay, A(T), and the input matrices of states and outputs."""
+    delay_samples, rest_s = _split_delay(system.delay_s, interval_s)
+    transition, newest = _hold_matrices(system, interval_s - rest_s)
     if rest_s <= 0.0:
-        return whole, transition, [newest], [system.D]
-    before, oldest = _held(system, rest_s)
+        return delay_samples, transition, [newest], [system.D]
+    remainder, oldest = _hold_matrices(system, rest_s)
     direct = [np.zeros_like(system.D), system.D]
-    return whole, transition @ before, [newest, transition @ oldest], direct
+    return delay_samples, transition @ remainder, [newest, transition @ oldest], direct
 
 
 def _split_delay(delay_s: float, interval_s: float) -> tuple[int, float]:
-    """Whole samples and the remainder, which is 0 below rounding."""
-    whole = int(np.floor(delay_s / interval_s + 1e-9))
-    rest_s = delay_s - whole * interval_s
-    return whole, (rest_s if rest_s > 1e-9 * interval_s else 0.0)
+    """Return whole samples and the remaining seconds, 0 below rounding."""
+    delay_samples = int(np.floor(delay_s / interval_s + 1e-9))
+    rest_s = delay_s - delay_samples * interval_s
+    return delay_samples, (rest_s if rest_s > 1e-9 * interval_s else 0.0)
 
 
-def _held(system: ContinuousSystem, duration_s: float) -> tuple[Array, Array]:
-    """exp(A t) and the integral of exp(A s) B over [0, t]."""
+def _hold_matrices(system: ContinuousSystem, duration_s: float) -> tuple[Array, Array]:
+    """Return exp(A t) and the integral of exp(A s) B over [0, t]."""
     states, inputs = system.B.shape
     block = np.zeros((states + inputs, states + inputs))
     block[:states, :states], block[:states, states:] = system.A, system.B
@@ -255,13 +257,15 @@ def _with_delayed_inputs(
 ) -> DiscreteSystem:
     """Append the delayed inputs to the state."""
     (states, inputs), outputs = taps[0].shape, len(C)
-    late = (len(taps) - 1) * inputs
-    shift = np.eye(late, k=-inputs)
-    first = np.eye(late, inputs)
+    delayed_inputs = (len(taps) - 1) * inputs
+    shift = np.eye(delayed_inputs, k=-inputs)
+    first = np.eye(delayed_inputs, inputs)
     return DiscreteSystem(
-        A=np.block([[A, *taps[1:]], [np.zeros((late, states)), shift]]) if late else A,
+        A=np.block([[A, *taps[1:]], [np.zeros((delayed_inputs, states)), shift]])
+        if delayed_inputs
+        else A,
         B=np.concatenate([taps[0], first]),
-        C=np.concatenate([C, *direct[1:]], axis=1) if late else C,
+        C=np.concatenate([C, *direct[1:]], axis=1) if delayed_inputs else C,
         D=direct[0].reshape(outputs, inputs),
         interval_s=interval_s,
     )
@@ -270,7 +274,7 @@ def _with_delayed_inputs(
 def fraction(
     system: ContinuousSystem, sampling_rate_Hz: float, output: int = 0, drive: int = 0
 ) -> tuple[Array, Array]:
-    """Return B and A in q^-1 of one sampled path, A[0] = 1; the delay stands in B as zeros.
+    """Return B and A in q^-1 of one sampled path, A[0] = 1; the delay is leading zeros of B.
 
     A has the roots exp(p T) of the system's poles p; B is its product with the first samples of
     the impulse response. High orders lose digits: beyond a dozen states prefer the state space.
@@ -280,8 +284,8 @@ def fraction(
     sampled = sample(system, sampling_rate_Hz)
     poles = np.exp(np.linalg.eigvals(system.A) * sampled.interval_s)
     A = np.ascontiguousarray(np.poly(poles).real) if len(poles) else np.ones(1)
-    late = (len(sampled.A) - len(system.A)) // system.B.shape[1]
-    terms = len(poles) + late + 1
+    delay_samples = (len(sampled.A) - len(system.A)) // system.B.shape[1]
+    terms = len(poles) + delay_samples + 1
     return np.convolve(sampled.impulse_response(terms)[:, output, drive], A)[:terms], A
 
 
@@ -356,15 +360,15 @@ def butterworth(order: int, frequency_Hz: float) -> ContinuousSystem:
 
 
 def cascade(*systems: ContinuousSystem) -> ContinuousSystem:
-    """Return the systems one after the other, the first one at the drive; delays add up."""
-    whole = systems[0]
-    for after in systems[1:]:
-        upper = np.zeros((len(whole.A), len(after.A)))
-        whole = ContinuousSystem(
-            A=np.block([[whole.A, upper], [after.B @ whole.C, after.A]]),
-            B=np.concatenate([whole.B, after.B @ whole.D]),
-            C=np.concatenate([after.D @ whole.C, after.C], axis=1),
-            D=after.D @ whole.D,
-            delay_s=whole.delay_s + after.delay_s,
+    """Return the series connection of systems, the first at the drive; delays add up."""
+    chain = systems[0]
+    for system in systems[1:]:
+        upper = np.zeros((len(chain.A), len(system.A)))
+        chain = ContinuousSystem(
+            A=np.block([[chain.A, upper], [system.B @ chain.C, system.A]]),
+            B=np.concatenate([chain.B, system.B @ chain.D]),
+            C=np.concatenate([system.D @ chain.C, system.C], axis=1),
+            D=system.D @ chain.D,
+            delay_s=chain.delay_s + system.delay_s,
         )
-    return whole
+    return chain

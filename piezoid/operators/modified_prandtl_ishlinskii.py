@@ -56,8 +56,8 @@ class ModifiedPrandtlIshlinskii:
     def slope_sector_m_per_V(self) -> tuple[float, float]:
         """Least and greatest increment gain: m <= dy/du <= M for every step of every input."""
         slopes = (self.envelope.slope, self.plays.slope, self.dead_zones.slope)
-        least, greatest = np.prod([[s.min(), s.max()] for s in slopes], axis=0)
-        return float(least), float(greatest)
+        min_slope, greatest = np.prod([[s.min(), s.max()] for s in slopes], axis=0)
+        return float(min_slope), float(greatest)
 
     def virgin_memory(self) -> Array:
         """Return the de-poled state."""
@@ -83,12 +83,12 @@ class ModifiedPrandtlIshlinskii:
         """
         zones, plays = self.dead_zones.inverse(), self.plays.inverse()
         start, offsets = self.plays.inverse_memory(memory_V), (self.displacement_offset_m, 0.0)
-        voltage_V, after = _run(displacement_m, start, zones, plays, LINEAR, offsets)
+        voltage_V, memory_after = _run(displacement_m, start, zones, plays, LINEAR, offsets)
         if self.envelope is not LINEAR:
             voltage_V = self.envelope.inverse().run(voltage_V)
         voltage_V += self.voltage_offset_V
-        # The plays are the inverse of their inverse, and so is their memory.
-        return voltage_V, plays.inverse_memory(after)
+        # The inverse of the inverse plays gives the forward memory.
+        return voltage_V, plays.inverse_memory(memory_after)
 
     def multiplied(self, factor: float) -> "ModifiedPrandtlIshlinskii":
         """Return what moves a factor as far as this one."""
@@ -113,27 +113,31 @@ class ModifiedPrandtlIshlinskii:
 def _run(
     values: Array,
     memory: Array,
-    before: DeadZones,
+    first_map: DeadZones,
     plays: PrandtlIshlinskii,
-    after: DeadZones,
+    last_map: DeadZones,
     offsets: tuple[float, float],
 ) -> tuple[Array, Array]:
-    """Pass values less an offset through a map, plays and a map, and add an offset."""
+    """Subtract an offset, apply a map, plays and a second map, and add an offset."""
     source = contiguous(values)
     state = np.array(memory, dtype=np.float64)
     output = np.empty_like(source)
-    maps = [None if one is LINEAR else one.kernel_map() for one in (before, after)]
-    places = [None if one is None else ctypes.addressof(one) for one in maps]
+    maps = [
+        None if section is LINEAR else section.kernel_map() for section in (first_map, last_map)
+    ]
+    addresses = [
+        None if kernel_map is None else ctypes.addressof(kernel_map) for kernel_map in maps
+    ]
     KERNELS.pk_mapped_plays(
         len(source),
         address(source),
         offsets[0],
-        places[0],
+        addresses[0],
         len(state),
         address(plays.threshold),
         address(plays.weight),
         address(state),
-        places[1],
+        addresses[1],
         offsets[1],
         address(output),
     )
@@ -161,17 +165,17 @@ def compensate(
     *,
     synchronise: bool = True,
 ) -> tuple[Array, Array]:
-    """Invert sample by sample through a converter, rebuilding the inverse's memory every tick.
+    """Invert sample by sample through a converter, with memory resynchronised at each sample.
 
-    The plant's memory follows the voltage that was applied. Clipping and rounding make that
-    another voltage than the one computed; an inverse that keeps its own memory is then wrong for
-    good. So the forward states z follow the applied voltage, and the inverse's states are
+    The memory of the plant follows the applied voltage, which differs from the computed one by
+    clipping and rounding; an inverse with separate memory would keep that error for ever. So the
+    forward states z follow the applied voltage, and the inverse's states are
     overwritten by z'_i = W_i z_i + sum_(j>i) w_j z_j.
 
     desired_m    (samples,)  m
     memory_V     (plays,)    V, forward memory before the first sample
     converter    limits and step of the applied voltage
-    synchronise  False keeps the inverse's own memory, to show what that costs
+    synchronise  False: the inverse keeps separate memory, for comparison
     returned     (samples,)  V applied, and (plays,) V the forward memory after it
     """
     inverse_plays = model.plays.inverse()
@@ -179,13 +183,13 @@ def compensate(
         part.kernel_map()
         for part in (model.dead_zones.inverse(), model.envelope, model.envelope.inverse())
     ]
-    wanted = contiguous(desired_m - model.displacement_offset_m)
+    desired = contiguous(desired_m - model.displacement_offset_m)
     forward = np.array(memory_V, dtype=np.float64)
     backward = np.array(model.plays.inverse_memory(forward))
-    applied = np.empty_like(wanted)
+    applied = np.empty_like(desired)
     KERNELS.pk_inverse_resynchronised(
-        len(wanted),
-        address(wanted),
+        len(desired),
+        address(desired),
         len(forward),
         address(model.plays.threshold),
         address(model.plays.weight),

@@ -14,31 +14,35 @@ BLOCK = 1 << 15  # rows: some megabytes for a bank of plays
 
 
 def turns_of(drive: Array) -> NDArray[np.bool_]:
-    """Return which samples of a drive are its first or a turn, (samples,)."""
+    """Tell which samples of a drive are the first one or a reversal, (samples,)."""
     moves = np.flatnonzero(np.diff(drive))
     up = drive[moves + 1] > drive[moves]
-    told = np.zeros(len(drive), dtype=bool)
-    told[:1] = told[moves[np.flatnonzero(up[1:] != up[:-1]) + 1]] = True
-    return told
+    is_turn = np.zeros(len(drive), dtype=bool)
+    is_turn[:1] = is_turn[moves[np.flatnonzero(up[1:] != up[:-1]) + 1]] = True
+    return is_turn
 
 
-def way_to(
-    drive: Array, place: Places, *, before: bool = False, turns: NDArray[np.bool_] | None = None
+def thinned_drive(
+    drive: Array,
+    samples: Places,
+    *,
+    with_previous: bool = False,
+    turns: NDArray[np.bool_] | None = None,
 ) -> tuple[Array, Places]:
-    """Return a drive where it says all of its way to some samples, and their places in that.
+    """Thin a drive to its reversals and some samples, and return their indices in it.
 
-    place     (rows,)     samples in rising order
-    before    whether the samples before them are told as well
-    turns     (samples,)  ``turns_of`` the drive, where they are known
-    returned  (samples,)  first sample, turns and rows; (rows,) their places among these
+    samples        (rows,)     in increasing order
+    with_previous  whether to keep the sample before each of them as well
+    turns          (samples,)  ``turns_of`` the drive, if known
+    returned       (kept,)     first sample, reversals and samples; (rows,) indices of the samples
 
-    Plays end there in the same states to the last bit.
+    Plays have the same states at these samples, to the last bit.
     """
-    told = turns_of(drive) if turns is None else turns.copy()
-    told[place] = True
-    if before:
-        told[np.maximum(place - 1, 0)] = True
-    return drive[told], (np.cumsum(told) - 1)[place]
+    is_kept = turns_of(drive) if turns is None else turns.copy()
+    is_kept[samples] = True
+    if with_previous:
+        is_kept[np.maximum(samples - 1, 0)] = True
+    return drive[is_kept], (np.cumsum(is_kept) - 1)[samples]
 
 
 def play_columns(voltage_V: Array, threshold_V: Array, memory_V: Array) -> tuple[Array, Array]:

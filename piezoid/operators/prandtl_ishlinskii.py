@@ -90,9 +90,9 @@ class PrandtlIshlinskii:
     def _inverse(self) -> "PrandtlIshlinskii":
         slope = self.slope
         if not self.is_invertible:
-            place = int(np.argmin(slope))
+            row = int(np.argmin(slope))
             raise NotInvertibleError(
-                f"the cumulative slope W_{place} is {slope[place]:.6g}",
+                f"the cumulative slope W_{row} is {slope[row]:.6g}",
                 needed="every cumulative slope must be positive for an inverse",
                 remedy="Refit with non-negative weights.",
             )

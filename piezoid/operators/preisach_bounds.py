@@ -43,11 +43,11 @@ def farthest_from_line_m(operator: PreisachPlays, slope_m_per_V: float, reach_V:
 
 
 def farthest_apart_m(
-    model: PreisachPlays, others: Sequence[PreisachPlays], reach_V: float
+    model: PreisachPlays, alternatives: Sequence[PreisachPlays], reach_V: float
 ) -> Array:
-    """Return sup |y_other - y_model - c| over drives within a reach, for the best c, (others,).
+    """Return sup |y - y_model - c| over drives within a reach, for the best c, (alternatives,).
 
-    All on one lattice, or ``ValueError`` is raised.
+    Raises ``ValueError`` unless all operators have the same lattice.
 
     >>> straight = PreisachPlays(
     ...     step_V=1.0,
@@ -59,14 +59,18 @@ def farthest_apart_m(
     """
     places_V, allowed = _lattice(model, reach_V)
     own_m = _values(model, places_V)
-    apart_m = np.array([_values(other, places_V) - own_m for other in _alike(model, others)])
+    apart_m = np.array(
+        [_values(alternative, places_V) - own_m for alternative in _alike(model, alternatives)]
+    )
     return _half_range(apart_m, allowed)
 
 
-def slope_ratios(model: PreisachPlays, others: Sequence[PreisachPlays], reach_V: float) -> Array:
-    """Return least and greatest increment gain of the others behind the model's inverse.
+def slope_ratios(
+    model: PreisachPlays, alternatives: Sequence[PreisachPlays], reach_V: float
+) -> Array:
+    """Return the smallest and largest increment gain of alternatives behind the inverse model.
 
-    returned  (others, 2)
+    returned  (alternatives, 2)
 
     >>> straight = PreisachPlays(
     ...     step_V=1.0,
@@ -77,38 +81,38 @@ def slope_ratios(model: PreisachPlays, others: Sequence[PreisachPlays], reach_V:
     array([[1., 1.]])
     """
     places_V, allowed = _lattice(model, reach_V)
-    own = _branch_slopes(_values(model, places_V), allowed)
-    found = []
-    for other in _alike(model, others):
-        ratio = _branch_slopes(_values(other, places_V), allowed) / own
-        found.append((np.nanmin(ratio), np.nanmax(ratio)))
-    return np.array(found)
+    slope = _branch_slopes(_values(model, places_V), allowed)
+    ratios = []
+    for alternative in _alike(model, alternatives):
+        ratio = _branch_slopes(_values(alternative, places_V), allowed) / slope
+        ratios.append((np.nanmin(ratio), np.nanmax(ratio)))
+    return np.array(ratios)
 
 
-def _alike(model: PreisachPlays, others: Sequence[PreisachPlays]) -> Sequence[PreisachPlays]:
-    for other in others:
+def _alike(model: PreisachPlays, alternatives: Sequence[PreisachPlays]) -> Sequence[PreisachPlays]:
+    for alternative in alternatives:
         if (
-            other.value_m.shape != model.value_m.shape
-            or other.step_V != model.step_V
-            or not np.array_equal(other.edge_V, model.edge_V)
+            alternative.value_m.shape != model.value_m.shape
+            or alternative.step_V != model.step_V
+            or not np.array_equal(alternative.edge_V, model.edge_V)
         ):
             raise ValueError("plays or edges of two operators differ, expected one lattice")
-    return others
+    return alternatives
 
 
 def _lattice(operator: PreisachPlays, reach_V: float) -> tuple[Array, Mask]:
-    """Return the places that the drive may have, and which of them each play may stand at.
+    """Return the drive levels of the lattice, and which of them each play can reach.
 
-    returned  (places,) V, and (plays, places); the reach is rounded up to the lattice
+    returned  (levels,) V, and (plays, levels); the reach is rounded up to the lattice
     """
     first_V, step_V = operator.edge_V[0], operator.step_V
     slack = 1e-9
     low = np.floor((-reach_V - first_V) / step_V + slack)
     high = np.ceil((reach_V - first_V) / step_V - slack)
-    place = np.arange(low, high + 1)
+    index = np.arange(low, high + 1)
     inward = np.arange(len(operator.value_m))
-    inward = np.minimum(inward, (len(place) - 1) // 2)[:, None]
-    return first_V + step_V * place, (place >= low + inward) & (place <= high - inward)
+    inward = np.minimum(inward, (len(index) - 1) // 2)[:, None]
+    return first_V + step_V * index, (index >= low + inward) & (index <= high - inward)
 
 
 def _values(operator: PreisachPlays, places_V: Array) -> Array:
@@ -134,22 +138,22 @@ def _greatest(value_m: Array, allowed: Mask) -> Array:
 
 
 def _branch_slopes(value_m: Array, allowed: Mask) -> Array:
-    """Return the rise a step of all branches, (2, plays, places - 1); NaN where there is none.
+    """Return the rise per step of all branches, (2, plays, levels - 1); NaN where undefined.
 
-    Up a branch at place k the play i stands at k - i, down it at k + i: the sum over those that
-    move, from the narrowest on.
+    On a rising branch at level k the play i has the state k - i, on a falling one k + i. Sums run
+    over the moving plays, from the narrowest on.
     """
-    found = []
-    for way in (1, -1):  # down is up, seen from the other end
-        rise_m = np.diff(value_m[:, ::way], axis=1) * way
-        free = (allowed[:, 1:] & allowed[:, :-1])[:, ::way]
-        plays, places = rise_m.shape
-        summed = np.full((plays, places), np.nan)
-        sum_m = np.zeros(places)
+    slopes = []
+    for direction in (1, -1):  # a falling branch is a rising one on the reversed lattice
+        rise_m = np.diff(value_m[:, ::direction], axis=1) * direction
+        free = (allowed[:, 1:] & allowed[:, :-1])[:, ::direction]
+        plays, steps = rise_m.shape
+        summed = np.full((plays, steps), np.nan)
+        sum_m = np.zeros(steps)
         for play in range(plays):
-            shifted_m = np.full(places, np.nan)
-            shifted_m[play:] = np.where(free[play], rise_m[play], np.nan)[: places - play]
+            shifted_m = np.full(steps, np.nan)
+            shifted_m[play:] = np.where(free[play], rise_m[play], np.nan)[: steps - play]
             sum_m = sum_m + shifted_m
             summed[play] = sum_m
-        found.append(summed)
-    return np.array(found)
+        slopes.append(summed)
+    return np.array(slopes)

@@ -76,16 +76,16 @@ class PreisachPlays:
     def slope_sector_m_per_V(self) -> tuple[float, float]:
         """Least and greatest increment gain: m <= dy/du <= M for every step of every input.
 
-        Behind a turn only phi_0 moves, and on a branch at u the plays up to some i, at u -+ r_i.
-        The greatest sums are found on the lattice on which functions bend.
+        After a reversal only phi_0 moves, and further along the branch the plays up to some i, at
+        u -+ r_i. The largest sums occur on the lattice of the breakpoints.
         """
         width = self.edge_V[1] - self.edge_V[0]
         reach = self.threshold_V[-1]
         middle = np.arange(self.edge_V[0] - reach, self.edge_V[-1] + reach, self.step_V)
         middle += 0.5 * self.step_V
         greatest = 0.0
-        for way in (-1.0, 1.0):
-            at = (middle[:, None] + way * self.threshold_V - self.edge_V[0]) / width
+        for side in (-1.0, 1.0):
+            at = (middle[:, None] + side * self.threshold_V - self.edge_V[0]) / width
             k = np.clip(at.astype(int), 0, len(self.edge_V) - 2)
             slopes = self.rise_m[np.arange(len(self.value_m)), k].sum(axis=1) / width
             greatest = max(greatest, float(slopes.max()))
@@ -107,11 +107,11 @@ class PreisachPlays:
         memory_V   (plays,)    V, admissible states before the first sample
         """
         u = contiguous(voltage_V - self.voltage_offset_V)
-        states, after = play_columns(u, self.threshold_V, memory_V)
-        moved = np.full(len(u), self.displacement_offset_m)
+        states, memory_after = play_columns(u, self.threshold_V, memory_V)
+        displacement = np.full(len(u), self.displacement_offset_m)
         for state, value in zip(states.T, self.value_m, strict=True):
-            moved += straight_between(state, self.edge_V, value)
-        return moved, after
+            displacement += straight_between(state, self.edge_V, value)
+        return displacement, memory_after
 
     def inverse_run(self, displacement_m: Array, memory_V: Array) -> tuple[Array, Array]:
         """Return the voltage that makes this displacement, and the memory after it.
@@ -119,31 +119,31 @@ class PreisachPlays:
         displacement_m  (samples,)  m
         memory_V        (plays,)    V, before the first sample
 
-        Halved until it is known to the last bit, since every branch rises.
+        Solved by bisection to the last bit, because every branch rises.
         """
-        wanted = contiguous(displacement_m - self.displacement_offset_m)
+        desired = contiguous(displacement_m - self.displacement_offset_m)
         state = np.array(memory_V, dtype=np.float64)
-        found = np.empty_like(wanted)
+        voltage = np.empty_like(desired)
         plays, edges = self.value_m.shape
         KERNELS.pk_valued_inverse(
-            len(wanted),
-            address(wanted),
+            len(desired),
+            address(desired),
             plays,
             self.step_V,
             edges,
             address(self.edge_V),
             address(contiguous(self.value_m)),
             address(state),
-            address(found),
+            address(voltage),
         )
-        return found + self.voltage_offset_V, state
+        return voltage + self.voltage_offset_V, state
 
 
 def straight_between(x: Array, edge: Array, value: Array) -> Array:
-    """Return a function straight between its values at edges, the outermost pieces going on."""
-    found = np.interp(x, edge, value)
+    """Interpolate linearly between edges, and extrapolate the outermost pieces."""
+    result = np.interp(x, edge, value)
     for beyond, end, inner in ((x < edge[0], 0, 1), (x > edge[-1], -1, -2)):
         if beyond.any():
             slope = (value[end] - value[inner]) / (edge[end] - edge[inner])
-            found[beyond] = value[end] + slope * (x[beyond] - edge[end])
-    return found
+            result[beyond] = value[end] + slope * (x[beyond] - edge[end])
+    return result

@@ -65,9 +65,9 @@ def _slope_at(operator: PrandtlIshlinskii, r: Array) -> Array:
 
 
 def _filled(sign: Array) -> Array:
-    """Give pieces where the operators agree the sign of a neighbour: no corner is needed there."""
-    known = np.flatnonzero(sign)
-    if known.size == 0:
+    """Replace zero signs by that of a neighbour: no corner is needed where operators agree."""
+    nonzero = np.flatnonzero(sign)
+    if nonzero.size == 0:
         return np.ones_like(sign)
-    nearest = known[np.clip(np.searchsorted(known, np.arange(len(sign))), 0, len(known) - 1)]
+    nearest = nonzero[np.clip(np.searchsorted(nonzero, np.arange(len(sign))), 0, len(nonzero) - 1)]
     return np.asarray(sign[nearest])

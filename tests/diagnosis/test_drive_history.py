@@ -23,7 +23,7 @@ from piezoid.diagnosis.residual_view import (
     with_tracks,
 )
 from piezoid.diagnosis.segments import Track
-from piezoid.operators.play import play_columns, way_to
+from piezoid.operators.play import play_columns, thinned_drive
 
 from .bench import healthy_view
 
@@ -61,7 +61,7 @@ def every_state(drive: np.ndarray, reversals: tuple[float, ...]) -> tuple[np.nda
 def test_states_at_rows_follow_from_rows_and_turns_alone(reversals) -> None:
     drive = drive_with_holds()
     place = track(drive).rows
-    assert len(way_to(drive, place)[0]) < len(place) + 60
+    assert len(thinned_drive(drive, place)[0]) < len(place) + 60
     plays, friction = every_state(drive, reversals)
     found = states_at(drive, reversals, place)
     np.testing.assert_array_equal(found[0], plays[place])

@@ -13,13 +13,13 @@ def test_results_come_in_the_order_of_what_was_asked(count) -> None:
     executor = Executor(threads=count)
     assert executor.map(lambda n: n * n, iter([3, 1, 2])) == [9, 1, 4]
     assert executor.map(str, []) == []
-    assert executor.both(lambda: "one", lambda: 2) == ("one", 2)
+    assert executor.run_both(lambda: "one", lambda: 2) == ("one", 2)
 
 
 def test_two_threads_work_at_the_same_time_and_one_does_not() -> None:
     together = threading.Barrier(2, timeout=10.0)
     Executor(threads=2).map(lambda _: together.wait(), range(2))
-    Executor(threads=2).both(together.wait, together.wait)
+    Executor(threads=2).run_both(together.wait, together.wait)
     threads = SERIAL.map(lambda _: threading.get_ident(), range(3))
     assert set(threads) == {threading.get_ident()}
 
@@ -43,7 +43,7 @@ def test_an_error_of_one_thread_reaches_the_caller(count) -> None:
     with pytest.raises(ZeroDivisionError):
         Executor(threads=count).map(lambda n: 1 / n, [1, 0, 2])
     with pytest.raises(ZeroDivisionError):
-        Executor(threads=count).both(lambda: 1, lambda: 1 // 0)
+        Executor(threads=count).run_both(lambda: 1, lambda: 1 // 0)
 
 
 def test_no_thread_is_refused() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import response, state_space_response
-from piezoid.numerics.zero_order_hold import fraction, held, realised, sample
+from piezoid.numerics.zero_order_hold import fraction, hold_matrices, realised, sample
 
 PERIOD_s = 50e-6
 ROUNDING = 1e-13
@@ -19,7 +19,7 @@ def oscillator(frequency_Hz: float, damping: float) -> tuple[Array, Array, Array
 
 def simulated(A: Array, B: Array, C: Array, u: Array, delay_s: float, fine: int) -> Array:
     """Step the continuous system in ``fine`` pieces of each period; the delay is whole pieces."""
-    step, drive = held(A, B, PERIOD_s / fine)
+    step, drive = hold_matrices(A, B, PERIOD_s / fine)
     late = round(delay_s / PERIOD_s * fine)
     pieces = np.concatenate([np.zeros(late), np.repeat(u, fine)])
     x, y = np.zeros(len(A)), np.empty(len(u))
@@ -83,7 +83,7 @@ def test_fraction_and_state_space_are_the_same_plant(samples):
 
 def test_holding_twice_is_holding_once_for_twice_as_long():
     A, B, _ = oscillator(630.0, 0.05)
-    once, drive = held(A, B, PERIOD_s)
-    twice, both = held(A, B, 2 * PERIOD_s)
+    once, drive = hold_matrices(A, B, PERIOD_s)
+    twice, both = hold_matrices(A, B, 2 * PERIOD_s)
     np.testing.assert_allclose(once @ once, twice, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(once @ drive + drive, both, rtol=1e-12)

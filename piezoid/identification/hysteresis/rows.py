@@ -16,7 +16,7 @@ from piezoid.identification.hysteresis.coordinates import Coordinates, operator_
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.numerics.arrays import Array
 from piezoid.operators.chain import Chain, Following, Samples
-from piezoid.operators.play import way_to
+from piezoid.operators.play import thinned_drive
 
 CHUNK = 1024  # rows written together: about what the second cache holds
 
@@ -93,7 +93,7 @@ def simulate(
     if forward.lag == "delay" and forward.sensor_Hz is None and is_sparse:
         whole_samples = int(np.floor(forward.lag_s * rate_Hz))
         part = forward.lag_s * rate_Hz - whole_samples
-        drive, nearest = _way(piece, np.maximum(sample - whole_samples, 0))
+        drive, nearest = _thinned_drive(piece, np.maximum(sample - whole_samples, 0))
         output, _ = forward.static(drive, memory, rate_Hz)
         output = (1.0 - part) * output[nearest] + part * output[np.maximum(nearest - 1, 0)]
     else:
@@ -102,9 +102,9 @@ def simulate(
     return np.asarray(output + zero_at(sample, piece, theta[coordinates.offset_slice(index)]))
 
 
-def _way(piece: Piece, samples: Samples) -> tuple[Array, Samples]:
+def _thinned_drive(piece: Piece, samples: Samples) -> tuple[Array, Samples]:
     """Return the drive thinned to its turns, some samples and those before, and their rows."""
-    return way_to(piece.drive, samples, before=True, turns=piece.turns)
+    return thinned_drive(piece.drive, samples, with_previous=True, turns=piece.turns)
 
 
 def zero_at(sample: Samples, piece: Piece, knots: Array) -> Array:
@@ -147,7 +147,7 @@ def rows_of(
     sample = piece.counting(stride)
     drive, source = piece.drive, np.maximum(sample - delay, 0)
     if chain.lag is None and chain.sensor is None and SPARSE * len(sample) < len(drive):
-        drive, source = _way(piece, source)
+        drive, source = _thinned_drive(piece, source)
     knots = theta[coordinates.offset_slice(index)]
     first = start = 0
     while start < len(sample):
