@@ -102,10 +102,9 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
     from rich.console import Console
 
     from piezoid.diagnosis.planning.plan_file import sentences
-    from piezoid.identification.extensions.linear_mode import LinearMode
 
     console = Console()
-    if axis.dynamics is None and not any(isinstance(e, LinearMode) for e in axis.extensions):
+    if not axis.has_dynamics:
         text = (
             f"No resonance or pole of axis {axis.axis} was fitted. If a controller is wanted, "
             "record a small chirp first, at the rate of the controller. The plan is about the "

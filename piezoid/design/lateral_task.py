@@ -144,21 +144,18 @@ def unseen(axis: AxisModel) -> Unseen:
             known=f"above {from_Hz:.4g} Hz, where recordings no longer show the response, no mode "
             f"adds more to it than {FURTHER_MODE:g} times the gain at rest",
         )
+    lowest_Hz, reason = UNTOLD_Hz, "no recording shows it and no data sheet was declared"
     if bandwidth is not None and bandwidth.stated_Hz is not None:
-        return Unseen(
-            from_Hz=bandwidth.stated_Hz / (1.0 + DECLARED_SPREAD),
-            peak=FIRST_MODE,
-            known=f"the first mode lies at the {bandwidth.stated_Hz:.4g} Hz of the data sheet or "
-            f"above, with at most {FIRST_MODE:g} times the gain at rest; no recording shows it",
-        )
-    reason = "no recording shows it and no data sheet was declared"
+        lowest_Hz = bandwidth.stated_Hz / (1.0 + DECLARED_SPREAD)
+        reason = f"the data sheet states {bandwidth.stated_Hz:.4g} Hz, and no recording shows it"
     if axis.unfitted_resonance_Hz is not None:
-        reason = "the recordings show a resonance that could not be fitted"
+        lowest_Hz = min(lowest_Hz, axis.unfitted_resonance_Hz / (1.0 + DECLARED_SPREAD))
+        reason = f"recordings show it near {axis.unfitted_resonance_Hz:.4g} Hz, not fitted"
     return Unseen(
-        from_Hz=UNTOLD_Hz,
+        from_Hz=lowest_Hz,
         peak=FIRST_MODE,
-        known=f"the first mode lies above {UNTOLD_Hz:g} Hz, and is no sharper than {FIRST_MODE:g} "
-        f"times the gain at rest: {reason}",
+        known=f"the first mode lies above {lowest_Hz:.4g} Hz, with at most {FIRST_MODE:g} times "
+        f"the gain at rest: {reason}",
     )
 
 

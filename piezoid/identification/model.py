@@ -139,18 +139,24 @@ class AxisModel:
         return self.hysteresis if self.minor_loops is None else self.minor_loops.operator
 
     @property
+    def has_dynamics(self) -> bool:
+        """Whether a resonance or a pole was fitted, to a response or by a diagnosis.
+
+        >>> model["x"].has_dynamics
+        False
+        """
+        is_mode = (isinstance(extension, LinearMode) for extension in self.extensions)
+        return self.dynamics is not None or any(is_mode)
+
+    @property
     def unfitted_resonance_Hz(self) -> float | None:
         """Frequency of a resonance that recordings show and the model lacks, or None.
 
         >>> model["x"].unfitted_resonance_Hz
         """
-        verdict = self.bandwidth
-        has_mode = self.dynamics is not None or any(
-            isinstance(extension, LinearMode) for extension in self.extensions
-        )
-        if verdict is None or verdict.kind != "resonance" or has_mode:
+        if self.bandwidth is None or self.has_dynamics:
             return None
-        return verdict.resonance_Hz
+        return self.bandwidth.resonance_Hz
 
     def without_loop_shape(self) -> "AxisModel":
         """Return the axis as plays with dead zones describe it.

@@ -8,7 +8,7 @@ import pytest
 from piezoid.design.design import SCHEMA, design_from_json
 from piezoid.design.design_stage import SpecificationText, design_stage
 from piezoid.design.hysteresis_bounds import draw_replicates
-from piezoid.design.lateral_task import LateralTask, lateral_task, relative_gain_half
+from piezoid.design.lateral_task import LateralTask, lateral_task, relative_gain_half, unseen
 from piezoid.design.specification import slowest_Hz
 from piezoid.digests import seal, unseal
 from piezoid.errors import DesignError, LabFileError, ParameterFileError, TemplateError
@@ -193,6 +193,17 @@ def test_without_a_fitted_pole_what_is_known_of_the_stage_is_named() -> None:
     for words, verdict in named:
         with pytest.raises(DesignError, match=words):
             lateral_task(replace(axis_model(), bandwidth=verdict), RATE_Hz)
+
+
+def test_no_first_mode_is_assumed_above_a_resonance_that_recordings_show() -> None:
+    unknown = unmeasured(None, "nothing was recorded")
+    visible = replace(unknown, kind="resonance", peak_ratio=12.0, peak_Hz=110.0)
+    stated = replace(visible, stated_Hz=630.0)
+    limits_Hz = [
+        unseen(replace(axis_model(), bandwidth=verdict)).from_Hz
+        for verdict in (unknown, replace(unknown, stated_Hz=660.0), visible, stated)
+    ]
+    assert limits_Hz == pytest.approx([200.0, 600.0, 100.0, 100.0])
 
 
 def test_a_missing_rate_and_a_missing_pole_are_stated_at_once() -> None:

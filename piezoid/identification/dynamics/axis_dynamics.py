@@ -24,7 +24,6 @@ from piezoid.identification.dynamics.joint_fit import fit_jointly
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
 from piezoid.identification.dynamics.response_validation import validate_response
-from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel
 from piezoid.records.frequency_response import FrequencyResponseRecord
@@ -205,8 +204,7 @@ def _with_recorded_dynamics(
         stated_Hz=stated_Hz,
     )
     if obstacle:
-        has_mode = any(isinstance(extension, LinearMode) for extension in axis.extensions)
-        verdict = unfitted(verdict, recording.name, obstacle, has_mode=has_mode)
+        verdict = unfitted(verdict, recording.name, obstacle, has_mode=axis.has_dynamics)
         return _with_remarks(replace(axis, bandwidth=verdict), verdict.text)
     return _with_bandwidth(axis, verdict)
 
@@ -250,8 +248,8 @@ def _obstacle(dynamics: LinearDynamics) -> str:
     band = f"between {dynamics.band_Hz[0]:.3g} and {dynamics.band_Hz[1]:.3g} Hz"
     if dynamics.cost_ratio > MAX_COST:
         text = (
-            f"{band} the best model misses it by {np.sqrt(dynamics.cost_ratio):.2g} times its "
-            f"uncertainty, at most {np.sqrt(MAX_COST):.2g} times are accepted"
+            f"{band} the best model misses the response by {np.sqrt(dynamics.cost_ratio):.2g} "
+            f"times its uncertainty, at most {np.sqrt(MAX_COST):.2g} times are accepted"
         )
         if dynamics.delay_s > 0.0:
             return text
