@@ -52,7 +52,7 @@ Samples = NDArray[np.intp]
 
 @dataclass(frozen=True, kw_only=True)
 class BaselineStep:
-    """One lasting step.
+    """One lasting step of the zero.
 
     first, last  samples before and behind it
     size         signed, in the unit of the reading
@@ -67,12 +67,12 @@ class BaselineStep:
 class RepeatedReadings:
     """Pairs of samples at which a stage with a constant zero would read the same.
 
-    before, after  (pairs,)  samples, after later
-    difference     (pairs,)  second reading less the first
+    earlier, later  (pairs,)  samples
+    difference      (pairs,)  later reading less the earlier one
     """
 
-    before: Samples
-    after: Samples
+    earlier: Samples
+    later: Samples
     difference: Array
 
     def unexplained(self, steps: Sequence[BaselineStep]) -> float:
@@ -88,11 +88,11 @@ class RepeatedReadings:
         for step in steps:
             spans |= self._spans(step)
         return RepeatedReadings(
-            before=self.before[spans], after=self.after[spans], difference=self.difference[spans]
+            earlier=self.earlier[spans], later=self.later[spans], difference=self.difference[spans]
         )
 
     def _spans(self, step: BaselineStep) -> NDArray[np.bool_]:
-        return np.asarray((self.before <= step.first) & (self.after >= step.last))
+        return np.asarray((self.earlier <= step.first) & (self.later >= step.last))
 
 
 def split_at_baseline_steps(recording: Recording) -> Recording:
@@ -247,9 +247,9 @@ def _outstanding_steps(reading: Array, drive: Array, width: int) -> list[Baselin
 
 
 def _readings_at_crossings(reading: Array, drive: Array) -> RepeatedReadings:
-    """Return successive crossings of one level of the drive in one direction."""
-    before: list[int] = []
-    after: list[int] = []
+    """Pair successive crossings of the same level of the drive in the same direction."""
+    first_samples: list[int] = []
+    second_samples: list[int] = []
     difference: list[float] = []
     low, range_ = float(drive.min()), float(np.ptp(drive))
     for share in LEVELS if range_ > 0.0 else ():
@@ -262,12 +262,12 @@ def _readings_at_crossings(reading: Array, drive: Array) -> RepeatedReadings:
             is_first = np.ones(len(samples), dtype=bool)
             is_first[1:] = np.diff(samples) > REST_BLOCK
             for first, second in pairwise(np.flatnonzero(is_first).tolist()):
-                before.append(int(samples[first]))
-                after.append(int(samples[second]))
+                first_samples.append(int(samples[first]))
+                second_samples.append(int(samples[second]))
                 difference.append(float(level[second] - level[first]))
     return RepeatedReadings(
-        before=np.array(before, dtype=np.intp),
-        after=np.array(after, dtype=np.intp),
+        earlier=np.array(first_samples, dtype=np.intp),
+        later=np.array(second_samples, dtype=np.intp),
         difference=np.array(difference),
     )
 
@@ -278,7 +278,7 @@ def _readings_at_rest(reading: Array) -> RepeatedReadings:
     means = reading[: count * REST_BLOCK].reshape(count, REST_BLOCK).mean(axis=1)
     middle = REST_BLOCK * np.arange(count) + REST_BLOCK // 2
     return RepeatedReadings(
-        before=middle[:-2], after=middle[2:], difference=means[2:] - means[:-2]
+        earlier=middle[:-2], later=middle[2:], difference=means[2:] - means[:-2]
     )
 
 

@@ -59,7 +59,7 @@ def read_thinned(
     recordings: list[Recording] = []
     for path in paths:
         progress(f"reading {path.name}")
-        source = replace(open_source(path, whole=False), text=lab.text_format_of(path))
+        source = replace(open_source(path, in_memory=False), text=lab.text_format_of(path))
         for entry in lab.entries_of(path) or (RecordingEntry(file=source.name),):
             file = _ThinnedFile(name=source.name, lab=lab, entry=entry, max_rows=max_rows)
             for table in read_table_in_chunks(source, max(chunk_rows, _MIN_CHUNK_ROWS)):
@@ -90,7 +90,7 @@ class _ThinnedFile:
         self._read = self._selected = self._chunks = self._pieces = 0
 
     def append(self, table: RawTable) -> None:
-        """Add the samples that ``ingest_table`` makes of the next chunk."""
+        """Ingest the next chunk and add its samples."""
         if self._assignment is None:
             self._assignment = assign_columns(table, self._lab, self._whole)
         has_numbers = _rows_with_numbers(table, self._assignment)
@@ -99,38 +99,38 @@ class _ThinnedFile:
             return
         parts = parts_of(table, self._lab, self._whole)
         if len(parts) > 1:
-            before, after = (ingest_table(part, self._lab, entry) for part, entry in parts[:2])
-            sample = self._read + before.samples
-            raise self._rate_changes(before.sampling_rate_Hz, after.sampling_rate_Hz, sample)
+            earlier, later = (ingest_table(part, self._lab, entry) for part, entry in parts[:2])
+            sample = self._read + earlier.samples
+            raise self._rate_changes(earlier.sampling_rate_Hz, later.sampling_rate_Hz, sample)
         recording = ingest_table(table, self._lab, self._whole)
         self._chunks += 1
         for statement in recording.statements:
-            place = statement.place if statement.quantity in _THROUGHOUT else ""
-            key = (statement.quantity, place)
+            location = statement.place if statement.quantity in _THROUGHOUT else ""
+            key = (statement.quantity, location)
             first, times = self._statements.get(key, (statement, 0))
             self._statements[key] = first, times + 1
         self._check_same(recording)
-        # A chunk begins with the last row of the one before.
+        # A chunk starts with the last row of the previous one.
         is_repeated = self._first is not None and bool(has_numbers[0])
         self._first = self._first or recording
         self._append_pieces(recording, skip=int(is_repeated))
         self._is_broken = not has_numbers[-1]
 
     def _append_pieces(self, recording: Recording, *, skip: int) -> None:
-        """Thin the pieces of a chunk, as far as they lie between start_s and stop_s."""
+        """Thin the pieces of a chunk between start_s and stop_s."""
         rate_Hz, entry = recording.sampling_rate_Hz, self._entry
         low = 0 if entry.start_s is None else max(0, round(entry.start_s * rate_Hz))
         high = sys.maxsize if entry.stop_s is None else round(entry.stop_s * rate_Hz) + 1
         edges = sorted({skip, *(b for b in recording.breaks if b > skip), recording.samples})
         for start, stop in pairwise(edges):
-            first, last = max(self._read, low), min(self._read + stop - start, high)
-            part = slice(start + first - self._read, start + last - self._read)
+            first, stop_sample = max(self._read, low), min(self._read + stop - start, high)
+            part = slice(start + first - self._read, start + stop_sample - self._read)
             self._read += stop - start
-            if first >= last:
+            if first >= stop_sample:
                 continue
             is_new = start in recording.breaks or start == 0 or not self._selected
             is_new |= start == skip and self._is_broken
-            self._selected += last - first
+            self._selected += stop_sample - first
             self._pieces += is_new
             if self._pieces > _MAX_PIECES:
                 raise RecordingError(
@@ -143,7 +143,7 @@ class _ThinnedFile:
                 self._thinnings.setdefault(axis, Thinning(self._max_rows)).append(
                     recording.voltage_V(axis)[part],
                     recording.displacement_m(axis)[part],
-                    begins=is_new,
+                    is_new_piece=is_new,
                 )
 
     def recordings(self) -> list[Recording]:

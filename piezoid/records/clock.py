@@ -66,7 +66,7 @@ class Clock:
     statements: tuple[Statement, ...] = ()
 
 
-def read_clock(time_s: Array, name: str, place: PlaceOf) -> Clock:
+def read_clock(time_s: Array, name: str, location: PlaceOf) -> Clock:
     """Find the sampling rate and the faults of a column of time stamps.
 
     time_s  (samples,)  s, finite
@@ -77,7 +77,7 @@ def read_clock(time_s: Array, name: str, place: PlaceOf) -> Clock:
     """
     if len(time_s) < 3:
         raise _no_clock(name, f"{len(time_s)} time stamps", "at least three")
-    refuse_newest_first(time_s, name, place)
+    refuse_newest_first(time_s, name, location)
     resolution_s = print_resolution_s(time_s)
     uniform_s = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
     if 0 < uniform_s < MIN_INTERVAL_s or uniform_s > MAX_INTERVAL_s:
@@ -88,7 +88,7 @@ def read_clock(time_s: Array, name: str, place: PlaceOf) -> Clock:
     if is_line and not _has_rare_jumps(time_s, resolution_s):
         uncertainty = 2 * tolerance_s / (time_s[-1] - time_s[0])
         return Clock(sampling_rate_Hz=plain_rate_Hz(1 / uniform_s, uncertainty), jitter_rms_s=0.0)
-    return _faulty_clock(time_s, resolution_s, name, place)
+    return _faulty_clock(time_s, resolution_s, name, location)
 
 
 def stated_clock(rate_Hz: float, name: str) -> Clock:
@@ -131,13 +131,13 @@ def print_resolution_s(time_s: Array) -> float:
     return 0.0
 
 
-def refuse_newest_first(time_s: Array, name: str, place: PlaceOf) -> None:
-    """Refuse stamps that run backwards: read so, every loop would open the wrong way."""
+def refuse_newest_first(time_s: Array, name: str, location: PlaceOf) -> None:
+    """Refuse stamps that run backwards: every loop would have the wrong orientation."""
     if len(time_s) < 3 or np.mean(np.diff(time_s) < 0) < MIN_BACKWARDS:
         return
     raise RecordingError(
-        f"{name}: time runs backwards, from {time_s[0]:.6g} s in {place(0)} to "
-        f"{time_s[-1]:.6g} s in {place(len(time_s) - 1)}: the newest row is the first",
+        f"{name}: time runs backwards, from {time_s[0]:.6g} s in {location(0)} to "
+        f"{time_s[-1]:.6g} s in {location(len(time_s) - 1)}: the newest row is the first",
         needed="rows in the order in which they were recorded",
         remedy="Write into lab.toml, which reverses the rows:\n\n[[recording]]\n"
         f"file = {json.dumps(name)}\nreverse = true\n",
@@ -177,22 +177,22 @@ class _Fault:
     rows: Stamps
     samples: int
 
-    def statement(self, time_s: Array, place: PlaceOf, addition: str = "") -> Statement:
-        """State how often it happens, and the first places."""
+    def statement(self, time_s: Array, location: PlaceOf, addition: str = "") -> Statement:
+        """State the number of faults and the first locations."""
         first = [
-            f"{place(k)}, t = {time_s[k]:.6g} s (step {time_s[k] - time_s[k - 1]:.6g} s)"
+            f"{location(k)}, t = {time_s[k]:.6g} s (step {time_s[k] - time_s[k - 1]:.6g} s)"
             for k in self.rows[:_MAX_PLACES].tolist()
         ]
         unlisted = len(self.rows) - _MAX_PLACES
         further = f" and {unlisted} more" if unlisted > 0 else ""
-        places = f"{len(self.rows)} places: {'; '.join(first)}{further}"
-        text, row = f"{self.sentence} at {places}{addition}", int(self.rows[0])
+        locations = f"{len(self.rows)} places: {'; '.join(first)}{further}"
+        text, row = f"{self.sentence} at {locations}{addition}", int(self.rows[0])
         samples = float(self.samples)
-        return finding(self.quantity, text, place=place(row), value=samples, unit="samples")
+        return finding(self.quantity, text, place=location(row), value=samples, unit="samples")
 
 
-def _faulty_clock(time_s: Array, resolution_s: float, name: str, place: PlaceOf) -> Clock:
-    """Return a clock with the faults of its stamps, or refuse stamps that share no interval."""
+def _faulty_clock(time_s: Array, resolution_s: float, name: str, location: PlaceOf) -> Clock:
+    """Return a clock with the faults of its stamps; refuse stamps without a common interval."""
     steps = np.diff(time_s)
     interval_s = _interval_s(time_s)
     spread_s = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
@@ -217,7 +217,7 @@ def _faulty_clock(time_s: Array, resolution_s: float, name: str, place: PlaceOf)
         _Fault("duplicate_time", "the time stamp is repeated", repeated, len(repeated)),
         _Fault("time_reversed", "the clock steps back", backward, int(returned.sum())),
     ]
-    _refuse_unaccounted_time(time_s, interval_s, faults, name, place)
+    _refuse_unaccounted_time(time_s, interval_s, faults, name, location)
     jitter_s, jitter = _jitter(steps, interval_s, max_excess_s, resolution_s)
     single = int(np.sum(missing == 1))
     bridged = f"; {single} of single samples, bridged by straight lines" if single else ""
@@ -228,7 +228,7 @@ def _faulty_clock(time_s: Array, resolution_s: float, name: str, place: PlaceOf)
         bridged=tuple(gaps[missing == 1].tolist()),
         statements=(
             *(
-                fault.statement(time_s, place, bridged if fault.quantity == "gap" else "")
+                fault.statement(time_s, location, bridged if fault.quantity == "gap" else "")
                 for fault in faults
                 if len(fault.rows)
             ),
@@ -238,14 +238,14 @@ def _faulty_clock(time_s: Array, resolution_s: float, name: str, place: PlaceOf)
 
 
 def _refuse_unaccounted_time(
-    time_s: Array, interval_s: float, faults: Sequence[_Fault], name: str, place: PlaceOf
+    time_s: Array, interval_s: float, faults: Sequence[_Fault], name: str, location: PlaceOf
 ) -> None:
     """Refuse stamps whose steps do not sum up to their span.
 
-    A repeated stamp may be one sample too many, or be made up for when the clock catches up.
+    A repeated stamp may be a surplus sample, or be compensated when the clock catches up.
     """
-    lost, repeated, returned = (fault.samples for fault in faults)
-    span, expected = (time_s[-1] - time_s[0]) / interval_s, len(time_s) - 1 + lost - returned
+    missing, repeated, returned = (fault.samples for fault in faults)
+    span, expected = (time_s[-1] - time_s[0]) / interval_s, len(time_s) - 1 + missing - returned
     tolerance = MAX_UNACCOUNTED * max(abs(span), expected) + SPARE_STEPS
     if not expected - repeated - tolerance <= span <= expected + tolerance:
         first = int(np.argmax(np.abs(np.diff(time_s) - interval_s) > 0.25 * interval_s)) + 1
@@ -253,7 +253,7 @@ def _refuse_unaccounted_time(
             name,
             f"most time steps are {interval_s:.6g} s, of which {expected} make "
             f"{expected * interval_s:.6g} s, while the stamps span "
-            f"{time_s[-1] - time_s[0]:.6g} s; the first other step is at {place(first)}",
+            f"{time_s[-1] - time_s[0]:.6g} s; the first other step is at {location(first)}",
             "samples at a uniform rate, or long stretches of one rate",
         )
 
@@ -292,19 +292,19 @@ def _interval_s(time_s: Array) -> float:
 def _gaps(time_s: Array, interval_s: float, max_excess_s: float) -> tuple[Stamps, Stamps]:
     """Return the first samples after missing time, and how many samples each gap lost.
 
-    A late stamp, or a clock catching up, is no gap: the time must stay lost over the samples
-    around the step, so the step is compared between spans of stamps, not between two stamps.
+    A late stamp, or a clock that catches up, is no gap: the time must be missing over the samples
+    around the step as well, so spans of several stamps are compared.
     """
     gaps, missing = [], []
     for k in (np.flatnonzero(np.diff(time_s) > interval_s + max_excess_s) + 1).tolist():
-        before = k - 1
-        while before > 0 and time_s[before - 1] == time_s[before]:
-            before -= 1
-        after = min(k + 1, len(time_s) - 1)
-        missing_s = time_s[after] - time_s[before] - (after - before) * interval_s
+        previous = k - 1
+        while previous > 0 and time_s[previous - 1] == time_s[previous]:
+            previous -= 1
+        following = min(k + 1, len(time_s) - 1)
+        missing_s = time_s[following] - time_s[previous] - (following - previous) * interval_s
         if missing_s > max_excess_s:
-            # Of two losses in a row, the next one is counted at its own place.
-            up_to_here_s = time_s[k] - time_s[before] - (k - before) * interval_s
+            # Of two gaps in a row, the next one is counted separately.
+            up_to_here_s = time_s[k] - time_s[previous] - (k - previous) * interval_s
             missing_s = min(missing_s, up_to_here_s, MAX_LOST * interval_s)
             gaps.append(k)
             missing.append(max(round(missing_s / interval_s), 1))
@@ -361,16 +361,18 @@ def stretches_of_one_rate(time_s: Array) -> tuple[slice, ...]:
 
 
 def _rate_changes(log_intervals: Array) -> list[int]:
-    """Return the first block of each further stretch whose interval differs and stays so."""
+    """Return the first block of each stretch whose interval changes lastingly."""
     changes: list[int] = []
     min_change = np.log(_MIN_RATE_CHANGE)
     if np.ptp(log_intervals) <= min_change:
         return changes
     begin = 0
     for block in range(1, len(log_intervals) - _MIN_BLOCKS + 1):
-        after = log_intervals[block : block + _MIN_BLOCKS] - np.median(log_intervals[begin:block])
-        is_lasting = np.ptp(after) < min_change / 2
-        if block - begin >= _MIN_BLOCKS and is_lasting and abs(after[0]) > min_change:
+        changes_after = log_intervals[block : block + _MIN_BLOCKS] - np.median(
+            log_intervals[begin:block]
+        )
+        is_lasting = np.ptp(changes_after) < min_change / 2
+        if block - begin >= _MIN_BLOCKS and is_lasting and abs(changes_after[0]) > min_change:
             changes.append(block)
             begin = block
     return changes

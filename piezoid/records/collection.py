@@ -62,14 +62,16 @@ class Collection(Summarised):
         return Summary(title="Recordings of one stage", rows=rows)
 
 
-def collection_of(given: object) -> Collection:
-    """Return what was passed for recordings as a collection, or refuse what is none.
+def collection_of(source: object) -> Collection:
+    """Convert recordings to a collection, or raise ``RecordingError``.
 
-    given  a Collection, a Recording, or several recordings
+    source  a Collection, a Recording, or several recordings
     """
-    if isinstance(given, Collection):
-        return given
-    several = [given] if isinstance(given, Recording) or not isinstance(given, Iterable) else given
+    if isinstance(source, Collection):
+        return source
+    several = (
+        [source] if isinstance(source, Recording) or not isinstance(source, Iterable) else source
+    )
     recordings: list[Recording] = []
     for recording in several:
         if not isinstance(recording, Recording):

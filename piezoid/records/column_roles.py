@@ -92,7 +92,7 @@ _AXES = ("x", "y", "z")
 
 
 def meaning_of(heading: Heading) -> Meaning:
-    """Return what a column is by its name, or by its unit if the name does not say.
+    """Return the role of a column by its name, or else by its unit.
 
     A name and a unit that contradict each other are resolved in columns.py, with the sensor gain
     that lab.toml may declare.
@@ -102,16 +102,16 @@ def meaning_of(heading: Heading) -> Meaning:
     is_abscissa = dimension is Dimension.TIME and words <= _ABSCISSA_WORDS
     if is_abscissa or (words & _TIME_WORDS and dimension in (None, Dimension.TIME)):
         return Meaning(role=Role.TIME)
-    named = [quantity for quantity, names in _NAME_WORDS.items() if words & names]
+    quantities = [quantity for quantity, names in _NAME_WORDS.items() if words & names]
     other_words = words & _OTHER_WORDS
     if other_words and not (dimension is Dimension.VOLTAGE and "command" in other_words):
         return _unread(
             f"named {min(other_words)!r}: neither applied to the stage nor measured on it"
         )
-    if named == [Quantity.VOLTAGE, Quantity.DISPLACEMENT]:
-        named = [Quantity.DISPLACEMENT]  # ``sensor voltage``: a position that comes as volts
-    if len(named) == 1:
-        return Meaning(role=Role.CHANNEL, quantity=named[0], axis=axis, by_name=True)
+    if quantities == [Quantity.VOLTAGE, Quantity.DISPLACEMENT]:
+        quantities = [Quantity.DISPLACEMENT]  # ``sensor voltage``: a position that comes as volts
+    if len(quantities) == 1:
+        return Meaning(role=Role.CHANNEL, quantity=quantities[0], axis=axis, by_name=True)
     return _from_unit(dimension, axis, heading)
 
 

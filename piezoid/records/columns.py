@@ -81,7 +81,7 @@ def assign_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Assignme
         table, entry, [(c, meaning) for c, meaning in meanings if meaning.role is Role.CHANNEL]
     )
     if len(clocks) > 1:
-        raise ambiguous_columns(table, f"{_places(clocks)} are both a time")
+        raise ambiguous_columns(table, f"{_locations(clocks)} are both a time")
     if not channels:
         raise ambiguous_columns(table, "no column is a drive voltage or a displacement")
     statements: list[Statement] = []
@@ -98,7 +98,7 @@ def assign_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Assignme
 def _unwrapped(
     table: RawTable, time: AssignedColumn, statements: list[Statement]
 ) -> AssignedColumn:
-    """Return stamps that continue where a counter of 16, 24 or 32 bits overflowed.
+    """Unwrap time stamps of a counter of 16, 24 or 32 bits.
 
         t_k <- t_k + 2^bits * tick * (overflows up to k)
 
@@ -108,28 +108,28 @@ def _unwrapped(
     """
     stamped = np.flatnonzero(np.isfinite(time.values))
     steps_s = np.diff(time.values[stamped])
-    back = np.flatnonzero(steps_s < 0)
+    backward = np.flatnonzero(steps_s < 0)
     interval_s = float(np.median(steps_s)) if len(steps_s) else 0.0
-    if not len(back) or not interval_s > 0:
+    if not len(backward) or not interval_s > 0:
         return time
-    last_s, first_s = time.values[stamped[back]], time.values[stamped[back + 1]]
+    last_s, first_s = time.values[stamped[backward]], time.values[stamped[backward + 1]]
     max_miss_s = _MAX_MISS * interval_s
     for tick_s, bits in itertools.product((time.unit.factor, *_TICKS_s), _BITS):
         period_s = 2.0**bits * tick_s
-        continues = np.abs(steps_s[back] + period_s - interval_s) < max_miss_s
+        continues = np.abs(steps_s[backward] + period_s - interval_s) < max_miss_s
         for low_s in (0.0, -period_s / 2):
-            begins = np.abs(first_s - low_s) < max_miss_s
-            ends = np.abs(last_s - low_s - period_s) < max_miss_s
-            if (continues & begins & ends).all():
-                rows = stamped[back + 1]
+            starts_low = np.abs(first_s - low_s) < max_miss_s
+            ends_high = np.abs(last_s - low_s - period_s) < max_miss_s
+            if (continues & starts_low & ends_high).all():
+                rows = stamped[backward + 1]
                 overflows_s = np.zeros(len(time.values))
                 overflows_s[rows] = period_s
-                place = table.place_of_row(int(rows[0]))
+                location = table.place_of_row(int(rows[0]))
                 text = (
                     f"The clock is a {bits}-bit counter that overflows {len(rows)} times, first "
-                    f"at {place}."
+                    f"at {location}."
                 )
-                statements.append(finding("wrapped_clock", text, place=place))
+                statements.append(finding("wrapped_clock", text, place=location))
                 return replace(time, values=time.values + np.cumsum(overflows_s))
     return time
 
@@ -137,8 +137,8 @@ def _unwrapped(
 def _from_headings(table: RawTable) -> Meanings:
     """Return the columns with numbers and their meaning by name and unit.
 
-    A column that only its unit makes a drive or response yields to one that is named so: in
-    ``voltage [V], position [um], Monitor [V]`` the monitor is one more column in volts.
+    A column that is a drive or response only by its unit yields to one that is named so: in
+    ``voltage [V], position [um], Monitor [V]`` the monitor is not a drive.
     """
     meanings = [
         (column, meaning)
@@ -146,12 +146,12 @@ def _from_headings(table: RawTable) -> Meanings:
         if np.isfinite(column.values).any()
         and (meaning := meaning_of(column.heading)).role is not Role.UNREAD
     ]
-    named = {(m.quantity, m.axis) for _, m in meanings if m.by_name}
-    quantities = {quantity for quantity, _ in named}
+    by_name = {(m.quantity, m.axis) for _, m in meanings if m.by_name}
+    quantities = {quantity for quantity, _ in by_name}
 
     def yields(m: Meaning) -> bool:
         by_unit = m.role is Role.CHANNEL and not m.by_name and m.quantity in quantities
-        return by_unit and (m.axis is None or (m.quantity, m.axis) in named)
+        return by_unit and (m.axis is None or (m.quantity, m.axis) in by_name)
 
     return [(column, m) for column, m in meanings if not yields(m)]
 
@@ -221,14 +221,14 @@ def _with_axes(
     in_volts = [c for c, m in channels if m.quantity is Quantity.VOLTAGE and not m.by_name]
     if in_volts and not has_response:
         raise ambiguous_columns(
-            table, f"{_places(in_volts)} in volts may be a drive or a sensor's output"
+            table, f"{_locations(in_volts)} in volts may be a drive or a sensor's output"
         )
     default = _default_axis(table, entry, [(quantity, axis) for _, quantity, axis in parts])
     columns: dict[tuple[Quantity, str], Column] = {}
     for column, quantity, axis in parts:
         key = (quantity, axis or default)
         if key in columns:
-            pair = _places([columns[key], column])
+            pair = _locations([columns[key], column])
             raise ambiguous_columns(
                 table, f"{pair} both claim to be the {quantity.name.lower()} of {key[1]}"
             )
@@ -239,18 +239,18 @@ def _with_axes(
 def _default_axis(
     table: RawTable, entry: RecordingEntry, parts: Sequence[tuple[Quantity, str | None]]
 ) -> str:
-    """Return the axis of columns that name none: the entry's, else the file's only one, else x."""
+    """Return the axis of columns without one: of the entry, the only one of the file, or x."""
     if entry.axis is not None:
         return entry.axis
-    named = sorted({axis for q, axis in parts if axis is not None and q in _LOOP_QUANTITIES})
+    named_axes = sorted({axis for q, axis in parts if axis is not None and q in _LOOP_QUANTITIES})
     unnamed = [q for q, axis in parts if axis is None and q in _LOOP_QUANTITIES]
     with_axis = {q for q, axis in parts if axis is not None}
-    if len(named) == 1 and not with_axis & set(unnamed):
-        return named[0]
-    if len(named) > 1 and unnamed and "x" in named:
+    if len(named_axes) == 1 and not with_axis & set(unnamed):
+        return named_axes[0]
+    if len(named_axes) > 1 and unnamed and "x" in named_axes:
         kinds = ", ".join(quantity.name.lower() for quantity in unnamed)
         raise ambiguous_columns(
-            table, f"the file names the axes {', '.join(named)}, but not that of {kinds}"
+            table, f"the file names the axes {', '.join(named_axes)}, but not that of {kinds}"
         )
     return "x"
 
@@ -388,14 +388,14 @@ def _count_size(lab: Lab, quantity: Quantity, axis: str) -> tuple[str, str]:
     )
 
 
-def _places(columns: Sequence[Column]) -> str:
+def _locations(columns: Sequence[Column]) -> str:
     return " and ".join(column.place for column in columns)
 
 
-def ambiguous_columns(table: RawTable, found: str) -> UnitError:
-    """Return the error that shows the columns and the lines of lab.toml that would decide."""
+def ambiguous_columns(table: RawTable, problem: str) -> UnitError:
+    """Return an error with the columns and the lines of lab.toml that resolve the ambiguity."""
     return UnitError(
-        f"{table.name}: {found} (seen: {first_values(table)})",
+        f"{table.name}: {problem} (seen: {first_values(table)})",
         needed="one meaning, one axis and one unit for every column that is read",
         remedy="Write into lab.toml, with the headings or numbers (from 1) and units of your "
         f"columns:\n\n{entry_template(table)}\n",

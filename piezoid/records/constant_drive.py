@@ -31,47 +31,47 @@ def is_at_rest(recording: Recording, axis: str) -> bool:
 
 
 def follows(drive: Array, response: Array) -> bool:
-    """Return whether a response follows the steps of a drive, however little.
+    """Tell whether a response follows the steps of a drive, however little.
 
-    It correlates more after a step than before it, or by more than hum in both channels could.
+    It correlates more after a step than before it, or more than common hum could.
     """
-    spread, after, count = _correlations(drive, response)
+    spread, forward, count = _correlations(drive, response)
     error = sqrt(8.0 * LAGS) / count  # neighbours share a sample: twice that of white signals
-    largest = float(np.abs(after).max())
+    largest = float(np.abs(forward).max())
     return spread > STANDARD_ERRORS * error or largest > max(
         MIN_CORRELATION, STANDARD_ERRORS / sqrt(count)
     )
 
 
 def answers(drive: Array, response: Array) -> bool:
-    """Return whether the steps of a response are, to a large part, the answer to those of a drive.
+    """Tell whether the steps of a response are mostly caused by those of a drive.
 
-    Under feedback the drive takes up what the sensor reads, and the stage follows a sample later:
-    r(1) = - r(0), whose product is taken off. Of a drive drawn anew at every sample, whose own
-    steps correlate by - 1/2, the answer looks like that, and no servo's drive is.
+    Under feedback the drive contains the noise of the sensor, and the stage follows one sample
+    later: r(1) = - r(0), whose product is subtracted. White drives, whose steps correlate by
+    - 1/2, give the same correlation without feedback and are exempt.
     """
-    spread, after, count = _correlations(drive, response)
+    spread, forward, count = _correlations(drive, response)
     steps = np.diff(drive)
     is_white = float(steps[1:] @ steps[:-1]) < MAX_WHITE * float(steps @ steps)
-    returned = 0.0 if is_white else max(0.0, -float(after[0] * after[1]))
+    returned = 0.0 if is_white else max(0.0, -float(forward[0] * forward[1]))
     threshold = max(MIN_SPREAD, STANDARD_ERRORS * sqrt(8.0 * LAGS) / count)
-    return spread - returned > threshold or float(after[0]) ** 2 - returned > MIN_AT_ONCE
+    return spread - returned > threshold or float(forward[0]) ** 2 - returned > MIN_AT_ONCE
 
 
 def _correlations(drive: Array, response: Array) -> tuple[float, Array, int]:
     """Return the sum of squares after less before, r(0) ... r(LAGS), and the number of steps.
 
-    A mode spreads what follows over many lags. The squares of all of them are summed,
+    A mode spreads the response over many lags. The squares of all lags are summed,
 
         sum of r(l)^2, l = 1 ... LAGS,   less the same of r(-l)
 
-    whose second half is the placebo: hum that both channels read correlates either way.
+    where the second term is a placebo: common hum correlates in both directions.
     """
     steps, answer = np.diff(drive), np.diff(response)
     size = sqrt(float(steps @ steps) * float(answer @ answer))
     count = max(len(steps), 1)
     if size == 0.0 or count <= LAGS:
         return 0.0, np.zeros(LAGS + 1), count
-    after = np.array([steps[: count - lag] @ answer[lag:] for lag in range(LAGS + 1)]) / size
-    before = np.array([answer[: count - lag] @ steps[lag:] for lag in range(1, LAGS + 1)]) / size
-    return float(after[1:] @ after[1:] - before @ before), after, count
+    forward = np.array([steps[: count - lag] @ answer[lag:] for lag in range(LAGS + 1)]) / size
+    backward = np.array([answer[: count - lag] @ steps[lag:] for lag in range(1, LAGS + 1)]) / size
+    return float(forward[1:] @ forward[1:] - backward @ backward), forward, count

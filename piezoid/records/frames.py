@@ -205,18 +205,18 @@ def _recording(columns: Sequence[tuple[str, str, Array]], entry: RecordingEntry)
     return with_checks(ingest_table(table, Lab(), entry), Lab())
 
 
-def _samples(given: ArrayLike, place: str) -> Array:
+def _samples(data: ArrayLike, name: str) -> Array:
     try:
-        values = np.asarray(given, dtype=np.float64)
+        values = np.asarray(data, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise RecordingError(
-            f"{place} is {type(given).__name__} that holds other things than numbers ({error})",
+            f"{name} is {type(data).__name__} that holds other things than numbers ({error})",
             needed="one number for each sample",
             remedy="Pass an array of real numbers.",
         ) from error
     if values.ndim != 1:
         raise RecordingError(
-            f"{place} has shape {values.shape}",
+            f"{name} has shape {values.shape}",
             needed="one number for each sample, shape (samples,)",
             remedy="Pass each channel as an array of its own.",
         )
@@ -279,12 +279,12 @@ def _index(frame: "DataFrame", name: str) -> list[tuple[str, Array]]:
 def _columns(
     frame: "DataFrame", headings: list[str], named: set[str], name: str
 ) -> list[tuple[str, Array]]:
-    """Return the numeric columns, or refuse one without numbers that would have been read."""
+    """Return the numeric columns; refuse a column of another type that has a role."""
     from pandas.api.types import is_bool_dtype, is_numeric_dtype, is_timedelta64_dtype
 
     arrays = []
-    for place, heading in enumerate(headings):
-        column: Any = frame.iloc[:, place]
+    for index, heading in enumerate(headings):
+        column: Any = frame.iloc[:, index]
         is_time = meaning_of(heading_of(heading)).role is Role.TIME
         if is_timedelta64_dtype(column.dtype) and is_time:
             arrays.append((f"{heading} [s]", _samples(column.dt.total_seconds(), heading)))
@@ -294,7 +294,7 @@ def _columns(
             )
         elif heading in named or meaning_of(heading_of(heading)).role is not Role.UNREAD:
             raise RecordingError(
-                f"{name}: column {place + 1} {heading!r} is of type {column.dtype}",
+                f"{name}: column {index + 1} {heading!r} is of type {column.dtype}",
                 needed="numbers",
                 remedy="Convert it with pandas.to_numeric, or leave the column out.",
             )

@@ -95,8 +95,10 @@ class FrequencyResponseRecord:
         if not pairs or len(set(pairs)) < len(pairs):
             raise ValueError(f"paths are {pairs}, expected at least one, each once")
         for path in self.paths:
-            if (found := len(path.response_m_per_V)) != lines:
-                raise ValueError(f"{path.output}{path.drive} has {found} lines, expected {lines}")
+            if (path_lines := len(path.response_m_per_V)) != lines:
+                raise ValueError(
+                    f"{path.output}{path.drive} has {path_lines} lines, expected {lines}"
+                )
         if unknown := set(self.includes) - set(CHAIN):
             raise ValueError(f"includes names {sorted(unknown)}, expected some of {CHAIN}")
 
@@ -111,6 +113,6 @@ class FrequencyResponseRecord:
         return replace(self, paths=paths, axis_is_named=True)
 
     def path(self, output: str, drive: str) -> ResponsePath | None:
-        """Return one path, None where it was not measured."""
-        held = [p for p in self.paths if (p.output, p.drive) == (output, drive)]
-        return held[0] if held else None
+        """Return one path, or None if it was not measured."""
+        matches = [p for p in self.paths if (p.output, p.drive) == (output, drive)]
+        return matches[0] if matches else None

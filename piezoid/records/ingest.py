@@ -72,7 +72,7 @@ def with_checks(recording: Recording, lab: Lab) -> Recording:
 
 
 def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[Part, ...]:
-    """Cut a table where its sampling rate changes; each part is read by itself.
+    """Cut a table where its sampling rate changes, to read each part as a recording.
 
     returned  table and entry of each recording: the name of a part ends in ``(part 1 of 3)``, and
               its start_s and stop_s count from its own first sample
@@ -93,13 +93,13 @@ def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[P
     if entry is not None and entry.reverse:
         table, entry = table.reversed(), structs.replace(entry, reverse=False)
     starts = [0, *(int(stamped[stretch.start]) for stretch in stretches[1:])]
-    places = ", ".join(
+    locations = ", ".join(
         f"{table.place_of_row(row)} (t = {stamps_s[stretch.start]:.6g} s)"
         for row, stretch in zip(starts, stretches, strict=True)
     )
     text = (
-        f"The sampling rate changes: {len(stretches)} stretches begin at {places}; each is read "
-        "as a recording."
+        f"The sampling rate changes: {len(stretches)} stretches begin at {locations}; each is "
+        "read as a recording."
     )
     statement = finding("several_rates", text, place=table.place_of_row(starts[1]))
     parts: list[Part] = []
@@ -204,7 +204,7 @@ def _channels(
                     readings,
                     values[k],
                     is_invalid[k],
-                    place=assigned.column.place,
+                    column=assigned.column.place,
                     unit=assigned.unit,
                     place_of=lambda k: table.place_of_row(rows.source_row(k)),
                 )
@@ -232,10 +232,10 @@ _LENGTHS_m = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
 def _refuse_impossible_sizes(
     table: RawTable, assignment: Assignment, channels: Sequence[Channel]
 ) -> None:
-    """Refuse a motion or a voltage of a size that no laboratory has: its unit is another one."""
-    used = [assigned for assigned in assignment.channels if assigned.quantity is not None]
+    """Refuse a motion or voltage of impossible size, which indicates a wrong unit."""
+    read_columns = [assigned for assigned in assignment.channels if assigned.quantity is not None]
     driven = {c.axis for c in channels if c.quantity is Quantity.VOLTAGE and np.ptp(c.values) > 0}
-    for assigned, channel in zip(used, channels, strict=True):
+    for assigned, channel in zip(read_columns, channels, strict=True):
         low, high = _POSSIBLE.get(channel.quantity, (0.0, np.inf))
         size = float(np.ptp(channel.values))
         is_moved = channel.quantity is Quantity.VOLTAGE or channel.axis in driven
@@ -258,18 +258,18 @@ def _refuse_impossible_sizes(
 
 
 def _select_axis(
-    entry: RecordingEntry, channels: Sequence[Channel], place: str
+    entry: RecordingEntry, channels: Sequence[Channel], lab_file: str
 ) -> tuple[str, list[Statement]]:
-    """Return the axis a recording is about, with a statement if it was chosen among several.
+    """Return the axis of a recording, with a statement if it was chosen among several.
 
-    It is the axis of the entry, else the one with drive and displacement that is driven the most.
+    It is the axis of the entry, else the axis with drive and displacement whose drive moves most.
     """
     axes = sorted({c.axis for c in channels})
     if entry.axis is not None:
         if entry.axis not in axes:
             raise LabFileError(
-                f"{place}: {entry.file} is said to be about axis {entry.axis!r}, its columns are "
-                f"of {', '.join(axes)}",
+                f"{lab_file}: {entry.file} is said to be about axis {entry.axis!r}, its columns "
+                f"are of {', '.join(axes)}",
                 needed="an axis one of its columns belongs to",
                 remedy="Correct the axis, or name the columns.",
             )

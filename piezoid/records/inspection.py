@@ -269,7 +269,7 @@ def _summary(
         noise_rms=None if is_noise_unknown else noise_rms(numbers),
         step=0.0 if is_empty else step_size(numbers),
         is_dead=not is_empty and is_dead(numbers),
-        clipped=clipped_share(numbers, rest=0.0 if si_unit == "V" else None),
+        clipped=clipped_share(numbers, idle_value=0.0 if si_unit == "V" else None),
         missing=int(np.count_nonzero(~np.isfinite(column.values))),
     )
 

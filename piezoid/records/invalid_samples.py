@@ -340,7 +340,7 @@ def invalid_statement(
     values: Array,
     invalid: Mask,
     *,
-    place: str,
+    column: str,
     unit: Unit,
     place_of: Callable[[int], str],
 ) -> Statement:
@@ -348,9 +348,9 @@ def invalid_statement(
 
     values    (samples,)  of the column, as the file holds them
     invalid   (samples,)  these readings and those of other kinds
-    place     how messages call the column
+    column    name of the column in messages
     unit      of the values
-    place_of  how messages call a sample: its line or row
+    place_of  name of a sample in messages: its line or row
     """
     samples, total = readings.samples, len(values)
     levels = " and ".join(f"{x:.6g}" for x in np.unique(values[samples]).tolist())
@@ -368,9 +368,9 @@ def invalid_statement(
     further = f" and {len(labels) - MAX_PLACES} more" if len(labels) > MAX_PLACES else ""
     deviation = np.abs(values - interpolated(values, invalid))[samples]
     text = (
-        f"{place} {appearance}, {len(samples)} times ({100 * len(samples) / total:.2g} % of the "
+        f"{column} {appearance}, {len(samples)} times ({100 * len(samples) / total:.2g} % of the "
         f"samples), at {', '.join(labels[:MAX_PLACES])}{further}: left out as invalid."
     )
     quantity = "saturated" if readings.kind == "clipped" else "lost_readings"
     value = float(deviation.max()) * abs(unit.factor)
-    return finding(quantity, text, place=place, value=value, unit="m")
+    return finding(quantity, text, place=column, value=value, unit="m")

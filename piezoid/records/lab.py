@@ -272,7 +272,7 @@ def read_lab(path: Path) -> Lab:
 
 
 def _check_tables(lab: Lab) -> None:
-    """Refuse numbers, ranges and names that no laboratory has."""
+    """Refuse impossible numbers, ranges and names."""
     tables: list[tuple[str, Table]] = [
         ("[amplifier]", lab.amplifier),
         ("[actuator]", lab.actuator),
@@ -288,43 +288,43 @@ def _check_tables(lab: Lab) -> None:
     for heading, table in tables:
         _check_numbers(f"{lab.place}: {heading}", table)
     for entry in lab.recordings:
-        place = f"{lab.place}: [[recording]] {entry.file!r}"
-        _check_numbers(place, entry)
-        check_range(place, "start_s, stop_s", entry.start_s, entry.stop_s)
+        location = f"{lab.place}: [[recording]] {entry.file!r}"
+        _check_numbers(location, entry)
+        check_range(location, "start_s, stop_s", entry.start_s, entry.stop_s)
         if "\0" in entry.file:
-            raise lab_error(f"{place} holds a zero character", "the name of a file")
+            raise lab_error(f"{location} holds a zero character", "the name of a file")
         mark = "," if entry.separator is None else entry.separator
         if len(mark) != 1 or mark.isalnum() or mark == ".":
             needed = 'one character, as ";", "\\t" or " " for any white space'
-            raise lab_error(f"{place} separator is {mark[:20]!r}", needed)
+            raise lab_error(f"{location} separator is {mark[:20]!r}", needed)
 
 
-def _check_numbers(place: str, table: Table) -> None:
+def _check_numbers(location: str, table: Table) -> None:
     for key in table.__struct_fields__:
         value = getattr(table, key)
         numbers = value.values() if isinstance(value, dict) else value
         for number in numbers if isinstance(value, dict | tuple) else (value,):
-            check_number(place, key, number)
+            check_number(location, key, number)
         if isinstance(value, tuple) and key in ("input_range_V", "barrier_range_eV"):
-            check_range(place, key, *value)
+            check_range(location, key, *value)
     if isinstance(table, Amplifier):
-        check_range(place, "output", table.output_min_V, table.output_max_V)
+        check_range(location, "output", table.output_min_V, table.output_max_V)
 
 
 def _check_dependent(lab: Lab) -> None:
-    """Refuse a key that would be ignored because another one is missing."""
+    """Refuse a key that has no effect because another key is missing."""
     axes = lab.coupled.axes
     if len(set(axes)) != len(axes) or len(axes) == 1:
-        found = f"{lab.place}: [coupled] axes are {list(axes)}"
-        raise lab_error(found, "two axes or more, each once")
+        problem = f"{lab.place}: [coupled] axes are {list(axes)}"
+        raise lab_error(problem, "two axes or more, each once")
     converter = lab.acquisition
     for key in ("dac_bits", "adc_bits"):
         if getattr(converter, key) is not None and converter.input_range_V is None:
-            found = f"{lab.place}: [acquisition] declares {key} and no input_range_V"
-            raise lab_error(found, "input_range_V = [low, high], the volts of all codes")
+            problem = f"{lab.place}: [acquisition] declares {key} and no input_range_V"
+            raise lab_error(problem, "input_range_V = [low, high], the volts of all codes")
     if lab.coupled.settling_periods != Coupled().settling_periods and not axes:
-        found = f"{lab.place}: [coupled] declares settling_periods and no axes"
-        raise lab_error(found, "the names of the axes that are coupled")
+        problem = f"{lab.place}: [coupled] declares settling_periods and no axes"
+        raise lab_error(problem, "the names of the axes that are coupled")
     for name, rig in lab.axes.items():
         for key in ("output_min_V", "output_max_V", "slew_V_per_s"):
             common, of_axis = getattr(lab.amplifier, key), getattr(rig.amplifier, key, None)

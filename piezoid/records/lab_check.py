@@ -30,34 +30,34 @@ _RANGES = {
 }
 
 
-def check_number(place: str, key: str, value: object) -> None:
-    """Refuse a number that cannot be what its name says; anything else passes."""
+def check_number(location: str, key: str, value: object) -> None:
+    """Refuse a number outside the range of its quantity; other types pass."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return
-    # Whole numbers of TOML have any length: neither a float nor a text is made of them here.
+    # Integers of TOML have any length: do not convert them to a float or a text.
     if not (value == 0 or _SMALLEST <= abs(value) <= _LARGEST):
         number = value if isinstance(value, float) else "a number of very many digits"
         needed = f"a number, zero, or between {_SMALLEST:.0e} and {_LARGEST:.0e}"
-        raise lab_error(f"{place} {key} is {number}", needed)
+        raise lab_error(f"{location} {key} is {number}", needed)
     if key in _NOT_ZERO and value == 0:
-        raise lab_error(f"{place} {key} is zero", "a number that is not zero")
+        raise lab_error(f"{location} {key} is zero", "a number that is not zero")
     low, high, needed = _RANGES.get(
         key, _RANGES.get(key.rpartition("_")[2], (-_LARGEST, _LARGEST, ""))
     )
     if not low <= value <= high:
-        raise lab_error(f"{place} {key} is {value}", needed)
+        raise lab_error(f"{location} {key} is {value}", needed)
 
 
-def check_range(place: str, name: str, low: float | None, high: float | None) -> None:
-    """Refuse a range that does not ascend."""
+def check_range(location: str, name: str, low: float | None, high: float | None) -> None:
+    """Refuse a range whose limits are not increasing."""
     if low is not None and high is not None and not low < high:
-        raise lab_error(f"{place} {name} goes from {low} to {high}", "a range that ascends")
+        raise lab_error(f"{location} {name} goes from {low} to {high}", "a range that ascends")
 
 
-def lab_error(found: str, needed: str) -> LabFileError:
-    """Return the error of a lab.toml; ``found`` begins with the name of the file."""
+def lab_error(problem: str, needed: str) -> LabFileError:
+    """Return an error in lab.toml; ``problem`` starts with the name of the file."""
     return LabFileError(
-        found,
+        problem,
         needed=needed,
         remedy="Correct it; every table and name is listed in the documentation of lab.toml.",
     )

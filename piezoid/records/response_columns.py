@@ -15,7 +15,7 @@ from piezoid.records.column_roles import meaning_of
 from piezoid.records.columns import clocks_of, first_values, missing_column
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.recording import Quantity
-from piezoid.records.response_units import AMPLITUDES, Kind, bare, unit_in_heading
+from piezoid.records.response_units import AMPLITUDES, Kind, base_name, unit_in_heading
 from piezoid.records.table import Column, RawTable
 
 _GAINS = AMPLITUDES | {Kind.DECIBEL}
@@ -89,7 +89,7 @@ def is_response(table: RawTable, entry: RecordingEntry | None) -> bool:
 
 
 def response_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> ResponseColumns:
-    """Decide what every column is, or refuse with what was seen and what to write."""
+    """Assign a role to each column, or refuse with the columns and the lines to write."""
     _check_entry(lab, entry)
     clocks = clocks_of(table)
     if clocks and not entry.columns:
@@ -107,11 +107,11 @@ def response_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Respon
         if part != "frequency":
             first = paths.setdefault(pair, {}).setdefault(part, column)
             if first is not column:
-                places = f"{first.place} and {column.place}"
-                raise ambiguous_response(table, f"{places} both claim to be the {part}")
+                locations = f"{first.place} and {column.place}"
+                raise ambiguous_response(table, f"{locations} both claim to be the {part}")
     if len(frequencies) != 1:
-        places = " and ".join(c.place for c in frequencies) or "no column"
-        raise ambiguous_response(table, f"{places} is the frequency")
+        locations = " and ".join(c.place for c in frequencies) or "no column"
+        raise ambiguous_response(table, f"{locations} is the frequency")
     by_pair, is_named = _with_axes(table, entry, paths)
     for pair, columns in by_pair.items():
         if not _is_complete(columns):
@@ -164,7 +164,7 @@ def _pair_in(label: str) -> Pair | None:
     if match := _AXIS_NUMBERS.search(label):
         i, j = (int(number) - 1 for number in match.groups() if number is not None)
         return (_LETTERS[i], _LETTERS[j]) if max(i, j) < len(_LETTERS) else None
-    stem = re.sub(r"\[.*?\]|\(.*?\)", " ", bare(label))
+    stem = re.sub(r"\[.*?\]|\(.*?\)", " ", base_name(label))
     if match := _AXIS_PAIR.search(stem):
         return match[1], match[2]
     match = _AXIS.search(stem)
@@ -220,7 +220,7 @@ def _check_entry(lab: Lab, entry: RecordingEntry) -> None:
 def _with_axes(
     table: RawTable, entry: RecordingEntry, paths: Mapping[Pair | None, dict[str, Column]]
 ) -> tuple[dict[Pair, dict[str, Column]], bool]:
-    """Give what names no axis that of the entry, or of the only response; else x."""
+    """Assign columns without an axis to that of the entry, or of the only response, else x."""
     by_pair = {pair: columns for pair, columns in paths.items() if pair is not None}
     unnamed = paths.get(None, {})
     if not unnamed:
@@ -230,8 +230,8 @@ def _with_axes(
         if not set(unnamed) & set(columns):
             return {pair: {**columns, **unnamed}}, True
     if by_pair and entry.axis is None:
-        places = " and ".join(column.place for column in unnamed.values())
-        raise ambiguous_response(table, f"{places} names no axis, beside others that do")
+        locations = " and ".join(column.place for column in unnamed.values())
+        raise ambiguous_response(table, f"{locations} names no axis, beside others that do")
     axis = entry.axis or "x"
     return {(axis, axis): unnamed, **by_pair}, entry.axis is not None
 

@@ -150,13 +150,13 @@ class _Path:
         """Convert the columns to a response in m/V."""
         parts = self.columns.paths[self.pair]
         if {"real", "imaginary"} <= set(parts):
-            place = parts["real"].place
+            location = parts["real"].place
             response = self._amplitude("real") + 1j * self._amplitude("imaginary")
             if "magnitude" in parts:
                 text = "real and imaginary part are read; magnitude and phase say the same again"
-                statements.append(finding("said_twice", text, place=place))
+                statements.append(finding("said_twice", text, place=location))
         else:
-            place, size = parts["magnitude"].place, self._amplitude("magnitude")
+            location, size = parts["magnitude"].place, self._amplitude("magnitude")
             self._refuse_rows(
                 size < 0,
                 "magnitude",
@@ -168,7 +168,7 @@ class _Path:
         zero = np.flatnonzero(response == 0)
         if len(zero):
             raise RecordingError(
-                f"{self.table.name}: the response in {place} is zero in {len(zero)} rows, the "
+                f"{self.table.name}: the response in {location} is zero in {len(zero)} rows, the "
                 f"first is {self.table.place_of_row(int(self.rows[zero[0]]))}",
                 needed="a response that is not zero: nothing was measured there",
                 remedy=TAKE_OUT,
@@ -198,8 +198,8 @@ class _Path:
         return next((by_name[key] for key in keys if key in by_name), None)
 
     def _ambiguous(self, part: str, state: str) -> UnitError:
-        place = self.columns.paths[self.pair][part].place
-        return ambiguous_response(self.table, f"{place} {state}")
+        location = self.columns.paths[self.pair][part].place
+        return ambiguous_response(self.table, f"{location} {state}")
 
     def _refuse_rows(
         self, is_refused: NDArray[np.bool_], part: str, *, needed: str, remedy: str
@@ -234,14 +234,16 @@ class _Path:
             )
         values = 10.0 ** (values / 20.0) if unit.is_decibel else values
         if unit.kind in (Kind.VOLTAGE, Kind.VOLTAGE_GAIN):
-            output, place = self.pair[0], self.columns.paths[self.pair][part].place
-            volts = f"{self.table.name}: {place} is a response of axis {output} in {unit.symbol}"
+            output, location = self.pair[0], self.columns.paths[self.pair][part].place
+            volts = (
+                f"{self.table.name}: {location} is a response of axis {output} in {unit.symbol}"
+            )
             gain_V_per_m = sensor_gain_V_per_m(self.lab, output, volts, needed="metres per volt")
             values = values / gain_V_per_m
         return np.asarray(values * unit.factor * (1.0 if scale is None else scale))
 
     def _angle_rad(self, size: Array, frequency_Hz: Array) -> Array:
-        """Return the phase, or refuse one that is plainly in the other unit."""
+        """Return the phase, or refuse a phase that is obviously in the other unit."""
         values, unit = self._values("phase")
         if unit is None or unit.kind is not Kind.ANGLE:
             state = "has no unit" if unit is None else f"is in {unit.symbol}"
@@ -256,9 +258,9 @@ class _Path:
             line = np.polynomial.Polynomial.fit(frequency_Hz, angle_rad, 1)
             is_wrong = float(np.ptp(angle_rad - line(frequency_Hz))) > MAX_STRAY_rad
         if is_wrong:
-            place = self.columns.paths[self.pair]["phase"].place
+            location = self.columns.paths[self.pair]["phase"].place
             raise UnitError(
-                f"{self.table.name}: {place} is said to be in {unit.symbol} and reaches "
+                f"{self.table.name}: {location} is said to be in {unit.symbol} and reaches "
                 f"{largest:.4g} while the gain changes by {changed_dB:.3g} dB: obviously other "
                 "units",
                 needed=f"the phase in the unit it is written in; {likely} would fit",

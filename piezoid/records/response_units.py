@@ -98,15 +98,15 @@ def response_unit(text: str) -> ResponseUnit | None:
     return ResponseUnit(symbol=symbol, kind=_PLAIN[unit.dimension], factor=unit.factor)
 
 
-def bare(label: str) -> str:
-    """Return a name without what the readers put around it: ``real(H(1,2))`` is ``H``."""
+def base_name(label: str) -> str:
+    """Return a name without the additions of readers: ``real(H(1,2))`` is ``H``."""
     return _INDEX.sub("", _PART.sub(r"\1", label))
 
 
 def unit_in_heading(column: Column) -> ResponseUnit | None:
     """Return the unit of a column by what the format or its heading states, else None."""
     stated = [column.declared_unit] if column.declared_unit.strip() else []
-    label = bare(" ".join(column.label.split()))
+    label = base_name(" ".join(column.label.split()))
     # A row of units has lost its outer brackets: of ``(dB (um/V))`` the last one is missing.
     stated += [text + ")" for text in stated if text.count("(") > text.count(")")]
     stated += [a or b for a, b in reversed(BRACKETS.findall(label))]

@@ -33,13 +33,13 @@ class SampleRows:
     bridged: tuple[int, ...]
 
     @classmethod
-    def of(cls, complete: Rows, breaks: Collection[int], lost: Collection[int]) -> "SampleRows":
-        """Return all complete rows, with one more sample in front of each lost one.
+    def of(cls, complete: Rows, breaks: Collection[int], missing: Collection[int]) -> "SampleRows":
+        """Return all complete rows, with an inserted sample for each missing one.
 
-        breaks  indices of complete rows before which memory ends
-        lost    indices in front of which exactly one sample is missing; ignored at a break
+        breaks   indices of complete rows before which memory ends
+        missing  indices in front of which exactly one sample is missing; ignored at a break
         """
-        inserted = np.array(sorted(set(lost) - set(breaks)), dtype=int)
+        inserted = np.array(sorted(set(missing) - set(breaks)), dtype=int)
         edges = np.array(sorted(breaks), dtype=int)
         positions = np.arange(len(complete), dtype=np.float64)
         return cls(
@@ -142,18 +142,18 @@ def unique_rows(table: RawTable, assignment: Assignment) -> tuple[Rows, list[Sta
     if not is_repeated.any() or len(np.unique(stamps_s)) < len(stamps_s):
         return every_row, []
     repeated = np.flatnonzero(is_repeated)
-    place = table.place_of_row(int(repeated[0]))
+    location = table.place_of_row(int(repeated[0]))
     text = (
         f"{len(repeated)} rows are repeated (same stamp, same numbers) and read once. The first "
-        f"is {place}, t = {time_s[repeated[0]]:.6g} s."
+        f"is {location}, t = {time_s[repeated[0]]:.6g} s."
     )
-    return every_row[~is_repeated], [finding("repeated_rows", text, place=place)]
+    return every_row[~is_repeated], [finding("repeated_rows", text, place=location)]
 
 
 def complete_rows(
     table: RawTable, assignment: Assignment, rows: Rows
 ) -> tuple[Rows, set[int], set[int], list[Statement]]:
-    """Return those of ``rows`` in which every column that is read holds a number.
+    """Return the ``rows`` in which every column that is read holds a number.
 
     Returns:
         The rows; the indices of those that follow a single row in which only some channels lack
@@ -179,18 +179,18 @@ def complete_rows(
     usable = np.flatnonzero(is_complete)
     at_ends = int(usable[0]) + len(rows) - 1 - int(usable[-1])
     is_blank = np.all([np.isnan(c.values[rows]) for c in assignment.channels], axis=0)
-    after = np.flatnonzero(np.diff(usable) > 1) + 1
-    is_single = (np.diff(usable)[after - 1] == 2) & ~is_blank[usable[after] - 1]
-    single, several = set(after[is_single].tolist()), set(after[~is_single].tolist())
+    resumed = np.flatnonzero(np.diff(usable) > 1) + 1
+    is_single = (np.diff(usable)[resumed - 1] == 2) & ~is_blank[usable[resumed] - 1]
+    single, several = set(resumed[is_single].tolist()), set(resumed[~is_single].tolist())
     row = int(rows[incomplete[0]])
     empty = [a.column.place for a in assignment.columns if not np.isfinite(a.values[row])]
-    place = table.place_of_row(row)
+    location = table.place_of_row(row)
     text = (
         f"{len(incomplete)} rows lack a number: {at_ends} at the ends, {len(single)} single ones "
         f"inside, bridged by straight lines, {len(incomplete) - at_ends - len(single)} in "
-        f"{len(several)} gaps; the first is {place}, {' and '.join(empty)}"
+        f"{len(several)} gaps; the first is {location}, {' and '.join(empty)}"
     )
-    return complete, single, several, [finding("missing_values", text, place=place)]
+    return complete, single, several, [finding("missing_values", text, place=location)]
 
 
 def positions_in(complete: Rows, rows: Rows) -> tuple[int, ...]:

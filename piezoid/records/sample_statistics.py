@@ -75,35 +75,35 @@ def is_dead(values: Array) -> bool:
     return bool(np.ptp(values) == 0)
 
 
-def clipped_share(values: Array, *, rest: float | None = None) -> float:
+def clipped_share(values: Array, *, idle_value: float | None = None) -> float:
     """Return the share of samples clipped at the largest or smallest value.
 
-    rest  a value the channel may hold on purpose (0 V, of a drive between two motions), or None
+    idle_value  a value the channel may hold on purpose (0 V between two motions), or None
 
-    Clipped means: run into the extreme without a jump, stay for at least five samples, and rest
-    nowhere else an eighth as long. A staircase rests elsewhere too; a step arrives by a jump.
+    Clipped samples reach the extreme without a jump and stay for at least five samples, and for
+    eight times as long as at any other level. A staircase stays elsewhere too; a step is a jump.
     """
-    return float(clipped(values, rest=rest).mean()) if len(values) else 0.0
+    return float(clipped(values, idle_value=idle_value).mean()) if len(values) else 0.0
 
 
-def clipped(values: Array, *, rest: float | None = None) -> NDArray[np.bool_]:
+def clipped(values: Array, *, idle_value: float | None = None) -> NDArray[np.bool_]:
     """Return which samples are clipped, (samples,), as ``clipped_share`` counts them."""
-    here = np.zeros(len(values), dtype=bool)
+    is_clipped = np.zeros(len(values), dtype=bool)
     if len(values) < 4 * _CLIPPED_RUN or is_dead(values):
-        return here
+        return is_clipped
     edges = np.flatnonzero(np.diff(values)) + 1
-    begins, ends = np.concatenate(([0], edges)), np.concatenate((edges, [len(values)]))
-    lengths, levels = ends - begins, values[begins]
+    starts, stops = np.concatenate(([0], edges)), np.concatenate((edges, [len(values)]))
+    lengths, levels = stops - starts, values[starts]
     extreme = (levels == values.max()) | (levels == values.min())
     typical = float(np.median(np.abs(np.diff(levels))))
-    # What is held at the beginning or the end may be a rest before or after the motion.
-    inner = (begins > 0) & (ends < len(values))
-    inner &= np.ones(len(begins), dtype=bool) if rest is None else levels != rest
-    arrival = np.zeros(len(begins))
+    # A constant value at either end may be the rest before or after the motion.
+    inner = (starts > 0) & (stops < len(values))
+    inner &= np.ones(len(starts), dtype=bool) if idle_value is None else levels != idle_value
+    arrival = np.zeros(len(starts))
     arrival[1:] = np.abs(np.diff(levels))
     elsewhere = int(lengths[~extreme].max(initial=1))
     longest = max(_CLIPPED_RUN, _CLIPPED_RATIO * elsewhere)
     jump = np.minimum(_JUMP * typical, _JUMP_SHARE * np.ptp(values))
     for run in np.flatnonzero(extreme & inner & (lengths >= longest) & (arrival <= jump)).tolist():
-        here[begins[run] : ends[run]] = True
-    return here
+        is_clipped[starts[run] : stops[run]] = True
+    return is_clipped

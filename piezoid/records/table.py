@@ -59,7 +59,7 @@ class Column:
 
     @property
     def place(self) -> str:
-        """How messages call the column."""
+        """Name of the column in messages."""
         return f"column {self.number} {self.label!r}" if self.label else f"column {self.number}"
 
     @property
@@ -155,14 +155,14 @@ class RawTable:
         )
 
     def part(self, rows: slice, name: str) -> "RawTable":
-        """Return some rows under a name of their own."""
-        first, last = rows.start, rows.stop
-        ahead = self.rows - last if self.is_reversed else first
+        """Return some rows as a table with another name."""
+        first, stop = rows.start, rows.stop
+        ahead = self.rows - stop if self.is_reversed else first
         return replace(
             self,
             name=name,
             columns=tuple(replace(c, values=c.values[rows]) for c in self.columns),
-            segment_starts=tuple(s - first for s in self.segment_starts if first < s < last),
+            segment_starts=tuple(s - first for s in self.segment_starts if first < s < stop),
             first_line=self.first_line and self.first_line + ahead,
             first_row=self.first_row + ahead,
         )

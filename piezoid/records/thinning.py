@@ -76,9 +76,9 @@ class Thinning:
         self._level = self._skip = 0  # powers of two: stride, and one stretch in so many is kept
         self._noise_V: float | None = None
 
-    def append(self, voltage_V: Array, displacement_m: Array, *, begins: bool) -> None:
-        """Add samples; ``begins`` tells whether a gap in time lies in front of them."""
-        if begins and self._samples:
+    def append(self, voltage_V: Array, displacement_m: Array, *, is_new_piece: bool) -> None:
+        """Add samples; ``is_new_piece`` tells whether a gap in time lies in front of them."""
+        if is_new_piece and self._samples:
             self._end_piece()
         self._samples += len(voltage_V)
         self._pending = np.hstack([self._pending, np.array([voltage_V, displacement_m])])
@@ -91,10 +91,10 @@ class Thinning:
         """Return the rows of all samples that were appended."""
         self._end_piece()
         lengths = [block.rows.shape[1] for block in self._blocks]
-        ends = np.cumsum(lengths)
+        stops = np.cumsum(lengths)
         numbers = [block.number for block in self._blocks]
-        joined = [after == before + 1 for before, after in itertools.pairwise(numbers)]
-        starts = [0, *ends[:-1][~np.array(joined, dtype=bool)].tolist()]
+        is_joined = [later == earlier + 1 for earlier, later in itertools.pairwise(numbers)]
+        starts = [0, *stops[:-1][~np.array(is_joined, dtype=bool)].tolist()]
         rows = np.hstack([block.rows for block in self._blocks]) if lengths else self._pending
         stride = 1 << self._level
         return ThinnedRows(
@@ -160,12 +160,12 @@ class Thinning:
 
 
 def _is_top(drive_V: Array, before_V: float, after_V: float, margin_V: float) -> NDArray[np.bool_]:
-    """Tell of which pairs the second value is a maximum that the first does not stand for.
+    """Tell which pairs hold a maximum in their second value only.
 
-    before_V, after_V  values beside the pairs; where they are NaN, the pair there is no maximum
+    before_V, after_V  neighbours of the first and last pair; NaN: that pair is no maximum
     """
     high_V = drive_V.max(axis=1)
-    before = np.concatenate([[before_V], high_V[:-1]])
-    after = np.concatenate([high_V[1:], [after_V]])
-    is_highest = (high_V > before) & (high_V > after)
+    previous = np.concatenate([[before_V], high_V[:-1]])
+    following = np.concatenate([high_V[1:], [after_V]])
+    is_highest = (high_V > previous) & (high_V > following)
     return np.asarray(is_highest & (drive_V[:, 1] > drive_V[:, 0] + margin_V))

@@ -138,11 +138,11 @@ def heading_of(label: str) -> Heading:
 
 def _bracketed(label: str) -> Heading | None:
     for match in reversed(list(BRACKETS.finditer(label))):
-        held = match.group(1) or match.group(2) or ""
-        unit = unit_of(held) or unit_of(held.partition(",")[0])  # ``[um, filtered]``
+        content = match.group(1) or match.group(2) or ""
+        unit = unit_of(content) or unit_of(content.partition(",")[0])  # ``[um, filtered]``
         if unit is not None:
-            rest = label[: match.start()] + " " + label[match.end() :]
-            return Heading(stem=" ".join(rest.split()), unit=unit)
+            remaining_label = label[: match.start()] + " " + label[match.end() :]
+            return Heading(stem=" ".join(remaining_label.split()), unit=unit)
     return None
 
 

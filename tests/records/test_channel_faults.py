@@ -79,7 +79,7 @@ def test_a_clipped_channel_is_told_with_its_share(rng: np.random.Generator) -> N
     ],
 )
 def test_drives_that_rest_where_they_should_are_not_clipped(values: np.ndarray) -> None:
-    assert clipped_share(values, rest=0.0) == 0
+    assert clipped_share(values, idle_value=0.0) == 0
 
 
 def _file(tmp_path: Path, reading_um: Array, drive_V: Array) -> Recording:

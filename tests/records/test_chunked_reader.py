@@ -84,7 +84,7 @@ def test_every_format_reads_in_chunks_as_it_reads_whole(
 def test_each_chunk_begins_with_the_last_row_of_the_one_before(
     name: str, rows: int, write: Callable[[str], Path]
 ) -> None:
-    whole, source = read_table(write(name)), open_source(write(name), whole=False)
+    whole, source = read_table(write(name)), open_source(write(name), in_memory=False)
     chunks = list(read_table_in_chunks(source, rows))
     assert chunks[0].first_row == 0
     for before, after in itertools.pairwise(chunks):
@@ -259,7 +259,7 @@ def swelling_drive(cycles: int, rows_per_cycle: int) -> np.ndarray:
 def thinned(drive: np.ndarray, max_rows: int, cuts: tuple[int, ...] = ()) -> np.ndarray:
     thinning = Thinning(max_rows)
     for part in np.split(drive, cuts):
-        thinning.append(part, 2 * part, begins=False)
+        thinning.append(part, 2 * part, is_new_piece=False)
     return thinning.result().rows
 
 
@@ -290,7 +290,7 @@ def test_every_turning_point_of_the_drive_is_kept_and_the_play_states_with_it() 
 def test_rows_keep_their_interval_but_at_turning_points() -> None:
     drive = swelling_drive(20, 3000)
     thinning = Thinning(1 << 13)
-    thinning.append(drive, np.arange(len(drive), dtype=float), begins=True)
+    thinning.append(drive, np.arange(len(drive), dtype=float), is_new_piece=True)
     found = thinning.result()
     late = found.rows[1] - found.stride * np.arange(found.rows.shape[1])
     turns = np.count_nonzero(np.diff(np.sign(np.diff(drive))))
@@ -308,7 +308,7 @@ def test_noise_of_the_drive_makes_no_turning_points(rng: np.random.Generator) ->
 def test_a_drive_too_fast_to_be_thinned_keeps_stretches_of_the_file() -> None:
     drive = swelling_drive(4000, 30)
     thinning = Thinning(1 << 13)
-    thinning.append(drive, drive, begins=True)
+    thinning.append(drive, drive, is_new_piece=True)
     found = thinning.result()
     assert found.stride == 1
     assert 4 <= len(found.starts) <= 16
@@ -322,7 +322,7 @@ def test_gaps_of_the_file_stay_gaps_of_the_thinned_recording() -> None:
     thinning = Thinning(1 << 13)
     drive = swelling_drive(10, 3000)
     for _ in range(3):
-        thinning.append(drive, drive, begins=True)
+        thinning.append(drive, drive, is_new_piece=True)
     found = thinning.result()
     assert found.stride > 1
     assert len(found.starts) == 3

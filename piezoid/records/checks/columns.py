@@ -19,12 +19,12 @@ NEIGHBOURS, MAX_CONSTANT = 5, 500
 
 
 def check_columns(table: RawTable, quantities: Mapping[int, Quantity]) -> list[Statement]:
-    """Report what is wrong with single columns, those included that no recording reads.
+    """Report faults of single columns, including columns that are not read.
 
     quantities  of the columns that become channels, by number; only these can be clipped
     """
     statements: list[Statement] = []
-    first_of: dict[bytes, Column] = {}
+    first_with_values: dict[bytes, Column] = {}
     drives = [c.values for c in table.columns if quantities.get(c.number) is Quantity.VOLTAGE]
     for column in table.columns:
         numbers = column.values[np.isfinite(column.values)]
@@ -36,10 +36,10 @@ def check_columns(table: RawTable, quantities: Mapping[int, Quantity]) -> list[S
             statements.append(_statement("dead", column, f"is {numbers[0]:.6g}{unit} throughout"))
             continue
         quantity = quantities.get(column.number)
-        rest = 0.0 if quantity is Quantity.VOLTAGE else None
-        share = 0.0 if quantity is None else clipped_share(numbers, rest=rest)
+        idle_value = 0.0 if quantity is Quantity.VOLTAGE else None
+        share = 0.0 if quantity is None else clipped_share(numbers, idle_value=idle_value)
         if share > 0.0:
-            levels = np.unique(numbers[clipped(numbers, rest=rest)]).tolist()
+            levels = np.unique(numbers[clipped(numbers, idle_value=idle_value)]).tolist()
             text = (
                 f"rests on {' and '.join(f'{level:.6g}' for level in levels)} (as in the file) "
                 f"for {100 * share:.2g} % of the samples: clipped?"
@@ -54,7 +54,9 @@ def check_columns(table: RawTable, quantities: Mapping[int, Quantity]) -> list[S
                     "its range to the readings beyond."
                 )
                 statements.append(_statement("wrapped", column, text))
-        first = first_of.setdefault(hashlib.sha256(column.values.tobytes()).digest(), column)
+        first = first_with_values.setdefault(
+            hashlib.sha256(column.values.tobytes()).digest(), column
+        )
         if first is not column:
             text = f"holds the same numbers as {first.place}"
             statements.append(_statement("equal_columns", column, text))
@@ -62,19 +64,19 @@ def check_columns(table: RawTable, quantities: Mapping[int, Quantity]) -> list[S
 
 
 def overflows(values: Array, drives: Sequence[Array]) -> Array:
-    """Return the samples before which a reading jumped from one end of its range to the other.
+    """Return the samples at which a reading jumps from one end of its range to the other.
 
-    drives  (samples,) each, of any axis, NaN where lost: near a step of a drive, or a lost sample
-            of it, a reading may jump; without a drive there is no result
+    drives  (samples,) each, of any axis, NaN where invalid: jumps near a step or an invalid sample
+            of a drive are legitimate; without a drive the result is empty
     """
     range_ = float(np.ptp(values))
-    after = np.flatnonzero(np.abs(np.diff(values)) > MIN_JUMP * range_) + 1
+    jump_samples = np.flatnonzero(np.abs(np.diff(values)) > MIN_JUMP * range_) + 1
     steps = [
         ~(np.abs(np.diff(drive)) <= MIN_DRIVE_STEP * (np.nanmax(drive) - np.nanmin(drive)))
         for drive in drives
     ]
     jumps = []
-    edges = [0, *after.tolist(), len(values)]
+    edges = [0, *jump_samples.tolist(), len(values)]
     for begin, k, end in zip(edges, edges[1:], edges[2:], strict=False):
         first = max(k - NEIGHBOURS, 0)
         if not drives or any(step[first : k + NEIGHBOURS - 1].any() for step in steps):

@@ -194,10 +194,10 @@ def contradicts(gain: LowFrequencyGain, typical: LowFrequencyGain) -> bool:
 
 
 def typical_gain(gains: Sequence[LowFrequencyGain]) -> LowFrequencyGain:
-    """Return the gain that most others agree with; among equals a positive, then a wide one."""
+    """Return the gain that agrees with most others; ties: positive, then widest drive range."""
 
     def agreement(gain: LowFrequencyGain) -> tuple[int, bool, float]:
-        alike = sum(_is_alike(other.gain_m_per_V / gain.gain_m_per_V) for other in gains)
+        alike = sum(_is_alike(reference.gain_m_per_V / gain.gain_m_per_V) for reference in gains)
         return alike, gain.gain_m_per_V > 0.0, gain.voltage_V[1] - gain.voltage_V[0]
 
     return max(gains, key=agreement)

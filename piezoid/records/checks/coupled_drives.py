@@ -60,12 +60,12 @@ def check_coupled_drives(recording: Recording, lab: Lab) -> list[Statement]:
 
 
 def drive_shares(drives: Mapping[str, Array], displacement: Array, axis: str) -> dict[str, float]:
-    """Return by drive how far it moves a displacement, over how far the axis' own drive does.
+    """Return the motion caused by each drive, relative to that of the drive of the axis.
 
     drives        (samples,) by axis, any unit
     displacement  (samples,) of ``axis``
 
-    Drives of other axes below ``MIN_SHARE`` are left out.
+    Drives of other axes below ``MIN_SHARE`` are omitted.
     """
     names = [axis, *(name for name in drives if name != axis)]
     window = np.hanning(len(displacement))
@@ -73,18 +73,20 @@ def drive_shares(drives: Mapping[str, Array], displacement: Array, axis: str) ->
     lines = np.fft.rfft((signals - signals.mean(axis=1, keepdims=True)) * window)
     lines /= np.sqrt(np.mean(np.abs(lines) ** 2, axis=1, keepdims=True)) + 1e-300
     power = np.max(np.abs(lines[:-1]) ** 2, axis=0)
-    used = np.flatnonzero(power > MIN_POWER * power.max())
-    bands = np.array_split(used, max(len(used) // (LINES_PER_DRIVE * len(names)), 1))
-    contributions, left_by_own, left = np.zeros(len(names)), 0.0, 0.0
+    driven_lines = np.flatnonzero(power > MIN_POWER * power.max())
+    bands = np.array_split(
+        driven_lines, max(len(driven_lines) // (LINES_PER_DRIVE * len(names)), 1)
+    )
+    contributions, left_by_own, residual_power = np.zeros(len(names)), 0.0, 0.0
     for band in bands:
         columns, target = lines[:-1, band].T, lines[-1, band]
         if np.linalg.cond(columns) > MAX_CONDITION:
             continue
         response, residual = _least_squares(columns, target)
         contributions += np.abs(response) ** 2 * np.sum(np.abs(columns) ** 2, axis=0)
-        left += residual
+        residual_power += residual
         left_by_own += _least_squares(columns[:, :1], target)[1]
-    if left > (1.0 - MIN_EXPLAINED) * left_by_own or not contributions[0] > 0.0:
+    if residual_power > (1.0 - MIN_EXPLAINED) * left_by_own or not contributions[0] > 0.0:
         return {}
     ratios = np.sqrt(contributions / contributions[0])
     return {

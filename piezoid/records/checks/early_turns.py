@@ -76,7 +76,7 @@ def check_early_turns(recording: Recording, axis: str) -> list[Statement]:
 
 
 def early_turn(drive: Array, displacement: Array) -> EarlyTurn | None:
-    """Return by how much a displacement turns before its drive, None where it does not.
+    """Return how early a displacement turns before its drive; None if it does not.
 
     drive, displacement  (samples,)  any unit, without gaps
 
@@ -106,8 +106,10 @@ def early_turn(drive: Array, displacement: Array) -> EarlyTurn | None:
             candidates.append(EarlyTurn(samples=span, share=min(at_turn), noise_growth=growth))
         span = max(span + 1, int(1.25 * span))
     largest = max((early.share * early.samples for early in candidates), default=0.0)
-    near = (early for early in candidates if early.share * early.samples > NEAR_MAXIMUM * largest)
-    return next(near, None)
+    near_maximum = (
+        early for early in candidates if early.share * early.samples > NEAR_MAXIMUM * largest
+    )
+    return next(near_maximum, None)
 
 
 def _shares(values: Array, turns: Array, span: int) -> tuple[float, float]:

@@ -45,8 +45,8 @@ def check_feedback_of_set(recordings: Sequence[Recording]) -> list[Statement]:
     statements = []
     for axis in sorted({r.axis for r in recordings}):
         of_axis = [r for r in recordings if r.axis == axis and axis in r.complete_axes]
-        held = [r.name for r in of_axis if is_held_throughout(r, axis)]
-        for name in held if len(held) < len(of_axis) else ():
+        held_throughout = [r.name for r in of_axis if is_held_throughout(r, axis)]
+        for name in held_throughout if len(held_throughout) < len(of_axis) else ():
             text = (
                 f"{name}: the sensor of axis {axis} stands still while the drive moves (feedback, "
                 "or a sensor that does not see the motion). It is used to find creep, not to fit "

@@ -119,8 +119,8 @@ def _of_file(table: RawTable, source: Source, reader: Reader) -> RawTable:
 
 
 def is_approach_curve(table: RawTable) -> bool:
-    """Tell whether a table holds a height and currents over it, without any clock."""
+    """Tell whether a table holds a height and currents, without a clock."""
     units = [column.heading.unit for column in table.columns]
-    height, *others = [None if unit is None else unit.dimension for unit in units]
+    height, *further = [None if unit is None else unit.dimension for unit in units]
     is_clocked = table.sampling_rate_Hz is not None
-    return height is Dimension.LENGTH and set(others) == {Dimension.CURRENT} and not is_clocked
+    return height is Dimension.LENGTH and set(further) == {Dimension.CURRENT} and not is_clocked

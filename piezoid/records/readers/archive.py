@@ -55,19 +55,21 @@ def recognises(source: Source) -> bool:
 
 
 def _other_format(source: Source) -> tuple[str, str] | None:
-    """Return what a file is and how to make it a recording, None where sight does not tell."""
-    for begins, suffix, kind, remedy in _OTHER_FORMATS:
-        if suffix in ("", source.suffix) and begins.match(source.head):
+    """Return the format of a file and how to convert it; None if it is unknown."""
+    for signature, suffix, kind, remedy in _OTHER_FORMATS:
+        if suffix in ("", source.suffix) and signature.match(source.head):
             return kind, remedy
     return None
 
 
 def read(source: Source) -> RawTable:
-    """Refuse with the name of what it is."""
+    """Refuse a file that is not a recording, with its format in the message."""
     names = members(source)
-    shown = ", ".join(map(repr, names[:_MAX_NAMES])) + (", ..." if len(names) > _MAX_NAMES else "")
+    listed = ", ".join(map(repr, names[:_MAX_NAMES])) + (
+        ", ..." if len(names) > _MAX_NAMES else ""
+    )
     kind, remedy = _other_format(source) or (
-        f"it is a zip archive that holds {shown or 'nothing'}",
+        f"it is a zip archive that holds {listed or 'nothing'}",
         f"Unpack it and name the files inside. {_EXPORT}",
     )
     raise unreadable(source.name, kind, needed="a table with a row for each sample", remedy=remedy)

@@ -44,7 +44,7 @@ def _imaginary(cell: re.Match[str]) -> str:
 
 
 def join_complex_columns(real: RawTable, imaginary: RawTable) -> RawTable:
-    """Return one table, in which a column of complex numbers is two, named as those of MATLAB."""
+    """Join two tables, splitting complex columns in two, named like those of MATLAB files."""
     columns: list[Column] = []
     complex_columns: list[Column] = []
     for column, imaginary_column in zip(real.columns, imaginary.columns, strict=True):
@@ -59,10 +59,10 @@ def join_complex_columns(real: RawTable, imaginary: RawTable) -> RawTable:
         columns += [replace(piece, number=len(columns) + k + 1) for k, piece in enumerate(pieces)]
     if not complex_columns:
         return real
-    places = ", ".join(column.place for column in complex_columns[:3])
-    more = ", ..." if len(complex_columns) > 3 else ""
+    locations = ", ".join(column.place for column in complex_columns[:3])
+    suffix = ", ..." if len(complex_columns) > 3 else ""
     text = (
-        f"{places}{more} holds complex numbers: real and imaginary part are the columns of a "
+        f"{locations}{suffix} holds complex numbers: real and imaginary part are the columns of a "
         "frequency response, and of no recording over time"
     )
     statement = finding("complex", text, place=complex_columns[0].place)

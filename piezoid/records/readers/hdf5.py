@@ -37,7 +37,7 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
         datasets = _named_datasets(stream)
         length = commonest_length(max(d.shape, default=0) for d in datasets.values() if d.size > 1)
         columns = {name: d for name, d in datasets.items() if d.shape[:1] == (length,)}
-        check_growth(source, 8 * sum(d.size for d in columns.values()), whole=False)
+        check_growth(source, 8 * sum(d.size for d in columns.values()), in_memory=False)
         pieces = (
             {name: dataset[first : first + rows] for name, dataset in columns.items()}
             for first in range(0, length, rows)
@@ -125,8 +125,8 @@ def _neighbours(stream: BinaryIO, base: int, width: int) -> Iterator[tuple[int, 
             right = buffer[position + length - width : position + length]
             yield address + position, int.from_bytes(right, "little")
             position = buffer.find(_NODE, position + 1)
-        done = max(len(buffer) - length, 0) if position < 0 else position
-        buffer, address = buffer[done:], address + done
+        consumed = max(len(buffer) - length, 0) if position < 0 else position
+        buffer, address = buffer[consumed:], address + consumed
 
 
 def _ring(right: Mapping[int, int]) -> int | None:

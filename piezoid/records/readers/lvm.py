@@ -48,20 +48,20 @@ class _Segment:
 
 
 def read(source: Source) -> RawTable:
-    """Read all segments and put them one behind the other."""
+    """Read all segments and concatenate them."""
     lines = text_of(source).split("\n")
-    ends = [row for row, line in enumerate(lines) if line.startswith(HEADER_END)]
-    if len(ends) < 2:
+    header_ends = [row for row, line in enumerate(lines) if line.startswith(HEADER_END)]
+    if len(header_ends) < 2:
         raise unreadable(
             source.name,
-            f"{len(ends)} header ends",
+            f"{len(header_ends)} header ends",
             needed="one for the file and one for each segment",
             remedy="Write the file again from LabVIEW with headers.",
         )
-    header = metadata_of(lines[: ends[0]])
+    header = metadata_of(lines[: header_ends[0]])
     separator = {"Tab": "\t", "Comma": ","}.get(header.get("Separator", "Tab"), "\t")
     # Older writers do not state the decimal mark; the numbers show it.
-    first_rows = "\n".join(lines[ends[1] + 2 : ends[1] + 50])
+    first_rows = "\n".join(lines[header_ends[1] + 2 : header_ends[1] + 50])
     has_commas = separator == "\t" and re.search(r"\d,\d", first_rows)
     decimal = header.get("Decimal_Separator") or ("," if has_commas else ".")
     layout = Layout(separator=separator, decimal=decimal, fields=0)
@@ -69,11 +69,13 @@ def read(source: Source) -> RawTable:
         next(
             (row for row in range(end, begin, -1) if lines[row].startswith("Channels")), begin + 1
         )
-        for begin, end in pairwise(ends)
+        for begin, end in pairwise(header_ends)
     ]
     segments = [
         _segment(source.name, lines[:stop], start, end, layout)
-        for start, end, stop in zip(starts, ends[1:], [*starts[1:], len(lines)], strict=True)
+        for start, end, stop in zip(
+            starts, header_ends[1:], [*starts[1:], len(lines)], strict=True
+        )
     ]
     return _joined(source.name, header, segments)
 

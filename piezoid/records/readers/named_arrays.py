@@ -125,7 +125,7 @@ def _seconds_of(array: NDArray[Any]) -> NDArray[Any]:
 def _columns_of(
     source: Source, name: str, array: NDArray[Any], shapes: Mapping[str, tuple[int, ...]]
 ) -> tuple[list[tuple[str, NDArray[Any]]], list[Statement]]:
-    """Return the columns of one array of numbers under their labels, and what is odd about it.
+    """Return the labelled columns of one array, and statements about unusual shapes.
 
     shapes  of all arrays of the file
     """
@@ -154,8 +154,8 @@ def _columns_of(
             f"{name or 'the array'} has {rows} rows and {columns_count} columns: read as {rows} "
             f"channels of {columns_count} samples"
         )
-        place = name or "the array"
-        statements.append(finding("transposed", text, place=place))
+        location = name or "the array"
+        statements.append(finding("transposed", text, place=location))
     labels = [f"{name}(:,{k + 1})" if name else "" for k in range(array.shape[1])]
     return list(zip(labels, array.T, strict=True)), statements
 

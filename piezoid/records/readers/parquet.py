@@ -35,7 +35,7 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
     with source.open() as stream:
         file = ParquetFile(stream, buffer_size=_BUFFER, pre_buffer=False)
         units = _units_of(file, _is_number)
-        _check_footer(source, file.metadata, len(units), whole=False)
+        _check_footer(source, file.metadata, len(units), in_memory=False)
         pieces = (
             {name: batch.column(name).to_numpy(zero_copy_only=False) for name in units}
             for batch in file.iter_batches(batch_size=rows, columns=list(units), use_threads=False)
@@ -58,12 +58,12 @@ def _units_of(file: Any, is_read: Any) -> dict[str, str]:
     }
 
 
-def _check_footer(source: Source, metadata: Any, columns: int, *, whole: bool = True) -> None:
-    """Refuse by the footer what would fill memory or disk, before anything is read."""
+def _check_footer(source: Source, metadata: Any, columns: int, *, in_memory: bool = True) -> None:
+    """Refuse files that would fill memory or disk, from the footer alone."""
     check_columns(source.name, metadata.num_columns)
-    check_growth(source, 8 * metadata.num_rows * columns, whole=whole)
+    check_growth(source, 8 * metadata.num_rows * columns, in_memory=in_memory)
     groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
-    check_growth(source, sum(group.total_byte_size for group in groups), whole=whole)
+    check_growth(source, sum(group.total_byte_size for group in groups), in_memory=in_memory)
 
 
 READER = Reader(

@@ -17,7 +17,7 @@ def recognises(source: Source) -> bool:
 
 
 def read(source: Source) -> RawTable:
-    """Read either form. The X of these instruments is a time in seconds.
+    """Read both layouts. The X of these instruments is a time in seconds.
 
     With a start and an increment the second line holds ``Sequence``, the unit of each channel,
     then the two numbers in seconds; the rows count from 0.
@@ -46,8 +46,8 @@ def read(source: Source) -> RawTable:
     table = table_under(source, headings, "\n".join(lines[skipped:]), layout, skipped + 1)
     if not has_units or "Increment" not in labels:
         return table
-    place = labels.index("Increment")
-    increment_s = number_of(units[place], ".") if place < len(units) else None
+    index = labels.index("Increment")
+    increment_s = number_of(units[index], ".") if index < len(units) else None
     if increment_s is None or not increment_s > 0:
         raise unreadable(
             source.name,

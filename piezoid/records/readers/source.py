@@ -40,10 +40,10 @@ _GROWN = (
 
 
 def unreadable(
-    place: str, found: str, *, needed: str, remedy: str, **numbers: object
+    file: str, problem: str, *, needed: str, remedy: str, **numbers: object
 ) -> UnreadableFileError:
-    """Return the error every reader raises, with the file's name before what was found."""
-    return UnreadableFileError(f"{place}: {found}", needed=needed, remedy=remedy, **numbers)
+    """Return the error of all readers, with the name of the file in front of the problem."""
+    return UnreadableFileError(f"{file}: {problem}", needed=needed, remedy=remedy, **numbers)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,17 +104,17 @@ class Source:
         return self.path.stat().st_size if self.unpacked is None else len(self.unpacked)
 
 
-def open_source(path: Path, *, limit: int = SIZE_LIMIT, whole: bool = True) -> Source:
+def open_source(path: Path, *, limit: int = SIZE_LIMIT, in_memory: bool = True) -> Source:
     """Open a file and decompress it if it is gzip, refusing more than ``limit`` bytes.
 
-    whole  False: of any size, of which only the beginning is decompressed, for reading in blocks
+    in_memory  False: any size, with only the beginning decompressed, for reading in blocks
     """
     try:
         size = regular_size(path)
-        if whole:
+        if in_memory:
             check_size(path.name, size, limit)
         with path.open("rb") as stream:
-            # What the system itself writes is empty by its size, and may never end.
+            # Files of /proc have size 0 and may never end.
             head = stream.read(min(size, HEAD_SIZE))
         digest = digest_of_file(path) if head else ""
     except OSError as error:
@@ -134,7 +134,7 @@ def open_source(path: Path, *, limit: int = SIZE_LIMIT, whole: bool = True) -> S
     unpacked, packed = None, head.startswith(b"\x1f\x8b")
     if packed:
         unpacked = _unpack(
-            path, min(limit, growth_limit(size)) if whole else HEAD_SIZE, whole=whole
+            path, min(limit, growth_limit(size)) if in_memory else HEAD_SIZE, in_memory=in_memory
         )
         head = unpacked[:HEAD_SIZE]
     if not head:
@@ -151,7 +151,7 @@ def open_source(path: Path, *, limit: int = SIZE_LIMIT, whole: bool = True) -> S
         digest=digest,
         head=head,
         packed=packed,
-        unpacked=unpacked if whole else None,
+        unpacked=unpacked if in_memory else None,
     )
 
 
@@ -160,31 +160,33 @@ def regular_size(path: Path) -> int:
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
         kind = errno.EISDIR if stat.S_ISDIR(status.st_mode) else errno.EINVAL
-        found = "Is a directory" if kind == errno.EISDIR else "It is a pipe or a device"
-        raise OSError(kind, found, str(path))
+        reason = "Is a directory" if kind == errno.EISDIR else "It is a pipe or a device"
+        raise OSError(kind, reason, str(path))
     return status.st_size
 
 
-def growth_limit(size: int, *, whole: bool = True) -> int:
+def growth_limit(size: int, *, in_memory: bool = True) -> int:
     """Return how many bytes a file of this size may hold once it is unpacked.
 
-    whole  False: read in blocks, so that the memory sets no limit
+    in_memory  False: read in blocks, without a limit by memory
     """
     grown = max(FREE_SIZE, MOST_GROWTH * size)
-    return min(SIZE_LIMIT, grown) if whole else grown
+    return min(SIZE_LIMIT, grown) if in_memory else grown
 
 
-def check_growth(source: "Source", unpacked: int, *, whole: bool = True) -> None:
-    """Refuse content of which so little is in the file that it can be no measurement.
+def check_growth(source: "Source", unpacked: int, *, in_memory: bool = True) -> None:
+    """Refuse content with an implausibly high compression ratio.
 
-    whole  also refuse what does not fit into memory
+    in_memory  also refuse content that does not fit into memory
     """
-    check_size(source.name, unpacked, growth_limit(source.path.stat().st_size, whole=whole))
-    if whole:
+    check_size(
+        source.name, unpacked, growth_limit(source.path.stat().st_size, in_memory=in_memory)
+    )
+    if in_memory:
         check_memory(source.name, unpacked)
 
 
-def check_memory(place: str, size: int) -> None:
+def check_memory(file: str, size: int) -> None:
     """Refuse a recording that does not fit into memory, before it is read.
 
     size  bytes of its numbers as doubles, or of its text, which takes about as much
@@ -193,7 +195,7 @@ def check_memory(place: str, size: int) -> None:
     needed = MEMORY_PER_BYTE * size
     if free is not None and needed > free:
         raise unreadable(
-            place,
+            file,
             f"to read it takes about {needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are "
             "free",
             needed="a recording that fits into memory",
@@ -222,11 +224,11 @@ def available_bytes() -> int | None:
     return min(limits, default=None)
 
 
-def check_size(place: str, size: int, limit: int = SIZE_LIMIT) -> None:
+def check_size(file: str, size: int, limit: int = SIZE_LIMIT) -> None:
     """Refuse content that would hold more than ``limit`` bytes once it is in memory."""
     if size > limit:
         raise unreadable(
-            place,
+            file,
             f"it holds {size} bytes once unpacked",
             needed=f"at most {limit} bytes",
             remedy=_LARGE if limit == SIZE_LIMIT else _GROWN,
@@ -234,11 +236,11 @@ def check_size(place: str, size: int, limit: int = SIZE_LIMIT) -> None:
         )
 
 
-def check_columns(place: str, columns: int) -> None:
+def check_columns(file: str, columns: int) -> None:
     """Refuse a table so wide that it is none: a line without breaks, or an enemy's heading."""
     if columns > MOST_COLUMNS:
         raise unreadable(
-            place,
+            file,
             f"it has {columns} columns",
             needed=f"at most {MOST_COLUMNS}, a row for each sample",
             remedy="Keep only the columns that matter, or transpose the table.",
@@ -246,7 +248,7 @@ def check_columns(place: str, columns: int) -> None:
         )
 
 
-def _unpack(path: Path, limit: int, *, whole: bool) -> bytes:
+def _unpack(path: Path, limit: int, *, in_memory: bool) -> bytes:
     try:
         with gzip.open(path, "rb") as stream:
             content = _read_to(stream, limit)
@@ -257,17 +259,17 @@ def _unpack(path: Path, limit: int, *, whole: bool) -> bytes:
             needed="an archive that unpacks",
             remedy="Copy the file again from where it was written.",
         ) from error
-    if whole:
+    if in_memory:
         check_size(path.name, len(content), limit)
     return content
 
 
 def _read_to(stream: io.BufferedIOBase, limit: int) -> bytes:
-    """Read until the limit is passed; asked for all at once, gzip would set the limit aside."""
-    held = io.BytesIO()
-    while held.tell() <= limit and (piece := stream.read(_PIECE)):
-        held.write(piece)
-    return held.getvalue()
+    """Read in pieces until the limit is passed; one read would ignore the limit."""
+    content = io.BytesIO()
+    while content.tell() <= limit and (piece := stream.read(_PIECE)):
+        content.write(piece)
+    return content.getvalue()
 
 
 def text_of(source: Source) -> str:

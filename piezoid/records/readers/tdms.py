@@ -29,7 +29,7 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
         channels = _named_channels(source, file)
         length = commonest_length(len(c) for c in channels.values() if len(c) > 1)
         columns = {name: c for name, c in channels.items() if len(c) == length}
-        check_growth(source, 8 * length * len(columns), whole=False)
+        check_growth(source, 8 * length * len(columns), in_memory=False)
         pieces = (
             {
                 name: channel.read_data(offset=first, length=min(rows, length - first))

@@ -155,10 +155,10 @@ def _counts_rows(lines: list[str], layout: Layout) -> bool:
 
 
 def _refuse_possible_thousands(lines: list[str], start: TableStart, name: str) -> None:
-    """Refuse numbers of which nobody can tell whether a comma marks thousands or decimals.
+    """Refuse numbers in which a comma may mark thousands or decimals.
 
-    With three digits behind every comma, and none but whole numbers below a thousand beside
-    them, 1,234 may be either.
+    With three digits behind every comma, and only whole numbers below a thousand beside them,
+    1,234 may be either.
     """
     if start.layout.decimal != "," or start.layout.grouped:
         return
@@ -166,8 +166,8 @@ def _refuse_possible_thousands(lines: list[str], start: TableStart, name: str) -
         rows = (cells_of(line, start.layout) for line in lines[start.row :] if line.strip())
         cells = [row[k] for row in rows if len(row) > k and _is_digit(row[k])]
         marked = sum(_THOUSAND.fullmatch(cell) is not None for cell in cells)
-        plain = sum(_BELOW_THOUSAND.fullmatch(cell) is not None for cell in cells)
-        if marked and plain and marked + plain == len(cells):
+        unmarked = sum(_BELOW_THOUSAND.fullmatch(cell) is not None for cell in cells)
+        if marked and unmarked and marked + unmarked == len(cells):
             example = next(cell for cell in cells if _THOUSAND.fullmatch(cell))
             raise unreadable(
                 name,

@@ -181,7 +181,7 @@ def without_comments(text: str, first_line: int) -> tuple[str, tuple[Statement, 
 
 
 def _parse_cells(text: str, layout: Layout, name: str, first_line: int) -> NumberTable:
-    """Read cells as numbers or times of day, and state which hold neither.
+    """Read cells as numbers or times of day, and report other cells.
 
     Raises ``UnreadableFileError`` where text or surplus cells damage more than a quarter of the
     rows.
@@ -214,11 +214,11 @@ def _parse_cells(text: str, layout: Layout, name: str, first_line: int) -> Numbe
             f"{len(wide)} rows have more fields than the table ({fields[wide[0]]} > "
             f"{layout.fields})"
         )
-        place = f"line {lines[wide[0]]}"
-        statements.append(finding("field_count", text, place=place))
-    others = [count for k, count in enumerate(counts.tolist()) if k not in textual]
-    damaged = len(wide) + max(others, default=0)
-    if not others or 4 * damaged > len(numbers):
+        location = f"line {lines[wide[0]]}"
+        statements.append(finding("field_count", text, place=location))
+    numeric_counts = [count for k, count in enumerate(counts.tolist()) if k not in textual]
+    damaged = len(wide) + max(numeric_counts, default=0)
+    if not numeric_counts or 4 * damaged > len(numbers):
         first = wide[0] if len(wide) else is_text.any(axis=1).argmax()
         raise unreadable(
             name,

@@ -156,15 +156,15 @@ def _with_row_number_headings(start: TableStart, block: NumberTable) -> TableSta
 
 
 def _statements_of_file(start: TableStart, block: NumberTable) -> list[Statement]:
-    """Name the lines of numbers above the table, and its columns of text."""
+    """Report lines of numbers above the table, and columns of text."""
     statements = []
     if start.strays:
         text = (
             f"{len(start.strays)} lines above the table hold numbers, but not "
             f"{start.layout.fields} of them; they are not read"
         )
-        place = f"line {start.strays[0]}"
-        statements.append(finding("rows_above", text, place=place))
+        location = f"line {start.strays[0]}"
+        statements.append(finding("rows_above", text, place=location))
     for k in sorted(block.textual):
         text = f"column {k + 1} {start.labels[k]!r} holds text and is not read"
         statements.append(finding("text_column", text, place=f"column {k + 1}"))
@@ -221,7 +221,7 @@ class _BoundedGzip(gzip.GzipFile):
 
     def read(self, size: int | None = -1) -> bytes:
         content = super().read(size)
-        check_growth(self._source, self.tell(), whole=False)
+        check_growth(self._source, self.tell(), in_memory=False)
         return content
 
 
