@@ -47,8 +47,8 @@ BLOCKS = 20  # of the residual, for the standard error of its mean square
 ONE_SIDED_95 = 1.645
 ALPHA = 0.05  # of the rank among 52 healthy stages, whose smallest p-value is 1/53
 EXTRAPOLATION_TEXT = (
-    "The held-out error exceeds the error in sample: left-out blocks go beyond the amplitudes or "
-    "speeds of all others. Record every amplitude and speed at least twice."
+    "The held-out error exceeds the error in sample: a fit to the other recordings predicts "
+    "each of them worse than a fit to all. Record every amplitude and speed at least twice."
 )
 MANY_TIMES = 5.0  # residual of one recording over that of all others: it makes the error
 
