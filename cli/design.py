@@ -61,7 +61,7 @@ def design(
             model_digest=folder.model_digest,
             sampling_rate_Hz=rate,
             lab=folder.lab,
-            asked=asked,
+            requested=asked,
             progress=progress,
         )
     content = result.to_json()

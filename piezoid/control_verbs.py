@@ -67,7 +67,7 @@ def design(
         model_digest=digest_of(model),
         sampling_rate_Hz=sampling_rate_Hz,
         lab=lab_of(lab),
-        asked=requested,
+        requested=requested,
         progress=progress or (lambda _: None),
     )
 

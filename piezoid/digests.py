@@ -47,12 +47,12 @@ def seal_stream(
 
     content  its last value is the empty list that ``lines`` fill
     lines    one JSON value each, without line breaks
-    stream   empty, binary, can be read and written at any place
+    stream   empty, binary, seekable
     """
     record = {"schema": schema, "digest": f"sha256:{_ZEROS}", **content}
     head = json.dumps(record, indent=1, allow_nan=False, ensure_ascii=False).encode()
     head, tail = head.removesuffix(b"]\n}"), b"\n ]\n}\n"
-    place = head.index(_ZEROS.encode())
+    digest_offset = head.index(_ZEROS.encode())
     hasher = hashlib.sha256()
 
     def write(part: bytes) -> None:
@@ -63,22 +63,22 @@ def seal_stream(
     for number, line in enumerate(lines):
         write((b"" if number == 0 else b",") + b"\n  " + line)
     write(tail)
-    stream.seek(place)
+    stream.seek(digest_offset)
     stream.write(hasher.hexdigest().encode())
     stream.seek(0, 2)
 
 
-def unseal(content: bytes, schema: str, place: str) -> dict[str, Any]:
+def unseal(content: bytes, schema: str, file: str) -> dict[str, Any]:
     """Read sealed JSON back, refusing another schema or a single changed bit.
 
     content  bytes  the file
-    schema   str    what is expected, ``piezoid.<name>/<version>``
-    place    str    the file's name, for the message
+    schema   str    expected schema, ``piezoid.<name>/<version>``
+    file     str    name of the file in messages
     """
     match = _DIGEST.search(content)
     if match is None:
         raise ParameterFileError(
-            f"{place}: no digest found",
+            f"{file}: no digest found",
             needed=f"the one that every sealed file of schema {schema} carries",
             remedy="Write the file again with piezoid; it cannot be edited by hand.",
         )
@@ -86,36 +86,36 @@ def unseal(content: bytes, schema: str, place: str) -> dict[str, Any]:
     expected = hashlib.sha256(blank).hexdigest()
     if expected != match.group(1).decode():
         raise ParameterFileError(
-            f"{place}: the content's digest is {expected[:12]}..., the file says "
+            f"{file}: the content's digest is {expected[:12]}..., the file says "
             f"{match.group(1).decode()[:12]}...",
             needed="the file, byte for byte as piezoid wrote it",
             remedy="Take the original, or write it again from the recordings.",
         )
     try:
-        record = json.loads(content, parse_int=_whole)
-        # No NaN, no infinity, no half of a character: nothing that ``seal`` would not write.
+        record = json.loads(content, parse_int=_integer)
+        # Refuse NaN, infinities and lone surrogates, which ``seal`` does not write.
         json.dumps(record, allow_nan=False, ensure_ascii=False).encode()
-    except (ValueError, RecursionError) as error:  # sealed all the same: not by piezoid
+    except (ValueError, RecursionError) as error:  # sealed by another program
         raise ParameterFileError(
-            f"{place}: {type(error).__name__}: {error}",
+            f"{file}: {type(error).__name__}: {error}",
             needed="JSON text in UTF-8",
             remedy="Write the file again from the recordings.",
         ) from error
-    return _of_schema(record, schema, place)
+    return _of_schema(record, schema, file)
 
 
-def _whole(digits: str) -> int:
-    """Read a whole number of no more digits than are counted here, which a float can take."""
+def _integer(digits: str) -> int:
+    """Read an integer with a limited number of digits, which a float can represent."""
     if len(digits) > _MOST_DIGITS:
         raise ValueError(f"a whole number of {len(digits)} digits")
     return int(digits)
 
 
-def _of_schema(record: Any, schema: str, place: str) -> dict[str, Any]:
-    found = record.get("schema") if isinstance(record, dict) else None
-    if found != schema:
+def _of_schema(record: Any, schema: str, file: str) -> dict[str, Any]:
+    stated = record.get("schema") if isinstance(record, dict) else None
+    if stated != schema:
         raise ParameterFileError(
-            f"{place}: the schema is {found!r}",
+            f"{file}: the schema is {stated!r}",
             needed=f"schema {schema!r}, which this version of piezoid reads",
             remedy="Write the file again from the recordings with this version.",
         )

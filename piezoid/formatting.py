@@ -53,13 +53,13 @@ def with_unit(value: float, unit: str, digits: int = 3) -> str:
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """Return a number with so many significant digits, without an exponent where it can be."""
+    """Format a number to significant digits, without an exponent if possible."""
     if not math.isfinite(value):
         return UNKNOWN
     if value == 0.0:
         return "0"
     rounded = float(f"{value:.{digits - 1}e}")
-    place = math.floor(math.log10(abs(rounded)))
-    if not -5 <= place < 9:
+    exponent = math.floor(math.log10(abs(rounded)))
+    if not -5 <= exponent < 9:
         return f"{rounded:.{digits - 1}e}"
-    return f"{rounded:.{max(digits - 1 - place, 0)}f}"
+    return f"{rounded:.{max(digits - 1 - exponent, 0)}f}"

@@ -50,10 +50,10 @@ def manifest_in(folder: Path) -> dict[str, set[str]] | None:
 
 
 def read_manifest(content: bytes) -> dict[str, set[str]] | None:
-    """Return the listed names with their digests; None where this is no manifest."""
+    """Return the listed names with their digests, or None for other content."""
     try:
         record = unseal(content, SCHEMA, MANIFEST)
-        listed = {name: set(known) for name, known in record.get("previous", {}).items()}
+        listed = {name: set(digests) for name, digests in record.get("previous", {}).items()}
         for name, digest in record["files"].items():
             listed.setdefault(name, set()).add(digest)
     except (PiezoidError, KeyError, AttributeError, TypeError):
@@ -99,5 +99,5 @@ def manifest_of(files: Mapping[str, str], *, previous: Listed | None = None) -> 
     """Return the manifest of files with their digests, and with those that are replaced."""
     record: dict[str, object] = {"files": dict(sorted(files.items()))}
     if previous is not None:
-        record["previous"] = {name: sorted(known) for name, known in sorted(previous.items())}
+        record["previous"] = {name: sorted(digests) for name, digests in sorted(previous.items())}
     return seal(SCHEMA, record)

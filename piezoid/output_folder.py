@@ -253,7 +253,7 @@ def _folders_of(names: Iterable[str]) -> list[str]:
 def _write(
     folder: str | Path, contents: Mapping[str, Content], *, gone: Iterable[str], force: bool
 ) -> None:
-    """Write files beside the folder, then put them into their place."""
+    """Write files to a temporary folder, then move them into the target."""
     target = _target_of(folder)
     listed = _listed_in(target)
     gone = [name for name in gone if name not in contents]
@@ -266,9 +266,9 @@ def _write(
             _fill(fresh / MANIFEST, manifest_of(dict.fromkeys((*contents, *unchanged), "")))
             digests = {n: _fill(fresh / n, content) for n, content in contents.items()}
             for name in unchanged:  # an edited file keeps the digest that piezoid wrote
-                known = listed[name]
-                actual = digest_of_file(target / name) if len(known) > 1 else ""
-                digests[name] = actual if actual in known else min(known, default="")
+                recorded = listed[name]
+                actual = digest_of_file(target / name) if len(recorded) > 1 else ""
+                digests[name] = actual if actual in recorded else min(recorded, default="")
             _fill(fresh / _UNION, manifest_of(digests))
             (fresh / _UNION).replace(fresh / MANIFEST)  # killed here, the files are listed
             with interrupts_blocked():  # until every file is in its place

@@ -63,11 +63,11 @@ def in_counts(text: str, counted: Collection[str]) -> str:
 
 
 def _is_unit(match: re.Match[str]) -> bool:
-    """Return whether a symbol without prefix is a unit."""
-    before, after = match.string[: match.start()], match.string[match.end() :]
-    if NUMBER_BEFORE.search(before):
+    """Tell whether a symbol without prefix is a unit."""
+    preceding, following = match.string[: match.start()], match.string[match.end() :]
+    if NUMBER_BEFORE.search(preceding):
         return True
-    return (before[-1:], after[:1]) in (("", ""), ("[", "]"), ("(", ")"), ("", ","))
+    return (preceding[-1:], following[:1]) in (("", ""), ("[", "]"), ("(", ")"), ("", ","))
 
 
 def record_in_counts(record: Any, counted: Collection[str]) -> Any:

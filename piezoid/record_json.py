@@ -76,7 +76,7 @@ def read_sealed(
     kind: type[Record],
     content: bytes,
     schema: str,
-    place: str,
+    file: str,
     *,
     remedy: str,
     layouts: Sequence[RecordLayout] = (),
@@ -84,36 +84,38 @@ def read_sealed(
     """Read the record of a sealed file back.
 
     Raises ``ParameterFileError`` where a bit was changed, the schema is another, or an entry is
-    missing, unknown or of another type; ``remedy`` says what to do about the latter.
+    missing, unknown or of another type; ``remedy`` is for wrong entries.
     """
-    record = unseal(content, schema, place)
-    held = {name: value for name, value in record.items() if name not in ("schema", "digest")}
-    with refusing(schema, place, remedy=remedy):
-        return from_json(kind, held, layouts)
+    record = unseal(content, schema, file)
+    content_entries = {
+        name: value for name, value in record.items() if name not in ("schema", "digest")
+    }
+    with refusing(schema, file, remedy=remedy):
+        return from_json(kind, content_entries, layouts)
 
 
 @contextmanager
-def refusing(schema: str, place: str, *, remedy: str) -> Iterator[None]:
-    """Turn whatever stumbles over an entry of a file into ``ParameterFileError``."""
+def refusing(schema: str, file: str, *, remedy: str) -> Iterator[None]:
+    """Convert errors in entries of a file to ``ParameterFileError``."""
     try:
         yield
     except _WRONG as error:
         raise ParameterFileError(
-            f"{place}: {type(error).__name__} at {error}",
+            f"{file}: {type(error).__name__} at {error}",
             needed=f"every entry of schema {schema}, of its own kind",
             remedy=remedy,
         ) from error
 
 
 def _written(value: Any, layouts: Sequence[RecordLayout], *, may_be_infinite: bool) -> Any:
-    layout = next((known for known in layouts if isinstance(value, known.kind)), None)
+    layout = next((candidate for candidate in layouts if isinstance(value, candidate.kind)), None)
     if layout is not None:
         return to_json(layout.write(value), layouts)
     if is_dataclass(value) and not isinstance(value, type):
         infinite = _fields_that_may_be_infinite(type(value))
         return {
-            name: _written(held, layouts, may_be_infinite=name in infinite)
-            for name, held in fields_of(value).items()
+            name: _written(field_value, layouts, may_be_infinite=name in infinite)
+            for name, field_value in fields_of(value).items()
         }
     if isinstance(value, np.ndarray):
         value = value.tolist()
@@ -145,7 +147,9 @@ def _read(kind: Any, value: Any, layouts: Sequence[RecordLayout], path: str) -> 
         return np.array(value, dtype=np.float64)
     if not is_dataclass(kind):
         return _leaf(kind, value, path)
-    layout = next((known for known in layouts if issubclass(cast(type, kind), known.kind)), None)
+    layout = next(
+        (candidate for candidate in layouts if issubclass(cast(type, kind), candidate.kind)), None
+    )
     if layout is not None and layout.read is not None:
         return layout.read(value)
     return _by_fields(cast(type, kind), value, layouts, path)

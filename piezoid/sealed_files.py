@@ -34,7 +34,7 @@ Sealed = (
 
 
 def load(path: Place) -> Sealed:
-    """Read a sealed file back, whichever it is by its schema; of a folder, its model.json.
+    """Read a sealed file of any schema back; for a folder, its model.json.
 
     returned  of model.json an ActuatorModel, of diagnosis.json a tuple with the diagnosis of each
               axis, of design.json a Design, of params.json a ParameterFile, of verification.json
@@ -47,9 +47,9 @@ def load(path: Place) -> Sealed:
     >>> piezoid.load("model.json").stage == model.stage
     True
     """
-    place = path_of(path)
-    place = place / "model.json" if place.is_dir() else place
-    content = place.read_bytes()
+    file = path_of(path)
+    file = file / "model.json" if file.is_dir() else file
+    content = file.read_bytes()
     try:
         record = loads(content)
         schema = str(record.get("schema")) if isinstance(record, dict) else ""
@@ -58,20 +58,20 @@ def load(path: Place) -> Sealed:
     kind = schema.partition("/")[0]
     if kind not in _READERS:
         raise ParameterFileError(
-            f"{place.name} is of {f'schema {schema!r}' if schema else 'no schema'}",
+            f"{file.name} is of {f'schema {schema!r}' if schema else 'no schema'}",
             needed=f"one of {', '.join(_READERS)}",
             remedy="Pass model.json, diagnosis.json, design.json, params.json, "
             "verification.json or learning.json of a stage's folder.",
         )
-    return _READERS[kind](content, str(place))
+    return _READERS[kind](content, str(file))
 
 
-def read_model(content: bytes, place: str = "model.json") -> ActuatorModel:
-    """Read model.json, with the extensions that only an effect defines.
+def read_model(content: bytes, location: str = "model.json") -> ActuatorModel:
+    """Read model.json, including extensions that effects define.
 
     Raises ``ParameterFileError`` as ``store.read_model``.
     """
-    return store.read_model(content, place)
+    return store.read_model(content, location)
 
 
 _READERS: Mapping[str, Callable[[bytes, str], Sealed]] = {
@@ -108,7 +108,7 @@ def sealed(record: object) -> bytes:
     if isinstance(record, ParameterFile):
         return parameter_file.to_json(record)
     several = tuple(record) if isinstance(record, tuple | list) else ()
-    if several and all(isinstance(one, Diagnosis) for one in several):
+    if several and all(isinstance(part, Diagnosis) for part in several):
         return write_diagnosis(several[0], further_axes=several[1:])
     raise ParameterFileError(
         f"{type(record).__name__} has no sealed file",
@@ -123,17 +123,17 @@ def digest_of(record: object) -> str:
     return str(loads(sealed(record))["digest"])
 
 
-def path_of(given: object) -> Path:
-    """Return the path of a file, or refuse what is none."""
-    if isinstance(given, str | Path):
-        return Path(given)
+def path_of(path: object) -> Path:
+    """Convert to a path, or raise ``RecordingError`` for other types."""
+    if isinstance(path, str | Path):
+        return Path(path)
     raise RecordingError(
-        f"{type(given).__name__} given for a file",
+        f"{type(path).__name__} given for a file",
         needed="the path of a file",
         remedy="Pass a string or a pathlib.Path.",
     )
 
 
-def lab_of(given: object) -> Lab | None:
-    """Return a ``Lab`` as it is given, or read it from its path; None without one."""
-    return given if given is None or isinstance(given, Lab) else read_lab(path_of(given))
+def lab_of(lab: object) -> Lab | None:
+    """Return a ``Lab`` unchanged, or read it from its path; None stays None."""
+    return lab if lab is None or isinstance(lab, Lab) else read_lab(path_of(lab))

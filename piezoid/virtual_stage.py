@@ -55,9 +55,9 @@ def simulate(
     ('x',)
     """
     sizes = dict(effects) if isinstance(effects, Mapping) else dict.fromkeys(effects)
-    drawn, written = (import_module(f"piezoid_datasets.virtual_lab.{n}") for n in _LABORATORY)
+    campaigns, written = (import_module(f"piezoid_datasets.virtual_lab.{n}") for n in _LABORATORY)
     try:
-        campaign = drawn.draw_campaign(
+        campaign = campaigns.draw_campaign(
             seed,
             effects=sizes,
             truth=truth,

@@ -73,31 +73,32 @@ def design_stage(
     model_digest: str,
     sampling_rate_Hz: float | None = None,
     lab: Lab | None = None,
-    asked: SpecificationText | None = None,
+    requested: SpecificationText | None = None,
     forms: Sequence[str] = FORMS,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Design:
-    """Design every axis of which enough is known; the others stand in the design's remarks.
+    """Design every axis for which enough is known; the remarks name the other axes.
 
     model_digest      of the model's file
     sampling_rate_Hz  of the controller; by default what the model says the laboratory declared.
                       The tunnelling axis keeps the rate at which its loop was identified
     lab               converters of every axis; voltages and set point of the tunnelling axis
-    asked             specifications; an axis without gets its default, or the nearest bandwidth
+    requested         specifications; an axis without gets its default, or the nearest bandwidth
                       below it that can be met, or more where a mode can be damped
     forms             of the observers of X and Y; the inverse one is recommended, the affine one
                       is there to be compared and takes longer
 
-    An axis whose limits no controller meets keeps no other from its own; the design says why.
+    An axis without a feasible controller does not prevent the design of other axes; the design
+    states the reason.
 
-    Raises what stands in the way of the first axis where no axis can be designed: a
-    ``TemplateError`` before anything that is merely not known.
+    Raises the obstacle of the first axis if no axis can be designed: a ``TemplateError`` before
+    missing information.
     """
     outcomes = design_axes(
         model,
         sampling_rate_Hz=sampling_rate_Hz,
         lab=lab,
-        asked=asked,
+        requested=requested,
         forms=forms,
         progress=progress,
     )
@@ -120,20 +121,20 @@ def design_axes(
     *,
     sampling_rate_Hz: float | None = None,
     lab: Lab | None = None,
-    asked: SpecificationText | None = None,
+    requested: SpecificationText | None = None,
     forms: Sequence[str] = FORMS,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[AxisDesignResult, ...]:
-    """Return what comes of designing every axis, as ``design_stage`` would; none needs another.
+    """Design every axis independently; return a design or an obstacle for each.
 
-    Without ``asked``, a stage may be designed axis by axis and put together by ``design_of``.
+    Without ``requested``, a stage may be designed axis by axis and assembled by ``design_of``.
     """
     tasks, obstacles = _tasks(model, lab or Lab(), sampling_rate_Hz, forms)
     hindered = tuple(AxisDesignResult(axis=name, obstacle=why) for name, why in obstacles.items())
     if not tasks:
         return hindered
     defaults = {name: task.specification for name, task in tasks.items()}
-    request = asked or SpecificationText()
+    request = requested or SpecificationText()
     specifications = specifications_from_toml(request.text, defaults, source=request.source)
     designed = []
     for name, task in tasks.items():

@@ -235,15 +235,15 @@ def _bends(
 def _static_ratios(
     zones: DeadZones, truth: DeadZones, difference: JointError, error_m: float
 ) -> tuple[Array, Array]:
-    """Return the extremes of Psi_t' / Psi_m' at outputs together, between each two voltages."""
+    """Return the extremes of Psi_t' / Psi_m' between neighbouring voltages."""
     low_m, high_m = zones.run(difference.least_m[:-1]), zones.run(difference.most_m[1:])
     model_edges, truth_edges = (
         np.concatenate([[-np.inf], z.run(z.threshold), [np.inf]]) for z in (zones, truth)
     )
     first = np.maximum(model_edges[:-1], low_m[:, None])  # (cells, pieces of the model)
-    last = np.minimum(model_edges[1:], high_m[:, None])
-    met = (first <= last)[:, :, None] & (
-        (truth_edges[:-1] <= last[:, :, None] + error_m)
+    stop = np.minimum(model_edges[1:], high_m[:, None])
+    met = (first <= stop)[:, :, None] & (
+        (truth_edges[:-1] <= stop[:, :, None] + error_m)
         & (truth_edges[1:] >= first[:, :, None] - error_m)
     )
     ratio = truth.slope / zones.slope[:, None]

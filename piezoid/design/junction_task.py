@@ -278,8 +278,8 @@ def design_vertical(
     if not feasible:
         least_missed = min(missed.values(), key=severity)
         refuse(axis, specification, least_missed, partial(_attempt, family, taps))
-    chosen = min(feasible, key=lambda name: solutions[name].rejection)
-    members, best = family.fractions, solutions[chosen].controller
+    best_name = min(feasible, key=lambda name: solutions[name].rejection)
+    members, best = family.fractions, solutions[best_name].controller
     R, S, T = best.R, best.S, np.array([best.R.sum()])
     loop = LoopDesign(
         method="rst",
@@ -296,7 +296,7 @@ def design_vertical(
         candidates=tuple(
             Candidate(
                 name=name,
-                is_chosen=name == chosen,
+                is_chosen=name == best_name,
                 is_feasible=not missed[name],
                 figure=solution.rejection,
                 figure_name=_FIGURE,

@@ -99,15 +99,15 @@ class Plant(Fraction):
         transition[order, order] = pole
         taps = np.zeros((order + 1, self.input_taps.shape[1] - samples))
         taps[:order] = self.input_taps[:, samples:]
-        late = [0.0, 1.0 - pole]
+        numerator = [0.0, 1.0 - pole]
         return replace(
             self,
             state_matrix=transition,
             input_taps=taps,
             output_vector=np.append(np.zeros(order), 1.0),
-            B=np.convolve(self.B[samples:], late),
+            B=np.convolve(self.B[samples:], numerator),
             A=np.convolve(self.A, [1.0, -pole]),
-            B_position=np.convolve(self.B_position[samples:], late),
+            B_position=np.convolve(self.B_position[samples:], numerator),
         )
 
     def realised(self) -> tuple[Array, Array, Array]:

@@ -85,14 +85,14 @@ def search(
 
 
 def _descend(ask: Judge, start: Array, step: float, evaluations: int, reserve_dB: float) -> None:
-    last: dict[bytes, tuple[float, float]] = {}
+    cache: dict[bytes, tuple[float, float]] = {}
 
     def remembered(unit: Array) -> tuple[float, float]:
         key = unit.tobytes()
-        if key not in last:
-            last.clear()
-            last[key] = ask(unit)
-        return last[key]
+        if key not in cache:
+            cache.clear()
+            cache[key] = ask(unit)
+        return cache[key]
 
     direct_search(
         lambda unit: remembered(unit)[0],

@@ -58,9 +58,11 @@ class Controller:
     ``ParameterFileError`` for parameters the runtime refuses.
     """
 
-    def __init__(self, given: Mapping[str, ArrayLike | str], *, precision: str = "double") -> None:
+    def __init__(
+        self, parameters: Mapping[str, ArrayLike | str], *, precision: str = "double"
+    ) -> None:
         self.library = library(precision)
-        self.parameters = self.library.pack(complete(given))
+        self.parameters = self.library.pack(complete(parameters))
         self._state = (ctypes.c_uint32 * (self.library.state_size // 4))()
         self._addresses = (ctypes.addressof(self._state), ctypes.addressof(self.parameters))
 
@@ -94,13 +96,13 @@ class Controller:
     def start(self, voltage_V: float, measured: float) -> None:
         """Go to rest: the next step with reference == measured returns ``voltage_V``.
 
-        voltage_V  V           what the converter puts out now
-        measured   m (Z: A)    what the sensor shows now
+        voltage_V  V           present output of the converter
+        measured   m (Z: A)    present reading of the sensor
         """
-        place = self.library.code.pz_start(*self._addresses, voltage_V, measured)
-        if place:
+        number = self.library.code.pz_start(*self._addresses, voltage_V, measured)
+        if number:
             raise ParameterFileError(
-                f"the runtime cannot use {PARAMETERS[place - 1].name} any more",
+                f"the runtime cannot use {PARAMETERS[number - 1].name} any more",
                 needed="parameters nobody has written to",
                 remedy="Make a new Controller from the parameter file.",
             )

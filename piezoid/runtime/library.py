@@ -51,9 +51,9 @@ class Library:
         for parameter in PARAMETERS:
             _write(packed, parameter, values[parameter.name])
         self.seal(packed)
-        place = self.code.pz_check(ctypes.byref(packed))
-        if place:
-            unusable = PARAMETERS[place - 1]
+        number = self.code.pz_check(ctypes.byref(packed))
+        if number:
+            unusable = PARAMETERS[number - 1]
             raise ParameterFileError(
                 f"the runtime cannot use {unusable.name} ({unusable.meaning})",
                 needed="a set of parameters that is invertible, stable and consistent",
@@ -97,21 +97,21 @@ def _field(real: Any) -> type[ctypes.Structure]:
 
 @cache
 def library(precision: str = "double") -> Library:
-    """Open the runtime of this precision, or say what is wrong with it.
+    """Open the runtime of this precision and check its layout.
 
     precision  ``double`` or ``float``
     """
     name, real = PRECISIONS[precision]
     code = opened(name, _signatures(real))
-    found = Library(
+    runtime = Library(
         precision=precision,
         code=code,
         real=real,
         parameters=structure(real),
         state_size=code.pz_size_of_state(),
     )
-    compare_layout(found)
-    return found
+    compare_layout(runtime)
+    return runtime
 
 
 def _signatures(real: Any) -> Signatures:
@@ -133,16 +133,16 @@ def _signatures(real: Any) -> Signatures:
 
 
 def compare_layout(opened: Library) -> None:
-    """Raise ``RuntimeLibraryError`` unless the library's table is the schema's, line by line."""
+    """Raise ``RuntimeLibraryError`` unless the parameter table of the library is the schema."""
     real_size = opened.code.pz_size_of_real()
     if real_size != ctypes.sizeof(opened.real):
         raise _other_layout("size of pz_real", real_size, ctypes.sizeof(opened.real))
     for index, parameter in enumerate(PARAMETERS, start=1):
         entry = opened.code.pz_describe(index)
-        found = _of_library(entry.contents) if entry else None
+        actual = _of_library(entry.contents) if entry else None
         expected = _of_schema(opened, parameter.name, index)
-        if found != expected:
-            raise _other_layout(f"line {index} of the parameter table", found, expected)
+        if actual != expected:
+            raise _other_layout(f"line {index} of the parameter table", actual, expected)
     if opened.code.pz_describe(len(PARAMETERS) + 1):
         raise _other_layout("length of the parameter table", "longer", len(PARAMETERS))
 
@@ -172,44 +172,43 @@ def _of_schema(opened: Library, name: str, index: int) -> tuple[object, ...]:
     )
 
 
-def _other_layout(what: str, found: object, expected: object) -> RuntimeLibraryError:
+def _other_layout(what: str, actual: object, expected: object) -> RuntimeLibraryError:
     return RuntimeLibraryError(
-        f"the compiled runtime is of another layout: {what} is {found}",
+        f"the compiled runtime is of another layout: {what} is {actual}",
         needed=f"{expected}, as in piezoid.runtime.schema",
         remedy="Install piezoid again, so that the runtime is compiled from this source.",
     )
 
 
-def complete(given: Mapping[str, ArrayLike | str]) -> Values:
+def complete(parameters: Mapping[str, ArrayLike | str]) -> Values:
     """Return every parameter of the schema, padded to its full shape, read-only.
 
-    given     by name; arrays may be shorter than the schema's (they go into the first places), one
-              number fills all places; ``method`` may be a name; whatever is missing takes the
-              schema's default
-    returned  float64 arrays of the schema's shapes, in the schema's order
+    parameters  by name; shorter arrays fill the first elements, one number fills all elements;
+                ``method`` may be a name; missing parameters take the default of the schema
+    returned    float64 arrays in the shapes and order of the schema
 
     Raises ``ParameterFileError`` for an unknown name, too many numbers, a fraction where an
     integer is needed, or a number outside its bounds.
     """
-    unknown = sorted(set(given) - set(INDEX))
+    unknown = sorted(set(parameters) - set(INDEX))
     if unknown:
         raise ParameterFileError(
             f"unknown parameter {unknown[0]!r}",
             needed=f"one of the {len(INDEX)} names of the schema",
             remedy="Compare the spelling with piezoid.runtime.schema.PARAMETERS.",
         )
-    return {p.name: _padded(p, given.get(p.name, p.default)) for p in PARAMETERS}
+    return {p.name: _padded(p, parameters.get(p.name, p.default)) for p in PARAMETERS}
 
 
 def _padded(parameter: Parameter, value: ArrayLike | str) -> Array:
     if parameter.name == "method" and isinstance(value, str):
         value = METHODS.index(value) if value in METHODS else -1
     numbers = np.asarray(value, dtype=np.float64)
-    full = np.zeros(parameter.shape)
+    padded = np.zeros(parameter.shape)
     if numbers.ndim == 0:
-        full[...] = numbers
-    elif numbers.ndim != full.ndim or any(
-        n > m for n, m in zip(numbers.shape, full.shape, strict=True)
+        padded[...] = numbers
+    elif numbers.ndim != padded.ndim or any(
+        n > m for n, m in zip(numbers.shape, padded.shape, strict=True)
     ):
         raise ParameterFileError(
             f"{parameter.name} has the shape {numbers.shape}",
@@ -217,19 +216,19 @@ def _padded(parameter: Parameter, value: ArrayLike | str) -> Array:
             remedy="Reduce the model's order, or build the runtime with larger tables.",
         )
     else:
-        full[tuple(slice(n) for n in numbers.shape)] = numbers
-    _within_bounds(parameter, full)
-    full += 0.0  # a negative zero becomes a zero: what is not written is a zero too
-    full.setflags(write=False)
-    return full
+        padded[tuple(slice(n) for n in numbers.shape)] = numbers
+    _within_bounds(parameter, padded)
+    padded += 0.0  # turn -0.0 into 0.0, the value of elements that are not written
+    padded.setflags(write=False)
+    return padded
 
 
-def _within_bounds(parameter: Parameter, full: Array) -> None:
-    good = (full >= parameter.lower) & (full <= parameter.upper)
+def _within_bounds(parameter: Parameter, values: Array) -> None:
+    is_within = (values >= parameter.lower) & (values <= parameter.upper)
     if parameter.kind == "integer":
-        good &= full == np.floor(full)
-    if not good.all():
-        worst = full.ravel()[int(np.flatnonzero(~good.ravel())[0])]
+        is_within &= values == np.floor(values)
+    if not is_within.all():
+        worst = values.ravel()[int(np.flatnonzero(~is_within.ravel())[0])]
         raise ParameterFileError(
             f"{parameter.name} is {worst:.9g} {parameter.unit} ({parameter.meaning})",
             needed=f"{parameter.kind} numbers from {parameter.lower:.9g} to {parameter.upper:.9g}",

@@ -281,7 +281,7 @@ _TUNNELLING = (
 
 PARAMETERS: tuple[Parameter, ...] = _HEADER + _COUNTS + _SIGNALS + _MODEL + _OBSERVER + _TUNNELLING
 
-INDEX: dict[str, int] = {p.name: place for place, p in enumerate(PARAMETERS, start=1)}
+INDEX: dict[str, int] = {p.name: number for number, p in enumerate(PARAMETERS, start=1)}
 
 
 def structure(real: Any) -> type[ctypes.Structure]:

@@ -185,15 +185,15 @@ def hold_verdicts(
 
 
 def recovery_verdict(
-    scenario: str, nepers: Array, rate_Hz: float, allowed_s: float, *, far: bool
+    scenario: str, nepers: Array, rate_Hz: float, allowed_s: float, *, is_far: bool
 ) -> Verdict:
-    """Judge how long the current was off its set point; the whole record if it never came back.
+    """Judge how long the current deviates from its set point after a fault.
 
-    nepers  (samples,)  ln(i / i_set) since the fault ended, longer than allowed
+    nepers  (samples,)  ln(i / i_set) since the end of the fault, longer than ``allowed_s``
     """
     off = np.flatnonzero(np.abs(nepers) > _RECOVERED)
     recovery_s = (int(off[-1]) + 1 if len(off) else 0) / rate_Hz
-    name = "until the current is back" + (" from far away" if far else "")
+    name = "until the current is back" + (" from far away" if is_far else "")
     return verdict(name, scenario, recovery_s, allowed_s, "s")
 
 

@@ -213,7 +213,7 @@ def _trial_verdicts(
     if not trial.cause and trial.gain == 1.0:
         nepers = np.log(record.position[round(recovers_from_s * rate_Hz) :] / junction.current_A)
         verdicts.append(
-            criteria.recovery_verdict(trial.name, nepers, rate_Hz, allowed_s, far=is_far)
+            criteria.recovery_verdict(trial.name, nepers, rate_Hz, allowed_s, is_far=is_far)
         )
     return verdicts
 

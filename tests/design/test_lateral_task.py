@@ -273,7 +273,7 @@ def test_what_is_asked_and_cannot_be_met_is_refused_with_what_could() -> None:
     known = rigged(bandwidth=unmeasured(12e3, "nothing was recorded"))
     with pytest.raises(TemplateError, match="Ask for bandwidth_Hz"):
         design_stage(
-            stage(axes={"x": known}), model_digest=DIGEST, asked=asked, forms=("inverse",)
+            stage(axes={"x": known}), model_digest=DIGEST, requested=asked, forms=("inverse",)
         )
 
 
@@ -322,7 +322,7 @@ def test_a_data_sheets_resonance_lets_the_loop_be_faster() -> None:
 def test_an_axis_whose_limits_nothing_meets_keeps_no_other_back() -> None:
     both = stage(axes={"x": rigged(), "y": rigged(axis="y")})
     asked = SpecificationText(text="[y]\nbandwidth_Hz = 4000\n")
-    found = design_stage(both, model_digest=DIGEST, asked=asked, forms=("inverse",))
+    found = design_stage(both, model_digest=DIGEST, requested=asked, forms=("inverse",))
     assert [axis.axis for axis in found.axes] == ["x"]
     assert "axis y, bandwidth 4000 Hz" in found.refused["y"]
     assert found.remarks == ()
@@ -342,4 +342,4 @@ def test_a_design_of_a_version_that_knew_no_refusals_is_read() -> None:
 def test_an_axis_that_is_not_of_the_model_is_refused_by_name() -> None:
     asked = SpecificationText(text="[w]\nbandwidth_Hz = 10\n", source="mine.toml")
     with pytest.raises(LabFileError, match=r"mine\.toml: \[w\]"):
-        design_stage(stage(), model_digest=DIGEST, asked=asked)
+        design_stage(stage(), model_digest=DIGEST, requested=asked)
