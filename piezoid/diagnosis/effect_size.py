@@ -22,7 +22,6 @@ from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.diagnosis import Size
 from piezoid.diagnosis.refinement import with_step
 from piezoid.diagnosis.refitted_view import (
-    SelectedEffect,
     filter_offset,
     with_filtered_drive,
     without_ringing,
@@ -85,7 +84,12 @@ def _nudged(cause: Candidate, name: str) -> Array:
     if effect.response_filter is not None:
         change = filter_offset(view, [nudged]) - filter_offset(view, [selected])
     elif effect.drive_filter is not None:
-        change = _of_drive(cause, nudged)
+        tracks = with_filtered_drive(cause.without, [nudged]).tracks
+        parts = [
+            view.nuisance.static_rows(k, view.weight, track.drive) - view.static[k][track.rows]
+            for k, track in enumerate(tracks)
+        ]
+        change = np.concatenate(parts)
     else:
         assert effect.columns is not None
         baseline = without_ringing(view, [selected])
@@ -94,13 +98,3 @@ def _nudged(cause: Candidate, name: str) -> Array:
         )
         change = difference @ cause.cv.coefficient
     return np.asarray(change / NUDGE)
-
-
-def _of_drive(cause: Candidate, nudged: SelectedEffect) -> Array:
-    view = cause.view
-    filtered: View = with_filtered_drive(cause.without, [nudged])
-    parts = [
-        view.nuisance.static_rows(k, view.weight, track.drive) - view.static[k][track.rows]
-        for k, track in enumerate(filtered.tracks)
-    ]
-    return np.concatenate(parts)

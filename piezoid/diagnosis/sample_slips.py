@@ -97,18 +97,17 @@ def delay_like_null(view: View, *, other_axes: bool = False) -> Null:
     columns = [view.of_track(k, speed[k][track.rows]) for k, track in enumerate(tracks)]
     columns += [view.rows(second), view.rows(third)]
     columns += [view.rows([np.sign(v) * np.abs(v) ** power for v in speed]) for power in (0.5, 2)]
-    columns += [_relaxation(view, time_s) for time_s in RELAXATIONS_s]
+    for time_s in RELAXATIONS_s:
+        delayed = [
+            relaxed(static, time_s, track.rate_Hz) - static
+            for static, track in zip(view.static, tracks, strict=True)
+        ]
+        columns.append(view.rows(delayed))
     columns += [answers_of_others(view)] if other_axes else []
     return Null(
         columns=np.column_stack([view.null.every, *(c for c in columns if np.any(c))]),
         response=view.response,
         block=view.block,
-    )
-
-
-def _relaxation(view: View, time_s: float) -> Array:
-    return view.of(
-        lambda k, track: relaxed(view.static[k], time_s, track.rate_Hz) - view.static[k]
     )
 
 

@@ -37,7 +37,8 @@ def parameters_of(axis: AxisModel) -> "DataFrame":
     """
     from pandas import DataFrame
 
-    rows = [*_hysteresis(axis), *_dynamics(axis), *_extensions(axis)]
+    rows = [*_hysteresis(axis), *_dynamics(axis)]
+    rows += [row for extension in axis.extensions for row in _extension(extension)]
     rows = [replace(row, unit=in_counts(row.unit, axis.counted)) for row in rows]
     return DataFrame(
         {name: [getattr(row, name) for row in rows] for name in ("value", "unit", "low", "high")},
@@ -93,10 +94,6 @@ def _dynamics(axis: AxisModel) -> list[_Row]:
     low_s, high_s = dynamics.delay_interval_s().tolist()
     rows.append(_Row(name="delay_s", value=dynamics.delay_s, unit="s", low=low_s, high=high_s))
     return rows
-
-
-def _extensions(axis: AxisModel) -> list[_Row]:
-    return [row for extension in axis.extensions for row in _extension(extension)]
 
 
 def _extension(extension: Extension) -> list[_Row]:

@@ -19,7 +19,6 @@ Source
     spring load on a ceramic of finite stiffness, manufacturers' application notes
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -136,17 +135,13 @@ def _trials_between(view: View) -> list[Trial]:
     changes = [
         _trial_between(k, _from_track_on(view, k))
         for k in range(1, count)
-        if _have_similar_speed(speed[:k], speed[k:])
+        if any(a < EQUAL_SPEED * b and b < EQUAL_SPEED * a for a in speed[:k] for b in speed[k:])
     ]
     placebos = [
         _trial_between(0, _from_track_on(view, k) - _from_track_on(view, k + 1), physical=False)
         for k in range(1, count - 1)
     ]
     return [*changes, *placebos]
-
-
-def _have_similar_speed(earlier: Sequence[float], later: Sequence[float]) -> bool:
-    return any(a < EQUAL_SPEED * b and b < EQUAL_SPEED * a for a in earlier for b in later)
 
 
 def _trial_between(track: int, columns: Array, *, physical: bool = True) -> Trial:

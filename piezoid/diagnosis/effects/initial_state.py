@@ -26,7 +26,6 @@ from piezoid.diagnosis.initial_state_search import with_shared_where_as_good
 from piezoid.diagnosis.residual_view import View, with_free_memory
 from piezoid.diagnosis.signals import with_added
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
-from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import starts_of
 from piezoid.records.recording import Recording
@@ -49,10 +48,6 @@ def _trials(view: View) -> list[Trial]:
     memory = free.nuisance.columns[:, list(free.nuisance.memory_columns)]
     columns_and_memory = np.column_stack([*columns, memory])
     return [Trial(columns=columns_and_memory[:, np.abs(columns_and_memory).max(axis=0) > CHANGE])]
-
-
-def _structure(structure: Structure, _: AxisModel, is_selected: bool) -> Structure:
-    return replace(structure, memory=is_selected)
 
 
 def _cycled(axis: AxisModel, recording: Recording) -> AxisModel:
@@ -90,7 +85,11 @@ EFFECT = Effect(
     tangent="its remedy is to cycle the drive first, as every planned drive does",
     confounded=("creep", "thermal_drift", "gain_change", "amplifier_saturation"),
     trials=_trials,
-    structural=Structural(null_without=_against, structure=_structure, largest_noise_ratio=1.6),
+    structural=Structural(
+        null_without=_against,
+        structure=lambda structure, _, is_selected: replace(structure, memory=is_selected),
+        largest_noise_ratio=1.6,
+    ),
     # On laws that forget slowly, pasts as laboratories leave them are found at 0.35 to 1.2 of the
     # noise, rms; injected ones at full size from 1.9 on. A gain of 0.25 asks for about 0.9.
     minimum_gain=0.25,

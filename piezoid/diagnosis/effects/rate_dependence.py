@@ -18,7 +18,6 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_SPEED
-from piezoid.diagnosis.drive_response import Driven
 from piezoid.diagnosis.effect import (
     Effect,
     EffectEstimate,
@@ -101,10 +100,6 @@ def _trials(view: View) -> list[Trial]:
     ]
 
 
-def _tangent(drive: Driven, _: float) -> Array:
-    return -rate_of(drive.walls_m, drive.rate_Hz)[:, None]
-
-
 def inject(recording: Recording, share: float) -> Recording:
     """Let what is not in proportion to the drive lag: by the share at SPEED strokes a second.
 
@@ -141,7 +136,7 @@ EFFECT = Effect(
     control="The inverse is right at one speed only: identify the stage at the speed that you "
     "use, or leave the rest to the observer.",
     shows=OVER_SPEED,
-    tangent=Tangent(columns=_tangent),
+    tangent=Tangent(columns=lambda drive, _: -rate_of(drive.walls_m, drive.rate_Hz)[:, None]),
     confounded=("delay", "lag", "resonance", "slew_limit"),
     trials=_trials,
     columns=_columns,
