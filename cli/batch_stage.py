@@ -95,9 +95,9 @@ def _recordings(folder: Path) -> Sequence[str]:
         declared = []  # it is read again, and its refusal becomes the stage's reason
     present = [name for name in dict.fromkeys(declared) if (folder / name).is_file()]
     return present or sorted(
-        place.name
-        for place in folder.iterdir()
-        if place.is_file() and place.suffix not in NO_RECORDING and place.name[0] != "."
+        file.name
+        for file in folder.iterdir()
+        if file.is_file() and file.suffix not in NO_RECORDING and file.name[0] != "."
     )
 
 

@@ -53,7 +53,7 @@ def design(
 
     folder = StageFolder(stage, lab)
     model = folder.model
-    asked = None if spec is None else SpecificationText(text=text_of(spec), source=spec.name)
+    requested = None if spec is None else SpecificationText(text=text_of(spec), source=spec.name)
     check_folder(stage, force=force, names=("design.json", "design.html"))
     with show_progress(quiet=quiet or json) as progress:
         result = design_stage(
@@ -61,7 +61,7 @@ def design(
             model_digest=folder.model_digest,
             sampling_rate_Hz=rate,
             lab=folder.lab,
-            requested=asked,
+            requested=requested,
             progress=progress,
         )
     content = result.to_json()

@@ -119,8 +119,8 @@ def _diagnosed(
                 progress=progress,
             )
     diagnosis = texts_in_counts(diagnosis)
-    since = None if comparison is None else comparison.to_json()
-    content = write_diagnosis(diagnosis, changes=since)
+    changes = None if comparison is None else comparison.to_json()
+    content = write_diagnosis(diagnosis, changes=changes)
     model = ActuatorModel(
         stage=("" if declared is None else declared.name) or recordings[0].name,
         axes={} if diagnosis.model is None else {diagnosis.axis: diagnosis.model},

@@ -41,8 +41,8 @@ def init(
 
     opening = HEAD.partition("\n")[0].encode()
     write_file(out, b"", opening=opening, force=force, only_check=True)
-    for place in files:
-        place.stat()
+    for file in files:
+        file.stat()
     with show_progress(quiet=quiet or json) as progress:
         progress("reading recordings")
         inspections = inspect_files(files)

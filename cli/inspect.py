@@ -108,8 +108,8 @@ def show(inspections: "tuple[Inspection, ...]") -> None:
             for line in response_lines(inspection):
                 console.print(plain(line))
         for statement in inspection.statements:
-            place, text = _cut(_location(statement)), _cut(statement.text)
-            console.print(plain(f"  {statement.quantity} ({place}): {text}", "yellow"))
+            location, text = _cut(_location(statement)), _cut(statement.text)
+            console.print(plain(f"  {statement.quantity} ({location}): {text}", "yellow"))
         if inspection.refusal is not None:
             console.print(plain(f"  no recording: {inspection.refusal}", style="red"))
         console.print()
@@ -143,15 +143,15 @@ def _table(
     from rich.table import Table
 
     rows = [_cells(column, has_noise=has_noise) for column in columns]
-    shown = [k for k in range(len(HEADINGS)) if k < N_ALWAYS or any(row[k] for row in rows)]
-    numbers = [k for k in shown if k not in (LABEL, MEANING)]
+    visible = [k for k in range(len(HEADINGS)) if k < N_ALWAYS or any(row[k] for row in rows)]
+    numbers = [k for k in visible if k not in (LABEL, MEANING)]
     spent = sum(max(len(row[k]) for row in (HEADINGS, *rows)) for k in numbers)
-    has_room = width - spent - GAP * len(shown) >= MIN_WORDS
+    has_room = width - spent - GAP * len(visible) >= MIN_WORDS
     table = Table(box=None, pad_edge=False, padding=(0, GAP, 0, 0))
-    for k in shown:
+    for k in visible:
         table.add_column(HEADINGS[k], overflow="fold", no_wrap=has_room and k in numbers)
     for row in rows:
-        table.add_row(*(plain(row[k]) for k in shown))
+        table.add_row(*(plain(row[k]) for k in visible))
     return table
 
 

@@ -80,7 +80,7 @@ def learn(
             selected = _select_axis([parameters.axis for parameters in controller.axes], axis)
             rate_Hz = float(controller.axis(selected).values["sampling_rate_Hz"])
         reference_m = read_reference(reference, rate_Hz)
-        before = None if table is None else learned_from_json(content_of(table), str(table))
+        previous = None if table is None else learned_from_json(content_of(table), str(table))
         recordings = () if period is None else collect([period], declared).recordings
         progress("learning the table")
         learned = learn_table(
@@ -89,7 +89,7 @@ def learn(
             controller=controller,
             axis=selected,
             lab=declared,
-            before=before,
+            before=previous,
             period=recordings[0] if recordings else None,
             sampling_rate_Hz=rate_Hz,
             gain=gain,

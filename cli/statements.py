@@ -24,11 +24,11 @@ def show_statements(statements: "Iterable[Statement]", minimum: "Level | None" =
     is_verbose = VERBOSE.get()
     lowest = Level.NOTE if is_verbose else Level.ACTION if minimum is None else minimum
     selected = select(statements, minimum=lowest)
-    shown = selected if is_verbose else selected[:MAX_SHOWN]
+    listed = selected if is_verbose else selected[:MAX_SHOWN]
     console = Console()
-    if shown and lowest is Level.ACTION:
+    if listed and lowest is Level.ACTION:
         console.print(plain("needs action:"))
-    for statement in shown:
+    for statement in listed:
         axis = f"axis {statement.axis}: " if statement.axis else ""
         style = {Level.ACTION: "bold", Level.NOTE: "dim"}.get(statement.level, "")
         text = fill(
@@ -38,8 +38,8 @@ def show_statements(statements: "Iterable[Statement]", minimum: "Level | None" =
             subsequent_indent=INDENT,
         )
         console.print(plain(text, style=style))
-    if len(selected) > len(shown):
-        omitted = len(selected) - len(shown)
+    if len(selected) > len(listed):
+        omitted = len(selected) - len(listed)
         console.print(plain(f"  {omitted} more in the report and with --verbose"))
 
 

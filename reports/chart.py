@@ -148,8 +148,8 @@ class Canvas:
         is_finite = np.isfinite(x) & np.isfinite(y)
         across = self.x.places(x[is_finite], self.width)
         up = self.y.places(y[is_finite], self.height)
-        ends = (self._path(across[k : k + 1], up[k : k + 1]) for k in range(len(across)))
-        return Layer(role=role, name=name, path="".join(ends), kind="line")
+        strokes = (self._path(across[k : k + 1], up[k : k + 1]) for k in range(len(across)))
+        return Layer(role=role, name=name, path="".join(strokes), kind="line")
 
     def band(self, role: str, name: str, x: Array, low: Array, high: Array) -> Layer:
         """Draw the area between two curves."""
@@ -191,8 +191,8 @@ class Canvas:
 def even_ticks(low: float, high: float) -> Ticks:
     """Return round numbers from low to high."""
     step = round_step((high - low) / MAX_INTERVALS)
-    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    return tuple((k * step, _written(k * step, step)) for k in range(first, last + 1))
+    first, stop = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return tuple((k * step, _written(k * step, step)) for k in range(first, stop + 1))
 
 
 def decade_ticks(low: float, high: float) -> Ticks:
@@ -248,10 +248,10 @@ def thinned(x: Array, y: Array, *, tolerance: float, points: int) -> tuple[Indic
     x, y = x[samples], y[samples]
     selected, chords = {0, len(x) - 1}, [_farthest(x, y, 0, len(x) - 1)]
     while -chords[0][0] > tolerance and len(selected) < points:
-        _, middle, first, last = heapq.heappop(chords)
+        _, middle, first, stop = heapq.heappop(chords)
         selected.add(middle)
         heapq.heappush(chords, _farthest(x, y, first, middle))
-        heapq.heappush(chords, _farthest(x, y, middle, last))
+        heapq.heappush(chords, _farthest(x, y, middle, stop))
     return samples[sorted(selected)], float(-chords[0][0] + math.sqrt(2.0) * cell)
 
 
@@ -268,17 +268,17 @@ def _cell_entries(x: Array, y: Array, cell: float) -> tuple[Indices, float]:
         cell *= 2.0
 
 
-def _farthest(x: Array, y: Array, first: int, last: int) -> tuple[float, int, int, int]:
+def _farthest(x: Array, y: Array, first: int, stop: int) -> tuple[float, int, int, int]:
     """Return minus the largest distance of a sample from a chord, that sample, and the chord."""
-    if last - first < 2:
-        return 0.0, first, first, last
-    a, b = x[first + 1 : last] - x[first], y[first + 1 : last] - y[first]
-    across, up = x[last] - x[first], y[last] - y[first]
+    if stop - first < 2:
+        return 0.0, first, first, stop
+    a, b = x[first + 1 : stop] - x[first], y[first + 1 : stop] - y[first]
+    across, up = x[stop] - x[first], y[stop] - y[first]
     share = (a * across + b * up) / (across * across + up * up or 1.0)
     along = np.minimum(np.maximum(share, 0.0), 1.0)
     distance = np.hypot(a - along * across, b - along * up)
     index = int(distance.argmax())
-    return -float(distance[index]), first + 1 + index, first, last
+    return -float(distance[index]), first + 1 + index, first, stop
 
 
 def envelope(x: Array, y: Array, bins: int) -> tuple[Array, Array, Array]:
@@ -289,8 +289,8 @@ def envelope(x: Array, y: Array, bins: int) -> tuple[Array, Array, Array]:
     edges = np.linspace(x[0], x[-1], bins + 1)
     first = np.unique(np.searchsorted(x, edges[:-1], side="left"))
     first = first[first < len(x)]
-    last = np.append(first[1:], len(x))
-    middle = (x[first] + x[last - 1]) / 2
+    stop = np.append(first[1:], len(x))
+    middle = (x[first] + x[stop - 1]) / 2
     return middle, np.minimum.reduceat(y, first), np.maximum.reduceat(y, first)
 
 

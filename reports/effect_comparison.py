@@ -153,12 +153,12 @@ def _linearised(
     shares = np.split(strength, np.cumsum([block.shape[1] for block in free])[:-1])
     totals = [block @ share for block, share in zip(free, shares, strict=True)]
     cuts = np.cumsum([len(k) for k in rows])[:-1]
-    after = np.split(residual_m - np.sum(totals, axis=0), cuts)
+    remaining_m = np.split(residual_m - np.sum(totals, axis=0), cuts)
     split = [np.split(total, cuts) for total in totals]
     return [
         TangentFit(
             rows=rows[k],
-            with_m=after[k],
+            with_m=remaining_m[k],
             part_m={f.effect: split[j][k] for j, (f, _) in enumerate(pairs)},
             whole_m={
                 f.effect: _tangent_part(drive, suspect.tangent, scales[j], shares[j], k)

@@ -157,12 +157,12 @@ def _spectrum(
     x = _axis(appearance, curves[0][:, 0])
     y = decades_over("amplitude density", [c[:, 1] for c in curves], "nm/√Hz")
     canvas = Canvas(x=x, y=y, height=HEIGHT)
-    drawn = (
+    spectra = (
         ("before", "without it", curves[0]),
         ("model", "with it", curves[1]),
         ("limit", "look-alike", curves[2]),
     )
-    layers = tuple(canvas.line(role, name, c[:, 0], c[:, 1]) for role, name, c in drawn)
+    layers = tuple(canvas.line(role, name, c[:, 0], c[:, 1]) for role, name, c in spectra)
     name = picture.trace.recording.name
     return _titled(
         finding, appearance, canvas, name, layers, (rms(picture.without_m), rms(picture.with_m))

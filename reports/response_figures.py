@@ -45,7 +45,7 @@ def response_parts(
     if path is None:
         return parts
     f = record.frequency_Hz
-    used = path.is_coherent & ~np.isin(f, fitted.left_out_Hz)
+    is_used = path.is_coherent & ~np.isin(f, fitted.left_out_Hz)
     measured = fitted.factor * measured_response(record, axis.axis, dynamics.declared)
     model = dynamics.response(f)
     if fitted.slow is not None:
@@ -62,7 +62,7 @@ def response_parts(
             f"{significant(100.0 * fitted.left_relative, 2)} % at {number(fitted.left_Hz, 'Hz')}.",
             decades,
             (decibel(np.abs(measured)), decibel(np.abs(model))),
-            used=used,
+            is_used=is_used,
         ),
         response_figure(
             "phase",
@@ -70,13 +70,13 @@ def response_parts(
             "Lines that are not fitted are grey.",
             decades,
             (measured_deg, turned_deg),
-            used=used,
+            is_used=is_used,
         ),
     ]
     if path.coherence is not None:
         title = f"Axis {axis.axis}: coherence as measured"
         numbers = (
-            f"{int(used.sum())} of {len(f)} lines are used; the least coherence that is "
+            f"{int(is_used.sum())} of {len(f)} lines are used; the least coherence that is "
             f"is {significant(LEAST_COHERENCE, 2)}."
         )
         parts.append(coherence_figure(title, numbers, decades, path.coherence, LEAST_COHERENCE))
@@ -90,17 +90,17 @@ def response_figure(
     decades: Array,
     curves: tuple[Array, Array],
     *,
-    used: NDArray[np.bool_] | None = None,
+    is_used: NDArray[np.bool_] | None = None,
     band: tuple[Array, Array] | None = None,
     guide: str = "",
 ) -> Figure:
     """Draw a measured response and the model over decades of frequency.
 
-    kind    ``gain`` or ``phase``
-    curves  measured and modelled, (lines,) each
-    used    lines that are fitted, all where None; the others are grey dots
-    band    lower and upper end of what the measurement may be
-    guide   how to read it, if it is not the usual text
+    kind     ``gain`` or ``phase``
+    curves   measured and modelled, (lines,) each
+    is_used  lines that are fitted, None: all; the others are grey dots
+    band     95 % interval of the measurement
+    guide    text on how to read the figure; empty: the usual text
     """
     label, height, usual = KINDS[kind]
     measured, model = curves
@@ -109,10 +109,10 @@ def response_figure(
     layers: list[Layer] = []
     if band is not None:
         layers.append(canvas.band("rising-band", "measured, 95 %", decades, *band))
-    if used is not None and not used.all():
-        layers.append(canvas.dots("left-out", "not fitted", decades[~used], measured[~used]))
-    shown = measured if used is None else np.where(used, measured, np.nan)
-    layers.append(canvas.line("measured", "measured", decades, shown))
+    if is_used is not None and not is_used.all():
+        layers.append(canvas.dots("left-out", "not fitted", decades[~is_used], measured[~is_used]))
+    fitted = measured if is_used is None else np.where(is_used, measured, np.nan)
+    layers.append(canvas.line("measured", "measured", decades, fitted))
     layers.append(canvas.line("model", "model", decades, model))
     return Figure(
         title=title,
@@ -124,9 +124,9 @@ def response_figure(
 
 
 def coherence_figure(
-    title: str, numbers: str, decades: Array, coherence: Array, least: float
+    title: str, numbers: str, decades: Array, coherence: Array, min_coherence: float
 ) -> Figure:
-    """Draw coherence over decades of frequency, and the least that is used."""
+    """Draw coherence over decades of frequency, and the minimum that is used."""
     x = decades_over("frequency", [decades], "Hz")
     canvas = Canvas(x=x, y=axis_over("coherence", [np.array([0.0, 1.0])], ""), height=200)
     return Figure(
@@ -136,7 +136,7 @@ def coherence_figure(
         canvas=canvas,
         layers=(
             canvas.line("measured", "coherence", decades, coherence),
-            canvas.line("limit", "least used", decades[[0, -1]], np.full(2, least)),
+            canvas.line("limit", "least used", decades[[0, -1]], np.full(2, min_coherence)),
         ),
     )
 

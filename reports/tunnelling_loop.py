@@ -119,19 +119,21 @@ def _drift(record: LoopSummary) -> str:
 
 
 def _sources(loop: LoopPlant) -> tuple[Part, ...]:
-    known = [(r.recording, r.unrest) for r in loop.records if r.unrest is not None]
-    if not known:
+    unrest_of_loops = [(r.recording, r.unrest) for r in loop.records if r.unrest is not None]
+    if not unrest_of_loops:
         return ()
-    sources = [[number(source.rms_m, "m") for source in unrest.sources] for _, unrest in known]
+    sources = [
+        [number(source.rms_m, "m") for source in unrest.sources] for _, unrest in unrest_of_loops
+    ]
     rows = [
-        (SOURCES[source.name], *(column[place] for column in sources))
-        for place, source in enumerate(known[0][1].sources)
+        (SOURCES[source.name], *(column[row] for column in sources))
+        for row, source in enumerate(unrest_of_loops[0][1].sources)
     ]
     return (
         Table(
             caption="Contributions to the motion of the gap, rms within "
-            f"{number(known[0][1].bandwidth_Hz, 'Hz')}.",
-            columns=("", *(name for name, _ in known)),
+            f"{number(unrest_of_loops[0][1].bandwidth_Hz, 'Hz')}.",
+            columns=("", *(name for name, _ in unrest_of_loops)),
             rows=tuple(rows),
         ),
     )
@@ -161,13 +163,13 @@ def _spectra(loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRe
     if summary.unrest is not None:
         lines = [f"{number(m.frequency_Hz, 'Hz')}: {number(m.amplitude_m, 'm')}" for m in mains]
         caption = f"Mains lines found: {', '.join(lines) or 'none'}."
-    ends = np.array([y.low, y.high])
+    height = np.array([y.low, y.high])
     layers: list[Layer] = [
         canvas.line(
             "zero",
             f"mains, {line.frequency_Hz:.0f} Hz",
             np.full(2, np.log10(line.frequency_Hz)),
-            ends,
+            height,
         )
         for line in mains
     ]

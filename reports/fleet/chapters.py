@@ -83,10 +83,10 @@ def _odd(distributions: tuple[Distribution, ...]) -> str:
     names = list(dict.fromkeys(name for _, name in ranked))
     if not names:
         return "No stage stands out from the others in anything that was compared."
-    shown = ", ".join(names[:3])
+    listed = ", ".join(names[:3])
     omitted = f" most, and {len(names) - 3} more" if len(names) > 3 else ""
     verb = "stands" if len(names) == 1 else "stand"
-    return f"{len(names)} {verb} out from the others: {shown}{omitted}."
+    return f"{len(names)} {verb} out from the others: {listed}{omitted}."
 
 
 def _drifting(distributions: tuple[Distribution, ...]) -> str:
@@ -306,8 +306,8 @@ def _histogram(row: Distribution) -> Figure:
     )
     layers = [canvas.band("count", "stages", across, np.zeros_like(up), up)]
     for level in inside:
-        ends = np.array([0.0, y.high])
-        layers.append(canvas.line("limit", "limit for most stages", np.full(2, level), ends))
+        height = np.array([0.0, y.high])
+        layers.append(canvas.line("limit", "limit for most stages", np.full(2, level), height))
     return Figure(
         title=f"{row.quantity.label}, axis {row.axis}: distribution",
         caption=f"{row.spread.count} stages, median "
@@ -328,8 +328,8 @@ def _outside(row: Distribution) -> str:
 
 def _course(row: Distribution) -> Figure:
     assert row.trend is not None
-    ends = np.array([np.nanmin(row.serials), np.nanmax(row.serials)])
-    line = row.trend.middle + row.trend.slope * (ends - row.trend.about)
+    serials = np.array([np.nanmin(row.serials), np.nanmax(row.serials)])
+    line = row.trend.middle + row.trend.slope * (serials - row.trend.about)
     x = axis_over("serial number", [row.serials], "")
     canvas = Canvas(
         x=x, y=axis_over(row.quantity.label, [row.values], row.quantity.unit), height=200
@@ -340,7 +340,7 @@ def _course(row: Distribution) -> Figure:
         _many(canvas, row)
         if np.isfinite(row.serials).sum() > DOTS
         else canvas.dots("dots", "stages", row.serials[~is_outlier], row.values[~is_outlier]),
-        canvas.line("trend", "median trend", ends, line),
+        canvas.line("trend", "median trend", serials, line),
     ]
     if (is_outlier & np.isfinite(row.serials)).any():
         layers.append(

@@ -134,8 +134,8 @@ class StagesOnDisk:
     def __iter__(self) -> Iterator[FleetStage]:
         """Yield them in the order of their names."""
         self._scratch.flush()
-        for _, (place, size) in sorted(self._places.items()):
-            content = os.pread(self._scratch.fileno(), size, place)
+        for _, (offset, size) in sorted(self._places.items()):
+            content = os.pread(self._scratch.fileno(), size, offset)
             yield self._decoder.decode(decompress(content))
 
 

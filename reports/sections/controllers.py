@@ -134,14 +134,18 @@ def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
     limits = _limits(axis, function, frequency_Hz)
     decades = np.log10(frequency_Hz)
     x = decades_over("frequency", [decades], "Hz")
-    shown = [np.maximum(level_dB, -80.0), *(limit for _, limit in limits)]
-    y = axis_over(f"|{function}| [dB]", [part.ravel() for part in shown], "")
+    levels_dB = [np.maximum(level_dB, -80.0), *(limit for _, limit in limits)]
+    y = axis_over(f"|{function}| [dB]", [part.ravel() for part in levels_dB], "")
     canvas = Canvas(x=x, y=y)
     layers: list[Layer] = [
         canvas.band(
-            "model-band", "plant family", decades, shown[0].min(axis=0), shown[0].max(axis=0)
+            "model-band",
+            "plant family",
+            decades,
+            levels_dB[0].min(axis=0),
+            levels_dB[0].max(axis=0),
         ),
-        canvas.line("model", "nominal", decades, shown[0][0]),
+        canvas.line("model", "nominal", decades, levels_dB[0][0]),
     ]
     layers += [canvas.line("limit", name, decades, limit) for name, limit in limits]
     what, guide = FUNCTIONS[function]
@@ -159,15 +163,19 @@ def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
 
 def _limits(axis: AxisDesign, function: str, frequency_Hz: Array) -> list[tuple[str, Array]]:
     """Named limits in dB over the grid, NaN where there is none."""
-    asked = axis.specification
+    specification = axis.specification
     limits = [
-        (t.name, t.limit_dB(frequency_Hz)) for t in asked.all_templates if t.function == function
+        (t.name, t.limit_dB(frequency_Hz))
+        for t in specification.all_templates
+        if t.function == function
     ]
     if function == "Syp":
-        peak_dB = float(decibel(1.0 / asked.modulus_margin))
+        peak_dB = float(decibel(1.0 / specification.modulus_margin))
         limits.append(("modulus margin", np.full(len(frequency_Hz), peak_dB)))
     if function == "Syb":
-        limits.append(("delay margin", decibel(delay_limit(frequency_Hz, asked.delay_margin_s))))
+        limits.append(
+            ("delay margin", decibel(delay_limit(frequency_Hz, specification.delay_margin_s)))
+        )
     return [
         (name, np.where(np.isfinite(level) & (level < 40.0), level, np.nan))
         for name, level in limits

@@ -61,10 +61,10 @@ def _of_axis(page: Page, axis: AxisModel) -> list[Part]:
 
 
 def _figures(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[Part]:
-    held = sorted(excites_dynamics(page.recordings, axis.axis), key=lambda pair: -pair[1])
-    if not held:
+    excited = sorted(excites_dynamics(page.recordings, axis.axis), key=lambda pair: -pair[1])
+    if not excited:
         return []
-    measured = measure_behind_hysteresis(axis, held[0][0])
+    measured = measure_behind_hysteresis(axis, excited[0][0])
     lines = np.flatnonzero(measured.frequency_Hz <= 2.0 * dynamics.band_Hz[1])
     measured = measured.at_lines(lines)
     return [
@@ -102,15 +102,15 @@ def _gain(axis: AxisModel, dynamics: LinearDynamics, measured: FrequencyResponse
 
 
 def _phase(axis: AxisModel, dynamics: LinearDynamics, measured: FrequencyResponse) -> Figure:
-    used = ~measured.is_rejected[:, 0]
-    everywhere = np.ones(len(used), dtype=np.bool_)
+    is_used = ~measured.is_rejected[:, 0]
+    everywhere = np.ones(len(is_used), dtype=np.bool_)
     return response_figure(
         "phase",
         f"Axis {axis.axis}: phase",
         "Lines that are not coherent are left out.",
         np.log10(measured.frequency_Hz),
         (
-            _degrees(measured.response[:, 0, 0], axis.polarity, used),
+            _degrees(measured.response[:, 0, 0], axis.polarity, is_used),
             _degrees(_modelled(dynamics, measured), axis.polarity, everywhere),
         ),
     )
@@ -140,11 +140,11 @@ def _poles(axis: AxisModel, dynamics: LinearDynamics) -> Table:
     )
     rows = [
         (
-            "mode" if known else "mode, standing for what lies outside the band",
+            "mode" if is_resolved else "mode, standing for what lies outside the band",
             *_with_interval(frequency_Hz, interval_Hz, "Hz"),
             *_with_interval(damping, between, ""),
         )
-        for frequency_Hz, interval_Hz, damping, between, known in modes
+        for frequency_Hz, interval_Hz, damping, between, is_resolved in modes
     ]
     rows += [
         ("lag", *_with_interval(frequency_Hz, interval_Hz, "Hz"), "", "")
@@ -156,8 +156,8 @@ def _poles(axis: AxisModel, dynamics: LinearDynamics) -> Table:
         ("delay", *_with_interval(dynamics.delay_s, dynamics.delay_interval_s(), "s"), "", "")
     )
     rows += [
-        (f"{known.name}, declared", number(known.frequency_Hz, "Hz"), "", "", "")
-        for known in dynamics.declared
+        (f"{declared.name}, declared", number(declared.frequency_Hz, "Hz"), "", "", "")
+        for declared in dynamics.declared
     ]
     return Table(
         caption=f"Axis {axis.axis}: poles, 95 % intervals for this structure.",

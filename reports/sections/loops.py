@@ -20,12 +20,12 @@ def render(page: Page) -> Section | None:
     """Return a figure for each axis, more in a fold, and a table of all recordings."""
     parts: list[Part] = []
     for axis in page.axes:
-        drawn = page.drawn(axis)
-        if not drawn:
+        traces = page.drawn(axis)
+        if not traces:
             continue
-        others = [without_line(page, axis, trace) for trace in drawn[1:]]
-        parts += [axis_heading(axis), without_line(page, axis, drawn[0])]
-        parts += folded(f"More loops: {count_of(len(others), 'figure')}", others)
+        further = [without_line(page, axis, trace) for trace in traces[1:]]
+        parts += [axis_heading(axis), without_line(page, axis, traces[0])]
+        parts += folded(f"More loops: {count_of(len(further), 'figure')}", further)
         parts.append(_table(page, axis))
     if not parts:
         return None

@@ -43,12 +43,12 @@ def render(page: Page) -> Section | None:
     parts: list[Part] = []
     budgets = []
     for axis in page.axes:
-        known = known_of(axis.uncertainty)
+        intervals = known_of(axis.uncertainty)
         parts += [axis_heading(axis), _bow(axis)]
         if axis.verdict.applies:
             budgets.append(displacement_budget(axis, page.lab))
             parts += [_uncertainty(budgets[-1]), _bound(axis)]
-        parts += folded("Parameters", [*_functions(axis), *_weights(axis, known)])
+        parts += folded("Parameters", [*_functions(axis), *_weights(axis, intervals)])
     if not parts:
         return None
     parts += [Heading(text="All axes"), *_contributions(budgets), _quantities(page)]
@@ -70,8 +70,8 @@ def _bow(axis: AxisModel) -> Figure:
     reach_V, half_m = uncertainty.reach_V, uncertainty.loading_half_m
     bow_m = uncertainty.loading_m - uncertainty.loading_m[-1] * reach_V / reach_V[-1]
     x = axis_over("rise of the drive", [reach_V], "V")
-    shown = [bow_m - half_m, bow_m + half_m, np.zeros(1)]
-    canvas = Canvas(x=x, y=axis_over("loading curve minus chord", shown, "m"), height=260)
+    curves = [bow_m - half_m, bow_m + half_m, np.zeros(1)]
+    canvas = Canvas(x=x, y=axis_over("loading curve minus chord", curves, "m"), height=260)
     return Figure(
         title=f"Axis {axis.axis}: loading curve without its chord",
         caption=f"The full loop is {with_half_width(*uncertainty.loop_width_m, 'm')} wide.",
@@ -190,7 +190,7 @@ def _functions(axis: AxisModel) -> tuple[Part, ...]:
     )
 
 
-def _weights(axis: AxisModel, known: Known) -> tuple[Figure, ...]:
+def _weights(axis: AxisModel, intervals: Known) -> tuple[Figure, ...]:
     """Draw the weights of the plays over their thresholds; model.json has all numbers."""
     plays = axis.hysteresis.plays
     if len(plays.weight) < 3:
@@ -198,7 +198,7 @@ def _weights(axis: AxisModel, known: Known) -> tuple[Figure, ...]:
     # Play 0 has no memory; its weight is the slope of the loading curve at its beginning.
     threshold_V, weight = plays.threshold[1:], plays.weight[1:]
     names = [f"play_weight_m_per_V[{k}]" for k in range(1, len(plays.weight))]
-    half = np.array([known.get(name, (0.0, 0.0))[1] for name in names])
+    half = np.array([intervals.get(name, (0.0, 0.0))[1] for name in names])
     y = axis_over("weight", [weight - half, weight + half, np.zeros(1)], "m/V")
     canvas = Canvas(x=axis_over("threshold", [threshold_V], "V"), y=y, height=240)
     figure = Figure(

@@ -31,13 +31,13 @@ def render(page: Page) -> Section | None:
     """Return the residual against time and drive for each axis, more in a fold."""
     parts: list[Part] = []
     for axis in page.axes:
-        drawn = page.drawn(axis)
-        if not drawn:
+        traces = page.drawn(axis)
+        if not traces:
             continue
-        parts += [axis_heading(axis), over_time(drawn[0], axis)]
+        parts += [axis_heading(axis), over_time(traces[0], axis)]
         parts.append(_over_drive(axis, page.traces[axis.axis]))
-        others = [over_time(trace, axis) for trace in drawn[1:]]
-        parts += folded(f"More residuals: {count_of(len(others), 'figure')}", others)
+        further = [over_time(trace, axis) for trace in traces[1:]]
+        parts += folded(f"More residuals: {count_of(len(further), 'figure')}", further)
     if not parts:
         return None
     return Section(

@@ -193,11 +193,16 @@ def _tip_card(page: Page) -> tuple[Card, ...]:
     if best is None:
         return ()
     tone, word = tunnelling.CONFIDENCE[best.confidence]
-    loop = next((one for one in page.axis_designs if one.recommended.method == "rst"), None)
+    loop = next(
+        (design for design in page.axis_designs if design.recommended.method == "rst"), None
+    )
     barriers = [
-        (f"Barrier, {source}", with_interval(one.barrier_eV, one.barrier_interval_eV, "eV"))
-        for source, one in (("sweeps", law), ("closed loop", plant))
-        if one is not None
+        (
+            f"Barrier, {source}",
+            with_interval(estimate.barrier_eV, estimate.barrier_interval_eV, "eV"),
+        )
+        for source, estimate in (("sweeps", law), ("closed loop", plant))
+        if estimate is not None
     ]
     facts = (
         *barriers,

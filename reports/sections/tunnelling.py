@@ -82,7 +82,7 @@ def small_figures(
     if junction is None:
         return ()
     figures = _figures(junction, page, (curve, residual))
-    return tuple(replace(one, seen_as=one.title.partition(",")[0]) for one in figures)
+    return tuple(replace(figure, seen_as=figure.title.partition(",")[0]) for figure in figures)
 
 
 def _laws(junction: TunnellingModel, page: Page) -> tuple[tuple[GapLaw, Direction], ...]:

@@ -175,7 +175,7 @@ def _verdicts(verdicts: Sequence[Verdict]) -> Table:
     by_name: dict[str, list[Verdict]] = {}
     for verdict in verdicts:
         by_name.setdefault(verdict.name, []).append(verdict)
-    worst = [max(same, key=_closeness) for same in by_name.values()]
+    worst = [max(repetitions, key=_closeness) for repetitions in by_name.values()]
     worst.sort(key=_closeness, reverse=True)
     n_passed = sum(verdict.passed for verdict in verdicts)
     return Table(
