@@ -16,7 +16,7 @@ Along = Callable[[Recording], tuple[Array, Array]]
 
 @dataclass(frozen=True, kw_only=True)
 class Appearance:
-    """What a residual is drawn against.
+    """Coordinate against which a residual is drawn.
 
     label    of the axis
     unit     SI

@@ -27,7 +27,7 @@ FEWEST = 6  # blocks to judge by
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CrossValidated:
-    """What columns bring on rows they were not fitted to.
+    """Cross-validated gain of columns on left-out blocks.
 
     gain         1 - rms with / rms without
     z            standard errors by which blocks gain: of their mean, of the sign test, or of the
@@ -47,7 +47,7 @@ class CrossValidated:
 
     @property
     def p_value(self) -> float:
-        """One-sided probability of such a gain where there is none; the surest of three tests."""
+        """One-sided p-value of the gain: the smallest of three tests."""
         return min(1.0, TESTS * 0.5 * erfc(self.z / sqrt(2.0)))
 
 
@@ -110,7 +110,7 @@ class Null:
         return self.fit(self.response)
 
     def without(self, values: Array) -> Array:
-        """Return what the columns cannot follow of values."""
+        """Project the columns of the null out of values."""
         return np.asarray(values - self._product(self.fit(values)))
 
     def _product(self, coefficients: Array) -> Array:
@@ -123,7 +123,7 @@ class Null:
 
     @Once
     def residual(self) -> Array:
-        """Return what is left of the response."""
+        """Return the residual of the response."""
         return np.asarray(self.response - self._product(self.coefficients))
 
     @Once
@@ -144,7 +144,7 @@ class Null:
         return tuple(slice(int(a), int(b)) for a, b in zip(self.edges, stops, strict=True))
 
     def cross_validated(self, columns: Array, *, projected: bool = False) -> CrossValidated:
-        """Return what columns bring beside the null, judged on rows left out."""
+        """Cross-validate columns beside the null on left-out blocks."""
         across = columns if projected else self.without(columns)
         length = np.sqrt(np.einsum("ij,ij->j", across, across)) + 1e-300
         across = across / length
@@ -175,7 +175,7 @@ class Null:
         )
 
     def clustered_covariance(self, columns: Array) -> Array:
-        """Return the covariance of coefficients beside the null, blocks being independent.
+        """Return the covariance of coefficients beside the null, with independent blocks.
 
             cov = G^-1 (sum_b s_b s_b') G^-1 n / (n - 1),   G = C'C,  s_b = C_b' e_b
 

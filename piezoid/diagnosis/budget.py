@@ -201,7 +201,7 @@ def _effect_parts(
     in_sequence: Mapping[str, float],
     other_recordings: Mapping[str, str],
 ) -> list[BudgetPart]:
-    """Divide the gain of the model among the findings; loop shape outside the model has none.
+    """Divide the gain of the model among the findings, without loop shape outside the model.
 
     power        gain of all effects together, of the model without loop shape
     in_sequence  gains of parts that were measured one after another, by name
@@ -268,7 +268,7 @@ def _extrapolation_text(recordings_m: Mapping[str, float]) -> str:
 def _with_loop_shape(
     diagnosis: Diagnosis, errors: RemainingErrors, power: float, *, is_largest: bool
 ) -> Diagnosis:
-    """Return the diagnosis with loop shape among its findings, or among what was not detected.
+    """Add loop shape to the findings or to the effects that were not detected.
 
     It is a finding if the error without it is above the noise, and the model has a wider class of
     hysteresis, or loop shape is the largest part, or a significant half of the explained error.

@@ -32,7 +32,7 @@ MIN_STRUCTURE_RATIO = 0.8
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """An effect evaluated beside others.
+    """An effect, evaluated beside the other selected effects.
 
     selected  the effect with its parameters
     cv        cross-validated gain
@@ -58,7 +58,7 @@ class Candidate:
 
     @property
     def may_be_named(self) -> bool:
-        """Whether it is significant, and not small beside the structure of the residual."""
+        """Whether the effect is significant and not small beside the structure of the residual."""
         return self.is_significant and exceeds_structure(
             self.share, self.view.rms, self.view.noise
         )
@@ -103,7 +103,7 @@ class Candidate:
 
 
 def exceeds_structure(share: float, rms: float, noise: float) -> bool:
-    """Tell whether an effect is not small beside the structure that the nuisance class leaves.
+    """Tell whether an effect is not small beside the residual structure of the nuisance class.
 
         2 share > MIN_STRUCTURE_RATIO sqrt(max(rms^2 - noise^2, 0))
 
@@ -208,7 +208,7 @@ def _structure_of(test: ScoreTest, view: View) -> Candidate:
 
 
 def is_consistent(selected: SelectedEffect, view: View) -> bool:
-    """Tell whether no recording needs a clearly different time constant than the fitted one.
+    """Tell whether the time constants of single recordings agree with the fitted one.
 
     A filter of the chain is the same in every recording that can show it. At the fitted time tau
     each track may have its own,

@@ -41,7 +41,7 @@ SLOPE = 0.35
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Hold:
-    """Drive while the displacement is held constant.
+    """Drive during a hold of the displacement by feedback.
 
     recording  its name
     time_s     (rows,)  since the hold began
@@ -100,7 +100,7 @@ def _holds(recordings: Sequence[Recording], axis: str) -> list[_Hold]:
 
 
 def _last_move_V(earlier: Sequence[Recording], axis: str, end_V: float) -> float:
-    """Return how far the recording before went, if it ended where the hold begins."""
+    """Return the last move of the previous recording, if it ended where the hold starts."""
     if not earlier:
         return 0.0
     drive_V = earlier[-1].voltage_V(axis)
@@ -117,7 +117,7 @@ def _span_V(drive_V: Array) -> float:
 
 
 def _finding(hold: _Hold, diagnosis: Diagnosis, gain_m_per_V: float) -> Finding | None:
-    """Return creep as the logarithm of time that leaves least of a hold, None without evidence."""
+    """Fit logarithmic creep to a hold; None without evidence."""
     drive_V, time_s = hold.drive_V - hold.drive_V.mean(), hold.time_s
     step_s = float(np.median(np.diff(time_s)))
     fits = []

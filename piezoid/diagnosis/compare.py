@@ -40,7 +40,7 @@ RATIO_LIMITS = (0.11, 9.0)  # inside the limits of the search, at which nothing 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelComparison:
-    """How well a model describes later recordings; rms errors on held-out blocks.
+    """Errors of a model on later recordings: rms on held-out blocks.
 
     digest            of the model's file
     rejection         why the model did not apply when it was fitted; empty where it did
@@ -70,7 +70,7 @@ class ModelComparison:
 
     @property
     def holds(self) -> bool:
-        """Whether the model applied to its own recordings and its error has hardly grown."""
+        """Whether the model applies to its own recordings and its error has hardly grown."""
         return not self.rejection and self._is_small(self.unchanged_error_m)
 
     @property
@@ -87,7 +87,7 @@ class ModelComparison:
 
     @property
     def only_sensitivity_changed(self) -> bool:
-        """Whether the new sensitivity leaves little, or nothing that a refit reduces."""
+        """Whether a new sensitivity alone explains the later recordings."""
         if not self.sensitivity_changed or self.rescaled_error_m > MAX_SHARE * self.motion_m:
             return False
         as_good = self.refitted_error_m > (1.0 - MIN_GAIN) * self.rescaled_error_m

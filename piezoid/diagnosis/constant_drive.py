@@ -87,7 +87,7 @@ class RestColumns:
     unseen: Mapping[str, str] = field(default_factory=dict)
 
     def residual(self, names: Iterable[str]) -> Array:
-        """Return the residual beside these causes on left-out blocks, (rows,)."""
+        """Return the residual of these causes on left-out blocks, (rows,)."""
         return held_out_residual(self.y_m, [self.columns[name] for name in names])
 
     def is_worth(self, name: str, selected: Sequence[str]) -> float:
@@ -150,7 +150,7 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
 def rest_columns(
     recording: Recording, axis: str, rows: Places, effects: Iterable[Effect]
 ) -> RestColumns:
-    """Return the columns of every cause that these rows can show.
+    """Return the columns of every cause that is visible at constant drive.
 
     rows     (rows,)  samples that are used
     effects  those with ``at_rest`` add columns
@@ -209,7 +209,7 @@ def _select(readings: RestColumns) -> list[str]:
 
 
 def _line_Hz(residual: Array, time_s: Array) -> float | None:
-    """Return the frequency of the highest line of a residual, or None where none stands out."""
+    """Return the frequency of the highest significant line of a residual, or None."""
     lines = strongest_peaks(_spectrum(residual))
     if not lines or lines[0][1] > LINE_P:
         return None

@@ -56,7 +56,7 @@ def coordinate_words(coordinate: str) -> str:
 
 
 def next_experiment(coordinate: str) -> str:
-    """Return the experiment that shows the cause of structure along a coordinate."""
+    """Return the experiment that would identify the cause of structure along a coordinate."""
     return NEXT_EXPERIMENTS.get(coordinate, OTHER_AXIS_EXPERIMENT)
 
 

@@ -64,7 +64,7 @@ class Residual:
 
     @classmethod
     def of(cls, view: View, tangents: Sequence[Array] = ()) -> "Residual":
-        """Return what neither the model of the view nor these tangents can follow."""
+        """Return the residual of the model of the view and of these tangents."""
         if not tangents:
             return cls(view=view, null=view.null)
         null = Null(
@@ -114,7 +114,7 @@ class Residual:
         return score, gains[1:]
 
     def unit_columns(self, basis: Basis) -> tuple[Array, Array]:
-        """Return columns beside the null, scaled to length 1, and their lengths."""
+        """Project columns on the complement of the null, and return unit columns and lengths."""
         full_length = np.sqrt(np.einsum("ij,ij->j", basis.columns, basis.columns))
         columns = self.null.without(basis.columns)
         length = np.sqrt(np.einsum("ij,ij->j", columns, columns))

@@ -51,7 +51,7 @@ def score_coordinates(residual: Residual) -> tuple[CoordinateScore, ...]:
 
 
 def _score_reading(residual: Residual, surrogates: Array) -> CoordinateScore:
-    """Score the measured value by what it explains beyond measured values with a surrogate.
+    """Score the measured value relative to measured values with a surrogate residual.
 
     Every residual is a part of the measured value and therefore correlates with it.
     """
@@ -66,7 +66,7 @@ def _score_reading(residual: Residual, surrogates: Array) -> CoordinateScore:
 
 
 def _score_time(residual: Residual, rng: np.random.Generator) -> CoordinateScore:
-    """Score a separate curve in time for each recording on left-out chunks of time.
+    """Score a separate curve in time for each recording on left-out intervals.
 
     The null distribution gives each chunk a random sign. It assumes that the residual is not
     correlated for longer than a fifth of the distance of two knots, which hysteresis may violate.

@@ -231,7 +231,7 @@ def _prefer_named_effects(
 
 
 def _drop_useless_slips(result: SearchResult, errors: ModelErrors) -> SearchResult:
-    """Keep slips of a clock only where undoing them reduces the held-out error of the model.
+    """Drop clock slips whose repair does not reduce the held-out error of the model.
 
     They are found against the nuisance class, whose own error may look like one: on fresh stages
     of the zoo undoing two wrong ones raised the held-out error, and undoing ten right ones lowered
@@ -273,7 +273,7 @@ def _assembled(
     final: AxisModel,
     recordings: Sequence[Recording],
 ) -> Diagnosis:
-    """Put together findings, detection limits and the error budget."""
+    """Assemble findings, detection limits and the error budget."""
     axis, result, scales = selection.axis, selection.result, selection.scales
     errors, outcome, half_stroke_m = selection.errors, result.outcome, result.raw.half_stroke_m
     searched = findings_of(result, errors, selection.recordings, axis, scales)

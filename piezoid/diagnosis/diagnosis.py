@@ -68,7 +68,7 @@ class Unexplained:
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One cause that these recordings show.
+    """One detected cause of the residual.
 
     held_out_gain           1 - rms with it / rms without it, both refitted, on rows left out
     held_out_rms_before_m   without it
@@ -103,13 +103,13 @@ class Finding:
 
     @property
     def share(self) -> float:
-        """Return the rms of what it adds, of the stroke."""
+        """Return the rms contribution as a share of the stroke."""
         return self.rms_percent / 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class NotDetected:
-    """One effect that these recordings do not show.
+    """One effect that was not detected, with its bound.
 
     upper_bound_m      rms of the most it could be, one-sided 95 %; None where it was not tested
     detection_limit_m  rms from which it would have been found in four of five cases
@@ -133,7 +133,7 @@ class HeldOut:
 
 @dataclass(frozen=True, kw_only=True)
 class FinalError(HeldOut):
-    """The held-out error of the final model, and its error in sample.
+    """Held-out error of the final model, and its error in sample.
 
     explained_rms_m  in sample, corrected for the number of parameters; None in older files
     """
@@ -206,12 +206,12 @@ class Diagnosis(Summarised):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of what was found, largest gain first."""
+        """Return the names of the findings, largest gain first."""
         return tuple(finding.effect for finding in self.findings)
 
     @property
     def largest_remaining(self) -> BudgetPart | None:
-        """Return the part that dominates the final error beside the noise.
+        """Return the largest part of the final error other than noise.
 
         None where the final error is at most 1.3 times the noise.
         """

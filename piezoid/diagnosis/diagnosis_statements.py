@@ -76,7 +76,7 @@ def _confounded(diagnosis: Diagnosis, finding: Finding) -> Statement:
 
 
 def _nothing_found(diagnosis: Diagnosis) -> list[Statement]:
-    """Return why no effect is named, and what to record if the error exceeds the noise."""
+    """State why no effect is named, and what to record if the error exceeds the noise."""
     n_tested = sum(absence.upper_bound_m is not None for absence in diagnosis.not_detected)
     if not n_tested:
         reasons = {absence.reason for absence in diagnosis.not_detected}

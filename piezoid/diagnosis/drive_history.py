@@ -66,7 +66,7 @@ class History:
         return plays, rubbing(drive, rubbed(drive, self.reversals))
 
     def static(self, weight: Array) -> Array:
-        """Return what the shared columns make of the drive, (samples,); all states are kept."""
+        """Return the static response of the shared columns, (samples,), keeping all states."""
         return shape(*self.states, self.track.drive, weight[:SHARED])
 
     def retained_memory(self, groups: int) -> Array:
@@ -120,7 +120,7 @@ def _rows(columns: Array, rows: Places) -> Array:
 
 
 def static_of(drive: Array, reversals: Reversals, weight: Array) -> Array:
-    """Return what shared columns make of any drive that turned before, keeping no states."""
+    """Return the static response to a drive after given reversals, without keeping states."""
     memory = memory_after(drive, reversals)
     friction = rubbing(drive, rubbed(drive, reversals))
     parts = []

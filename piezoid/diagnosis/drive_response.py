@@ -64,7 +64,7 @@ class Driven:
 
     @cached_property
     def drive_V(self) -> Array:
-        """Return the drive behind the declared amplifier, about the model's offset, bent."""
+        """Return the drive behind amplifier and envelope, relative to the offset of the model."""
         forward = replace(self.model.forward, extensions=())
         reached_V = forward.driven_V(self.voltage_V, self.rate_Hz)
         return forward.inner(reached_V - self.model.hysteresis.voltage_offset_V)
@@ -91,7 +91,7 @@ class Driven:
 
     @cached_property
     def walls_m(self) -> Array:
-        """Return the irreversible part: what a play without width does not explain."""
+        """Return the irreversible part: the response without the play of width zero."""
         weight = self.model.hysteresis.plays.weight[0]
         return np.asarray(self.static_m - self.model.polarity * self.slope * weight * self.drive_V)
 
@@ -102,7 +102,7 @@ class Driven:
 
     @cached_property
     def shared(self) -> Array:
-        """Return the columns of the model's own parameters at the rows, (rows, columns)."""
+        """Return the columns of the model parameters at the rows, (rows, columns)."""
         plays, zones = self.model.hysteresis.plays, self.model.hysteresis.dead_zones
         h, slope = self.output_m[self.rows, None], self.slope[self.rows, None]
         state, by_threshold = self._states
@@ -118,7 +118,7 @@ class Driven:
 
     @cached_property
     def speed(self) -> Array:
-        """Return what a small lag takes away, dy/dt at the rows, (rows, 1)."""
+        """Return the change by a small lag, dy/dt at the rows, (rows, 1)."""
         return np.asarray((np.gradient(self.static_m) * self.rate_Hz)[self.rows, None])
 
     @cached_property
@@ -216,7 +216,7 @@ def null_columns(drives: Sequence[Driven], *, lag: bool) -> Array:
 
 
 def side_by_side(parts: Sequence[Array]) -> Array:
-    """Return columns of which each drive has its own, zero along all others."""
+    """Return a block-diagonal matrix of the columns of each drive."""
     rows, columns = (sum(part.shape[axis] for part in parts) for axis in (0, 1))
     joined = np.zeros((rows, columns))
     row = column = 0

@@ -92,7 +92,7 @@ Filter = Callable[[Array, float, Parameters], Array]  # (signal, rate_Hz, parame
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
-    """One way in which an effect may be present.
+    """One hypothesis of an effect: its columns and parameters.
 
     columns              (rows, columns)  what it would add to the response; zeros: nothing tells
                          in advance, and it is only put in place where its effect is refitted
@@ -251,7 +251,7 @@ class Structural:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Effect:
-    """What one effect provides.
+    """Definition of one effect of the catalogue.
 
     name                      as in diagnosis.json
     explanation               the file's docstring
@@ -329,7 +329,7 @@ class Effect:
 
     @property
     def moves_zero(self) -> bool:
-        """Whether it moves a zero: what shows over time and is no fault of the data."""
+        """Whether the effect moves the zero: drift over time that is no fault of the data."""
         return self.shows.unit == "s" and self.fault is None
 
     def resembles(self, effect: "Effect") -> bool:

@@ -95,7 +95,7 @@ def select_forward(
     executor: Executor,
     initial: InitialStates | None = None,
 ) -> SelectionState:
-    """Select one effect after another until none is significant.
+    """Select effects one after another until none is significant.
 
     initial  of the view, where they are known
     """

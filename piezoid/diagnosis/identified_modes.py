@@ -188,7 +188,7 @@ def _with_response(diagnosis: Diagnosis, model: AxisModel, dynamics: LinearDynam
 def _residual_m(
     model: AxisModel, dynamics: LinearDynamics, recording: Recording, *, modes: bool
 ) -> Array:
-    """Return the residual of one recording behind its hysteresis, without slow motion."""
+    """Return the residual of one recording behind its hysteresis, without its slow trend."""
     drive_V = voltage_behind_hysteresis(model, recording)
     if modes:
         moved_m, _ = dynamics.sampled(recording.sampling_rate_Hz).run(drive_V - drive_V[0])

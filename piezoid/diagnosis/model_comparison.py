@@ -32,7 +32,7 @@ Confounded = dict[str, tuple[str, ...]]  # names of effects that could replace a
 def compare_models(
     clean: View, selected: Sequence[SelectedEffect], executor: Executor
 ) -> tuple[list[Candidate], Confounded, list[Candidate]]:
-    """Evaluate every selected effect beside all others, and find its confounded effects.
+    """Evaluate every selected effect beside the others, and find its confounded effects.
 
     Effects that may not be named are dismissed one by one, the smallest gain first.
 
@@ -126,7 +126,7 @@ def _evaluate_alternative(
 
 
 def is_confounded(alternative: Candidate, candidate: Candidate) -> bool:
-    """Tell whether these recordings do not separate an alternative from a selected effect."""
+    """Tell whether the recordings cannot separate an alternative from a selected effect."""
     if not alternative.physical:
         # an impossible effect that leaves a smaller error: the selected one is not what it seems
         return alternative.cv.rms < candidate.cv.rms

@@ -51,13 +51,13 @@ class NoiseLevel:
 
     @property
     def range(self) -> tuple[float, float]:
-        """Return the level in the quietest place and in the loudest."""
+        """Return the lowest and the highest noise level."""
         low, high = np.quantile(self.level, RANGE)
         return float(low), float(high)
 
 
 def noise_level(view: View, max_p_value: float) -> NoiseLevel | None:
-    """Return the noise along the coordinate on which it depends; None if it is uniform.
+    """Return the noise level along the coordinate on which it depends; None if uniform.
 
     max_p_value  of the coordinate
 

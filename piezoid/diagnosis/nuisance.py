@@ -59,7 +59,7 @@ class NuisanceClass:
 
     @Once
     def tracks(self) -> tuple[Track, ...]:
-        """Return what is followed."""
+        """Return the tracks."""
         return tuple(history.track for history in self.histories)
 
     @Once
@@ -97,7 +97,7 @@ class NuisanceClass:
 
     @Once
     def columns(self) -> Array:
-        """Return the columns at all rows: shared ones, then each track's own."""
+        """Return the columns at all rows: shared ones, then those of each track."""
         total = self.shared + self.columns_per_track * len(self.tracks)
         columns = np.zeros((self.edges[-1], total), order="F")
         for k, track in enumerate(self.tracks):
@@ -138,7 +138,7 @@ class NuisanceClass:
         return tuple(self.bent(h.reversals, h.track.drive) for h in self.histories)
 
     def static(self, k: int, weight: Array) -> Array:
-        """Return what the shared columns make of a track's drive, (samples,)."""
+        """Return the static response to the drive of a track, (samples,)."""
         drive = self.tracks[k].drive
         if not self._keeps:
             return self.along(drive, self.reversals[k], weight)
@@ -146,7 +146,7 @@ class NuisanceClass:
         return total + bent_part(self._bends[k], drive, weight) if self.bouc_wen else total
 
     def along(self, drive: Array, reversals: Reversals, weight: Array) -> Array:
-        """Return what the shared columns make of any drive that turned before, (samples,)."""
+        """Return the static response to a drive after given reversals, (samples,)."""
         total = static_of(drive, reversals, weight)
         return (
             total + bent_part(self.bent(reversals, drive), drive, weight)
@@ -174,5 +174,5 @@ class NuisanceClass:
 
 
 def bent_part(state: Array, drive: Array, weight: Array) -> Array:
-    """Return what the columns of a Bouc-Wen state make, weighted by the last shared ones."""
+    """Return the response of the Bouc-Wen columns, weighted by the last shared weights."""
     return np.asarray(bouc_wen_columns(state, drive) @ weight[SHARED:])

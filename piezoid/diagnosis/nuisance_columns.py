@@ -49,7 +49,7 @@ def shape_columns(states: Array, friction: Array, drive: Array) -> Array:
 
 
 def write_shape(columns: Array, states: Array, friction: Array, drive: Array) -> None:
-    """Write the shared columns where they shall stand: a copy of them costs as much again."""
+    """Write the shared columns in place, which saves a copy."""
     plays, u = PLAYS + 1, drive[:, None]
     base = columns[:, :plays]
     base[:, 0] = drive

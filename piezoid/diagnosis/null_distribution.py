@@ -49,7 +49,7 @@ def rank_p_value(value: float, null_values: Iterable[float]) -> float:
 
 
 def structure_p_value(gain: float, rms: float, noise: float) -> float:
-    """Return the probability that a healthy stage leaves as systematic a residual."""
+    """Return the probability of a residual as systematic in a healthy stage."""
     return rank_p_value(structure_score(gain, rms, noise), _healthy("scores"))
 
 
@@ -59,7 +59,7 @@ def smallest_structure_p_value() -> float:
 
 
 def evidence_p_value(strength: float) -> float:
-    """Return the probability that a healthy stage shows as strong evidence of any effect.
+    """Return the probability of evidence as strong for any effect in a healthy stage.
 
     The strength of a healthy stage without evidence is 0.
     """

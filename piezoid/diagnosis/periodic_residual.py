@@ -61,7 +61,7 @@ def score_periodic(residual: Residual) -> list[CoordinateScore]:
 
 
 def mains_frequency_Hz(frequency_Hz: float) -> float:
-    """Return the frequency of the power grid that a line is a multiple of; 0 if of none."""
+    """Return the mains frequency of which a line is a harmonic, or 0."""
     for nominal_Hz in GRIDS_Hz:
         order = round(frequency_Hz / nominal_Hz)
         if order and abs(frequency_Hz / order - nominal_Hz) < MAINS_OFFSET_Hz:
@@ -133,7 +133,7 @@ def _spectrum(residual: Residual, k: int) -> Array:
 
 
 def _driven_lines(static: Array, noise: float) -> Array:
-    """Return the lines of the stage's own motion, in periods of the recording.
+    """Return the spectral lines of the motion of the stage, in periods of the recording.
 
     Each is the vertex of the parabola through the three highest values of its lobe.
     """

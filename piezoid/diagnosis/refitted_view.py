@@ -83,7 +83,7 @@ def with_effects(
 
 
 def with_filtered_drive(clean: View, effects: Sequence[SelectedEffect]) -> View:
-    """Return the view with the drive behind the effects that act on it.
+    """Return the view with effects applied that filter the drive.
 
     The last such view is cached: refining effects of the response asks for it again and again.
     """
@@ -163,7 +163,7 @@ def without_ringing(view: View, effects: Sequence[SelectedEffect]) -> View:
 
 
 def with_polynomial_response(view: View) -> View:
-    """Return the view with polynomials of the drive as static responses, if none were given."""
+    """Return the view with polynomials of the drive as static responses, unless given."""
     if view.guess is not None:
         return view
     drive, static = view.of(lambda _, track: track.drive), view.rows(view.static)

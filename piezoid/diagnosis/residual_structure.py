@@ -81,11 +81,11 @@ class ResidualStructure:
 
     @property
     def exceeds_healthy(self) -> bool:
-        """Whether no healthy stage leaves as systematic a residual."""
+        """Whether the residual is more systematic than in any healthy stage."""
         return self.range_end is None and self.healthy_p_value <= smallest_structure_p_value()
 
     def beyond_range(self, k: int) -> NDArray[np.bool_]:
-        """Tell which samples of a track lie beyond the sensor's range: nothing was measured."""
+        """Tell which samples of a track lie beyond the range of the sensor."""
         if self.range_end is None:
             return np.zeros(len(self.curve[k]), dtype=bool)
         return np.asarray(self.curve[k] != 0.0)
@@ -148,7 +148,7 @@ def subtract_structure(view: View, structure: ResidualStructure) -> View:
 
 
 def add_structure(view: View, structure: ResidualStructure) -> tuple[Track, ...]:
-    """Return the tracks of a view with a subtracted structure and its rows put back."""
+    """Return the tracks of a view with a subtracted structure and its rows restored."""
     tracks = []
     for k, (track, raw) in enumerate(zip(view.tracks, structure.view.tracks, strict=True)):
         unmeasured = raw.rows[structure.beyond_range(k)[raw.rows]]
@@ -173,7 +173,7 @@ def _unexplained(outcome: Outcome, scores: Sequence[CoordinateScore]) -> Unexpla
 
 
 def _power_above_noise(power: float, noise_power: float, gain: float) -> float:
-    """Return the power above the noise; what a coordinate explains is not noise."""
+    """Return the power above the noise, which is at most the unexplained power."""
     return max(power - min(noise_power, (1.0 - gain) * power), 0.0)
 
 
@@ -194,7 +194,7 @@ def _unselected_tangents(outcome: Outcome, view: View, selected: str = "") -> li
 
 
 def _structure_replacing_effect(outcome: Outcome) -> ResidualStructure | None:
-    """Return a curve that leaves a clearly smaller error than the effect it replaces."""
+    """Return a curve with a clearly smaller error than the effect it replaces."""
     best, smallest_ratio = None, REPLACES
     for cause in outcome.causes:
         if cause.effect.structural is not None or cause.selected.from_jumps:
@@ -213,7 +213,7 @@ def _structure_replacing_effect(outcome: Outcome) -> ResidualStructure | None:
 def _first_significant(
     residual: Residual, scores: Sequence[CoordinateScore], outcome: Outcome
 ) -> ResidualStructure | None:
-    """Return the structure of the largest gain that surrogates and healthy stages rarely show."""
+    """Return the structure of the largest gain that is rare in surrogates and healthy stages."""
     has_mains = MAINS in {cause.effect.name for cause in outcome.causes}
     for score in scores:
         is_line = score.coordinate in MAINS_COORDINATES

@@ -54,12 +54,12 @@ class View:
 
     @Once
     def cache(self) -> dict[object, "View"]:
-        """Return a cache of this view with other drives or initial states, by what differs."""
+        """Return a cache of views with other drives or initial states."""
         return {}
 
     @Once
     def response(self) -> Array:
-        """Return the measured response at the rows, in front of the selected filters."""
+        """Return the measured response at the rows, without the selected filters."""
         return np.concatenate([t.response[t.rows] for t in self.tracks]) - self.offset
 
     @Once

@@ -143,7 +143,7 @@ class SlipScan:
 
     @property
     def residual(self) -> Array:
-        """Return the residual of the track beside the null."""
+        """Return the residual of the track."""
         return self.null.residual[self.rows]
 
     def instants(self) -> Places:
@@ -170,7 +170,7 @@ class SlipScan:
         return np.asarray(unshared / (square + 1e-300))
 
     def _squares(self, change: Array, first: Places) -> tuple[Array, Array]:
-        """Return the squares of a column from some rows on, and of its part beside the null."""
+        """Return sums of squares of a column from rows on, and of its part beside the null."""
         from scipy.linalg import solve_triangular
 
         square = _sums_from(change * change, first)

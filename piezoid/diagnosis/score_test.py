@@ -60,7 +60,7 @@ def score_test(effect: Effect, view: View) -> ScoreTest | None:
 
 
 def null_of(effect: Effect, view: View) -> Null:
-    """Return what an effect has to beat."""
+    """Return the null hypothesis of an effect."""
     if effect.structural is not None:
         return effect.structural.null_without(view)
     if effect.covariates is None:

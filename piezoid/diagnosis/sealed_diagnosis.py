@@ -87,7 +87,7 @@ def _of_known(table: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _telling(entries: dict[str, Any], *silent: str) -> dict[str, Any]:
-    """Leave out those of some entries that say nothing."""
+    """Omit those of some entries that are empty."""
     return {name: entry for name, entry in entries.items() if name not in silent or entry}
 
 

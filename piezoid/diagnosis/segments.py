@@ -74,7 +74,7 @@ class Track:
 
     @property
     def measured(self) -> Array:
-        """Return the response without what was bridged."""
+        """Return the response without bridged samples."""
         return np.delete(self.response, self.bridged) if len(self.bridged) else self.response
 
     @Once

@@ -39,7 +39,7 @@ EVIDENT = 0.5  # of the error: what a shared initial state leaves that is beyond
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Outcome:
-    """What a search came to.
+    """Result of a search.
 
     first       the view of the raw recordings
     clean       with faults repaired

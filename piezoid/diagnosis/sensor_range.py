@@ -41,7 +41,7 @@ class SensorRangeEnd:
 
 
 def find_sensor_range_end(view: View, effects: Sequence[SelectedEffect]) -> SensorRangeEnd | None:
-    """Return the end of the range at which most is missing; None if there is none.
+    """Return the end of the sensor range with the largest missing motion, or None.
 
     effects  selected effects other than a limit of the amplifier
     """
@@ -84,7 +84,7 @@ def _end_on_side(
 
 
 def _plateau_start(track: Track, side: int, noise: float) -> float:
-    """Return the reading, times its side, from which on it is on a plateau; infinite if on none.
+    """Return the reading, times its side, at which a plateau starts; infinite without one.
 
     The drive must move while the reading does not: at constant drive the stage rests as well.
     """

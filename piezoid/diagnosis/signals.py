@@ -24,7 +24,7 @@ def rate_of(signal: Array, rate_Hz: float) -> Array:
 
 
 def mode(signal: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> Array:
-    """Return a signal behind one mechanical mode, or the signal where it follows at once.
+    """Return a signal filtered by one mechanical mode; unchanged if the mode is too fast.
 
         x'' + (w / Q) x' + w^2 x = w^2 h,    bilinear with the frequency kept
 
@@ -42,7 +42,7 @@ def mode(signal: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> 
 def added_percent(
     columns: Callable[[View, Parameters], Array],
 ) -> Callable[[View, Parameters, Array], float]:
-    """Return the size of what adds to the readings, rms in percent of the stroke.
+    """Return the contribution of an effect to the readings, rms in percent of the stroke.
 
         s = max over tracks of 100 rms(c - mean c),   c = columns coefficient
 
@@ -60,14 +60,14 @@ def added_percent(
 
 
 def filtered_change(view: View, passed: Filter, parameters: Parameters) -> Array:
-    """Return what a filter of the response changes at the rows, (rows, 1)."""
+    """Return the change by a filter of the response at the rows, (rows, 1)."""
     return view.of(lambda k, t: passed(view.static[k], t.rate_Hz, parameters) - view.static[k])[
         :, None
     ]
 
 
 def drive_change(view: View, passed: Filter, parameters: Parameters) -> Array:
-    """Return what a filter of the command changes at the rows, (rows, 1)."""
+    """Return the change by a filter of the command at the rows, (rows, 1)."""
     parts = []
     for k, track in enumerate(view.tracks):
         command = passed(track.command, track.rate_Hz, parameters)
@@ -80,7 +80,7 @@ def drive_change(view: View, passed: Filter, parameters: Parameters) -> Array:
 
 
 def untested(view: View) -> Array:
-    """Return the columns of a trial that no tangent stands for: it is only put in place."""
+    """Return zero columns for a trial that is evaluated without a tangent."""
     return np.zeros((len(view.response), 1))
 
 

@@ -38,14 +38,14 @@ Stretch = tuple[int, int]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trend(NuisanceClass):
-    """Smooth trends of stretches in the place of hysteresis, which is known from elsewhere.
+    """Replace the hysteresis by smooth trends when its parameters are already known.
 
     sum_n p_n P_n(2 sqrt(t / T) - 1),  P_n Legendre's polynomials: creep begins steeply
     """
 
     @Once
     def shared(self) -> int:
-        """Return how many columns all tracks share: none."""
+        """Number of columns shared by all tracks: none."""
         return 0
 
     @Once

@@ -144,7 +144,7 @@ def _parameters(structure: ResidualStructure) -> dict[str, float]:
 
 
 def _location(structure: ResidualStructure, profile: CoordinateProfile) -> str:
-    """Say at which values of the coordinate the structure is, or how often it repeats."""
+    """State the values of the coordinate where the structure is, or its period."""
     parameters = _parameters(structure)
     if "frequency_Hz" in parameters:
         return f", at {parameters['frequency_Hz']:.5g} Hz"

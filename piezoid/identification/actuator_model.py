@@ -33,7 +33,7 @@ class Diagnosed(Protocol):
 
     @property
     def model(self) -> AxisModel | None:
-        """The axis with everything found in it, None where no model was at hand."""
+        """The refitted axis with all detected effects; None without a model."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -88,7 +88,7 @@ class ActuatorModel(Summarised):
 
     @property
     def counted(self) -> tuple[str, ...]:
-        """What was recorded in counts, of ``displacement`` and ``voltage``."""
+        """Quantities that were recorded in counts: ``displacement`` and ``voltage``."""
         return tuple(
             sorted({quantity for axis in self.axes.values() for quantity in axis.counted})
         )
@@ -121,7 +121,7 @@ class ActuatorModel(Summarised):
         return replace(self, axes={**self.axes, axis.axis: axis})
 
     def decoupled(self, recording: Recording) -> Recording:
-        """Return a recording as the axes of this stage see it; itself where nothing is coupled.
+        """Return a recording decoupled into single axes; unchanged if no axes are coupled.
 
         >>> model.decoupled(recordings["check.csv"]) is recordings["check.csv"]
         True
@@ -133,7 +133,7 @@ class ActuatorModel(Summarised):
         return decoupled([recording], self.coupled)[0]
 
     def extended(self, *diagnoses: Diagnosed) -> "ActuatorModel":
-        """Return the stage with what diagnoses of its axes found, as it ships.
+        """Return the stage with the effects that diagnoses of its axes detected.
 
         Raises ``IdentificationError`` for a diagnosis that was made without a model, or read
         from its file: that holds no model.
@@ -170,7 +170,7 @@ class ActuatorModel(Summarised):
         return self.one(axis).simulate(voltage_V, sampling_rate_Hz, memory_V, zero_m=zero_m)
 
     def predict(self, recording: Recording, *, axis: str | None = None) -> Array:
-        """Return what an axis should show in a recording; default: the axis it is about.
+        """Predict the displacement of an axis for a recording; default: the axis of the recording.
 
         >>> model.predict(recordings["check.csv"]).shape
         (2500,)
@@ -178,7 +178,7 @@ class ActuatorModel(Summarised):
         return predict(self[axis or recording.axis], recording)
 
     def compare(self, recording: Recording, *, axis: str | None = None) -> Comparison:
-        """Return a recording beside ``predict``.
+        """Compare a recording with ``predict``.
 
         >>> model.compare(recordings["check.csv"]).rms_percent < 1.0
         True

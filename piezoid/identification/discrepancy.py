@@ -46,7 +46,7 @@ _RISES = 0.5  # of the model's least slope: with d the response rises, as that o
 def with_discrepancy(
     axis: AxisModel, recordings: Sequence[Recording], *, seed: int = 0
 ) -> AxisModel:
-    """Return the axis with what its class does not follow on the recordings of its fit.
+    """Return the axis with its model discrepancy on the recordings of its fit.
 
     recordings  of the fit; one that the model does not know is passed over
     seed        of the draw

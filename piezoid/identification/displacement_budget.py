@@ -51,7 +51,7 @@ class DisplacementBudget:
 def displacement_budget(
     axis: AxisModel, lab: Lab | None = None, *, positions: int = 1000, seed: int = 1
 ) -> DisplacementBudget:
-    """Return how well a displacement is known that the model predicts for a drive in its range.
+    """Return the uncertainty of the predicted displacement for drives within the range.
 
     positions  independent ones, of which the largest error is asked
     """
@@ -95,7 +95,7 @@ def _from_data(axis: AxisModel) -> tuple[Contribution, ...]:
 
 
 def _residual(axis: AxisModel, freedom: int) -> Contribution:
-    """Return the held-out residual, with the tail that its 99.9 % quantile shows."""
+    """Return the held-out residual, with a tail from its 99.9 % quantile."""
     rms_m = axis.quality.held_out_rms_m
     tail = tail_of(axis.certificate.remainder_m / rms_m, REMAINDER) if rms_m > 0.0 else math.inf
     return Contribution(
@@ -110,13 +110,13 @@ def _residual(axis: AxisModel, freedom: int) -> Contribution:
 
 
 def _zero_between_m(axis: AxisModel) -> float | None:
-    """Return the standard deviation of the zero from run to run; None for a single one."""
+    """Return the standard deviation of the zero between recordings; None for a single one."""
     zeros = np.array([float(np.mean(start.zero_m)) for start in axis.starts])
     return float(np.std(zeros, ddof=1)) if len(zeros) > 1 else None
 
 
 def _lag(axis: AxisModel, freedom: int) -> tuple[Contribution, ...]:
-    """Return what the lag's uncertainty makes at the fastest drive of the data: slope u(tau)."""
+    """Return the effect of the uncertainty of the lag at the fastest drive: slope u(tau)."""
     uncertainty = axis.uncertainty
     if "lag_s" not in uncertainty.names or axis.lag.kind == "none":
         return ()
@@ -167,5 +167,5 @@ def _converter_step_m(axis: str, lab: Lab) -> float | None:
 
 
 def _standard(half_m: float, freedom: int) -> float:
-    """Return the standard uncertainty behind half a 95 % interval."""
+    """Return the standard uncertainty of half a 95 % interval."""
     return half_m / float(student_quantile(0.975, freedom))

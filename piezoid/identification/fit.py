@@ -78,7 +78,7 @@ def fit(
 
 @dataclass(frozen=True, kw_only=True)
 class FitInputs:
-    """What is to be fitted axis by axis.
+    """Inputs of the fits of all axes.
 
     stage       before any fit of an axis; with the model of the coupling, where axes are coupled
     recordings  that tell single axes, in the coordinates that decouple them
@@ -100,7 +100,7 @@ def prepare_fit(
     *,
     progress: Callable[[str], None] = lambda _: None,
 ) -> FitInputs:
-    """Identify the coupling, where lab.toml names coupled axes, and part what single axes tell.
+    """Identify the coupling if lab.toml names coupled axes, and separate the data of single axes.
 
     Raises as ``unfitted`` and ``identify_coupled`` do.
     """
@@ -142,7 +142,7 @@ def unfitted(
     sweeps: Sequence[RawTable] = (),
     responses: Sequence[FrequencyResponseRecord] = (),
 ) -> ActuatorModel:
-    """Return a stage with everything that needs no fit: no axis is known yet, and no junction.
+    """Return a stage before any axis or junction is fitted.
 
     Raises as ``fit`` does where there is nothing to fit, and ``RecordingError`` where recordings
     do not fit each other.
@@ -194,7 +194,7 @@ def remarks_on_reading(recordings: Sequence[Recording], quantity: str) -> tuple[
 def response_of(
     responses: Sequence[FrequencyResponseRecord], axis: str, axes: Sequence[str]
 ) -> FrequencyResponseRecord | None:
-    """Return the response of an axis to its own drive, under the axis' own name.
+    """Return the response of an axis to its own drive, under the name of the axis.
 
     One that names no axis is of the stage's only one.
     """
@@ -303,7 +303,7 @@ def refined(
 
 
 def _remarked(axis: AxisModel, shaped: Sequence[Recording]) -> AxisModel:
-    """Return the axis with a remark on recordings that told its dynamics only."""
+    """Add a remark on recordings that were used for the dynamics only."""
     if not shaped:
         return axis
     names = ", ".join(recording.name for recording in shaped)
@@ -317,7 +317,7 @@ def refuse_one_name_twice(
     sweeps: Sequence[RawTable] = (),
     responses: Sequence[FrequencyResponseRecord] = (),
 ) -> None:
-    """Refuse names that stand for two things: digests and memories are kept by name.
+    """Refuse duplicate names: digests and memories are stored by name.
 
     One file may hold several recordings, if each is of its own axis.
     """
@@ -365,7 +365,7 @@ def moving(recordings: Sequence[Recording], axis: str) -> tuple[Recording, ...]:
 
 
 def recorded_of(recordings: Sequence[Recording], axis: str) -> tuple[Recording, ...]:
-    """Return the recordings that have both drive and displacement of an axis, copies left out."""
+    """Return the recordings with drive and displacement of an axis, without copies."""
     copied = copies(recordings)
     return tuple(r for r in recordings if _has_both(r, axis) and r.name not in copied)
 

@@ -47,7 +47,7 @@ class Grade(StrEnum):
 
 
 def grade_of(axis: AxisModel) -> Grade:
-    """Grade an axis by its held-out error and by what its recordings do not show.
+    """Grade an axis by its held-out error and by the gaps of its recordings.
 
     A good axis has an error below ``GOOD_PERCENT`` of its range or at the sensor noise, and no
     condition of the data that leaves the loop or its cause open.

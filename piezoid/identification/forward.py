@@ -116,7 +116,7 @@ class Forward:
 
     @property
     def is_memoryless(self) -> bool:
-        """Whether nothing but a delay acts behind the hysteresis."""
+        """Whether only a delay acts behind the hysteresis."""
         return self.lag != "first_order" and self.sensor_Hz is None and not self.extensions
 
     def late_s(self, rate_Hz: float) -> float:
@@ -132,7 +132,7 @@ class Forward:
         return np.asarray(position_m)
 
     def read(self, position_m: Array) -> Array:
-        """Return what the sensor says of a position, (samples,) m."""
+        """Return the reading of the sensor at a position, (samples,) m."""
         for extension in self.extensions:
             position_m = extension.reading(position_m)
         return position_m
@@ -188,7 +188,7 @@ class Run:
 
     @Once
     def drive(self) -> Array:
-        """What reaches the ceramic, scaled, (samples,)."""
+        """Scaled drive at the ceramic, (samples,)."""
         return self.forward.driven(self.command, self.where.rate_Hz)
 
     @Once
@@ -199,7 +199,7 @@ class Run:
 
     @Once
     def reading(self) -> Array:
-        """What the sensor says, scaled, (samples,)."""
+        """Scaled reading of the sensor, (samples,)."""
         position_m = self.forward.position(self.static, self.where, self.zero_m)
         away_m = self.forward.read(position_m) - self.centre_m
         return np.asarray(away_m / self.forward.scales.displacement_m)

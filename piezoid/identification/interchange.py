@@ -16,7 +16,7 @@ _NO_RATE_Hz = 1e9  # of a system in continuous time: every pole is slow beside i
 
 
 def linear_part(axis: AxisModel, sampling_rate_Hz: float | None) -> ContinuousSystem:
-    """Return what lies between drive and reading, V to m, with its delay.
+    """Return the linear system between drive and reading, V to m, with its delay.
 
         G(s) = polarity (m + M) / 2 front(s) behind(s) slow(s) sensor(s) e^(-s delay)
 
@@ -49,7 +49,7 @@ def to_control(axis: AxisModel, sampling_rate_Hz: float | None) -> Any:
 
 
 def control() -> Any:
-    """Return python-control, or say how to install it."""
+    """Import python-control, or explain how to install it."""
     try:
         import control as package
     except ImportError as error:

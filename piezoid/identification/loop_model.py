@@ -28,7 +28,7 @@ _LEAST_SHARE = 0.1  # of a lag whose interval reaches zero: a pole needs some ti
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoopModel:
-    """What lies between a drive and its reading, beside the hysteresis.
+    """Linear dynamics between a drive and its reading, in series with the hysteresis.
 
     front        in front of the hysteresis; gain 1 at rest
     behind       linear and quick, behind it; gain 1 at rest
@@ -105,7 +105,7 @@ def loop_model(axis: AxisModel, rate_Hz: float) -> LoopModel:
 
 
 def at_corner(axis: AxisModel, slower: float, sharper: float) -> AxisModel:
-    """Return the axis at an end of what the recordings allow, for a family of plants.
+    """Return the axis at an end of its intervals, for a family of plants.
 
     slower   +1: everything linear as late as its 95 % interval allows; -1: as early
     sharper  +1: modes as little damped as theirs allows; -1: as much
@@ -163,20 +163,20 @@ def rest_gain(system: ContinuousSystem) -> float:
 
 
 def through() -> ContinuousSystem:
-    """Return the system that changes nothing."""
+    """Return the identity system."""
     none = np.zeros((0, 0))
     return ContinuousSystem(A=none, B=np.zeros((0, 1)), C=np.zeros((1, 0)), D=np.ones((1, 1)))
 
 
 def _pole(frequency_Hz: float | None, rate_Hz: float) -> ContinuousSystem:
-    """Return a declared pole; nothing where none is declared or it is instantaneous."""
+    """Return a declared pole, or the identity if it is undeclared or instantaneous."""
     if frequency_Hz is None or frequency_Hz > INSTANTANEOUS * rate_Hz:
         return through()
     return first_order(frequency_Hz)
 
 
 def _with_lag(axis: AxisModel, quick: list[ContinuousSystem]) -> tuple[ContinuousSystem, float]:
-    """Return what stands behind the hysteresis, the model's lag with it, and its delay."""
+    """Return the dynamics behind the hysteresis with the lag of the model, and their delay."""
     behind, lag = cascade(through(), *quick), axis.lag
     if lag.kind == "first_order" and lag.time_s > 0.0:
         behind = cascade(behind, first_order(1.0 / (2.0 * np.pi * lag.time_s)))

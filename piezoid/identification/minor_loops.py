@@ -192,7 +192,7 @@ def with_minor_loops(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMo
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Trial:
-    """A lattice, and the residuals of functions on it in recordings left out.
+    """A lattice, and the residuals of its functions in held-out recordings.
 
     error_m  (rows,)  of functions, in recordings they were not fitted to
     plain_m  (rows,)  of plays with dead zones, which were fitted to these rows
@@ -210,7 +210,7 @@ class _Trial:
         return _rms(self.error_m)
 
     def is_better_than(self, held_out_rms_m: float) -> bool:
-        """Tell whether functions predict better by half than plays do.
+        """Tell whether functions predict clearly better than plays do.
 
         Never where they predict worse than plays fit the same rows: what plays fail to predict is
         then no shape of loops.
@@ -262,7 +262,7 @@ def _cross_validated(rows: Sequence[Rows], lattice: Lattice, stroke_m: float) ->
 
 
 def _with_functions(axis: AxisModel, trial: _Trial) -> AxisModel:
-    """Return the axis with functions fitted to all rows, and what is known of their error."""
+    """Return the axis with functions fitted to all rows, and their uncertainty."""
     lattice, rows, quality = trial.lattice, trial.rows, axis.quality
     total = sum(len(part.target) for part in rows)
     products = np.concatenate(
@@ -398,7 +398,7 @@ def _rows(axis: AxisModel, recording: Recording, lattice: Lattice) -> Iterator[R
 
 
 def _is_forgotten(drive: Array) -> Array:
-    """Tell of each sample whether the drive has gone about as far as it ever does."""
+    """Tell for each sample whether the drive has covered most of its range."""
     gone = np.maximum.accumulate(drive) - np.minimum.accumulate(drive)
     return np.asarray(gone >= WIPED * gone[-1])
 

@@ -13,7 +13,7 @@ from piezoid.operators.preisach_plays import PreisachPlays
 
 @dataclass(frozen=True, kw_only=True)
 class FunctionOrder:
-    """Plays behind functions as they were tried.
+    """Number of plays and pieces of one trial, with its errors.
 
     plays, pieces   how many, and of how many straight pieces every function is
     held_out_rms_m  what they leave of rows they were not fitted to, once pasts are forgotten
@@ -39,7 +39,7 @@ class Believed:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MinorLoops:
-    """Plays behind functions that simulate and ship in place of plays with dead zones.
+    """Plays behind functions, which replace plays with dead zones in simulation and export.
 
     operator      0 where ``AxisModel.hysteresis`` is
     without_m     (blocks, plays, edges - 1)  what the functions rise between edges in fits without
@@ -64,7 +64,7 @@ class MinorLoops:
 
     @property
     def half_m(self) -> Array:
-        """Half the 95 % interval of what every function rises, (plays, edges - 1)."""
+        """Half the 95 % interval of the rises of all functions, (plays, edges - 1)."""
         blocks = len(self.without_m)
         spread = self.without_m.std(axis=0) * np.sqrt(blocks - 1.0)
         return np.asarray(student_quantile(0.975, blocks - 1) * spread)

@@ -43,7 +43,7 @@ class Lag:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Discrepancy:
-    """A second hysteresis that stands for what the model class does not follow.
+    """A second hysteresis that represents the model discrepancy.
 
         d[u] = sum_i sum_n weight_(n, i) (z_i / reach)^n,   z_i plays of u - centre
 
@@ -131,7 +131,7 @@ class AxisModel:
 
     @property
     def operator(self) -> ModifiedPrandtlIshlinskii | PreisachPlays:
-        """What simulates and ships.
+        """The operator of simulation and export.
 
         >>> model["x"].operator is model["x"].hysteresis
         True
@@ -343,7 +343,7 @@ class AxisModel:
         )
 
     def static_m(self, driven_V: Array, memory_V: Array, rate_Hz: float) -> Array:
-        """Return Psi(H[gamma(u - u_off)]) + L[u], with what delays the irreversible part.
+        """Return Psi(H[gamma(u - u_off)]) + L[u], with a delayed irreversible part.
 
         >>> u, memory = np.array([0.0, 5.0]), model["x"].virgin_memory_V
         >>> model["x"].static_m(u, memory, 1000.0).shape
@@ -391,7 +391,7 @@ class AxisModel:
         return self.forward.static(drive_V, memory_V, rate_Hz)[0]
 
     def memory_after(self, turns_V: Array) -> Array:
-        """Return the states of the plays behind turning points of the drive, (plays,).
+        """Return the states of the plays after reversals of the drive, (plays,).
 
         >>> x = model["x"]
         >>> x.memory_after(np.array([10.0, 0.0])).shape == x.virgin_memory_V.shape

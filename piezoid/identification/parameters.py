@@ -47,7 +47,7 @@ def parameters_of(axis: AxisModel) -> "DataFrame":
 
 
 def unit_of_name(name: str) -> str:
-    """Return the unit that a name ends with, ``1`` where it ends with none."""
+    """Return the unit at the end of a name, ``1`` if it has none."""
     stem = name.partition("[")[0]
     return next((unit for ending, unit in _ENDINGS if stem.endswith(ending)), "1")
 

@@ -62,7 +62,7 @@ class Comparison(Summarised):
 
     @property
     def rms_percent(self) -> float:
-        """The same in percent of the displacement's range; infinite where nothing moved."""
+        """Error in percent of the range of the displacement; infinite if it is constant."""
         range_m = float(np.ptp(self.measured_m))
         return 100.0 * self.rms_m / range_m if range_m > 0.0 else np.inf
 
@@ -102,7 +102,7 @@ class Comparison(Summarised):
 
 
 def predict(model: AxisModel, recording: Recording) -> Array:
-    """Return the displacement the model makes of a recording's drive, (samples,) m.
+    """Predict the displacement for the drive of a recording, (samples,) m.
 
     The drive runs free through the model, piece by piece. Where the recording holds the axis'
     displacement, each piece's memory and constant zero are fitted to it, or those of the fit

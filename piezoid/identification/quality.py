@@ -48,7 +48,7 @@ IN_SAMPLE = "none, one loop"
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """Something that was never measured, or not as it is, so that no fit can know it.
+    """A gap of the recordings that no fit can close.
 
     lack    ``branch``, ``loop``, ``speed``, ``amplitude`` or ``recording``: there is only one;
             or the kind of what reading found odd, such as ``stands``
@@ -63,7 +63,7 @@ class Limit:
 
 @dataclass(frozen=True, kw_only=True)
 class FitQuality:
-    """How good the fit is, on what it saw and on what it did not.
+    """Errors of a fit, in sample and held out, and limits of its recordings.
 
     rms_m                residual on the data of the fit
     held_out_rms_m       free-run simulation error on rows the fit did not see
@@ -115,17 +115,17 @@ class FitQuality:
 
     @property
     def is_tested(self) -> bool:
-        """Whether anything was held out at all."""
+        """Whether there are held-out data."""
         return self.held_out_kind != IN_SAMPLE
 
     @property
     def noise_bound(self) -> str:
-        """What to say in front of the noise: "at most " where it is a bound."""
+        """Text in front of the noise: "at most " if it is an upper bound."""
         return "at most " if self.noise_is_most else ""
 
     @property
     def lag_is_open(self) -> bool:
-        """Whether a lag cannot be told from a width of the loop: no rate was ever varied."""
+        """Whether lag and loop width cannot be separated, because the rate was never varied."""
         return any(limit.lack in ("speed", "branch") for limit in self.limits)
 
     @property
@@ -136,7 +136,7 @@ class FitQuality:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Uncertainty:
-    """How well the parameters are known; intervals are 95 %, from leaving out blocks of cycles.
+    """Uncertainty of the parameters: 95 % intervals, from leaving out blocks of cycles.
 
     blocks            how many blocks
     names             (parameters,)

@@ -17,7 +17,7 @@ def starts_of(axis_model: AxisModel, recording: Recording) -> tuple[PieceStart, 
 
 
 def simulate_recording(axis_model: AxisModel, recording: Recording) -> Array:
-    """Return the displacement the model makes of a recording it was fitted on.
+    """Simulate the displacement of a recording that the model was fitted to.
 
         y[k] = Gamma[u](k) - y_off + sum_j zero_j hat_j(k)
     with the model's extensions around Gamma. Every piece runs free from its fitted memory; its

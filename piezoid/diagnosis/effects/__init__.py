@@ -52,10 +52,10 @@ EFFECTS: tuple[Effect, ...] = (
 
 
 def every_effect() -> tuple[Effect, ...]:
-    """Return the catalogue as it is when asked: nobody keeps a copy."""
+    """Return the present catalogue of effects."""
     return EFFECTS
 
 
 def effect_named(name: str) -> Effect:
-    """Return the effect of a name; ``KeyError`` where there is none."""
+    """Return the effect with a name; raises ``KeyError`` for an unknown name."""
     return {effect.name: effect for effect in EFFECTS}[name]

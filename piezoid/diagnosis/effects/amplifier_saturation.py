@@ -83,7 +83,7 @@ def _size(view: View, parameters: Parameters, _: Array) -> float:
 
 
 def _tangent(drive: Driven, _: float) -> Array:
-    """Return what is missing beyond CLIPPED_AT of the range, above and below."""
+    """Return the motion beyond CLIPPED_AT of the range, above and below."""
     low_V, high_V = drive.model.voltage_V
     unit = (2.0 * drive.voltage_V - low_V - high_V) / (high_V - low_V)
     over, under = np.maximum(unit - CLIPPED_AT, 0.0), np.minimum(unit + CLIPPED_AT, 0.0)

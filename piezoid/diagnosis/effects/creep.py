@@ -104,7 +104,7 @@ def _trials(view: View) -> list[Trial]:
 
 
 def _decays(view: View) -> Array:
-    """Return each track's own return to rest: creep that began before it did."""
+    """Return one exponential decay for each track: creep from before the recording."""
     return np.column_stack(
         [
             view.of_track(k, np.exp(-track.rows / (track.rate_Hz * DECAY_s)))

@@ -51,7 +51,7 @@ def _trials(view: View) -> list[Trial]:
 
 
 def _cycled(axis: AxisModel, recording: Recording) -> AxisModel:
-    """Return the model in which a drive went down, up, and to where each piece begins.
+    """Return the model with initial states of a drive that was cycled before each piece.
 
     That is what one assumes of a stage about which nothing is known.
     """
@@ -66,7 +66,7 @@ def _cycled(axis: AxisModel, recording: Recording) -> AxisModel:
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Let the beginning be off, until the drive has gone half its range."""
+    """Change the initial state: an error until the drive has moved by half its range."""
     drive_V = recording.voltage_V()
     span_V = np.maximum.accumulate(drive_V) - np.minimum.accumulate(drive_V)
     early = np.clip(1.0 - 2.0 * span_V / max(float(np.ptp(drive_V)), 1e-30), 0.0, 1.0)

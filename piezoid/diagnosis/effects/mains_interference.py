@@ -61,7 +61,7 @@ def _untestable(view: View) -> str:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DrivenLines:
-    """Lines in the spectrum of the stage's own motion.
+    """Spectral lines of the motion of the stage.
 
     spectra  amplitudes of the static response of every track
     floors   of the sensor noise in such a spectrum
@@ -79,7 +79,7 @@ class DrivenLines:
         return cls(view=view, spectra=spectra, floors=tuple(floors))
 
     def is_driven(self, k: int, frequency_Hz: float) -> bool:
-        """Tell whether a line of the residual of a track may be misfit motion of the stage.
+        """Tell whether a residual line may be misfit of the motion of the stage.
 
         Misfit leaves a smaller line than that of the motion itself.
         """
@@ -201,7 +201,7 @@ def _at_rest(data: ConstantDriveData) -> Array | str:
 
 
 def _clock_note(parameters: Parameters) -> str:
-    """Return what the frequency implies for the clock of the file, if it is the grid's."""
+    """State the clock error of the file, if the line is that of the power grid."""
     frequency_Hz = parameters["frequency_Hz"]
     nominal_Hz = min(GRIDS_Hz, key=lambda grid_Hz: abs(grid_Hz - frequency_Hz))
     error = frequency_Hz / nominal_Hz - 1.0

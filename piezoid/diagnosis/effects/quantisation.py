@@ -89,7 +89,7 @@ def _steps_of_reading(view: View) -> Fault | None:
 
 
 def _visible_step(response: Array) -> float:
-    """Return the step of a reading, 0 if it is small beside stroke or noise."""
+    """Return the step of a reading, or 0 if it is small beside stroke or noise."""
     step = lattice_step(response)
     return step if step > max(MIN_STEP, MIN_NOISE_RATIO * white_noise_rms(response)) else 0.0
 

@@ -101,7 +101,7 @@ def _trials(view: View) -> list[Trial]:
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Let what is not in proportion to the drive lag: by the share at SPEED strokes a second.
+    """Delay the irreversible part, by the share at SPEED strokes per second.
 
     One time constant for all recordings of a stage: slow ones do not show it.
     """

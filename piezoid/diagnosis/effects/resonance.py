@@ -99,7 +99,7 @@ def _best(view: View, trials: list[Trial]) -> tuple[Trial, float]:
 
 
 def _closer(best: Parameters) -> list[dict[str, float]]:
-    """Return modes about the best, as close together as their own widths.
+    """Return a finer grid of modes about the best one.
 
     A sharp mode between two of the grid shows a shoulder there, and a search by steps from it ends
     at a blunter one beside it.

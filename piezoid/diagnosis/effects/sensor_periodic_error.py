@@ -156,7 +156,7 @@ def _tangent(drive: Driven, _: float) -> Array:
 
 
 def _near_middle(recording: Recording) -> tuple[Array, Array]:
-    """Return a twentieth of the stroke around the middle, so that periods can be seen."""
+    """Select a twentieth of the stroke around the middle, so that periods are visible."""
     measured_m = recording.displacement_m().copy()
     measured_m[list(recording.bridged)] = np.nan
     middle = float(np.nanmedian(measured_m))

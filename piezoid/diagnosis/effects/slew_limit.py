@@ -60,7 +60,7 @@ def _trials(view: View) -> list[Trial]:
 
 
 def _tangent(drive: Driven, _: float) -> Array:
-    """Return what a drive misses that gets no faster than a share of the fastest so far."""
+    """Return the motion that a slew limit at a share of the largest speed removes."""
     limit_V_per_s = PLANNED * drive.model.certificate.slew_V_per_s
     followed_V = _limited(drive.voltage_V, drive.rate_Hz, {"limit_per_s": limit_V_per_s})
     gain = float(np.sum(drive.model.hysteresis.plays.weight))

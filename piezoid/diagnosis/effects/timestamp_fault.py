@@ -163,7 +163,7 @@ def slip_evidence(view: View, null: Null, slip: Slip) -> SlipEvidence | None:
 
 
 def _windows(change: Array, first: int) -> list[slice]:
-    """Cut a track's rows into windows of equal motion, none across the slip."""
+    """Cut the rows of a track into windows of equal motion that do not cross the slip."""
     motion = np.cumsum(change**2)
     edges = np.searchsorted(motion, np.linspace(0.0, motion[-1], WINDOWS + 1)[1:-1])
     edges = np.unique(np.concatenate([[0, first, len(change)], edges]))
@@ -171,7 +171,7 @@ def _windows(change: Array, first: int) -> list[slice]:
 
 
 def _occurs_on_both_sides(speed: Array, is_after: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Tell of which windows the speed occurs on the other side of the slip as well."""
+    """Tell for each window whether its speed occurs on both sides of the slip."""
     is_equal = np.abs(np.log(speed[:, None] / speed[None, :])) < np.log(EQUAL_SPEED)
     is_across = is_after[:, None] != is_after[None, :]
     return np.asarray(np.any(is_equal & is_across, axis=1))
@@ -257,7 +257,7 @@ def find_slips_beside(view: View, refit: Refit, samples: int | None) -> Fault | 
 
 
 def _find_equal_slips(view: View, refit: Refit, samples: int) -> Fault | None:
-    """Find slips of a known length, at most one in each track, by the error they leave.
+    """Find slips of a known length, at most one in each track, by the error.
 
     A chirp has no equal speeds before and after a slip. If the clock slips by as many samples in
     other recordings, the error alone decides.

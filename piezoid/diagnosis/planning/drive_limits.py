@@ -106,7 +106,7 @@ def bench_of(
     recordings: Sequence[Recording],
     clock_Hz: float | None,
 ) -> Bench:
-    """Return the limits of an axis and of the axes beside it, from the model and lab.toml."""
+    """Return the drive limits of an axis and of other axes, from the model and lab.toml."""
     limits, range_from, speed_from = _limits(axis, lab)
     other_axes = {
         name: _limits(model_axis, lab)[0]

@@ -52,7 +52,7 @@ class Question:
 
     @property
     def limit_m(self) -> float | None:
-        """Return the present detection limit; None if the effect was found or not tested."""
+        """Return the present detection limit; None if the effect was detected or not tested."""
         return None if self.absent is None else self.absent.detection_limit_m
 
 
@@ -160,7 +160,7 @@ def _suspect(name: str, share: float, stroke_m: float) -> Suspect | None:
 
 
 def _tangent_of(name: str) -> Tangent | str | None:
-    """Return the tangent of an effect, or why it has none; None if there is no such effect."""
+    """Return the tangent of an effect, or the reason for having none; None if it is unknown."""
     return next((effect.tangent for effect in every_effect() if effect.name == name), None)
 
 
@@ -197,7 +197,7 @@ def left_open(
 def expected_half(
     question: Question, recorded: SeparationEstimate | None, planned: SeparationEstimate
 ) -> float:
-    """Return the expected half width of the interval of a diagnosed size, in its own unit.
+    """Return the expected half width of the interval of a diagnosed size, in its unit.
 
     Without the recordings, the information of the planned drive is added to that of the diagnosis.
     """

@@ -115,7 +115,7 @@ def _size_json(plan: Plan) -> Mapping[str, Any]:
 
 
 def sentences(plan: Plan) -> tuple[str, ...]:
-    """Return why a drive is planned, which one, what to expect, and which questions remain."""
+    """Return reason, drive, expectation and remaining questions of a plan."""
     question = plan.question
     if question.kind == "detect" and not is_open(question):
         return (

@@ -23,7 +23,7 @@ NEARLY = 0.9  # of the best score: a shorter drive that reaches it is preferred
 
 @dataclass(frozen=True, kw_only=True)
 class Alternative:
-    """One candidate drive and what it is expected to show.
+    """One candidate drive and its expected estimate.
 
     estimate  together with the recordings, if they were given; None if it cannot be played
     score     inverse relative error of the size in question; of two effects to be separated their
@@ -57,7 +57,7 @@ class Choice:
 
     @property
     def shows(self) -> bool:
-        """Whether the drive shows the effect of the question at all."""
+        """Whether the drive can show the effect of the question."""
         return self.best.score > 0.0
 
     @property

@@ -48,7 +48,7 @@ class Suspect:
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Residual of a model: white noise, and the model's own error."""
+    """Residual of a model: white noise and model error."""
 
     noise_m: float
     structure_m: float

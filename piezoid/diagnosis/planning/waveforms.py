@@ -26,7 +26,7 @@ def rest_V(limits: DriveLimits) -> float:
 
 
 def between(body_V: Array, rate_Hz: float, limits: DriveLimits) -> Array:
-    """Return a drive with cycles over the whole range before it and a return to rest behind it."""
+    """Return a drive preceded by cycles over the whole range and followed by a return to rest."""
     full_cycle_V = (limits.voltage_max_V, limits.voltage_min_V)
     stops_V = [rest_V(limits), *full_cycle_V * CYCLES_BEFORE, float(body_V[0])]
     lead_in_V = path_V(stops_V, limits, rate_Hz, move_s=CYCLE_s / 2)
@@ -42,7 +42,7 @@ def path_V(
     move_s: float,
     hold_s: float = 0.0,
 ) -> Array:
-    """Return a drive through voltages, each reached along half a cosine and held.
+    """Return a drive through voltages, with half-cosine moves and holds.
 
     move_s  of each move; longer where the slew limit asks for it
     """
@@ -58,7 +58,7 @@ def path_V(
 def decaying_loops(
     limits: DriveLimits, rate_Hz: float, *, frequency_Hz: float, cycles: int
 ) -> Array:
-    """Return triangles about the middle whose amplitude falls to nothing: nested minor loops."""
+    """Return triangles about the middle with decaying amplitude: nested minor loops."""
     middle_V, reach_V = _middle(limits)
     frequency_Hz = min(frequency_Hz, limits.slew_V_per_s / (4.5 * reach_V))
     phase = np.arange(round(cycles / frequency_Hz * rate_Hz)) * frequency_Hz / rate_Hz
@@ -133,7 +133,7 @@ def rising_ramps(limits: DriveLimits, rate_Hz: float, *, slowest: float, steps: 
 def equal_cycles(
     limits: DriveLimits, rate_Hz: float, *, frequency_Hz: float, cycles: int
 ) -> Array:
-    """Return full sines, all alike."""
+    """Return equal sine cycles."""
     middle_V, reach_V = _middle(limits)
     frequency_Hz = min(frequency_Hz, limits.slew_V_per_s / (2 * np.pi * reach_V))
     phase = np.arange(round(cycles / frequency_Hz * rate_Hz)) * frequency_Hz / rate_Hz
@@ -148,7 +148,7 @@ def odd_lines(
     left_out_of: int,
     rng: np.random.Generator,
 ) -> NDArray[np.int64]:
-    """Return odd multiples of the resolution in a band, one of every group left out at random.
+    """Return odd multiples of the resolution in a band, with one of each group left out at random.
 
     left_out_of  size of a group; the line left out detects odd distortion, as all even lines
                  detect even distortion. 0 leaves none out

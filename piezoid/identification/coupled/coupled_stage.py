@@ -154,7 +154,7 @@ class CoupledStage:
 
     @property
     def coupling_m_per_V(self) -> Array:
-        """What each displacement does per volt of each drive, (outputs, inputs), m/V.
+        """Static displacement per volt of each drive, (outputs, inputs), m/V.
 
         Far below the first mode, at the centre of the levels.
 

@@ -38,7 +38,7 @@ def identify_coupled(
     *,
     progress: Callable[[str], None] = lambda _: None,
 ) -> CoupledStage | None:
-    """Return the model of the axes that lab.toml says are coupled; None where it names none.
+    """Identify the coupled axes named in lab.toml; None if it names none.
 
     recordings  any; those count in which a drive of all these axes at once repeats itself
     lab         its table ``[coupled]``
@@ -114,7 +114,7 @@ def as_single_axes(
     *,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Recording, ...]:
-    """Return recordings as single axes see them, as far as their coupling is known.
+    """Decouple recordings into single axes, as far as their coupling is known.
 
     coupled  of an earlier fit; None: of these recordings, where lab.toml names coupled axes and
              they determine the coupling; else they stay as they are
@@ -164,7 +164,7 @@ def _decoupled(recording: Recording, coupled: CoupledStage) -> Recording:
 
 
 def driven_axes(recording: Recording, axes: Sequence[str]) -> list[str]:
-    """Return which of these axes are driven: not those that rest beside a wider drive."""
+    """Return the axes that are driven, not those that rest beside a wider drive."""
     drives = [(axis, recording.find(Quantity.VOLTAGE, axis)) for axis in axes]
     reach = {axis: float(np.ptp(drive.values)) for axis, drive in drives if drive is not None}
     widest = max(reach.values(), default=0.0)
@@ -206,7 +206,7 @@ def _repetition(recording: Recording, declared: Coupled) -> Repetition | None:
 def _levels_of(
     periodic: Sequence[tuple[Recording, Repetition]], declared: Coupled
 ) -> list[PeriodicData]:
-    """Return what was recorded at each level, realisations side by side."""
+    """Return the recorded data of each level, with realisations along one dimension."""
     axes = declared.axes
     periods = min(repetition.periods for _, repetition in periodic) - declared.settling_periods
     shapes = {(r.sampling_rate_Hz, repetition.period_samples) for r, repetition in periodic}

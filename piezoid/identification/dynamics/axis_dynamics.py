@@ -140,7 +140,7 @@ def _delay_interval_s(axis: AxisModel) -> tuple[float, float]:
 
 
 def is_determined(dynamics: LinearDynamics) -> bool:
-    """Whether the fit explains its lines, and every number in it is known.
+    """Whether the fit explains its lines, and all its numbers are identifiable.
 
     A mode must be resolved; a lag's pole must lie within twice the band. A rich structure on a
     response without features meets neither, however small its residual.

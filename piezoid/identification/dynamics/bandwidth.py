@@ -35,7 +35,7 @@ MEANING = {
 
 @dataclass(frozen=True, kw_only=True)
 class BandwidthVerdict:
-    """What limits the stage first, and why; None where nothing was measured.
+    """What limits the bandwidth of the stage, with the reason.
 
     kind                ``first_order``, ``resonance`` or ``undecided``
     stated_Hz           the bandwidth of the data sheet, where the laboratory declared one
@@ -147,7 +147,7 @@ def decide_bandwidth(
 def unfitted(
     verdict: BandwidthVerdict, recording: str, reason: str, *, has_mode: bool = False
 ) -> BandwidthVerdict:
-    """Return a verdict that says why no pole or mode was fitted in spite of it.
+    """Return a verdict with the reason why no pole or mode was fitted.
 
     recording  that shows the response
     reason     why nothing could be fitted to it

@@ -150,7 +150,7 @@ def _rms_over_realisations(amplitude: NDArray[np.complex128]) -> Array:
 
 
 def _detects(excited: NDArray[np.int64]) -> bool:
-    """Whether all driven lines are odd, and odd ones among them are left out."""
+    """Whether all driven lines are odd, and some odd lines among them are left out."""
     if len(excited) < FEWEST_DRIVEN or (excited % 2 == 0).any():
         return False
     return bool((excited[-1] - excited[0]) // 2 + 1 - len(excited) >= FEWEST_SILENT)
@@ -182,7 +182,7 @@ def periodic_recordings(
 
 
 def _is_driven_alone(recording: Recording, axis: str) -> bool:
-    """Tell whether a recording without breaks drives this axis, and holds all others still."""
+    """Tell whether a recording without breaks drives this axis and holds the others constant."""
     channels = [recording.find(q, axis) for q in (Quantity.VOLTAGE, Quantity.DISPLACEMENT)]
     if recording.breaks or None in channels:
         return False

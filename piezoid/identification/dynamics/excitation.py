@@ -38,7 +38,7 @@ def excites_dynamics(
 
 
 def _highest_Hz(voltage_V: Array, sampling_rate_Hz: float) -> float:
-    """Return the upper end of the band that the drive fills; 0 where it fills none."""
+    """Return the upper end of the band that the drive excites; 0 if there is none."""
     level = voltage_V - voltage_V.mean()
     lines = np.abs(np.fft.rfft(level * np.hanning(len(level)))) ** 2
     frequency_Hz = np.fft.rfftfreq(len(level), 1.0 / sampling_rate_Hz)
@@ -62,7 +62,7 @@ def _highest_Hz(voltage_V: Array, sampling_rate_Hz: float) -> float:
 
 
 def _highest_level_Hz(edges: Array, power: Array, density: Array) -> float:
-    """Return the upper end of the widest band that is level and holds enough; 0 for none."""
+    """Return the upper end of the widest flat band with enough power; 0 if there is none."""
     widest, high_Hz = 0.0, 0.0
     for first in range(len(density)):
         lowest = np.minimum.accumulate(density[first:])

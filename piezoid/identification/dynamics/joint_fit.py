@@ -153,7 +153,7 @@ class Layout:
         dynamics: LinearDynamics,
         rows: NDArray[np.intp],
     ) -> Array:
-        """Return the parameters of a separate fit; new plays begin without weight.
+        """Return the parameters of a separate fit; new plays have weight 0.
 
         rows  of the operator's plays among all plays
         """

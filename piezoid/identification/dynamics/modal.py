@@ -88,7 +88,7 @@ class LinearDynamics:
 
     @property
     def cost_ratio(self) -> float:
-        """Cost over its expected value: near one, nothing linear is left to be modelled."""
+        """Cost over its expected value: near one, no linear dynamics is missing."""
         return self.cost / self.expected_cost
 
     def mode_frequency_interval_Hz(self) -> Array:
@@ -129,13 +129,13 @@ class LinearDynamics:
         return np.asarray(response)
 
     def response_as_measured(self, frequency_Hz: ArrayLike) -> ComplexArray:
-        """Return the response as the data saw it, behind its hold, (lines,), m/V."""
+        """Return the response including the hold of the data, (lines,), m/V."""
         if self.hold == "band_limited":
             return self.response(frequency_Hz)
         return self.sampled(self.sampling_rate_Hz).response(frequency_Hz)[:, 0, 0]
 
     def realised(self) -> ContinuousSystem:
-        """Return A, B, C, D in continuous time with the delay beside them."""
+        """Return A, B, C, D in continuous time, and the delay."""
         modes = zip(self.mode_frequency_Hz, self.mode_damping, strict=True)
         terms = [resonance(float(f), float(zeta)) for f, zeta in modes]
         terms += [first_order(float(f)) for f in self.lag_frequency_Hz]
@@ -150,7 +150,7 @@ class LinearDynamics:
         return cascade(*(low_pass.system() for low_pass in self.declared), inner)
 
     def sampled(self, sampling_rate_Hz: float) -> DiscreteSystem:
-        """Return plain A, B, C, D and the interval: exact behind a zero-order hold."""
+        """Return A, B, C, D and the interval, exact behind a zero-order hold."""
         return sample(self.realised(), sampling_rate_Hz)
 
     def to_json(self) -> dict[str, Any]:

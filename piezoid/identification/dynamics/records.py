@@ -14,7 +14,7 @@ MAX_LAG_deg = 30.0
 
 @dataclass(frozen=True, kw_only=True)
 class SlowPart:
-    """Slow part of a response: creep and hysteresis, at all frequencies alike.
+    """Quasi-static part of a response: creep and hysteresis, at all frequencies.
 
         G_slow(f) = (f / from_Hz)^(slope / 20 dB) e^(j phase)
 

@@ -88,7 +88,7 @@ class FittedResponse:
 
     @property
     def is_determined(self) -> bool:
-        """Whether every number is known and the residual small."""
+        """Whether all numbers are identifiable and the residual is small."""
         lags_Hz = self.dynamics.lag_frequency_Hz
         poles_known = bool((lags_Hz < 2.0 * self.dynamics.band_Hz[1]).all())
         modes_known = bool(resolved_modes(self.dynamics).all())
@@ -318,7 +318,7 @@ def _variance(response: ComplexArray, residual: ComplexArray, coherence: Array |
 
 
 def _outliers(residual: ComplexArray, variance: Array) -> NDArray[np.bool_]:
-    """Return the single lines that stand out from the model and from both of their neighbours."""
+    """Return single lines that deviate from the model and from both neighbours."""
     size = np.abs(residual) / np.sqrt(variance)
     size = size / max(float(np.median(size)) / np.sqrt(np.log(2.0)), TINY)
     padded = np.pad(size, 1, mode="reflect")

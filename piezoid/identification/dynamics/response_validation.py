@@ -157,7 +157,7 @@ def _gain_ratio(recorded: LinearDynamics, measured: LinearDynamics) -> float:
 
 
 def _strongest_Hz(dynamics: LinearDynamics) -> float:
-    """Return the mode with the largest share of the gain; 0 where there is none."""
+    """Return the mode with the largest share of the gain; 0 if there is none."""
     share = np.abs(dynamics.mode_gain_m_per_V)
     gain = abs(dynamics.static_gain_m_per_V)
     if not len(share) or share.max() < MIN_MODE_SHARE * gain:

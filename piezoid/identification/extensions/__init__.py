@@ -52,7 +52,7 @@ def _entry(extension: Extension) -> dict[str, Any]:
 
 
 def _extension(entry: Mapping[str, Any]) -> Extension:
-    """Read one extension back by its kind; ``ValueError`` for a kind nobody knows."""
+    """Read one extension back by its kind; ``ValueError`` for an unknown kind."""
     kind = entry["kind"]
     for extension_type in (*EXTENSIONS, *Extension.__subclasses__()):
         if extension_type.kind == kind:

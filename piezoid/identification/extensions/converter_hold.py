@@ -11,7 +11,7 @@ from piezoid.operators.filters import later
 
 @dataclass(frozen=True, kw_only=True)
 class ConverterHold(Extension):
-    """Half a period of delay that the laboratory declares with its clock: nothing to fit.
+    """Hold of the converter: half a declared clock period of delay, which is not fitted.
 
     hold_s  s, >= 0, half a period of the converter's clock
 
@@ -35,11 +35,11 @@ class ConverterHold(Extension):
         return later(displacement, self.hold_s * where.rate_Hz)
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
-        """Return nothing: the delay of a controller's own converter is part of its loop."""
+        """Return no effect: the delay of the controller's own converter is part of its loop."""
         return NOTHING
 
     def free(self) -> Free:
-        """Return nothing."""
+        """Return no free numbers."""
         return free((), 0.0, 0.0, 1.0)
 
     def moved_to(self, value: Array) -> Self:  # noqa: ARG002

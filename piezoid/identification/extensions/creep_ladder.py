@@ -17,7 +17,7 @@ MOST = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class CreepLadder(Extension):
-    """Displacement that goes on after the drive has stopped, in every decade of time.
+    """Creep: displacement that continues after the drive has stopped, in every decade of time.
 
         y = m + sum_i c_i x_i,   tau_i dx_i/dt = m - x_i            [Jung & Gweon 2000]
 
@@ -73,5 +73,5 @@ class CreepLadder(Extension):
         return type(self)(time_s=self.time_s, share=tuple(shares), even=self.even)
 
     def prior(self) -> Array:
-        """Return neighbouring shares as nearly alike: barriers are spread evenly."""
+        """Return rows that keep neighbouring shares similar: energy barriers are spread evenly."""
         return np.diff(np.eye(len(self.free().value)), axis=0)

@@ -51,7 +51,7 @@ class CrossAxis(Extension):
             within("cross-axis gain", float(value), -LARGEST, LARGEST)
 
     def added_by_number(self, where: Where) -> Array | None:
-        """Return v, v^2 and the plays of v; None where the other axis rests."""
+        """Return v, v^2 and the plays of v; None if the other axis rests."""
         if self.axis not in where.others_V:
             return None
         v = np.ascontiguousarray(where.others_V[self.axis] - self.centre_V)

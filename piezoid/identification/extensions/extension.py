@@ -21,7 +21,7 @@ Samples = NDArray[np.int_]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Where:
-    """One uninterrupted piece of one recording, as far as extensions need to know it.
+    """Location of one uninterrupted piece of a recording, with the data that extensions need.
 
     recording  its name
     rate_Hz    > 0
@@ -77,7 +77,7 @@ def free(value: Any, lower: Any, upper: Any, step: Any) -> Free:
 
 @dataclass(frozen=True, kw_only=True)
 class Extension:
-    """Something a diagnosis adds to an axis model; this one adds nothing.
+    """Effect that a diagnosis adds to an axis model; this base class adds nothing.
 
     Design and verification know an extension by its ``loop_effect`` alone, which each must state.
 
@@ -109,7 +109,7 @@ class Extension:
         return displacement
 
     def added(self, where: Where) -> Array | float:
-        """Return what is added whatever the drive does, (samples,) in m, or 0."""
+        """Return displacement that does not depend on the drive, (samples,) in m, or 0."""
         columns = self.added_by_number(where)
         return 0.0 if columns is None else np.asarray(columns @ self.free().value)
 
@@ -118,7 +118,7 @@ class Extension:
         return None
 
     def reading(self, position_m: Array) -> Array:
-        """Return what the sensor says of a position."""
+        """Return the reading of the sensor at a position."""
         return position_m
 
     def late_s(self, rate_Hz: float) -> float:  # noqa: ARG002
@@ -134,7 +134,7 @@ class Extension:
         raise NotImplementedError(self.kind)
 
     def at_corner(self, slower: float, sharper: float) -> "Extension":  # noqa: ARG002
-        """Return the extension at an end of what the fit allows, for a family of plants.
+        """Return the extension at an end of its interval, for a family of plants.
 
         slower   +1: everything as late as the 95 % interval allows; -1: as early
         sharper  +1: modes as little damped as it allows; -1: as much

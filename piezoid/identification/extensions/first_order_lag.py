@@ -17,7 +17,7 @@ LONGEST_s = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class FirstOrderLag(Extension):
-    """An overdamped filter that nobody declared.
+    """An undeclared first-order lag.
 
         lag_s dy/dt = m - y
 

@@ -19,7 +19,7 @@ def turned(time: Array, middle: float, lasts: float) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class GainChange(Extension):
-    """A load was put on, a connector moved: displacement times a ratio from then on.
+    """Change of the sensitivity by a ratio at one instant, as by a load or a connector.
 
         y = m before, ratio m + offset_m after, in a straight line from one to the other
 

@@ -53,7 +53,7 @@ class LinearMode(Extension):
         return np.asarray(displacement + self.participation * (ringing - displacement))
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
-        """Return the mode beside what follows at once."""
+        """Return the mode in parallel to the instantaneous response."""
         w, part = 2.0 * pi * self.frequency_Hz, self.participation
         return LoopEffect(
             system=ContinuousSystem(
@@ -99,7 +99,7 @@ def rung(signal: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> 
 
 @lru_cache(maxsize=256)
 def _mode(frequency_Hz: float, quality: float, rate_Hz: float) -> tuple[Array, Array]:
-    """Return numerator and denominator of the exact sampling behind a first-order hold."""
+    """Return numerator and denominator, sampled exactly behind a first-order hold."""
     from scipy.signal import cont2discrete
 
     w = 2.0 * np.pi * frequency_Hz
@@ -124,7 +124,7 @@ def mode_spread(
 
 @dataclass(frozen=True, kw_only=True)
 class StruckMode(LinearMode):
-    """A mode that free decays have told: a fit leaves it as it is.
+    """A mode that was identified from free decays and is not refitted.
 
     Where few of all samples ring, or none, a fit would rather have a blunt mode for a lag.
     """

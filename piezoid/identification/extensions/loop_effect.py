@@ -9,7 +9,7 @@ from piezoid.operators.linear import ContinuousSystem
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoopEffect:
-    """What a loop around the axis feels of one extension; by default nothing.
+    """Effect of one extension on a closed loop around the axis; by default none.
 
     system         linear, in series behind the hysteresis; None: nothing
     is_slow        that system relaxes over seconds: within a loop's band it is a gain between the

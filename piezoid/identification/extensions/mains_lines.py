@@ -68,7 +68,7 @@ class MainsLines(Extension):
     def of(
         cls, pieces: Sequence[Where], frequency_Hz: float, harmonics: tuple[int, ...] = (1, 2, 3)
     ) -> Self:
-        """Return silence yet, for every piece whose rate can show the first line."""
+        """Return zero amplitudes for every piece whose rate resolves the first line."""
         hums = []
         for piece in pieces:
             audible = tuple(
@@ -109,7 +109,7 @@ class MainsLines(Extension):
         return np.hstack(parts + [np.sin(n * turn) * under for n in hum.harmonic])
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
-        """Return the loudest hum: the sensor shows it, so a loop moves the stage by it."""
+        """Return the largest hum: the sensor measures it, so a loop moves the stage by it."""
         loudest_m = 0.0
         for hum in self.hums:
             lines = len(hum.harmonic)

@@ -41,7 +41,7 @@ class PeriodicError(Extension):
         return np.hypot(self.cosine_m, self.sine_m)
 
     def reading(self, position_m: Array) -> Array:
-        """Return what the sensor says of a position."""
+        """Return the reading of the sensor at a position."""
         turn = 2.0 * np.pi / self.wavelength_m * position_m
         total = np.array(position_m, dtype=np.float64)
         for n, (a, b) in enumerate(zip(self.cosine_m, self.sine_m, strict=True), start=1):

@@ -13,7 +13,7 @@ from piezoid.operators.limits import slewed
 
 @dataclass(frozen=True, kw_only=True)
 class SlewLimit(Extension):
-    """A largest speed in front of the hysteresis.
+    """Largest slew rate in front of the hysteresis.
 
         |du/dt| <= limit_V_per_s
 

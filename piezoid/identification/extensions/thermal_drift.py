@@ -45,7 +45,7 @@ class ThermalDrift(Extension):
 
     @classmethod
     def of(cls, pieces: Sequence[Where]) -> Self:
-        """Return no drift yet, for every piece that is long enough to show one."""
+        """Return zero drift for every piece that is long enough to show one."""
         curves = tuple(
             DriftCurve(recording=p.recording, first=p.first, level_m=(0.0,) * (KNOTS - 1))
             for p in pieces
@@ -66,7 +66,7 @@ class ThermalDrift(Extension):
         return columns
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
-        """Return range and speed of the drift; knots lie at least a second apart."""
+        """Return range and speed of the drift; knots are at least a second apart."""
         levels = [np.array([0.0, *curve.level_m]) for curve in self.curves]
         return LoopEffect(
             motion_m=max((0.5 * float(np.ptp(level)) for level in levels), default=0.0),

@@ -104,7 +104,7 @@ def _loops(piece: Piece) -> tuple[Loop, ...]:
 
 
 def reason_in_loops(pieces: Sequence[Piece]) -> str:
-    """Return what in the loops themselves, before any fit, rules the class out.
+    """Return the reason in the recorded loops why the class does not apply, or ''.
 
     A material contradicts the class wherever it is driven over its range. What as many recordings
     over the same range do not show is their own: a fast one's slew limit or long lag. So is a
@@ -239,7 +239,7 @@ def reason_of_lag(
 
 
 def reason_of_error(pieces: Sequence[Piece], choice: Choice) -> str:
-    """Return that the best fit leaves more than anybody should use, or an empty text."""
+    """State that the error of the best fit is too large to be used, or return ''."""
     height = max(float(np.ptp(p.response[p.first : p.last])) for p in pieces)
     share = choice.best.held_out_rms / height
     if share <= UNEXPLAINED:

@@ -39,7 +39,7 @@ GREATEST_SLOPE = 4.0  # of all plays together, in front of a Psi that may be as 
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """How many of what.
+    """Numbers of plays, kinks and other parameters.
 
     plays         moving plays besides the identity r_0 = 0
     below, above  dead zones with negative and positive thresholds besides the one at 0
@@ -61,7 +61,7 @@ class Shape:
 
 @dataclass(frozen=True, kw_only=True)
 class Coordinates:
-    """Where each number of the vector stands, for a shape and a number of pieces.
+    """Layout of the parameter vector for a shape and a number of pieces.
 
     The first ``shared`` numbers belong to the operator and the lag; then each piece of recording
     has its own offsets and memory slopes.
@@ -104,12 +104,12 @@ class Coordinates:
         return self.shared + sum(self.offsets) + len(self.offsets) * self.shape.plays
 
     def offset_slice(self, piece: int) -> slice:
-        """Return where the knots of a piece's zero stand."""
+        """Return the slice of the zero knots of a piece."""
         first = self.shared + sum(self.offsets[:piece]) + piece * self.shape.plays
         return slice(first, first + self.offsets[piece])
 
     def memory_slice(self, piece: int) -> slice:
-        """Return where the memory slopes of a piece stand, right behind its offsets."""
+        """Return the slice of the memory slopes of a piece, after its offsets."""
         first = self.offset_slice(piece).stop
         return slice(first, first + self.shape.plays)
 
@@ -179,7 +179,7 @@ class Coordinates:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scaled:
-    """The operator a vector stands for, in scaled units.
+    """Operator of a parameter vector, in scaled units.
 
     gap, threshold  (plays,)      d and r of the moving plays
     weight          (plays + 1,)  w_0 first

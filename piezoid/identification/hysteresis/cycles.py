@@ -90,7 +90,7 @@ class Cycles:
 
 
 def cycles_of(piece: Piece) -> Cycles | None:
-    """Return the equal cycles of a piece, None where they are too few to show a trend."""
+    """Return the equal cycles of a piece; None if they are too few to show a trend."""
     rows = slice(piece.first, piece.last)
     drive, response = piece.drive[rows], piece.response[rows]
     cycles = equal_cycles(drive, fewest=FEWEST) if np.ptp(drive) > 0.0 else None

@@ -30,7 +30,7 @@ CRAWLED = 1e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Task:
-    """What is to be minimised.
+    """Least-squares problem of one fit.
 
     pieces        the data
     coordinates   what the vector means
@@ -61,7 +61,7 @@ class Task:
 
     @cached_property
     def prior(self) -> tuple[Array, Array]:
-        """M and c of rows M theta + c that stand beside those of the data."""
+        """M and c of the prior rows M theta + c."""
         kinks, constant = self.coordinates.kinks()
         share = np.sqrt(self.ridge * self.rows)
         return share * kinks, share * constant

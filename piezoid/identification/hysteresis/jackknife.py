@@ -40,7 +40,7 @@ TRUNCATED = 1e-5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Jackknife:
-    """The fit and what it would have been without each block.
+    """The fit, and refits without each block.
 
     theta       (total,)
     replicates  (blocks, total)
@@ -161,7 +161,7 @@ def block_normals(theta: Array, task: Task) -> tuple[Array, Array]:
 
 
 def block_edges(pieces: Sequence[Piece]) -> list[NDArray[np.int_]]:
-    """Cut each piece into blocks that begin where the drive crosses its middle upwards.
+    """Cut each piece into blocks that start where the drive rises through its middle.
 
     returned  for each piece the edges, from its first row to its last; about 24 blocks in all
     """

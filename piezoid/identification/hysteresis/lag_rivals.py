@@ -54,7 +54,7 @@ def lag_rivals(
 
 
 def no_lag(pieces: Sequence[Piece], longest_lag_s: float) -> LagRival:
-    """Return the cubic alone: a lag is one if it leaves less than EXPLAINED of what this does."""
+    """Return the cubic without lag: a lag needs less than EXPLAINED of its residual."""
     return _fitted(tuple(map(_thinned, pieces)), longest_lag_s, numbers=0)
 
 

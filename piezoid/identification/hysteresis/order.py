@@ -46,7 +46,7 @@ ROUNDED = 1e-9  # of a sum of squares: more than its rounding
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fold:
-    """What a trial is fitted to, and what it is judged on.
+    """Training and held-out pieces of one fold.
 
     training  pieces, or first halves of pieces
     testing   pieces

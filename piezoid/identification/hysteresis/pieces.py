@@ -20,7 +20,7 @@ MINIMUM_SAMPLES = 20
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rig:
-    """Poles the laboratory declares, in front of and behind the hysteresis.
+    """Declared poles in front of and behind the hysteresis.
 
     amplifier_bandwidth_Hz  first-order pole of the drive, None: not declared
     sensor_bandwidth_Hz     first-order pole of the measurement, None: not declared
@@ -130,7 +130,7 @@ def scales_of(recordings: Sequence[Recording], axis: str) -> Scales:
 def pieces_of(
     recordings: Sequence[Recording], axis: str, scales: Scales, rig: Rig
 ) -> tuple[Piece, ...]:
-    """Cut recordings into scaled pieces; stretches too short to say anything are left out."""
+    """Cut recordings into scaled pieces, without stretches that are too short."""
     pieces = [
         _piece(recording, number, axis, part, scales, rig)
         for number, recording in enumerate(recordings)

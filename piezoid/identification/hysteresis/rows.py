@@ -59,7 +59,7 @@ def column_places(coordinates: Coordinates, index: int) -> Samples:
 def forward_of(
     theta: Array, coordinates: Coordinates, rate_Hz: float, sensor_Hz: float | None
 ) -> Forward:
-    """Return what a vector says of a piece of this rate.
+    """Return the forward model of a vector for a piece of this rate.
 
     A declared pole far above the sampling rate is a part of a delay.
     """

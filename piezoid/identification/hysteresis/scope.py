@@ -55,7 +55,7 @@ class Branch:
 
 @dataclass(frozen=True, kw_only=True)
 class Scope:
-    """What was recorded, of everything a fit is asked about later.
+    """Properties of the recordings that decide what a fit can know.
 
     branches    that are large
     recordings  how many
@@ -75,11 +75,11 @@ class Scope:
 
     @property
     def has_one_speed(self) -> bool:
-        """Whether a width of the loop cannot be told from a lag."""
+        """Whether loop width and lag cannot be separated."""
         return self.speeds < FASTER
 
     def limits(self, lag: str = "") -> tuple[Limit, ...]:
-        """Return what was never measured, the gravest first.
+        """Return what was not measured, most important first.
 
         lag  what lags without hysteresis leave, beside the fit
         """
@@ -139,7 +139,7 @@ def limits_of_cycles(cycles: Sequence[Cycles]) -> tuple[Limit, ...]:
 
 
 def scope_of(pieces: Sequence[Piece]) -> Scope:
-    """Return what these pieces hold."""
+    """Return the scope of pieces."""
     branches = [branch for piece in pieces for branch in branches_of(piece)]
     largest = max((abs(branch.span) for branch in branches), default=0.0)
     large = [branch for branch in branches if abs(branch.span) > LARGE * largest]

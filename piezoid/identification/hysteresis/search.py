@@ -124,7 +124,7 @@ def _searched(start: Fitted, settings: Settings) -> Fitted:
 
 
 def _settled(pieces: Sequence[Piece], shape: Shape, start: Start, settings: Settings) -> Fitted:
-    """Let everything but the thresholds find its place."""
+    """Optimise everything but the thresholds."""
     operator = bent(start.operator, shape.bends)
     task = task_for(pieces, operator, shape.lag, settings)
     theta = vector_of(operator, task.coordinates)
@@ -162,7 +162,7 @@ def _zero_knots(piece: Piece) -> int:
 
 
 def continued(fitted: Fitted, index: int, piece: Piece) -> Array:
-    """Simulate a longer piece with everything as fitted: its zero stays where the fit left it."""
+    """Simulate a longer piece with the fitted parameters and zero."""
     return simulate(
         fitted.minimum.theta,
         fitted.task.coordinates,
@@ -173,7 +173,7 @@ def continued(fitted: Fitted, index: int, piece: Piece) -> Array:
 
 
 def transferred(fitted: Fitted, pieces: Sequence[Piece]) -> Fitted:
-    """Fit only the zero and the initial memory of other pieces, the operator as it is."""
+    """Fit only the zero and the initial memory of other pieces, with the operator fixed."""
     operator = fitted.operator
     settings = Settings(
         longest_lag_s=fitted.task.longest_lag_s,

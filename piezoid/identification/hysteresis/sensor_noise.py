@@ -90,7 +90,7 @@ def _slows(growth: Array, octave: int) -> bool:
 
 
 def _one_period_later(drive: Array) -> int | None:
-    """Return after how many samples a drive repeats itself, two periods being enough, or None."""
+    """Return the period of a drive in samples, seen at least twice, or None."""
     repetition = find_repetition(drive) if np.ptp(drive) > 0.0 else None
     if repetition is not None:
         return repetition.period_samples

@@ -142,7 +142,7 @@ def within_bounds(triangle: Array, threshold: Array, zones: Array) -> Array:
 
 
 def constraints_of(threshold: Array, zones: Array, unknowns: int) -> tuple[Array, Array, Array]:
-    """Return A, l and u of the program: weights, then slopes of Psi', then what excludes 0."""
+    """Return A, l and u of the program: weights, slopes of Psi', and a normalisation."""
     plays, count = len(threshold), len(zones)
     zero = int(np.flatnonzero(zones == 0.0)[0])
     rows = np.zeros((plays + count + 1, unknowns))
@@ -183,7 +183,7 @@ def recentred(
 
 
 def _spread(outward: Array) -> Array:
-    """Return kinks at least a hundredth apart from the origin and from each other."""
+    """Return kinks at a minimum distance of a hundredth from the origin and from each other."""
     ladder = 0.01 * np.arange(1, len(outward) + 1)
     return np.asarray(np.maximum.accumulate(np.maximum(outward - ladder, 0.0)) + ladder)
 

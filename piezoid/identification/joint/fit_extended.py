@@ -227,7 +227,7 @@ class _OnFold:
 
     @Once
     def errors(self) -> list[Array]:
-        """The errors, 0 at the rows left out: the columns are megabytes, and are not copied."""
+        """The errors, 0 at held-out rows: a selection would copy megabytes of columns."""
         pairs = zip(self.point.errors, self.training, strict=True)
         return [np.where(is_training, error, 0.0) for error, is_training in pairs]
 
@@ -280,7 +280,7 @@ def _on_fold(
 
 
 def _with_prior(state: State, gram: Array, slope: Array, cost: float) -> NormalEquations:
-    """Add what is known beforehand, with the weight of one row each."""
+    """Add the prior of each extension, with the weight of one row."""
     gram, slope = gram.copy(), slope.copy()
     for rows, value, numbers in _priors(state):
         gram[numbers, numbers] += rows.T @ rows

@@ -182,7 +182,7 @@ class State:
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:
-        """Return where the numbers of each extension stand in the whole vector."""
+        """Return the slice of each extension in the vector."""
         edges = [len(self.theta)]
         for extension in self.extensions:
             edges.append(edges[-1] + len(extension.free().value))
@@ -219,7 +219,7 @@ class State:
 
 @dataclass(frozen=True, kw_only=True)
 class Structure:
-    """What of the hysteresis itself a joint fit may use.
+    """Parts of the hysteresis that a joint fit may use.
 
     operator  weights, thresholds, lag and what extends the model already are fitted; False: only
               memory, zero and new extensions
@@ -282,7 +282,7 @@ def state_of(
 
 
 def _cycled(operator: Scaled, first: float) -> Array:
-    """Return the memory slopes that a drive leaves which went down, up and then to its start."""
+    """Return the memory slopes after a drive that went down, up and then to its start."""
     turns = operator.envelope.run(np.array([0.0, -1.0, 1.0, first]))
     memory = play_columns(turns, operator.threshold, np.zeros(len(operator.gap)))[1]
     return np.asarray(np.diff(memory, prepend=turns[-1]) / operator.gap)

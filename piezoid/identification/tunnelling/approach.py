@@ -48,7 +48,7 @@ MIN_POINTS = 8  # three parameters, two of noise, and something left over to jud
 
 
 class Direction(Enum):
-    """Which way the tip moved while the sweep was taken."""
+    """Direction of the tip during a sweep."""
 
     FORWARD = "forward"
     BACKWARD = "backward"
@@ -154,7 +154,7 @@ def read_z_spectroscopy(table: RawTable) -> tuple[ApproachCurve, ...]:
 
 
 def _duration_s(table: RawTable, rows: int) -> float | None:
-    """Return how long one direction took; None where the head does not state it readably."""
+    """Return the duration of one direction; None if the header does not state it."""
     for module in _MODULES:
         try:
             row_s = sum(float(table.metadata[module + key]) for key in _TIMES_OF_A_ROW)

@@ -243,7 +243,7 @@ def _slope_change(fit: WeightedFit) -> float:
 def barrier_reasons(
     evidence: SweepEvidence, decay_per_m: float, interval_per_m: Interval
 ) -> tuple[Reason, ...]:
-    """Return the criteria that a barrier does not meet, in the order of these rules.
+    """Return the criteria that a barrier does not meet, in the order of the rules.
 
     decay_per_m, interval_per_m  k and its 95 % interval, of these sweeps or of all of a tip
     """

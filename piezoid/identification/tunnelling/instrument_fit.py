@@ -68,7 +68,7 @@ class ModeEstimate:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class InstrumentFit:
-    """The plant between drive and log current, and how well it is known.
+    """Fitted plant between drive and log current, with its uncertainty.
 
     plant       gain, sensor pole, delay
     logs        (3,)  ln gain, ln sensor pole, delay over the sampling period
@@ -271,7 +271,7 @@ class _Moments:
         return np.array([*low, *_MODE_LOW]), np.array([*high, *_MODE_HIGH])
 
     def priors(self, numbers: int) -> tuple[Array, Array]:
-        """What is declared, rows @ logs = centers to one, (priors, numbers), (priors,)."""
+        """Declared values, rows @ logs = centers to one, (priors, numbers), (priors,)."""
         facts = [(_TAIL, 0.0, _TAIL_SPREAD)] if numbers == _WITH_TAIL else []
         if self.declared_pole_Hz is not None:
             facts.append((_LN_POLE, math.log(self.declared_pole_Hz), POLE_SPREAD))

@@ -25,7 +25,7 @@ from piezoid.operators.linear import ContinuousSystem, recursive_filter, resonan
 
 @dataclass(frozen=True, kw_only=True)
 class DriveMode:
-    """A mode of the tip's drive beside the plant's poles.
+    """A mode of the drive of the tip, in addition to the poles of the plant.
 
     frequency_Hz, quality  of the mode
     share                  a, of the extension that it carries

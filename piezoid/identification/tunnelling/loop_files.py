@@ -77,7 +77,7 @@ class LoopRecord:
 
     @property
     def period_s(self) -> float | None:
-        """Period of the dither; None where it does not repeat itself."""
+        """Period of the dither; None if it is not periodic."""
         return None if self.period_samples is None else self.period_samples / self.sampling_rate_Hz
 
     @property
@@ -88,7 +88,7 @@ class LoopRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class LoopRig:
-    """What the laboratory declares of the axis that regulates a current.
+    """Declared properties of the axis that regulates a current.
 
     axis                   its name
     set_point_A            with the current's sign
@@ -116,7 +116,7 @@ def is_loop(recording: Recording) -> bool:
 
 
 def rig_of_loop(lab: Lab, axis: str) -> LoopRig:
-    """Return what lab.toml declares of an axis, or refuse with the lines that are missing."""
+    """Return the declarations of an axis in lab.toml, or refuse with the missing lines."""
     amplifier, declared = lab.amplifier_of(axis), lab.tunnelling
     extension = lab.actuator_of(axis).gain_m_per_V
     needed = {
@@ -211,7 +211,7 @@ def read_loop(recording: Recording, rig: LoopRig, *, lab_file: str = "lab.toml")
 
 
 def period_of(reference: Array) -> int | None:
-    """Return after how many samples a signal repeats itself, at least twice; None if never."""
+    """Return the period of a signal in samples, seen at least twice; None without one."""
     level = reference - reference.mean()
     span = float(np.ptp(level))
     if not span > 0.0:

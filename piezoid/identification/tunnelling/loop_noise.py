@@ -53,7 +53,7 @@ class NoiseSource:
 
 @dataclass(frozen=True, kw_only=True)
 class LoopNoise:
-    """Motion of the gap during one record, and what limits its resolution.
+    """Motion of the gap during one record, and the limits of its resolution.
 
     drift_m_per_s        > 0 where the gap opens, and its 95 % interval
     mains                harmonics of the mains that stand out
@@ -180,7 +180,7 @@ def _drift(motion_m: Array, sampling_rate_Hz: float) -> tuple[float, float]:
 
 
 def _mains_lines(level_m: Array, sampling_rate_Hz: float) -> tuple[MainsLine, ...]:
-    """Harmonics of 50 and 60 Hz that stand out of the power around them."""
+    """Return harmonics of 50 and 60 Hz that exceed the power around them."""
     window = np.hanning(len(level_m))
     power = np.abs(np.fft.rfft(level_m * window)) ** 2
     spacing_Hz = sampling_rate_Hz / len(level_m)

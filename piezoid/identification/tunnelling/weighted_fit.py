@@ -91,7 +91,7 @@ class WeightedFit:
     cost: float = np.inf
 
     def at_decay(self, decay_per_m: float) -> "WeightedFit":
-        """Return the fit of best offset and amplitudes, none negative, for a given decay."""
+        """Fit offset and non-negative amplitudes for a given decay."""
         decayed = np.exp(-decay_per_m * self.height_m)
         root = np.sqrt(self.weight)
         amplitude_A = np.zeros(int(self.piece.max()) + 1)
@@ -254,7 +254,7 @@ def _roughness_A(curve: ApproachCurve) -> float:
 
 
 def _settle(fit: WeightedFit) -> WeightedFit:
-    """Alternate mean and noise until the decay stands still."""
+    """Iterate mean and noise until the decay converges."""
     for _ in range(_ROUNDS):
         previous = fit.decay_per_m
         deviation = np.sqrt(fit.noise.variance(fit.mean_A))
@@ -270,7 +270,7 @@ def _settle(fit: WeightedFit) -> WeightedFit:
 
 
 def _find_jump(fit: WeightedFit, sweep: int) -> TipJump | None:
-    """Return the most conspicuous step of one sweep, or None.
+    """Return the most significant step of one sweep, or None.
 
         t = (median after - median before) / its standard deviation from the noise model
 
