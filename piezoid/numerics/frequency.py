@@ -40,7 +40,7 @@ def polynomial_response(polynomial: ArrayLike, delay_operator: Response) -> Resp
 
 
 def response(B: ArrayLike, A: ArrayLike, frequency_Hz: ArrayLike, rate_Hz: float) -> Response:
-    """Return B/A on the unit circle, (frequencies,); the delay stands in B as leading zeros."""
+    """Return B/A on the unit circle, (frequencies,); the delay is leading zeros of B."""
     q = unit_circle(frequency_Hz, rate_Hz)
     return np.asarray(polynomial_response(B, q) / polynomial_response(A, q))
 

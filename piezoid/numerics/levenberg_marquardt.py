@@ -133,14 +133,14 @@ def _steepest(slope: Array, lower: Array, upper: Array) -> float:
 
 
 class Point(Protocol):
-    """A place where the search was."""
+    """One evaluated point of the search."""
 
     @property
     def cost(self) -> float:
-        """Return |r|^2, priors included; what is not finite is never gone to."""
+        """Return |r|^2 including priors; points with a cost that is not finite are rejected."""
 
     def linearised(self) -> Rows | NormalEquations:
-        """Return the linear model about the point: asked for only where the search goes on."""
+        """Return the linear model at the point; computed only if the search continues."""
 
 
 AnyPoint = TypeVar("AnyPoint", bound=Point)
@@ -224,7 +224,7 @@ def minimise(
 
 
 def _worth_another(costs: Sequence[float], rule: Rule) -> Reason | None:
-    """Return why no step should follow on those that led down these costs; None if one should."""
+    """Return the reason to stop after these costs, or None to continue."""
     if costs[-2] - costs[-1] < max(rule.tolerance * costs[-2], rule.enough):
         return "converged"
     if len(costs) > CRAWL and 1.0 - costs[-1] / costs[-1 - CRAWL] < rule.crawl:

@@ -20,7 +20,7 @@ _NEARLY_COMMON = 1e-13
 
 
 def product(*factors: ArrayLike) -> Array:
-    """Return the product of polynomials; of none, one."""
+    """Return the product of polynomials; 1 for none."""
     result = np.ones(1)
     for factor in factors:
         result = np.convolve(result, np.asarray(factor, dtype=np.float64))

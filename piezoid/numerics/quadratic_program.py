@@ -194,7 +194,7 @@ def bounded_step(triangle: Array, target: Array, lower: Array, upper: Array) -> 
 def _from_normal_equations(
     factor: Array, target: Array, lower: Array, upper: Array
 ) -> Array | None:
-    """Return the minimum, or None if it fails the KKT conditions; columns and target of norm 1."""
+    """Return the minimum, or None if it violates the KKT conditions; unit columns and target."""
     gram = factor.T @ factor + JITTER * np.eye(len(lower))
     try:
         x = bounded_minimum(gram, factor.T @ target, lower, upper)

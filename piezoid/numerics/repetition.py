@@ -58,7 +58,7 @@ class EqualCycles:
 
 
 def find_repetition(signal: Array, *, fewest: int = SETTLING + FEWEST) -> Repetition | None:
-    """Return where and how a drive repeats, or None.
+    """Return start and period of a periodic drive, or None.
 
     fewest  periods the drive must have room for
 
@@ -77,7 +77,7 @@ def find_repetition(signal: Array, *, fewest: int = SETTLING + FEWEST) -> Repeti
 
 
 def equal_cycles(signal: Array, *, fewest: int) -> EqualCycles | None:
-    """Return the equal cycles of a drive, or None where there are fewer than ``fewest``.
+    """Return the equal cycles of a drive; None if there are fewer than ``fewest``.
 
     Few generators lock their period to the converter. One that is no whole number of samples is
     found by the phase of its first harmonic from cycle to cycle; samples between two are taken
@@ -139,7 +139,7 @@ def _longest_run(flags: NDArray[np.bool_]) -> tuple[int, int]:
 
 
 def _fractional(signal: Array, period: float) -> float:
-    """Return the period by which the first harmonic's phase stands from cycle to cycle."""
+    """Return the period for which the phase of the first harmonic is constant over cycles."""
     for _ in range(3):
         starts = np.arange(int((len(signal) - 1) // period)) * period
         time = starts[:, None] + np.arange(int(period))
@@ -151,7 +151,7 @@ def _fractional(signal: Array, period: float) -> float:
 
 
 def _are_equal(cycles: Array) -> bool:
-    """Tell whether no trend of their size goes beyond what a sample may differ by.
+    """Tell whether trend and scatter of the size of the cycles are within the tolerance.
 
     Of a triangle a cycle's size also depends on where its samples meet the corners.
     """

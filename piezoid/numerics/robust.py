@@ -108,7 +108,7 @@ def _weighted_spread(values: Array, errors: Array, sigma: float) -> tuple[float,
 
 
 def deviations(values: Array, spread: Spread, errors: Array | None = None) -> Array:
-    """Return the signed distance of each value from the median, in sigma; 0 where nothing varies.
+    """Return the signed distance of each value from the median, in sigma; 0 for constant values.
 
     errors  (samples,)  standard errors of the values, added to sigma in quadrature
     """
@@ -118,7 +118,7 @@ def deviations(values: Array, spread: Spread, errors: Array | None = None) -> Ar
 
 
 def trend_of(x: Array, y: Array) -> Trend | None:
-    """Return the trend of y over x, or None for fewer than eight pairs or a constant one.
+    """Return the trend of y over x; None for fewer than eight pairs or a constant x or y.
 
     x, y  (samples,)  pairs with a NaN are left out
 

@@ -26,7 +26,7 @@ NORMAL, RECTANGULAR, HEAVY = "normal", "rectangular", "heavy"
 
 @dataclass(frozen=True, kw_only=True)
 class Contribution:
-    """One reason why the result is not known better.
+    """One contribution to the uncertainty of a result.
 
     name       for people
     kind       ``A``: from the spread of data; ``B``: from a certificate or a data sheet
@@ -58,7 +58,7 @@ class Contribution:
 
 
 def half_width(name: str, half: float, *, is_shared: bool = True) -> Contribution:
-    """Return what is known to lie within plus and minus ``half``: standard half / sqrt 3."""
+    """Return a rectangular contribution within plus and minus ``half``: standard half / sqrt 3."""
     return Contribution(
         name=name,
         kind="B",

@@ -114,7 +114,7 @@ class Chain:
 
     @property
     def columns(self) -> int:
-        """Number of columns of ``Following.rows`` besides those of the memory."""
+        """Number of columns of ``Following.rows`` without those of the memory."""
         zones, bends = len(self.zones.threshold) - 1, self.envelope.zero
         return 2 * self.plays + 1 + 2 * zones + 2 * bends + 2
 

@@ -37,7 +37,7 @@ def first_order(time_constant_s: float, sampling_rate_Hz: float) -> Coefficients
 
 
 def relaxed(signal: Array, time_s: float, rate_Hz: float) -> Array:
-    """Return a signal behind a first-order lag, straight between samples."""
+    """Filter a signal by a first-order lag, with linear interpolation between samples."""
     if len(signal) == 0:
         return signal
     columns = signal if signal.ndim == 2 else signal[:, None]
@@ -64,7 +64,7 @@ def later(signal: Array, samples: float, keep: slice = EVERY) -> Array:
 def lagged(
     signal: Array, kind: str, lag_s: float, rate_Hz: float, *, keep: slice = EVERY
 ) -> Array:
-    """Return a signal behind a lag: kind ``none``, ``delay`` or ``first_order``.
+    """Apply a lag to a signal: kind ``none``, ``delay`` or ``first_order``.
 
     keep  which rows are wanted; of a delay no others are computed
     """

@@ -146,7 +146,7 @@ def _run(
 
 @dataclass(frozen=True, kw_only=True)
 class Converter:
-    """What stands between the wanted and the applied voltage.
+    """Limits and step of the converter between desired and applied voltage.
 
     minimum_V, maximum_V  the converter clips here
     lsb_V                 its step; 0 rounds nothing

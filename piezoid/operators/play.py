@@ -86,7 +86,7 @@ def play_blocks(
 
 
 def is_admissible(memory_V: Array, voltage_V: float, threshold_V: Array) -> bool:
-    """Tell whether a real input history that ended at ``voltage_V`` can have left this memory.
+    """Tell whether a real input history that ends at ``voltage_V`` can have this memory.
 
         |z_0 - u| <= r_0  and  |z_i - z_(i-1)| <= r_i - r_(i-1)       [Krejci], discrete form
 

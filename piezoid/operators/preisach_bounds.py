@@ -116,12 +116,12 @@ def _lattice(operator: PreisachPlays, reach_V: float) -> tuple[Array, Mask]:
 
 
 def _values(operator: PreisachPlays, places_V: Array) -> Array:
-    """Return every function at every place, (plays, places) m."""
+    """Return the values of all functions at all levels, (plays, levels) m."""
     return np.array([straight_between(places_V, operator.edge_V, v) for v in operator.value_m])
 
 
 def _half_range(value_m: Array, allowed: Mask) -> Array:
-    """Return half of what lies between the extremes of sums over nested states, (sums,).
+    """Return half the range of sums over nested states, (sums,).
 
     value_m  (sums, plays, places)
     """

@@ -64,7 +64,7 @@ class PreisachPlays:
 
     @cached_property
     def rise_m(self) -> Array:
-        """What the functions rise between edges, (plays, edges - 1)."""
+        """Rises of the functions between edges, (plays, edges - 1)."""
         return np.asarray(np.diff(self.value_m, axis=1))
 
     @property

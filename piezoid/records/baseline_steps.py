@@ -165,7 +165,7 @@ def baseline_steps(
 
 
 def _step_between_cycles(reading: Array, drive: Array) -> tuple[BaselineStep, ...]:
-    """Return the step of the zero that equal cycles show, however noisy the reading is.
+    """Return the step of the zero between equal cycles, averaged over noise.
 
         d(t) = y(t + P) - y(t) = J   for t_0 - P <= t < t_0,   else 0
 
@@ -301,7 +301,7 @@ def _statement(steps: Sequence[BaselineStep], recording: Recording, axis: str) -
 
 
 def _cause(steps: Sequence[BaselineStep]) -> str:
-    """Return what explains the steps; lost fringes have one size, or multiples of it."""
+    """Return the cause of the steps; lost fringes have one size, or multiples of it."""
     sizes = np.array([abs(step.size) for step in steps])
     if len(sizes) == 1:
         return "a slip of the stage or its mount, or a lost zero of the sensor (one step only)"

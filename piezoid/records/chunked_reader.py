@@ -234,7 +234,7 @@ def _recording(
 
 
 def _rows_with_numbers(table: RawTable, assignment: Assignment) -> NDArray[np.bool_]:
-    """Tell in which rows every column that is read holds a number."""
+    """Tell which rows hold a number in every column that is read."""
     numbers = {assigned.column.number for assigned in assignment.columns}
     finite = [np.isfinite(c.values) for c in table.columns if c.number in numbers]
     return np.asarray(np.logical_and.reduce(finite))

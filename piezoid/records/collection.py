@@ -19,7 +19,7 @@ from piezoid.summary import Summarised, Summary
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Collection(Summarised):
-    """What files of one stage hold; iterated and indexed, its recordings.
+    """Contents of the files of one stage; iterates and indexes over its recordings.
 
     recordings  samples over time
     sweeps      tables over a height that name no clock, as a Z spectroscopy is
@@ -37,7 +37,7 @@ class Collection(Summarised):
         return len(self.recordings)
 
     def __getitem__(self, key: int | str) -> Recording:
-        """Return a recording by its place or its name, or refuse naming those there are."""
+        """Return a recording by its index or its name; an error lists the names."""
         if isinstance(key, int):
             return self.recordings[key]
         for recording in self.recordings:

@@ -17,7 +17,7 @@ DIMENSION_OF = {
 
 
 class Role(Enum):
-    """What a column is to a recording."""
+    """Role of a column in a recording."""
 
     TIME = "time"
     CHANNEL = "channel"
@@ -26,7 +26,7 @@ class Role(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Meaning:
-    """What one column is taken for.
+    """Interpretation of one column.
 
     role      time, a channel, or not read
     quantity  of a channel

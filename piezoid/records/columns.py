@@ -69,7 +69,7 @@ class Assignment:
 
 
 def assign_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Assignment:
-    """Assign quantity, axis and SI unit to every column, or refuse with what to write.
+    """Assign quantity, axis and SI unit to every column, or refuse with the lines to write.
 
     Raises ``UnitError`` for a column without unit or axis, or for two that claim the same
     quantity; ``LabFileError`` where lab.toml names a column that is not there.
@@ -194,7 +194,7 @@ def missing_column(table: RawTable, lab: Lab, key: str, name_or_number: str | in
 
 
 def check_entry_names(lab: Lab, entry: RecordingEntry) -> None:
-    """Refuse names and units of a ``[[recording]]`` that are none of a recording over time."""
+    """Refuse names and units of a ``[[recording]]`` that no recording over time has."""
     for key in (*entry.columns, *entry.units, *entry.scale, *entry.offset):
         if key != "time" and key.partition("_")[0] not in QUANTITIES:
             raise LabFileError(
@@ -331,7 +331,7 @@ def _unit_of(entry: RecordingEntry, column: Column, name: str, axis: str) -> Uni
 
 
 def _declared_for(by_name: Mapping[str, T], name: str, axis: str) -> T | None:
-    """Return what an entry declares of a column, by its name with or without the axis."""
+    """Return the declaration of an entry for a column, by its name with or without the axis."""
     return by_name.get(f"{name}_{axis}", by_name.get(name))
 
 

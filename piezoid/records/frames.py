@@ -37,7 +37,7 @@ def from_arrays(
     axis: str = "x",
     name: str = "recording",
 ) -> Recording:
-    """Return a recording of arrays in SI units, with what is odd about them in ``statements``.
+    """Return a recording of arrays in SI units, with problems in ``statements``.
 
     voltage_V, displacement_m, current_A  (samples,), or by axis: ``{"x": ..., "y": ...}``
     time_s, sampling_rate_Hz  one of the two: (samples,) s, or Hz
@@ -241,7 +241,7 @@ def _refuse_other_than_frame(frame: object, name: str) -> None:
 
 
 def _declared_unit(name: str, heading: str, symbol: str) -> str:
-    """Return a unit somebody states, or refuse one that is none or contradicts the heading."""
+    """Return a declared unit; refuse one that is unknown or contradicts the heading."""
     unit, in_heading = unit_of(symbol), heading_of(heading).unit
     if unit is None:
         raise UnitError(

@@ -50,7 +50,7 @@ class ResponsePath:
 
     @property
     def is_own(self) -> bool:
-        """Whether it is an axis' response to its own drive."""
+        """Whether it is the response of an axis to its own drive."""
         return self.output == self.drive
 
     @property
@@ -108,7 +108,7 @@ class FrequencyResponseRecord:
         return tuple(path.output for path in self.paths if path.is_own)
 
     def renamed(self, axis: str) -> "FrequencyResponseRecord":
-        """Return it under the name of the only axis it can be of; for one that names none."""
+        """Return the record under the name of an axis, if the file names none."""
         paths = tuple(replace(path, output=axis, drive=axis) for path in self.paths)
         return replace(self, paths=paths, axis_is_named=True)
 

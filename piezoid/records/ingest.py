@@ -115,7 +115,7 @@ def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[P
 
 
 def _shifted(entry: RecordingEntry, first_s: float, last_s: float) -> RecordingEntry | None:
-    """Return an entry with start and stop counted from a part, None if it is outside the part."""
+    """Return an entry with start and stop relative to a part; None if it is outside the part."""
     start_s = 0.0 if entry.start_s is None else entry.start_s
     stop_s = np.inf if entry.stop_s is None else entry.stop_s
     if start_s >= last_s or stop_s <= first_s:
@@ -180,7 +180,7 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
 def _channels(
     table: RawTable, assignment: Assignment, rows: SampleRows
 ) -> tuple[tuple[Channel, ...], list[int], list[Statement]]:
-    """Return the channels, with straight lines in place of samples that are no measurement.
+    """Return the channels, with invalid samples interpolated linearly.
 
     Returns:
         The channels, the invalid samples of any of them, and a statement for each column and kind.

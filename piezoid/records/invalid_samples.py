@@ -123,7 +123,7 @@ def find_invalid_readings(
 
 
 def interpolated(values: Array, invalid: Mask) -> Array:
-    """Return the values with straight lines in place of the invalid ones, (samples,)."""
+    """Interpolate invalid values linearly, (samples,)."""
     if not invalid.any():
         return values
     index = np.arange(len(values))

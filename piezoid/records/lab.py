@@ -87,7 +87,7 @@ class _Contents(
 
 @dataclass(frozen=True, kw_only=True)
 class Lab:
-    """A whole lab.toml; without a file, the laboratory about which nothing is known.
+    """Contents of lab.toml; the defaults declare nothing.
 
     name         from ``[rig]``
     place        the file's name, for messages
@@ -118,12 +118,12 @@ class Lab:
 
     @property
     def rig_digest(self) -> str:
-        """Digest of what a design takes from here: all of the rig, no guard of the tip."""
+        """Digest of the declarations that a design uses: the rig without the guards of the tip."""
         return self._digest_without(GUARDS)
 
     @property
     def control_digest(self) -> str:
-        """Digest of what ships and its plant take from here: the rig and the guards."""
+        """Digest of the declarations that controller and plant use: the rig and the guards."""
         return self._digest_without(())
 
     def _digest_without(self, guards: tuple[str, ...]) -> str:
@@ -134,7 +134,7 @@ class Lab:
         return digest_of_json(tables)
 
     def amplifier_of(self, axis: str) -> Amplifier:
-        """Return the amplifier of an axis: its own table, or else the common one.
+        """Return the amplifier of an axis: its table, or else the common one.
 
         >>> piezoid.read_lab("lab.toml").amplifier_of("x").bandwidth_Hz
         4000.0
@@ -143,7 +143,7 @@ class Lab:
         return self.amplifier if of_axis is None else of_axis
 
     def actuator_of(self, axis: str) -> Actuator:
-        """Return the actuator of an axis: its own table, or else the common one.
+        """Return the actuator of an axis: its table, or else the common one.
 
         >>> piezoid.read_lab("lab.toml").actuator_of("x").bandwidth_Hz
         12000.0
@@ -152,7 +152,7 @@ class Lab:
         return self.actuator if of_axis is None else of_axis
 
     def sensor_of(self, axis: str) -> Sensor:
-        """Return the sensor of an axis: its own table, or else the common one.
+        """Return the sensor of an axis: its table, or else the common one.
 
         >>> piezoid.read_lab("lab.toml").sensor_of("x").bandwidth_Hz
         8500.0

@@ -68,7 +68,7 @@ HEAD = f"""\
 
 @dataclass(frozen=True, kw_only=True)
 class LabDraft:
-    """A lab.toml to begin with.
+    """Draft of a lab.toml.
 
     text        TOML with comments
     incomplete  names of files that need their entry completed before they can be used

@@ -10,7 +10,7 @@ class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class RigName(Table, frozen=True, kw_only=True):
-    """``[rig]``: what the people there call it."""
+    """``[rig]``: name of the rig in its laboratory."""
 
     name: str = ""
 
@@ -97,7 +97,7 @@ GUARDS = (
 
 
 class Certificates(Table, frozen=True, kw_only=True):
-    """``[uncertainty]``: what certificates and data sheets say, and no recording shows.
+    """``[uncertainty]``: numbers of certificates and data sheets, which no recording shows.
 
     sensor_gain_relative   standard uncertainty (k = 1) of the sensor's gain, as a share of one
     sensor_linearity_m     the sensor's error lies within plus and minus this
@@ -168,7 +168,7 @@ class RecordingEntry(Table, frozen=True, kw_only=True):
 
 
 class AxisRig(Table, frozen=True, kw_only=True):
-    """``[axis.<name>.*]``: what is different on one axis."""
+    """``[axis.<name>.*]``: tables that replace the common ones for one axis."""
 
     amplifier: Amplifier | None = None
     actuator: Actuator | None = None

@@ -16,7 +16,7 @@ from piezoid.summary import Summarised, Summary
 
 
 class Quantity(Enum):
-    """What a channel measures; the value is the SI unit its samples are in.
+    """Quantity of a channel; the value is the SI unit of its samples.
 
     REFERENCE is an external dither: it may be in any unit, and only lab.toml can name it.
     """
@@ -98,7 +98,7 @@ class Recording(Summarised):
             raise ValueError(f"{self.name}: bridged {self.bridged} outside the recording")
 
     def seconds(self, start_s: float = 0.0, stop_s: float | None = None) -> "Recording":
-        """Return the part from ``start_s`` up to, not with, ``stop_s``, under a name of its own.
+        """Return the part from ``start_s`` to ``stop_s``, excluding the end, under another name.
 
         Raises ``RecordingError`` where less than two samples lie between.
 
@@ -128,7 +128,7 @@ class Recording(Summarised):
 
     @property
     def time_s(self) -> Array:
-        """Time of every sample from the first, (samples,), gaps at breaks left out."""
+        """Time of every sample from the first, (samples,), without the duration of gaps."""
         return np.asarray(np.arange(self.samples) / self.sampling_rate_Hz)
 
     @property
@@ -158,7 +158,7 @@ class Recording(Summarised):
 
     @property
     def counted(self) -> tuple[str, ...]:
-        """What is in counts of its converter, of ``displacement`` and ``voltage``."""
+        """Quantities in counts of a converter: ``displacement`` and ``voltage``."""
         counted = {c.quantity.name.lower() for c in self.channels if c.is_counted}
         return tuple(sorted(counted))
 
@@ -239,5 +239,5 @@ class Recording(Summarised):
 
 
 def counted_in(recordings: Iterable[Recording]) -> tuple[str, ...]:
-    """Return what is in counts in any recording, of ``displacement`` and ``voltage``."""
+    """Return the quantities in counts in any recording: ``displacement`` and ``voltage``."""
     return tuple(sorted({quantity for recording in recordings for quantity in recording.counted}))

@@ -134,7 +134,7 @@ def _is_complete(parts: Iterable[str]) -> bool:
 
 
 def part_of(column: Column) -> str | None:
-    """Return which part of a response a heading names, None where it names none."""
+    """Return the part of a response that a heading names, or None."""
     words = {token.lower() for token in _TOKENS.findall(column.label)}
     if words & _FOREIGN:
         return None
@@ -188,7 +188,7 @@ def _declared_parts(table: RawTable, lab: Lab, entry: RecordingEntry) -> list[Pa
 
 
 def _named_part(key: str) -> tuple[str, Pair | None]:
-    """Take a name of lab.toml apart: ``phase_xy`` is the phase of x to a drive of y."""
+    """Parse a name of lab.toml: ``phase_xy`` is the phase of x to a drive of y."""
     name, _, axis = key.partition("_")
     if not axis:
         return name, None
@@ -198,7 +198,7 @@ def _named_part(key: str) -> tuple[str, Pair | None]:
 
 
 def _check_entry(lab: Lab, entry: RecordingEntry) -> None:
-    """Refuse names of an entry that are no part of a response, and what a response cannot have."""
+    """Refuse names and keys of an entry that a frequency response cannot have."""
     for key in (*entry.columns, *entry.units, *entry.scale):
         if _named_part(key)[0] not in _NAMES:
             raise LabFileError(
@@ -237,7 +237,7 @@ def _with_axes(
 
 
 def ambiguous_response(table: RawTable, reason: str) -> UnitError:
-    """Return the error that shows the columns and the lines of lab.toml that would decide."""
+    """Return an error with the columns and the lines of lab.toml that resolve the ambiguity."""
     return UnitError(
         f"{table.name}: a frequency response, of which {reason} (seen: {first_values(table)})",
         needed="a frequency in Hz, kHz or rad/s; magnitude in m/V, um/V, nm/V, V/V or decibels of "

@@ -190,7 +190,7 @@ class _Path:
         return column.values[self.rows], unit
 
     def _declared(self, by_name: Mapping[str, Any], part: str) -> Any:
-        """Return what an entry says of a column: of its path, of the part, of the response."""
+        """Return the declaration of an entry for a column: by path, part or response."""
         names = [part, COMPLEX] if part in ("magnitude", "real", "imaginary") else [part]
         output, drive = self.pair
         endings = [f"_{output}{drive}", *([f"_{output}"] if output == drive else []), ""]

@@ -20,7 +20,7 @@ MIN_LOW_LINES = 3  # stand for low frequency where none is so far below
 
 @dataclass(frozen=True, kw_only=True)
 class Peak:
-    """A maximum of a response that looks like a mode; no fit stands behind it.
+    """A maximum of a response that looks like a mode, without a fit.
 
     frequency_Hz  of the highest line
     quality       frequency over the width at which the gain is 3 dB lower; None where a side does
@@ -51,7 +51,7 @@ class PathSummary:
 
 @dataclass(frozen=True, kw_only=True)
 class Coupling:
-    """How much of the motion of a drive's own axis another axis makes of the same drive.
+    """Motion of another axis by the same drive, relative to that of the axis of the drive.
 
     low          median of |G_od / G_dd| far below the first apparent mode, or of the lowest lines
     at_mode      at the first apparent mode of the drive's axis; None where there is none
@@ -80,7 +80,7 @@ class ResponseSummary:
 
 
 def summary_of(record: FrequencyResponseRecord) -> ResponseSummary:
-    """Return what one file shows at first sight."""
+    """Summarise one response file without a fit."""
     frequency_Hz = record.frequency_Hz
     paths, couplings = [], []
     for path in record.paths:
@@ -110,7 +110,7 @@ def summary_of(record: FrequencyResponseRecord) -> ResponseSummary:
 
 
 def _coupling(frequency_Hz: Array, path: ResponsePath, self_response: ResponsePath) -> Coupling:
-    """Compare a path with the response of its drive's own axis."""
+    """Compare a path with the response of the axis of its drive."""
     ratio = np.abs(path.response_m_per_V / self_response.response_m_per_V)
     modes = apparent_modes(frequency_Hz, self_response)
     at_mode = None
@@ -138,7 +138,7 @@ def apparent_modes(frequency_Hz: Array, path: ResponsePath) -> tuple[Peak, ...]:
 
 
 def _quality(frequency_Hz: Array, gain: Array, peak: int) -> float | None:
-    """Return frequency over half-power width of one maximum, None where a side is missing."""
+    """Return frequency over half-power width of one maximum; None if one side is missing."""
     half = gain[peak] / np.sqrt(2.0)
     below = np.flatnonzero(gain[:peak] < half)
     above = np.flatnonzero(gain[peak:] < half)
@@ -152,7 +152,7 @@ def _quality(frequency_Hz: Array, gain: Array, peak: int) -> float | None:
 
 
 def _is_low(frequency_Hz: Array, peaks: tuple[Peak, ...]) -> NDArray[np.bool_]:
-    """Tell the lines far below the first peak; the lowest ones where none is so far below."""
+    """Tell which lines lie far below the first peak, or else the lowest ones."""
     first_Hz = min((peak.frequency_Hz for peak in peaks), default=frequency_Hz[-1])
     is_low = np.asarray(frequency_Hz < LOW_FREQUENCY * first_Hz)
     is_low[:MIN_LOW_LINES] = True

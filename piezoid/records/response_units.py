@@ -11,7 +11,7 @@ from piezoid.records.units import BRACKETS, Dimension, unit_of
 
 
 class Kind(Enum):
-    """What a unit measures: a share is a ratio, a decibel one of an unknown reference."""
+    """Kind of a unit: a share is a ratio, a decibel one of an unknown reference."""
 
     FREQUENCY = auto()
     ANGLE = auto()
@@ -69,7 +69,7 @@ _AT_THE_END = (
 
 
 def response_unit(text: str) -> ResponseUnit | None:
-    """Return the unit a text stands for, None if it is none of a frequency response."""
+    """Return the unit of a text; None if it is no unit of a frequency response."""
     symbol = " ".join(text.split())
     name = symbol.lower()
     if name in _ANGLES:

@@ -194,6 +194,6 @@ def complete_rows(
 
 
 def positions_in(complete: Rows, rows: Rows) -> tuple[int, ...]:
-    """Return the index of the first complete row at or after each of some rows, ends left out."""
+    """Return the index of the first complete row at or after each of some rows, without ends."""
     indices = np.searchsorted(complete, rows)
     return tuple(sorted({int(k) for k in indices if 0 < k < len(complete)}))

@@ -52,7 +52,7 @@ def _spread(values: Array) -> float:
 
 
 def step_size(values: Array) -> float:
-    """Return the smallest step all values are multiples of, 0 where there is none.
+    """Return the smallest step of which all values are multiples, or 0.
 
     Values printed with few digits have a step as well: it is the resolution of what was written.
     """
@@ -71,7 +71,7 @@ def step_size(values: Array) -> float:
 
 
 def is_dead(values: Array) -> bool:
-    """Tell whether a channel never changes."""
+    """Tell whether a channel is constant."""
     return bool(np.ptp(values) == 0)
 
 

@@ -18,7 +18,7 @@ _SHORTEST_s, _LONGEST_s = 1e-30, 1e30  # beyond, the rate leaves the range of nu
 
 
 def rate_of(interval_s: float | None) -> float | None:
-    """Return the sampling rate of a stated interval, None where it is none that makes one."""
+    """Return the sampling rate of a stated interval; None if the interval is invalid."""
     is_one = interval_s is not None and _SHORTEST_s <= interval_s <= _LONGEST_s
     return 1 / interval_s if interval_s is not None and is_one else None
 
@@ -52,7 +52,7 @@ class Column:
 
     @property
     def heading(self) -> Heading:
-        """Name and unit; a unit stated by the format goes before one in the heading."""
+        """Name and unit; a unit stated by the format takes precedence over the heading."""
         heading = heading_of(self.label)
         declared = unit_of(self.declared_unit) if self.declared_unit.strip() else None
         return heading if declared is None else Heading(stem=heading.stem, unit=declared)
@@ -64,14 +64,14 @@ class Column:
 
     @property
     def si_values(self) -> Array:
-        """The values in SI units; as found where the unit is unknown or none of ours."""
+        """The values in SI units; unconverted if the unit is unknown."""
         unit = self.heading.unit
         return self.values if unit is None else self.values * unit.factor + unit.offset
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RawTable:
-    """A file's one table; ``read_table`` adds name, digest and format to what a reader returns.
+    """Table of one file; ``read_table`` adds name, digest and format to the result of a reader.
 
     columns           all of the same length
     name              the file's name without its folder
@@ -113,7 +113,7 @@ class RawTable:
         return len(self.columns[0].values)
 
     def find(self, name_or_number: str | int) -> Column | None:
-        """Return a column by number, heading, or name without unit; None where not unique."""
+        """Return a column by number, heading, or name without unit; None if not unique."""
         if isinstance(name_or_number, int):
             matches = [c for c in self.columns if c.number == name_or_number]
         else:
@@ -135,18 +135,18 @@ class RawTable:
         return column.si_values
 
     def place_of_row(self, row: int) -> str:
-        """Say where a row stands: its line in a text file, its number elsewhere."""
+        """Name a row in messages: its line in a text file, its number elsewhere."""
         row = self.rows - 1 - row if self.is_reversed else row
         if self.first_line:
             return f"line {self.first_line + row}"
         return f"row {self.first_row + row + 1}"
 
     def places_of(self, rows: NDArray[np.intp]) -> Callable[[int], str]:
-        """Return a function that says where the k-th of some rows stands."""
+        """Return a function that names the k-th of some rows in messages."""
         return lambda k: self.place_of_row(int(rows[k]))
 
     def reversed(self) -> "RawTable":
-        """Return the table with its last row in front, for files that hold the newest first."""
+        """Return the table in reverse order, for files with the newest row first."""
         return replace(
             self,
             columns=tuple(replace(c, values=c.values[::-1]) for c in self.columns),

@@ -66,7 +66,7 @@ class Thinning:
     """
 
     def __init__(self, max_rows: int = MAX_ROWS) -> None:
-        """Begin without samples; ``max_rows`` is a power of two, at least ``STRETCHES``."""
+        """Start without samples; ``max_rows`` is a power of two, at least ``STRETCHES``."""
         self._max_rows = max_rows
         self._block = max_rows // STRETCHES  # samples of the file
         self._blocks: list[_Block] = []
@@ -105,7 +105,7 @@ class Thinning:
         )
 
     def _end_piece(self) -> None:
-        """Add what is pending as a shorter block, and leave a number out: a gap follows."""
+        """Add pending samples as a shorter block, and skip a number to mark the gap."""
         if self._pending.shape[1] >> self._level:
             self._add_block(self._pending, np.nan)
         self._pending, self._before_V = np.empty((2, 0)), np.nan

@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class Dimension(Enum):
-    """What a unit measures; the value is the SI unit everything of it is converted to."""
+    """Dimension of a unit; the value is the SI unit to which it is converted."""
 
     TIME = "s"
     VOLTAGE = "V"
@@ -46,7 +46,7 @@ class Unit:
 
 @dataclass(frozen=True, kw_only=True)
 class Heading:
-    """A column's heading taken apart: ``Current [bwd] (nA)`` is ``Current [bwd]`` in ``nA``.
+    """Heading of a column, split: ``Current [bwd] (nA)`` is ``Current [bwd]`` in ``nA``.
 
     stem  the heading without its unit
     unit  None where the heading names none
@@ -108,7 +108,7 @@ _AFTER_UNDERSCORE = re.compile(r"^(.*[^\s_])_([^\s_]+)$")
 
 
 def unit_of(symbol: str) -> Unit | None:
-    """Return the unit a symbol or word stands for, or None where it stands for none.
+    """Return the unit of a symbol or word, or None if it is unknown.
 
     Case counts in symbols (``mV`` is not ``MV``, ``s`` is not ``S``) and not in words (``Volts``).
     """
@@ -127,7 +127,7 @@ def unit_of(symbol: str) -> Unit | None:
 
 
 def heading_of(label: str) -> Heading:
-    """Take a heading apart into its name and its unit.
+    """Split a heading into its name and its unit.
 
     Understood: ``time [s]``, ``Voltage (V)``, ``U/V``, ``Position_um``, ``current, nA``. Brackets
     win over the other forms. A lone symbol (``V``) is a name, not a unit: it may be either.

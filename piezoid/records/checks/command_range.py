@@ -26,7 +26,7 @@ Range_V = tuple[float, float]
 
 
 def check_command_range(recording: Recording, lab: Lab) -> list[Statement]:
-    """Report a drive that the controller cannot have put out."""
+    """Report a drive outside the output range of the controller."""
     statements = []
     for axis in recording.axes:
         drive = recording.find(Quantity.VOLTAGE, axis)
@@ -65,7 +65,7 @@ def _high_voltage(recording: Recording, axis: str, label: str, lab: Lab) -> list
 
 
 def command_range_V(lab: Lab, axis: str) -> Range_V | None:
-    """Return the commands an axis may take, None where lab.toml declares neither end.
+    """Return the admissible commands of an axis; None if lab.toml declares neither end.
 
     They lie within the range of the converter and within the amplifier's output over its gain,
     which is one if none is declared. An end that is not declared is infinite.
@@ -83,12 +83,12 @@ def command_range_V(lab: Lab, axis: str) -> Range_V | None:
 
 
 def gain_of(amplifier: Amplifier) -> float:
-    """Return the gain of an amplifier, one if none is declared: its limits hold all the same."""
+    """Return the gain of an amplifier, or 1 if none is declared."""
     return 1.0 if amplifier.gain_V_per_V is None else amplifier.gain_V_per_V
 
 
 def exceeds_range(drive_V: Range_V, command_V: Range_V, *, tolerance: float = ROUNDING) -> bool:
-    """Return whether a drive leaves a range of commands by more than ``tolerance`` of it."""
+    """Tell whether a drive exceeds a range of commands by more than ``tolerance`` of it."""
     span_V = command_V[1] - command_V[0]
     tolerance_V = tolerance * (span_V if isfinite(span_V) else drive_V[1] - drive_V[0])
     return drive_V[0] < command_V[0] - tolerance_V or drive_V[1] > command_V[1] + tolerance_V

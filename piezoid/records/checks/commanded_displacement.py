@@ -34,7 +34,7 @@ def check_commanded_displacement(recording: Recording, axis: str) -> list[Statem
 
 
 def is_function_of(drive: Array, displacement: Array) -> bool:
-    """Return whether a displacement rises with its drive in every sample, up and down alike.
+    """Tell whether a displacement is an increasing function of its drive, without hysteresis.
 
     drive, displacement  (samples,)  any unit
     """

@@ -235,7 +235,7 @@ def inconsistency(
 
 
 def likely_cause(ratio: float, *, is_drive: bool) -> tuple[str, str]:
-    """Return what explains a ratio of gains, and the line of lab.toml that corrects it."""
+    """Return the cause of a ratio of gains, and the line of lab.toml that corrects it."""
     size, sign = abs(ratio), "-" if ratio < 0.0 else ""
     polarity = " and opposite polarity" if ratio < 0.0 else ""
     if _is_alike(size):

@@ -54,7 +54,7 @@ READERS: tuple[Reader, ...] = (
 
 
 def read_table(path: Path, text: TextFormat | None = None) -> RawTable:
-    """Read any file piezoid knows as a table of labelled columns, NaN and all.
+    """Read a file of any known format as a table of labelled columns, with NaN for missing cells.
 
     text  how lab.toml says that it is written
 

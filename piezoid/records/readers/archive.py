@@ -50,7 +50,7 @@ def check_unpacked_size(source: Source) -> None:
 
 
 def recognises(source: Source) -> bool:
-    """Take zip archives that no other reader has taken, and whatever else is known by sight."""
+    """Recognise zip archives that no other reader has taken, and other known formats."""
     return source.head.startswith(ZIP) or _other_format(source) is not None
 
 

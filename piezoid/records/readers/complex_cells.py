@@ -27,7 +27,7 @@ _WITH_COMMAS = _pattern(r"(?:\d++(?:[.,]\d*+)?|[.,]\d++)(?:[eE][+-]?\d++)?")
 
 
 def real_and_imaginary_text(text: str) -> tuple[str, str] | None:
-    """Return a table of complex cells twice, of real and imaginary parts; None where none is."""
+    """Split a table of complex cells into real and imaginary parts; None if no cell is complex."""
     head = [line for line in text.split("\n", HEAD_LINES)[:HEAD_LINES] if line.strip()][
         -TESTED_LINES:
     ]

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def recognises(source: Source) -> bool:
-    """Tell a workbook by its parts; a damaged archive by the part or the suffix that is left."""
+    """Recognise a workbook by its parts, a damaged archive by its remaining part or its suffix."""
     names = members(source)
     return "xl/workbook.xml" in names or (bool(names) and source.suffix in (".xlsx", ".xlsm"))
 
@@ -64,7 +64,7 @@ def read(source: Source) -> RawTable:
 
 
 def _refuse_formulas(source: Source, sheet: str, frame: "DataFrame") -> None:
-    """Refuse a column of formulas that a program wrote and nobody computed: it reads as empty."""
+    """Refuse a column of formulas without stored values, which would read as empty."""
     empty = [k for k, count in enumerate(frame.notna().sum()) if count <= 1]
     if not empty:
         return
@@ -100,7 +100,7 @@ def _text(frame: "DataFrame") -> str:
 
 
 def _cell(value: object) -> str:
-    """Return what a cell holds: a number with every digit, a time as a clock shows it."""
+    """Return the content of a cell: a number with all digits, or a time of day."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
     if hasattr(value, "total_seconds"):

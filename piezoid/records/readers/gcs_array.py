@@ -19,7 +19,7 @@ _PAIR = re.compile(r"^[ \t]*#[ \t]*([A-Z_]+\d*)[ \t]*=(.*)$", re.MULTILINE)
 
 
 def recognises(source: Source) -> bool:
-    """Tell it by its end mark among the first bytes."""
+    """Recognise the format by its end mark among the first bytes."""
     return _END.search(source.head.decode("latin-1")) is not None
 
 

@@ -23,7 +23,7 @@ _PIECE = 1 << 20
 
 
 def read(source: Source) -> RawTable:
-    """Read every numeric dataset; a name that two groups share has its group in front."""
+    """Read every numeric dataset; ambiguous names are prefixed by their group."""
     with source.open() as stream:
         datasets = checked_datasets(source, stream)
         arrays = {name: dataset[()] for name, dataset in datasets.items()}
@@ -102,7 +102,7 @@ def check_trees(stream: BinaryIO) -> None:
 
 
 def _base(stream: BinaryIO) -> int:
-    """Return where the file's own bytes begin, from which its addresses count."""
+    """Return the offset of the file content, to which its addresses are relative."""
     size = stream.seek(0, 2)
     base = 0
     while base < size:
@@ -130,7 +130,7 @@ def _neighbours(stream: BinaryIO, base: int, width: int) -> Iterator[tuple[int, 
 
 
 def _ring(right: Mapping[int, int]) -> int | None:
-    """Return a node of a ring of neighbours, None where every chain of neighbours ends."""
+    """Return a node of a cyclic chain of neighbours; None if every chain ends."""
     visited: set[int] = set()
     for first in right:
         chain: set[int] = set()

@@ -20,7 +20,7 @@ _POINTS_PER_SECOND = re.compile(r"^NumPtsPerSec:\s*([\d.eE+]+)\s*$", re.MULTILIN
 
 
 def recognises(source: Source) -> bool:
-    """Tell a wave by its version, in either order of bytes; two bytes are weak: the suffix too."""
+    """Recognise a wave by its version in either byte order, and by its suffix."""
     head = source.head[:2]
     numbers = int.from_bytes(head, "little"), int.from_bytes(head, "big")
     return source.suffix == ".ibw" and any(number in _VERSIONS for number in numbers)

@@ -17,7 +17,7 @@ from piezoid.records.table import RawTable
 
 
 def recognises(source: Source) -> bool:
-    """Tell an archive by the one part that each of JPK's has."""
+    """Recognise an archive by the part that all JPK files have."""
     return source.head.startswith(ZIP) and any(
         name.rsplit("/", 1)[-1] == "header.properties" for name in members(source)
     )

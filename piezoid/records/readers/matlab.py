@@ -31,7 +31,7 @@ PIECE_SIZE = 1 << 20
 
 
 def recognises(source: Source) -> bool:
-    """Recognise the text every such file starts with; version 7.3 is HDF5 behind 512 bytes."""
+    """Recognise the text at the start of every file; version 7.3 is HDF5 behind 512 bytes."""
     is_bare_hdf5 = source.head.startswith(SIGNATURE) and source.suffix == ".mat"
     return source.head.startswith(b"MATLAB ") or is_bare_hdf5
 
@@ -125,7 +125,7 @@ def _objects_of_hdf5(stream: BinaryIO) -> dict[str, str]:
 def _flattened(
     prefix: str, variables: Mapping[str, object], opaque: dict[str, str]
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the variables, fields of structures by ``structure.field``; note what is an object."""
+    """Yield the variables, fields of structures as ``structure.field``; report objects."""
     for key, value in variables.items():
         if str(key).startswith(("__", "#")):
             continue

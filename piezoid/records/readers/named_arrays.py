@@ -177,7 +177,7 @@ def _response_paths(name: str, array: NDArray[Any]) -> list[tuple[str, NDArray[A
 def _is_transposed(
     source: Source, name: str, array: NDArray[Any], shapes: Mapping[str, tuple[int, ...]]
 ) -> bool:
-    """Tell whether the rows of a matrix are its channels, by the vectors beside it or its shape.
+    """Tell whether the rows of a matrix are channels, from other vectors or from its shape.
 
     Raises ``UnreadableFileError`` where nothing tells.
     """

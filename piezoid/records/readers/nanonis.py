@@ -13,7 +13,7 @@ _MARK = "[DATA]"
 
 
 def recognises(source: Source) -> bool:
-    """Tell a Nanonis file by its first word and, if it is that short, by its data mark."""
+    """Recognise a Nanonis file by its first word and, if it is short, by its data mark."""
     lines = [line.strip() for line in source.head.split(b"\n")]
     is_whole = len(source.head) < HEAD_SIZE
     return source.head.startswith(b"Experiment\t") and (_MARK.encode() in lines or not is_whole)

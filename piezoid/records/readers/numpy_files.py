@@ -52,7 +52,7 @@ def read_npz(source: Source) -> RawTable:
 
 
 def _is_npz(source: Source) -> bool:
-    """Tell an archive of arrays by its names, a damaged or empty one by its suffix."""
+    """Recognise an archive of arrays by its names, a damaged or empty one by its suffix."""
     is_zip = source.suffix == ".npz" and source.head.startswith((ZIP, b"PK\x05\x06"))
     return is_zip or any(name.endswith(".npy") for name in members(source))
 

@@ -50,7 +50,7 @@ def _is_number(kind: Any) -> bool:
 
 
 def _units_of(file: Any, is_read: Any) -> dict[str, str]:
-    """Return the units of the columns of some types, by name; empty where none is stated."""
+    """Return the units of the columns of some types, by name; empty if none are stated."""
     return {
         field.name: (field.metadata or {}).get(b"unit", b"").decode("utf-8")
         for field in file.schema_arrow

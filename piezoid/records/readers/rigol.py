@@ -10,7 +10,7 @@ from piezoid.records.table import RawTable, rate_of
 
 
 def recognises(source: Source) -> bool:
-    """Tell it by its first line, which starts with X and names channels."""
+    """Recognise the format by its first line, which starts with X and names channels."""
     line = source.head.split(b"\n", 1)[0].decode("latin-1")
     cells = [cell.upper() for cell in split(line, ",")]
     return len(cells) > 1 and cells[0] == "X" and cells[1].replace(" ", "").startswith("CH")

@@ -48,7 +48,7 @@ def unreadable(
 
 @dataclass(frozen=True, kw_only=True)
 class TextFormat:
-    """How lab.toml says that a text table is written; None where it says nothing.
+    """Declared format of a text table in lab.toml; None where undeclared.
 
     separator    between the fields; empty for runs of white space
     decimal      ``.`` or ``,``
@@ -61,13 +61,13 @@ class TextFormat:
 
     @property
     def keys(self) -> dict[str, str | int]:
-        """Return what is said."""
+        """Return the declared keys."""
         return {key: value for key, value in vars(self).items() if value is not None}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Source:
-    """A file opened for reading, before anything is known of its format.
+    """An opened file of unknown format.
 
     path      where it is
     suffix    of the name in small letters, without ``.gz``
@@ -206,7 +206,7 @@ def check_memory(file: str, size: int) -> None:
 
 
 def available_bytes() -> int | None:
-    """Return how much memory this process can still take, None where the system does not tell."""
+    """Return the memory that this process can still allocate; None if unknown."""
     limits = []
     with contextlib.suppress(OSError, ValueError, IndexError):
         sizes = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())
@@ -237,7 +237,7 @@ def check_size(file: str, size: int, limit: int = SIZE_LIMIT) -> None:
 
 
 def check_columns(file: str, columns: int) -> None:
-    """Refuse a table so wide that it is none: a line without breaks, or an enemy's heading."""
+    """Refuse a table with too many columns: a file without line breaks, or a hostile heading."""
     if columns > MOST_COLUMNS:
         raise unreadable(
             file,
@@ -290,7 +290,7 @@ def text_of(source: Source) -> str:
 
 
 def refuse_zero_bytes(source: Source) -> None:
-    """Refuse a text with a zero byte, naming its place, before the text is in memory."""
+    """Refuse a text with a zero byte, with its position, before it is loaded into memory."""
     line, first = 1, 0
     with source.open() as stream:
         while piece := stream.read(_PIECE):
@@ -320,7 +320,7 @@ def with_hyphens(text: str) -> str:
 
 
 def encoding_of(head: bytes) -> str:
-    """Tell the encoding of a text by its first bytes: UTF-16, else UTF-8, else Western European.
+    """Return the encoding of a text from its first bytes: UTF-16, UTF-8 or Western European.
 
     Latin letters and digits fill every second byte of UTF-16 with zeros, mark or no mark.
     """

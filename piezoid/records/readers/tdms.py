@@ -54,7 +54,7 @@ def _opened(stream: object) -> Any:
 
 
 def _named_channels(source: Source, file: Any) -> dict[str, Any]:
-    """Return the channels by name; a name that two groups share has its group in front."""
+    """Return the channels by name; ambiguous names are prefixed by their group."""
     channels = [channel for group in file.groups() for channel in group.channels()]
     check_columns(source.name, len(channels))
     names = [channel.name for channel in channels]
@@ -68,7 +68,7 @@ def _units(channels: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _stated_rate_Hz(source: Source, channels: Mapping[str, Any]) -> float | None:
-    """Return the sampling rate the channels agree on, None where they state none."""
+    """Return the common sampling rate of the channels; None if they state none."""
     stated_s = [float(c.properties.get("wf_increment", 0)) for c in channels.values() if len(c)]
     intervals_s = {interval_s for interval_s in stated_s if interval_s > 0}
     if len(intervals_s) > 1:

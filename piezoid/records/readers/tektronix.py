@@ -20,7 +20,7 @@ _SETTING_LINES = 60
 
 
 def recognises(source: Source) -> bool:
-    """Tell it by the setting every row of samples starts beside."""
+    """Recognise the format by the settings next to the first samples."""
     return re.match(rb'"?Record Length"?,[^\n]*,[^\n]*,[^\n]*,', source.head) is not None
 
 
@@ -80,7 +80,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _settings(rows: list[list[str]], start: int) -> dict[str, str]:
-    """Return the settings that stand in two columns beside the first samples."""
+    """Return the settings in two columns next to the first samples."""
     return {
         row[start]: row[start + 1]
         for row in rows[:_SETTING_LINES]
@@ -89,13 +89,13 @@ def _settings(rows: list[list[str]], start: int) -> dict[str, str]:
 
 
 def recognises_above(source: Source) -> bool:
-    """Tell the later form, settings above the samples, by its unit lines and its heading."""
+    """Recognise the later format, with settings above the samples, by unit lines and heading."""
     lines = (rb"^Horizontal Units,", rb"^Vertical Units,", rb"^TIME,")
     return all(re.search(line, source.head, re.MULTILINE) for line in lines)
 
 
 def read_above(source: Source) -> RawTable:
-    """Read the later form: a text table whose units stand among the settings above it."""
+    """Read the later format: a text table with its units in the settings above it."""
     table = text_table.read(source)
     units = [
         table.metadata.get("Horizontal Units", "").strip(",").lower(),

@@ -214,7 +214,7 @@ def _best_start(lines: list[str], share: float, declared: TextFormat) -> TableSt
 
 
 def _layouts(declared: TextFormat) -> list[Layout]:
-    """Return the layouts that lab.toml leaves open.
+    """Return the layouts that are compatible with lab.toml.
 
     Comma and decimal comma go together where the numbers stand in quotes. Marks of thousands are
     tried last: where all numbers can be read without them, there are none.
@@ -324,7 +324,7 @@ def _split_outside_brackets(line: str, separator: str) -> list[str]:
 def drop_repeated_headings(
     text: str, start: TableStart, name: str, line: int
 ) -> tuple[str, tuple[int, ...], tuple[int, ...]]:
-    """Return rows without the headings that stand again among them.
+    """Drop rows that repeat the heading.
 
     line      of the first row
     returned  the rows, which of them come behind such a heading, and the lines of the headings
@@ -365,7 +365,7 @@ def drop_repeated_headings(
 
 
 def _heading_cells(line: str, start: TableStart) -> tuple[str, ...]:
-    """Return the cells of a line of as many words as there are columns, none where it is none."""
+    """Return the cells of a line with as many words as columns, else None."""
     if len(line) > MAX_LINE or not re.search(r"[^\W\d_]", line):
         return ()
     cells = _cells(line.lstrip("\ufeff"), start.layout) or ()

@@ -88,7 +88,7 @@ def split(line: str, separator: str) -> list[str]:
 
 
 def cells_of(line: str, layout: Layout) -> list[str]:
-    """Cut a row of numbers into its fields, put together again where the separator parts them."""
+    """Split a row of numbers into fields, rejoining fields that the separator cuts."""
     fields = split(line, layout.separator)
     if not layout.paired or len(fields) % 2:
         return fields
@@ -96,7 +96,7 @@ def cells_of(line: str, layout: Layout) -> list[str]:
 
 
 def number_of(text: str, decimal: str, *, grouped: bool = False) -> float | None:
-    """Return the number a field holds, NaN for an empty one, None for text."""
+    """Return the number in a field, NaN for an empty one, None for text."""
     if text.lower() in _EMPTY:
         return np.nan
     if grouped and (match := _GROUPED[decimal].fullmatch(text)) and match.group(1):
@@ -121,12 +121,12 @@ def refuse_prefix(cell: str, name: str, line: int, column: int) -> None:
 
 
 def count_of(text: str) -> int | None:
-    """Return the count a field holds, None for anything but up to eighteen digits."""
+    """Return the count in a field; None for anything but up to eighteen digits."""
     return int(text) if _COUNT.fullmatch(text) else None
 
 
 def parse_numbers(text: str, layout: Layout, name: str, first_line: int) -> NumberTable:
-    """Read the rows of a table; ``first_line`` is the line its first row stands on."""
+    """Read the rows of a table; ``first_line`` is the line number of its first row."""
     check_columns(name, layout.fields)
     if not text.strip():
         raise unreadable(
@@ -168,7 +168,7 @@ def lines_are_rows(text: str) -> bool:
 
 
 def without_comments(text: str, first_line: int) -> tuple[str, tuple[Statement, ...]]:
-    """Return a table without the comments between its rows, and the statement that says so."""
+    """Return a table without comments between its rows, and a statement about them."""
     if not any(mark in text for mark in ("#", "%", "//")):
         return text, ()
     lines = text.split("\n")
@@ -281,7 +281,7 @@ def _numbers_of(cells: "Series[str]", layout: Layout) -> tuple[Array, NDArray[np
 
 
 def _seconds_of(cells: "Series[str]") -> "Series[float] | None":
-    """Return seconds from the first of a column of times of day, or None where it is none.
+    """Convert a column of times of day to seconds from the first; None for other columns.
 
     A date in front is not interpreted (day or month first?) unless it is ISO 8601: a clock that
     goes back by more than half a day has passed midnight, and one without hours that goes back by
@@ -311,7 +311,7 @@ def _seconds_of_hour(parts: "DataFrame") -> "Series[float]":
 
 
 def _without_wraps(seconds: "Series[float]", turn_s: float) -> "Series[float]":
-    """Return seconds from the first of a clock that begins anew after each turn."""
+    """Unwrap a clock that restarts after each turn, in seconds from the first sample."""
     step = seconds.diff()
     turns = step.lt(-turn_s / 2).astype(int).cumsum() - step.gt(turn_s / 2).astype(int).cumsum()
     running: Series[float] = seconds + turn_s * turns
@@ -320,7 +320,7 @@ def _without_wraps(seconds: "Series[float]", turn_s: float) -> "Series[float]":
 
 
 def _frame(text: str, layout: Layout, dtype: type) -> "DataFrame | None":
-    """Read rows of equal length without marks of thousands, or return None."""
+    """Read rows of equal length without thousands separators, or return None."""
     import pandas as pd
 
     if layout.grouped or layout.paired:

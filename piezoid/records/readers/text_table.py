@@ -226,7 +226,7 @@ class _BoundedGzip(gzip.GzipFile):
 
 
 def _start_in_stream(stream: io.TextIOWrapper, source: Source) -> TableStart:
-    """Find the table, and leave the stream at its first row."""
+    """Find the table, and position the stream at its first row."""
     lines: list[str] = []
     while len(lines) < HEAD_LINES and sum(map(len, lines)) < MAX_HEAD:
         line = stream.readline(MAX_LINE)
