@@ -184,7 +184,8 @@ def regression_of(
         error_m.append(piece.measured_m[piece.rows] - read_m)
         sensor_slope.append(_sensor_slope(axis, piece, start, static_m))
         if has_numbers:
-            slopes.append(_changes_m(axis, piece, start, static_m, history_m) / scale_m)
+            changes_m = _changes_m(axis, piece, start, read_m, static_m, history_m)
+            slopes.append(changes_m / scale_m)
     numbers = _numbers(axis) if has_numbers else free([], [], [], [])
     number_columns, size = _of_unit_size(slopes, int(rows[-1]))
     step = numbers.step / size
@@ -282,13 +283,19 @@ def with_numbers(axis: AxisModel, values: Array) -> AxisModel:
 
 
 def _changes_m(
-    axis: AxisModel, piece: Piece, start: PieceStart, static_m: Array, history_m: Array
+    axis: AxisModel,
+    piece: Piece,
+    start: PieceStart,
+    read_m: Array,
+    static_m: Array,
+    history_m: Array,
 ) -> Array:
     """Return the change of the reading by a step of every number, (rows, numbers).
 
+    read_m     (rows,)     of the model as it is
     history_m  (samples,)  part of ``static_m`` that is of weighted histories
     """
-    numbers, read_m = _numbers(axis), _read_m(axis, piece, start, static_m)
+    numbers = _numbers(axis)
     changes = np.zeros((len(piece.rows), len(numbers.value)))
     parts: list[Extension | None] = [] if axis.lag.kind == "none" else [None]
     for extension in axis.extensions:
