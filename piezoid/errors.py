@@ -25,7 +25,7 @@ _LONGEST = 2000
 
 
 def _said(part: str) -> str:
-    """Return a part as it can be shown: names in it may come from anywhere.
+    """Escape a part of a message: names in it may come from any file.
 
     A megabyte of heading is cut; what would move a cursor, turn the text or break its encoding is
     shown as a code.
@@ -38,7 +38,7 @@ def _said(part: str) -> str:
 
 
 class PiezoidError(Exception):
-    """An answer piezoid cannot give, said in three parts.
+    """Base of all errors: problem, need and remedy.
 
     found    str  what was found, with its number, unit and place; a sentence without its stop
     needed   str  what was needed instead: a thing, named, never a clause
@@ -72,15 +72,15 @@ class UnreadableFileError(RecordingError):
 
 
 class UnitError(RecordingError):
-    """A column has no unit, axis or meaning that can be known without guessing."""
+    """The unit, axis or meaning of a column is ambiguous."""
 
 
 class ExcitationError(RecordingError):
-    """The recording does not excite what is to be identified."""
+    """The recording does not excite the quantity to be identified."""
 
 
 class LabFileError(PiezoidError):
-    """lab.toml says something that cannot be used."""
+    """lab.toml contains an unusable declaration."""
 
 
 class IdentificationError(PiezoidError):
@@ -94,7 +94,7 @@ class InfeasibleFitError(IdentificationError):
 
 
 class NotInvertibleError(IdentificationError):
-    """Weights leave the region in which the model has an inverse."""
+    """The weights have no inverse."""
 
 
 class DesignError(PiezoidError):
@@ -108,7 +108,7 @@ class UnstableLoopError(DesignError):
 
 
 class TemplateError(DesignError):
-    """A sensitivity function leaves its template."""
+    """A sensitivity function violates its template."""
 
 
 class ParameterFileError(PiezoidError):
@@ -116,13 +116,13 @@ class ParameterFileError(PiezoidError):
 
 
 class OutputFolderError(PiezoidError):
-    """A folder or file may not be written: it holds what piezoid did not write."""
+    """A folder or file may not be overwritten: piezoid did not write it."""
 
     exit_status = 2
 
 
 class PictureError(PiezoidError):
-    """A record has no picture of the kind that is asked for."""
+    """The requested kind of picture does not exist for a record."""
 
 
 class RuntimeLibraryError(PiezoidError):

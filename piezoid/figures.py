@@ -219,7 +219,7 @@ def _axis_model(model: AxisModel, kind: str, *, ax: "Axes | None" = None) -> "Ax
 
 
 def _diagnosis(diagnosis: Diagnosis, *, ax: "Axes | None" = None) -> "Axes":
-    """Draw what every effect contributes, rms: found as bars, not found as what it is at most."""
+    """Draw the rms contribution of each effect: bars for findings, bounds for the others."""
     effects = [(f.effect, f.share * diagnosis.stroke_m) for f in diagnosis.findings]
     absent = [(n.effect, n.upper_bound_m) for n in diagnosis.not_detected if n.upper_bound_m]
     n_found, rows = len(effects), [*effects, *sorted(absent, key=lambda row: -row[1])]
@@ -251,7 +251,7 @@ def _diagnosis(diagnosis: Diagnosis, *, ax: "Axes | None" = None) -> "Axes":
 
 
 def _design(design: Design, *, axis: str | None, ax: "Axes | None" = None) -> "Axes":
-    """Draw |S_yp|, what a loop leaves of a disturbance: nominal, and the worst of its family."""
+    """Draw |S_yp|, nominal and the worst of the family."""
     names = [axis_design.axis for axis_design in design.axes]
     if axis is not None and axis not in names:
         raise PictureError(

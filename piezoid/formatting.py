@@ -39,7 +39,7 @@ def scale_for(largest: float, unit: str) -> Scale:
 
 
 def words(name: str) -> str:
-    """Return the name of an effect, or of a coordinate, as a sentence says it."""
+    """Return the name of an effect or coordinate for use in a sentence."""
     return name.replace("_", " ")
 
 

@@ -28,7 +28,7 @@ Listed = Mapping[str, Collection[str]]  # file names and the digests that each m
 
 
 def is_as_written(path: Path) -> bool:
-    """Return whether a file is the one that piezoid wrote, as far as a manifest is beside it."""
+    """Tell whether a file is unchanged since piezoid wrote it, if there is a manifest."""
     listed = manifest_in(path.parent)
     return listed is None or digest_of_file(path) in listed.get(path.name, ())
 
@@ -45,7 +45,7 @@ def lists_results(folder: str | Path) -> bool:
 
 
 def manifest_in(folder: Path) -> dict[str, set[str]] | None:
-    """Return the files that the manifest of a folder lists; None without one."""
+    """Return the files listed in the manifest of a folder; None without a manifest."""
     return read_manifest(_read_small(folder / MANIFEST))
 
 
@@ -63,7 +63,7 @@ def read_manifest(content: bytes) -> dict[str, set[str]] | None:
 
 
 def files_without_manifest(target: Path) -> dict[str, set[str]]:
-    """Return what is ours in a folder without a manifest: sealed files and their companions."""
+    """Return files of piezoid in a folder without a manifest: sealed files and companions."""
     names = [n for n in os.listdir(target) if n.endswith(".json") and n != MANIFEST]
     sealed = {n: _read_small(target / n) for n in names}
     listed = {n: {digest_of_bytes(c)} for n, c in sealed.items() if _is_sealed(c)}
@@ -81,7 +81,7 @@ def _is_sealed(content: bytes) -> bool:
 
 
 def _read_small(path: Path) -> bytes:
-    """Return what a regular file holds; nothing of a link, a pipe or a file of many megabytes."""
+    """Return the content of a regular file; None for links, pipes and large files."""
     try:
         if is_regular(path) and path.lstat().st_size <= _MAX_SEALED_bytes:
             return path.read_bytes()

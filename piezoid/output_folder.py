@@ -88,7 +88,7 @@ def write_folder(
     force: bool = False,
     shared: bool = False,
 ) -> None:
-    """Write a folder of results in the place of those that it holds.
+    """Write a folder of results, replacing those it holds.
 
     contents  file names, with / for sub-folders, and their bytes, or what writes them to a stream
     force     as for ``check_folder``, which decides once more
@@ -134,7 +134,7 @@ def remove_unfinished(folder: Path, name: str = "") -> None:
 def write_file(
     path: Path, content: bytes, *, opening: bytes, force: bool = False, only_check: bool = False
 ) -> None:
-    """Write one file whole or not at all, where nothing is or, with ``force``, a file of ours.
+    """Write one file atomically, where none exists or, with ``force``, over a file of piezoid.
 
     opening     what every file of ours of this type begins with
     only_check  decide whether it may be written, before any work is done
@@ -161,7 +161,7 @@ def write_file(
 
 
 def _target_of(folder: str | Path) -> Path:
-    """Return the folder behind a name; refuse what is none or what is never written."""
+    """Return the folder behind a name; refuse other files and protected folders."""
     path = Path(folder)
     parent, name = (path, "") if path.name in ("", "..") else (path.parent, path.name)
     target = Path(os.path.realpath(parent)) / name
@@ -281,7 +281,7 @@ def _write(
 def _put(
     fresh: Path, target: Path, digests: Mapping[str, str], listed: Listed, gone: Collection[str]
 ) -> None:
-    """Put a finished folder into its place, in one step where that moves nobody else's files."""
+    """Move a finished folder to its target, in one step if no foreign files are moved."""
     if not os.path.lexists(target):
         fresh.rename(target)
         return
@@ -337,7 +337,7 @@ def _mode_of(path: Path) -> int | None:
 
 
 def _move(source: Path, path: Path, *, is_ours: bool = True) -> None:
-    """Move a file over one of ours, whose mode it takes, or to where nothing is."""
+    """Move a file over a file of piezoid, keeping its mode, or to a free name."""
     mode = _mode_of(path)
     if mode is not None and is_ours and stat.S_ISREG(mode):
         source.chmod(stat.S_IMODE(mode))
@@ -349,7 +349,7 @@ def _move(source: Path, path: Path, *, is_ours: bool = True) -> None:
 
 
 def _rename(source: Path, path: Path, flag: int) -> bool:
-    """Rename without replacing, or exchange, in one step; tell whether it was done."""
+    """Rename without replacing, or exchange, atomically; return whether it was done."""
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2
     except (AttributeError, OSError):

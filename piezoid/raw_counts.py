@@ -32,7 +32,7 @@ Record = TypeVar("Record")
 
 
 def in_counts(text: str, counted: Collection[str]) -> str:
-    """Return a text with counts in place of metres, volts or both.
+    """Replace metres, volts or both in a text by counts.
 
     counted  of ``displacement`` and ``voltage``
 
@@ -101,7 +101,7 @@ def record_in_counts(record: Any, counted: Collection[str]) -> Any:
 
 
 def texts_in_counts(labelled: Record) -> Record:
-    """Return the model of an axis, or a diagnosis, with its sentences in its own units.
+    """Return the model of an axis, or a diagnosis, with its sentences in its units.
 
     >>> texts_in_counts(model["x"]) is model["x"]
     True

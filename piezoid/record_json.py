@@ -30,7 +30,7 @@ Interval = tuple[Unbounded, Unbounded]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordLayout:
-    """How records of one class, and of those derived from it, stand in a file.
+    """JSON layout of the records of one class and its subclasses.
 
     write  record -> table of JSON values or of further records
     read   table -> record; None reads the table field by field
@@ -42,7 +42,7 @@ class RecordLayout:
 
 
 def to_json(value: Any, layouts: Sequence[RecordLayout] = ()) -> Any:
-    """Return a record, an array, or a container of such, as what ``json`` writes.
+    """Convert a record, an array, or a container of such to JSON values.
 
     An infinite number becomes None where the type of its field admits one of both, and is left for
     ``seal`` to refuse elsewhere.
@@ -56,7 +56,7 @@ def fields_of(record: Any) -> dict[str, Any]:
 
 
 def from_json(kind: type[Record], value: Any, layouts: Sequence[RecordLayout] = ()) -> Record:
-    """Return the record that ``to_json`` wrote; see ``from_fields`` for what is refused."""
+    """Rebuild a record from the values of ``to_json``; refuses as ``from_fields`` does."""
     return cast(Record, _read(kind, value, layouts, ""))
 
 

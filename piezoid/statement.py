@@ -12,7 +12,7 @@ from piezoid.formatting import with_unit
 
 
 class Kind(StrEnum):
-    """What a statement is about."""
+    """Subject of a statement."""
 
     FINDING = "finding"  # a property of the data, the stage or the model that was detected
     LIMIT = "limit"  # what these data do not show, or what a figure does not cover
@@ -28,7 +28,7 @@ class Level(IntEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Statement:
-    """One fact, said in one to three sentences.
+    """One fact in one to three sentences.
 
     Args:
         kind: finding or limit.

@@ -57,14 +57,14 @@ class Summary:
 
 
 class Summarised(ABC):
-    """A record that shows its summary at a prompt and in a notebook.
+    """Base of records with a summary at a prompt and in a notebook.
 
     Dataclasses that inherit from it take ``repr=False``.
     """
 
     @abstractmethod
     def summary(self) -> Summary:
-        """Return the table that ``repr`` and a notebook show."""
+        """Return the table for ``repr`` and notebooks."""
 
     def __repr__(self) -> str:
         return str(self.summary())

@@ -16,7 +16,7 @@ from piezoid.records.lab import Lab
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class VirtualStage:
-    """Recordings of a stage whose faults are known.
+    """Recordings of a virtual stage with known faults.
 
     recordings  of it
     lab         what its owner would declare

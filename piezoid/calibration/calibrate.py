@@ -19,7 +19,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """One stage, from its recordings to the verdict on what ships.
+    """Results for one stage, from its recordings to the verification.
 
     diagnoses    of the axes that could be diagnosed, the first one in front
     undiagnosed  why the others could not, a sentence each
@@ -42,7 +42,7 @@ class Calibration:
 
     @property
     def passed(self) -> bool:
-        """Whether the model applies to every axis, and nothing about the controllers failed."""
+        """Whether the model applies to every axis and no controller failed."""
         return self.model.applies and self.controllers.passed and not self.stumbled
 
     def save(self, folder: str | Path) -> None:

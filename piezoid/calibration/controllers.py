@@ -47,7 +47,7 @@ class Controllers:
 
     @property
     def verification(self) -> Verification | None:
-        """The verification of what ships."""
+        """Verification of the exported controllers."""
         return None if self.shipping is None else self.shipping.verification
 
     @property
@@ -58,7 +58,7 @@ class Controllers:
 
     @property
     def unshipped(self) -> Mapping[str, str]:
-        """By axis, why it has no controller beside the others."""
+        """Reason of each axis without an exported controller, by axis."""
         if self.parameters is not None:
             return self.parameters.unshipped
         return {} if self.design is None else self.design.refused
@@ -86,7 +86,7 @@ def controllers_of(
     fault: Exception | None = None,
     threads: int = 1,
 ) -> Controllers:
-    """Put the designed axes together, export and verify them; errors become the reason.
+    """Assemble, export and verify the designed axes; errors become the reason.
 
     model_file  content of model.json
     outcomes    of the design of each axis

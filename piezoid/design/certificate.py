@@ -25,7 +25,7 @@ _SIGMAS = 3.0
 
 @dataclass(frozen=True, kw_only=True)
 class SpeedBound:
-    """What bounds the error of one member at any speed V of the reference.
+    """Error bound of one member at any speed V of the reference.
 
         |e| <= steady + min(hysteresis, tau_h V) + tau_r V
 
@@ -42,7 +42,7 @@ class SpeedBound:
     reference_s: float
 
     def hysteresis_at(self, slew_m_per_s: float) -> float:
-        """Return what hysteresis adds at most, m."""
+        """Return the bound of the hysteresis contribution, m."""
         return min(self.hysteresis_m, self.hysteresis_s * slew_m_per_s)
 
     def at(self, slew_m_per_s: float) -> float:
@@ -93,7 +93,7 @@ class Certificate:
     speed_bounds: tuple[SpeedBound, ...] = ()
 
     def guaranteed_at(self, slew_m_per_s: float) -> float:
-        """Return what is guaranteed of references that are never faster, m.
+        """Return the guaranteed error for references up to a speed, m.
 
         It is no more than ``guaranteed_error_m``, and infinite beyond ``reference_slew_m_per_s``:
         nothing is guaranteed of what is faster.
@@ -106,7 +106,7 @@ class Certificate:
 
 @dataclass(frozen=True, kw_only=True)
 class Disturbances:
-    """What recordings showed beside drive and noise; by default nothing.
+    """Recorded disturbances other than drive and noise; by default none.
 
     motions   (half range in m, fastest change in m/s) of what moves the stage beside its drive;
               0 m/s: as fast as anything
@@ -144,7 +144,7 @@ def certify(
     bounds: HysteresisBounds,
     operation: Operation,
 ) -> Certificate:
-    """Prove what can be proven about a loop around hysteresis.
+    """Prove error bounds of a loop around hysteresis.
 
         small gain   eps max|T_v| < 1,   T_v = -B R / P
         command      sup|D v| <= ||T F A / P||_1 sup|D r| / (1 - eps ||T_v||_1)
@@ -235,7 +235,7 @@ class _ClosedLoop:
     def speed_bound(
         self, filtered: Array, preview: int, bounds: HysteresisBounds, operation: Operation
     ) -> SpeedBound:
-        """Return what bounds the error; ``filtered`` is T with its reference filter."""
+        """Return the error bound; ``filtered`` is T with its reference filter."""
         member = self.member
         mismatch = total(delayed(self.P, preview), -product(filtered, member.B_position))
         by_size = self.gain(member.B_position, self.S)
@@ -257,7 +257,7 @@ class _ClosedLoop:
         return self.gain(member.B_position, without_difference(self.S)) * eps * command_step_V
 
     def converter_m(self, operation: Operation) -> float:
-        """Return what half a step of the converter does at most."""
+        """Return the largest error by half a step of the converter."""
         return self.gain(self.member.B_position, self.S) * (0.5 * operation.voltage_step_V)
 
     def noise_m(self, operation: Operation) -> float:
@@ -266,7 +266,7 @@ class _ClosedLoop:
         return _SIGMAS * float(np.sqrt((passed**2).sum())) * operation.sensor_noise_rms_m
 
     def disturbed_m(self, disturbances: Disturbances) -> float:
-        """Return what disturbances recorded beside the drive do at most.
+        """Return the largest error by recorded disturbances.
 
         ||A S / P||_1 m, or ||A S / (P (1 - q^-1))||_1 times its change in a sample where that is
         less; ||B R / P||_1 n of the reading, or |B R / P| n at a frequency of its own.

@@ -27,7 +27,7 @@ class Converters:
 
 
 def converters_of(lab: Lab, axis: str) -> Converters:
-    """Return the converters of an axis; nothing that lab.toml does not say is assumed.
+    """Return the declared converters of an axis, without assumptions on undeclared values.
 
     The laboratory's ``input_range_V`` is that of both converters.
     """

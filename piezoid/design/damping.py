@@ -45,7 +45,7 @@ class Mode:
 
 
 def ringing_mode(plant: Fraction) -> Mode | None:
-    """Return the slowest mode of a plant; None where nothing rings."""
+    """Return the lowest resonance of the plant, or None if it has no lightly damped mode."""
     s = np.log(roots_of(plant.A)) * plant.sampling_rate_Hz
     light = s[(s.imag > 0.0) & (-s.real < LIGHT * np.abs(s))]
     if not len(light):
@@ -56,13 +56,13 @@ def ringing_mode(plant: Fraction) -> Mode | None:
 
 
 def must_damp(plant: Fraction, bandwidth_Hz: float) -> bool:
-    """Tell whether a bandwidth is beyond what a loop reaches that leaves the mode as it is."""
+    """Tell whether a bandwidth needs damping of the mode."""
     mode = ringing_mode(plant)
     return mode is not None and bandwidth_Hz > (1.0 + 1e-9) * MODE_SHARE * mode.frequency_Hz
 
 
 def describe_obstacle(family: PlantFamily, bandwidth_Hz: float) -> str:
-    """Return what makes a mode hard to damp, in words; empty where the loop need not damp it."""
+    """Describe why a mode is hard to damp; empty if the loop need not damp it."""
     plant = family.nominal
     if not must_damp(plant, bandwidth_Hz):
         return ""
@@ -77,7 +77,7 @@ def describe_obstacle(family: PlantFamily, bandwidth_Hz: float) -> str:
 
 
 def describe_delay(plant: Fraction, mode: Mode) -> str:
-    """Return by how much everything late beside the mode turns it, in words.
+    """Describe the phase lag of all delays at the mode.
 
     The phase delay at rest of the whole plant, without the mode's own 2 z / w0.
     """
@@ -89,7 +89,7 @@ def describe_delay(plant: Fraction, mode: Mode) -> str:
 
 
 def describe_mode(loop: LoopDesign) -> str:
-    """Return what a loop does about the slowest mode that rings, in words; empty without one."""
+    """Describe how a loop treats the slowest resonance; empty without one."""
     nominal = loop.members[0]
     mode, damped = ringing_mode(nominal), damped_mode(loop)
     if mode is None:
@@ -106,7 +106,7 @@ def describe_mode(loop: LoopDesign) -> str:
 
 
 def damped_mode(loop: LoopDesign) -> float | None:
-    """Return the damping that a mode gets which the loop must damp; None where it need not.
+    """Return the damping of a mode that the loop must damp; None if it need not.
 
     That of the least damped pole which the nominal state feedback leaves below 1.5 times the
     mode's frequency.
@@ -184,7 +184,7 @@ def _largest_Hz(
     most_Hz: float,
     form: str,
 ) -> float | None:
-    """Return the largest bandwidth, to three digits, that a loop meets which damps the mode."""
+    """Return the largest feasible bandwidth of a loop that damps the mode, to three digits."""
 
     def meets(bandwidth_Hz: float) -> bool:
         specification = at_bandwidth(bandwidth_Hz)

@@ -46,7 +46,7 @@ class Decoupling:
 
     @property
     def text(self) -> str:
-        """One sentence: what the matrix takes away, and what it leaves."""
+        """Describe the coupling without the matrix and the remaining coupling."""
         i, j = np.unravel_index(int(self.left.argmax()), self.left.shape)
         return (
             f"Up to {self.frequency_Hz:.4g} Hz axes move each other by as much as "
@@ -57,7 +57,7 @@ class Decoupling:
 
 
 def decoupling_of(coupled: CoupledStage, bandwidth_Hz: float) -> Decoupling:
-    """Return the static decoupling of a stage, and what its coupling costs up to a bandwidth.
+    """Return the static decoupling of a stage, and the remaining coupling up to a bandwidth.
 
     Raises ``DesignError`` where a drive does not move the displacement of its own axis.
     """

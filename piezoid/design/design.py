@@ -116,7 +116,7 @@ class LoopDesign:
 
     @property
     def worst_delay_margin_s(self) -> float | None:
-        """The smallest of the family; None if no delay destabilises any member."""
+        """Smallest delay margin of the family; None if no delay destabilises any member."""
         margins_s = [m.delay_margin_s for m in self.margins if m.delay_margin_s is not None]
         return min(margins_s) if margins_s else None
 
@@ -176,7 +176,7 @@ class AxisDesign:
         return self.loops[0]
 
     def loop(self, method: str) -> LoopDesign:
-        """Return the loop of a method; ``KeyError`` if there is none.
+        """Return the loop of a method; raises ``KeyError`` if there is none.
 
         >>> design.axis("x").loop("dob").method
         'dob'
@@ -246,7 +246,7 @@ class Design(Summarised):
 
 
 def _cells(axis: AxisDesign, loop: LoopDesign) -> tuple[str, ...]:
-    """Return what the summary shows of one loop."""
+    """Return the cells of one loop in the summary."""
     certificate, delay_s = loop.certificate, loop.worst_delay_margin_s
     error = "none"
     if certificate is not None and certificate.is_guaranteed:

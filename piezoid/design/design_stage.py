@@ -150,7 +150,7 @@ def design_of(
     lab: Lab | None = None,
     coupled: CoupledStage | None = None,
 ) -> Design:
-    """Put together what came of the axes of a stage, at least one; ``lab`` as for each of them.
+    """Assemble the designs of the axes of a stage, at least one; ``lab`` as for each of them.
 
     coupled  of the model: how its axes are coupled
 
@@ -183,7 +183,7 @@ def design_of(
 
 
 def _unused(lab: Lab, axes: Sequence[str]) -> Iterator[str]:
-    """Yield what lab.toml declares without effect on the controllers, whole sentences."""
+    """Yield declarations of lab.toml without effect on the controllers, as sentences."""
     for name in sorted(set(lab.axes) - set(axes)):
         yield f"[axis.{name}] of {lab.place} is about none of the axes {', '.join(axes)}."
     for axis in axes if lab.acquisition.adc_bits is not None else ():
@@ -226,7 +226,7 @@ def _outcome(name: str, task: _Task, specification: Specification) -> AxisDesign
 def _tasks(
     model: ActuatorModel, lab: Lab, rate_Hz: float | None, forms: Sequence[str]
 ) -> tuple[dict[str, _Task], dict[str, PiezoidError]]:
-    """Return what can be designed, by axis, and what stands in the way of the others."""
+    """Return the design tasks by axis, and the obstacles of the other axes."""
     tasks: dict[str, _Task] = {}
     obstacles: dict[str, PiezoidError] = {}
     for name in model.axes:
@@ -324,7 +324,7 @@ def nothing_to_design(model: ActuatorModel) -> DesignError:
 
 
 def controller_rate_Hz(model: ActuatorModel, asked_Hz: float | None) -> float:
-    """Return the rate that is asked for, else what lab.toml said at the fit, or refuse."""
+    """Return the requested rate, else the rate of lab.toml at the fit, or refuse."""
     rate_Hz = model.controller_rate_Hz if asked_Hz is None else asked_Hz
     if rate_Hz is None:
         raise _unknown_rate(model)
@@ -338,7 +338,7 @@ def controller_rate_Hz(model: ActuatorModel, asked_Hz: float | None) -> float:
 
 
 def _unknown_rate(model: ActuatorModel, further: str = "") -> DesignError:
-    """Return the refusal of a stage whose controller has no rate, with what else is missing."""
+    """Return the refusal of a stage without a controller rate, with further missing facts."""
     return DesignError(
         f"stage {model.stage}: the sampling rate of the controller is not known{further}",
         needed="the rate at which the controller will run",

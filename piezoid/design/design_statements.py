@@ -31,7 +31,7 @@ def design_statements(design: Design, model: ActuatorModel) -> tuple[Statement, 
 
 
 def useful_bound_m(certificate: Certificate | None, axis: AxisModel) -> float | None:
-    """Return the guaranteed error of a loop, or None if none is proven that is of use.
+    """Return the guaranteed error of a loop, or None without a useful bound.
 
     A bound above a tenth of the displacement range is of no use.
     """
@@ -45,7 +45,7 @@ def useful_bound_m(certificate: Certificate | None, axis: AxisModel) -> float | 
 def guaranteed_error_m(
     certificate: Certificate | None, axis: AxisModel, *, is_verified: bool = True
 ) -> float | str:
-    """Return the guaranteed error of a loop, or in words why there is none of use.
+    """Return the guaranteed error of a loop, or state why there is no useful one.
 
     is_verified  whether the controller passed its verification
     """
@@ -58,7 +58,7 @@ def guaranteed_error_m(
 
 
 def bandwidth_limit_Hz(design: AxisDesign, axis: AxisModel) -> float | None:
-    """Return the largest bandwidth that was tried, or None if a known resonance sets the limit."""
+    """Return the largest tested bandwidth, or None if a known resonance sets the limit."""
     is_guarded = any(limit.name == BEYOND for limit in design.specification.templates)
     return unseen(axis).fastest_Hz if is_guarded else None
 

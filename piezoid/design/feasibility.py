@@ -31,7 +31,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, kw_only=True)
 class NearestFeasible:
-    """The closest specification that can be met.
+    """The closest feasible specification.
 
     bandwidth_Hz   the largest that can, everything else as asked; None if lowering it to 1 % does
                    not help
@@ -81,7 +81,7 @@ def refuse(
     *,
     because: str = "",
 ) -> NoReturn:
-    """Raise ``TemplateError`` with the nearest specification that candidates meet.
+    """Raise ``TemplateError`` with the nearest feasible specification.
 
     because  what about the plant stands in the way, a whole sentence
     """
@@ -116,7 +116,7 @@ def refuse(
 def at_feasible_bandwidth(
     design: Callable[[Specification], Result], specification: Specification
 ) -> Result:
-    """Design as asked, or at the nearest feasible bandwidth where the asked one is refused.
+    """Design as requested, or at the nearest feasible bandwidth if that is refused.
 
     For defaults, which nobody asked for in particular. Raises the refusal where no bandwidth is
     feasible.
@@ -136,7 +136,7 @@ def at_feasible_bandwidth(
 
 
 def rounded_down(value: float) -> float:
-    """Return a positive value cut to three digits, so that what is advised is still feasible."""
+    """Round down to three digits, so that the stated value remains feasible."""
     unit = 10.0 ** (np.floor(np.log10(value)) - 2)
     return float(np.floor(value / unit + 1e-9) * unit)
 
@@ -177,7 +177,7 @@ def unmet(
 
 
 def severity(violations: tuple[Violation, ...]) -> float:
-    """Return by how many dB the worst limit is missed; 0 if none is."""
+    """Return the excess of the worst limit in dB; 0 if all limits are met."""
     return violations[0].excess_dB if violations else 0.0
 
 

@@ -71,7 +71,7 @@ def affine_bounds(
     remainder_m: float,
     remainder_m_per_V: float = 0.0,
 ) -> HysteresisBounds:
-    """Bound what an affine map leaves of a hysteresis model.
+    """Bound the residual of a hysteresis model after an affine map.
 
         m <= D Gamma / D u <= M,   a = (M + m)/2,   eps = (M - m)/(M + m)
         |Gamma[u] - a u - b| <= int_0^V |s W(r) - c| dr + sup |c gamma(u) - a u|
@@ -134,7 +134,7 @@ def inverse_bounds(
     remainder_m_per_V: float = 0.0,
     confidence: float = 0.95,
 ) -> HysteresisBounds:
-    """Bound what exact inversion of a model leaves, from models refitted to resampled data.
+    """Bound the residual after exact inversion of a model, from models refitted to resampled data.
 
         |Gamma_t[u] - Gamma_m[u]| <= sup over all histories, see ``joint_error``, + rho_max
         m = min D(Gamma_t o Gamma_m^-1),   M = max of the same, see ``slope_ratio``
@@ -213,7 +213,7 @@ def envelope_reach_V(model: ModifiedPrandtlIshlinskii, reach_V: float) -> float:
 
 
 def static_difference(zones: DeadZones, slope: float, reach: float) -> float:
-    """Return sup over |h| <= reach of |Psi(h) - slope h|; it is met at a knot."""
+    """Return sup over |h| <= reach of |Psi(h) - slope h|, which occurs at a knot."""
     knots = zones.threshold
     h: Array = np.concatenate([[-reach], knots[np.abs(knots) < reach], [reach]])
     return float(np.abs(zones.run(h) - slope * h).max())
@@ -293,7 +293,7 @@ def draw_replicates(
 
 
 def _operator(axis: AxisModel, parameters: dict[str, float]) -> ModifiedPrandtlIshlinskii | None:
-    """Return the operator of these numbers, or None where thresholds cross."""
+    """Return the operator of these numbers, or None if thresholds cross."""
     model = axis.hysteresis
     plays, zones, envelope = model.plays, model.dead_zones, model.envelope
     play_V = _replicate_of("play_threshold_V", plays.threshold, parameters)
@@ -318,7 +318,7 @@ def _operator(axis: AxisModel, parameters: dict[str, float]) -> ModifiedPrandtlI
 
 
 def _replicate_of(stem: str, fitted: Array, parameters: dict[str, float]) -> Array:
-    """Return the drawn numbers of one array; what was not fitted stays as it is."""
+    """Return the drawn numbers of one array, with unfitted numbers unchanged."""
     return np.array(
         [parameters.get(f"{stem}[{i}]", value) for i, value in enumerate(fitted.tolist())]
     )

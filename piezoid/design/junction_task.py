@@ -131,7 +131,7 @@ def _limit_at_modes(modes: Sequence[DriveMode], plant: JunctionPlant) -> tuple[T
 
 
 def axis_of(tunnelling: TunnellingModel) -> str:
-    """Return the name of the axis that regulates the current: z where nobody says otherwise."""
+    """Return the name of the axis that regulates the current; default: z."""
     loop = tunnelling.loop_plant
     return USUAL_AXIS if loop is None or not loop.axis else loop.axis
 
@@ -188,7 +188,7 @@ def reading_noise_A(plant: JunctionPlant, lab: Lab, axis: str) -> float:
 
 
 def reading_range_A(lab: Lab, axis: str) -> tuple[float, float] | None:
-    """Return the currents that resistor and converter can read, or None where it is not known.
+    """Return the range of currents of resistor and converter, or None if it is unknown.
 
     ``input_range_V`` is that of both converters; where the set point itself lies at its end or
     beyond it, it can only be that of the drive's.
@@ -319,7 +319,7 @@ def design_vertical(
 def _attempt(
     family: PlantFamily, taps: int, specification: Specification
 ) -> tuple[Violation, ...]:
-    """Return the limits that a few convex steps miss, none where band-stops meet them all."""
+    """Return the limits that a few convex steps miss; none if band-stops meet them all."""
     start = shape(family, specification).controller
     missed = unmet(family.members, start.R, start.S, specification)
     if not missed:

@@ -47,7 +47,7 @@ def design_lateral(
     bounds: Mapping[str, HysteresisBounds] | None = None,
     disturbances: Disturbances = NO_DISTURBANCES,
 ) -> AxisDesign:
-    """Design the disturbance observer of one lateral axis, in every form asked for.
+    """Design the disturbance observer of one lateral axis, in every requested form.
 
     families  by form, ``inverse`` and/or ``affine``: the affine form leaves the slope sector of
               the hysteresis in the loop, so its family has more gain variation; see
@@ -206,7 +206,7 @@ class _LoopDesigner:
         return _Tuning(observer=observer, controller=controller, missed=missed)
 
     def _least_missed(self, specification: Specification) -> tuple[Violation, ...]:
-        """Return the limits that the best tuning misses, none as soon as one meets them all."""
+        """Return the limits that the best tuning misses; none once a tuning meets them all."""
         violations = []
         for method in reversed(self._methods(specification)):
             violations.append(self._tuned(specification, method, until_met=True).missed)

@@ -112,7 +112,7 @@ _QUICK = 1.0  # sampling rates, of the pole that carries what answers at once be
 
 @dataclass(frozen=True, kw_only=True)
 class Unseen:
-    """From where on the response of an axis is not known, and what may be there.
+    """Unmeasured frequency range of the response of an axis, and possible modes in it.
 
     from_Hz  recordings show the response up to here, or a data sheet says that no mode is below
     peak     largest response of a mode from there on, over the gain at rest
@@ -130,7 +130,7 @@ class Unseen:
 
 
 def unseen(axis: AxisModel) -> Unseen:
-    """Return from where on a mode of the axis would not be known."""
+    """Return the frequency above which a mode of the axis would not have been detected."""
     modes_Hz = [e.frequency_Hz for e in axis.extensions if isinstance(e, LinearMode)]
     bandwidth = axis.bandwidth
     if axis.dynamics is not None or modes_Hz:
@@ -186,7 +186,7 @@ def _careful(axis: AxisModel, family: PlantFamily, default: Specification) -> Sp
 
 
 def plant_family(axis: AxisModel, rate_Hz: float) -> PlantFamily:
-    """Return the plant of an axis and what it may really be.
+    """Return the nominal plant of an axis and its uncertainty.
 
     Besides the nominal plant its corners: both ends of the gain's interval, with everything slow
     and everything fast, with modes at their least and at their most damping; where the interval
@@ -223,7 +223,7 @@ def _corners(axis: AxisModel) -> Iterator[tuple[str, float, float, int]]:
 
 
 def _plant(label: str, loop: LoopModel, gain_m_per_V: float, rate_Hz: float) -> Plant:
-    """Sample everything quick of an axis behind its converter's hold."""
+    """Sample the fast dynamics of an axis behind the hold of its converter."""
     stage = cascade(loop.front, loop.behind)
     if stage.D.any():  # a sampled plant answers a sample late
         # Behind a delay the state of an instantaneous pole is the past command once more, which a
@@ -249,7 +249,7 @@ def _plant(label: str, loop: LoopModel, gain_m_per_V: float, rate_Hz: float) -> 
 
 
 def has_pole(loop: LoopModel, rate_Hz: float) -> bool:
-    """Return whether a pole is known that matters at a sampling rate."""
+    """Tell whether a known pole matters at a sampling rate."""
     poles = np.linalg.eigvals(cascade(loop.front, loop.behind, loop.sensor).A)
     slow_Hz = _SLOWER_THAN_RATE * rate_Hz
     return bool((np.abs(poles) < 2.0 * np.pi * slow_Hz).any())
@@ -324,7 +324,7 @@ def _bounds(axis: AxisModel, seed: int) -> dict[str, HysteresisBounds]:
 
 
 def assumptions_of(axis: AxisModel) -> tuple[str, ...]:
-    """Return what the family takes for granted, beside what the recordings showed."""
+    """Return the assumptions on which the family rests, as sentences."""
     declared = [axis.rig.amplifier_bandwidth_Hz, axis.rig.sensor_bandwidth_Hz]
     poles = ", ".join(f"{pole_Hz:g} Hz" for pole_Hz in declared if pole_Hz is not None)
     declared_poles = (f"the declared poles ({poles}) are right to {100 * DECLARED_SPREAD:.0f} %",)

@@ -26,7 +26,7 @@ FORMS = ("affine", "inverse")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlacementForm:
-    """A system as pole placement needs it: the same for whatever poles are wanted.
+    """Form of a system for pole placement, independent of the desired poles.
 
     form     (n, n)  Hessenberg, beginning at the input
     links    (n,)    |b|, h_21, h_32, ...
@@ -42,7 +42,7 @@ class PlacementForm:
     basis: Array
 
     def gain(self, poles: ArrayLike) -> Array:
-        """Return K such that A - B K has the wanted eigenvalues; repeated ones are welcome.
+        """Return K such that A - B K has the desired eigenvalues, which may be repeated.
 
         poles  (n,)  values of z, complex ones in pairs
         """
@@ -85,7 +85,7 @@ def placement_form(A: Array, B: Array) -> PlacementForm:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DisturbanceModel:
-    """What the disturbance is assumed to be made of; each part is rejected without error.
+    """Assumed components of the disturbance, each rejected without steady-state error.
 
         w[k+1] = F w[k],   d[k] = c w[k]
 
@@ -177,7 +177,7 @@ class ObserverFrame:
     def placed(
         self, *, feedback_poles: ArrayLike, observer_poles: ArrayLike
     ) -> DisturbanceObserver:
-        """Place the poles of state feedback and of the observer's error.
+        """Place the poles of state feedback and observer.
 
             eig(A - B K) = feedback_poles and zeros
             eig(A_e - A_e L C_e) = observer_poles and zeros
@@ -286,7 +286,7 @@ def linear_controller(observer: DisturbanceObserver) -> RstController:
 
 
 def feedback_polynomials(observer: DisturbanceObserver) -> tuple[Array, Array]:
-    """Return R and S alone: all that a search wants to know of its candidates."""
+    """Return R and S only, which is all that a search needs."""
     A_e, B_e, C_e, L, K_e = _stacked(observer)
     correct = np.eye(len(A_e)) - np.outer(L, C_e)
     closed = A_e - np.outer(B_e, K_e)

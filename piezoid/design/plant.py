@@ -40,7 +40,7 @@ class Fraction:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plant(Fraction):
-    """A sampled plant in state space and as B/A, both of the same thing.
+    """A sampled plant, in state space and as B/A.
 
         x[k+1] = A x[k] + sum_j taps[:, j] u[k-j],  y = C x;     A(q^-1) y = B(q^-1) u
 
@@ -118,7 +118,7 @@ class Plant(Fraction):
 
 @dataclass(frozen=True, kw_only=True)
 class PlantFamily:
-    """A nominal plant and what it may really be; the nominal member is first."""
+    """A nominal plant and its possible variations; the nominal member is first."""
 
     members: tuple[Plant, ...]
 

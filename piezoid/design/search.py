@@ -18,7 +18,7 @@ _FLOOR_dB = 1.0
 
 
 class _LimitsMetError(Exception):
-    """Leaves the optimiser early; never leaves this file."""
+    """Raised to stop the optimiser early; caught in this module."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -77,7 +77,7 @@ def band_stop_polynomials(filter_: BandStop, sampling_rate_Hz: float) -> tuple[A
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ShapedController:
-    """A controller by pole placement and what was chosen for it.
+    """A controller by pole placement, with its design choices.
 
     controller      R, S, T
     dominant        the pair of P_D

@@ -101,7 +101,7 @@ def default_specification(
     disturbance_rms: float,
     voltage_slew_V_per_s: float | None = None,
 ) -> Specification:
-    """Return what can sensibly be asked of a plant and its family.
+    """Return a sensible specification for a plant and its family.
 
     bandwidth          0.15 of the slowest pole or mode, or 0.03 / delay, whichever is less; the
                        delay is the plant's phase delay at rest, where it is late there at all
@@ -147,7 +147,7 @@ def slowest_Hz(plant: Plant) -> float:
 def specifications_from_toml(
     text: str, defaults: Mapping[str, Specification], *, source: str = "design.toml"
 ) -> dict[str, Specification]:
-    """Read what ``design.toml`` asks for, one table per axis, over the defaults of the model.
+    """Read ``design.toml``, one table per axis, over the defaults of the model.
 
         [x]
         bandwidth_Hz = 120
@@ -198,7 +198,7 @@ def _from_table(default: Specification, table: dict[str, Any], source: str) -> S
 
 
 def _is_number(value: object) -> bool:
-    """Tell whether a number of TOML, which may have thousands of digits, is one to count with."""
+    """Tell whether a number of TOML, which may have thousands of digits, is a usable number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return value == 0 or _SMALLEST <= abs(value) <= _LARGEST

@@ -42,7 +42,7 @@ class Template:
             raise ValueError(f"template {self.name}: frequencies must be > 0")
 
     def limit_dB(self, frequency_Hz: ArrayLike) -> Array:
-        """Return the limit in dB, +inf where there is none, (frequencies,)."""
+        """Return the limit in dB, +inf where there is no limit, (frequencies,)."""
         f = np.asarray(frequency_Hz, dtype=np.float64)
         level = np.interp(np.log(f), np.log(self.frequency_Hz), self.upper_dB)
         inside = (f >= self.frequency_Hz[0]) & (f <= self.frequency_Hz[-1])
@@ -51,7 +51,7 @@ class Template:
 
 @dataclass(frozen=True, kw_only=True)
 class Violation:
-    """One place where one member of the family leaves one template.
+    """Violation of one template by one member of the family, at its worst frequency.
 
     template      its name
     member        the plant's label

@@ -63,7 +63,7 @@ class Cones:
 
     @property
     def limited(self) -> tuple[tuple[Response, Response], ...]:
-        """What has limits, in their order."""
+        """Responses with limits, in the order of the limits."""
         return self.A_S, self.A_R, self.B_R
 
     def at(self, rows: NDArray[np.bool_]) -> "Cones":
@@ -95,7 +95,7 @@ def solve(
     reserve: float,
     deciding: NDArray[np.bool_],
 ) -> tuple[Array, Array] | None:
-    """Solve one convex problem around the closed loops of R, S; None where the solver fails.
+    """Solve one convex problem around the closed loops of R, S; None if the solver fails.
 
     grid      of members and frequencies, with the limits; its rows are those of the problem
     plant     the nominal one, for the scale of R
@@ -151,7 +151,7 @@ def cones_around(grid: FamilyGrid, scale: float, R: Array, S: Array, count: int)
 
 
 def _excess(cones: Cones, solution: Reached, reserve: float) -> Array:
-    """Return by how much a solution misses what every row asks, over the closed loop's size."""
+    """Return the violation of each row by a solution, relative to the closed loop."""
     real = (cones.real[0] @ solution.x + cones.real[1]) / cones.reference
     room = reserve * (real + solution.slack)
     excess = _LEAST_REAL - real
@@ -170,7 +170,7 @@ def _peaks(excess: Array) -> NDArray[np.bool_]:
 
 
 def _solved(cones: Cones, count: int, reserve: float) -> Reached | None:
-    """Solve the program on some rows; None where the solver fails.
+    """Solve the program on some rows; None if the solver fails.
 
         minimise    gamma + price slack
         subject to  real >= least |P_d|,   |size| <= reserve limit (real + slack |P_d|)

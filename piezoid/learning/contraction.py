@@ -180,7 +180,7 @@ def table_response(member: Plant, values: Values | None, q: Response) -> Respons
 
 
 def _remaining(applied: Response, sector: float) -> Array:
-    """Return the share of the error that a period leaves on the worst plant, (harmonics,)."""
+    """Return the remaining share of the error after a period on the worst plant, (harmonics,)."""
     return np.asarray((np.abs(1.0 - applied) + sector * np.abs(applied)).max(axis=0))
 
 

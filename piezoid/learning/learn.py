@@ -328,7 +328,7 @@ def _refuse_unlearnable(axis: str, learner: LearningFilter, wanted_m: Array) -> 
 
 
 def _reach_m(model: AxisModel) -> tuple[float, float]:
-    """Return how far the hysteresis goes between the ends of the recorded drive."""
+    """Return the range of the hysteresis between the ends of the recorded drive."""
     operator = model.operator
     low_V, high_V = model.voltage_V
     displacement_m, _ = operator.run(np.array([high_V, low_V, high_V]), operator.virgin_memory())

@@ -15,7 +15,7 @@ from piezoid.runtime.schema import PARAMETERS
 
 
 class Status(IntFlag):
-    """What happened in a sample; bits of the runtime's status word."""
+    """Events of a sample: bits of the status word of the runtime."""
 
     BAD_REFERENCE = 1
     REFERENCE_LIMITED = 2
@@ -38,7 +38,7 @@ class Status(IntFlag):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """What the controller did with two arrays.
+    """Outputs of the controller for two arrays.
 
     voltage_V  (samples,)  V
     status     (samples,)  ``Status`` bits
@@ -49,7 +49,7 @@ class Run:
 
 
 class Controller:
-    """The runtime with parameters and a state of its own, in either precision.
+    """The runtime with its parameters and state, in single or double precision.
 
     given      parameters by name, completed as by ``values.complete``
     precision  ``double`` or ``float``; what the target will be built with

@@ -71,7 +71,7 @@ class Library:
             setattr(packed, name, value)
 
     def log(self, x: float) -> float:
-        """Return the runtime's own natural logarithm of a positive number."""
+        """Return the natural logarithm of a positive number, as computed by the runtime."""
         return float(self.code.pz_log(x))
 
 

@@ -20,7 +20,7 @@ Controller = Design | Shipping | ParameterFile
 
 
 def parameters_of(controller: Controller, model: ActuatorModel, lab: Lab | None) -> ParameterFile:
-    """Return what the runtime consumes; of a design, whether it may ship or not.
+    """Return the runtime parameters of a stage, or of a design even if it may not ship.
 
     Raises ``ParameterFileError`` where nothing of what was exported ships, and for anything else.
     """
@@ -48,7 +48,7 @@ def parameters_of(controller: Controller, model: ActuatorModel, lab: Lab | None)
 def axis_parameters(
     controller: Controller, model: ActuatorModel, lab: Lab | None, axis: str | None
 ) -> AxisParameters:
-    """Return what the runtime consumes for one axis; None: the only one there is.
+    """Return the runtime parameters of one axis; None: the only one.
 
     Raises ``ParameterFileError`` for an axis without a controller.
     """

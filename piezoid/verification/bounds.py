@@ -93,7 +93,7 @@ def error_bounds(
 
 
 def conformal_quantile(largest_m: Sequence[float], probability: float = PROBABILITY) -> float:
-    """Return what bounds the next of such numbers with this probability; infinite if too few.
+    """Return the bound of the next number with this probability; infinite for too few numbers.
 
     >>> conformal_quantile(np.arange(1.0, 20.0), 0.95)
     19.0
@@ -203,7 +203,7 @@ class _LateralTask:
         return None if outside else float(np.abs(run.error).max())
 
     def bound(self, slew: float) -> float | None:
-        """Return what bounds every error at a speed, m; None without a guarantee."""
+        """Return the bound of the error at a speed, m; None without a guarantee."""
         proven = self._certificate
         if proven is None:
             return None
@@ -264,7 +264,7 @@ _Task = _LateralTask | _TipTask
 
 
 def _past_V(rng: np.random.Generator, low_V: float, high_V: float) -> tuple[float, ...]:
-    """Return turning points anywhere in the range, an end of it first or none at all."""
+    """Return random turning points in the range, possibly after an end of the range."""
     first = [low_V, high_V][: int(rng.integers(3))]
     turns = rng.uniform(low_V, high_V, int(rng.integers(_TURNS)))
     return tuple(first) + tuple(turns.tolist())

@@ -26,7 +26,7 @@ _STEP = ctypes.CFUNCTYPE(
 
 
 class Fault(IntEnum):
-    """What a sensor shows in place of what it senses."""
+    """Fault of a sensor: its reading instead of the measured value."""
 
     SOUND = 0
     FROZEN = 1  # the last reading, again and again

@@ -67,7 +67,7 @@ def _transmission(response: ComplexArray) -> ComplexArray:
 def _amplitudes(
     runner: ScenarioRunner, axes: tuple[str, ...], driven: int, D: Array, T: ComplexArray
 ) -> Array | None:
-    """Return the amplitude of every axis in percent of the driven one, None if it diverges."""
+    """Return the amplitude of every axis in percent of the driven one; None if unstable."""
     samples = len(T) - 1
     time_s = np.arange(samples) / runner.rate_Hz
     sine = np.sin(2.0 * np.pi * runner.limits.judged_Hz * time_s)
@@ -96,7 +96,7 @@ def _amplitudes(
 
 
 def _driven(runner: ScenarioRunner, axis: str, reference_m: Array, coupled_m: Array) -> Array:
-    """Return the motion of an axis by its own drive while the others move it as well."""
+    """Return the motion of an axis by its drive while the others move as well."""
     plant = runner.plants[axis]
     approach = approach_path(plant, float(reference_m[0]))
     record = run_axis(

@@ -24,7 +24,7 @@ _AFTERWARDS = 0.25  # of a record, its end: where a fault must be forgotten
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What is allowed; every number may be replaced by what the application needs.
+    """Acceptance limits; every number may be replaced for an application.
 
     aligned_percent     of the diameter, shape error of what ships, up to judged_Hz
     judged_Hz           above it, spirals are compared with no compensation only
@@ -89,7 +89,7 @@ def worst_by_name(verdicts: Sequence[Verdict]) -> list[Verdict]:
 
 
 def describe_failure(verdict: Verdict) -> str:
-    """Return what was found and what is allowed, in units that are read at a glance."""
+    """Describe the measured value and the limit in convenient units."""
 
     def formatted(number: float) -> str:
         if verdict.unit in ("s", "m"):
@@ -106,7 +106,7 @@ def verdict(name: str, scenario: str, value: float, limit: float, unit: str) -> 
 
 
 def none_of(name: str, scenario: str, count: int) -> Verdict:
-    """Return the verdict of a number of events none of which is allowed."""
+    """Return the verdict on a number of events that must be zero."""
     return verdict(name, scenario, float(count), 0.0, "1")
 
 
@@ -171,7 +171,7 @@ def current_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple
 def hold_verdicts(
     scenario: str, record: LoopRecord, lost_at: int, limits: Limits
 ) -> tuple[Verdict, ...]:
-    """Judge that a stage whose sensor is gone for good is held soon, and then does not move."""
+    """Judge whether a stage without a sensor is held soon, and then does not move."""
     reports_blind = (record.status & np.uint32(Status.BLIND | Status.LATCHED)) > Status.LATCHED
     at = int(np.argmax(reports_blind)) if reports_blind.any() else len(reports_blind)
     changes = int(
@@ -198,7 +198,7 @@ def recovery_verdict(
 
 
 def limits_from_toml(text: str, source: str = "limits.toml") -> Limits:
-    """Return the default limits with those of a TOML text in their place.
+    """Return the default limits with replacements from a TOML text.
 
         aligned_percent = 0.5
         judged_Hz = 20
@@ -213,7 +213,7 @@ def limits_from_toml(text: str, source: str = "limits.toml") -> Limits:
 
 
 def limits_from(table: Mapping[str, object], source: str) -> Limits:
-    """Return the default limits with those of a table in their place.
+    """Return the default limits with replacements from a table.
 
     table  by the names of ``Limits``
     source  where it was read, for the message

@@ -70,12 +70,12 @@ class LimitProof:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing speaks against it; a tool that is not here says nothing."""
+        """Whether the proof succeeded, or no tool for it is installed."""
         return self.is_proved or not self.tool
 
     @property
     def verdict(self) -> str:
-        """``proved``, or in a few words what there is instead."""
+        """``proved``, or the reason in a few words."""
         if not self.tool:
             return f"not proved here: no {TOOL}"
         if self.why_not:
@@ -146,7 +146,7 @@ def prove_axis(
 def _analysed(
     folder: Path, flags: str, harness: Sequence[str], limit_s: float
 ) -> tuple[tuple[str, ...], str]:
-    """Return the alarms, and why they are no answer where they are none."""
+    """Return the alarms, and a reason if the analysis gave no answer."""
     # The tool looks where PWD says, not where it was started: every path is a whole one.
     sources = [str(folder / name) for name in ("harness.c", "piezoid_runtime.c")]
     table = folder / "proved.csv"
@@ -233,7 +233,7 @@ _WITHIN = "\\is_finite({0}) && p->voltage_minimum_V <= {0} <= p->voltage_maximum
 
 
 def _claims(axis: AxisParameters) -> dict[str, str]:
-    """Return what holds after every step: words, and the condition in ACSL."""
+    """Return the claims after every step: text, and the condition in ACSL."""
     common = {
         "the voltage put out is finite and inside the limits": _WITHIN.format("u"),
         "the state's voltages are inside the limits": " && ".join(

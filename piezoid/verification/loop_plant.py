@@ -224,7 +224,7 @@ _Sampled = tuple[Array, Array, Array, Array, tuple[float, float]]
 
 
 def _before_hysteresis(plant: AxisPlant, rate_Hz: float, gain: float) -> _Sampled:
-    """Return amplifier and the delay beyond whole samples, behind a held command."""
+    """Return amplifier and remaining fractional delay behind a held command."""
     whole_s = int(plant.delay_s * plant.sampling_rate_Hz) / plant.sampling_rate_Hz
     sections = plant.amplifier or (Section(frequency_Hz=_QUICK * rate_Hz / (2.0 * np.pi)),)
     A, B, outputs = cascade(sections)
@@ -241,7 +241,7 @@ def _before_hysteresis(plant: AxisPlant, rate_Hz: float, gain: float) -> _Sample
 
 
 def _after_hysteresis(plant: AxisPlant, rate_Hz: float) -> _Sampled:
-    """Return mechanics and sensor behind a signal that is straight between substeps.
+    """Return mechanics and sensor behind a signal that is linear between substeps.
 
     x[k+1] = e^(A h) x[k] + G_1 w[k] + G_2 (w[k+1] - w[k])
     """

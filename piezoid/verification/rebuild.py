@@ -66,7 +66,7 @@ class Proof:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing differed; a build that was not made is no failure."""
+        """Whether all answers are equal; a build that was not made is no failure."""
         return not self.is_built or (self.samples > 0 and self.differing == 0)
 
 
@@ -108,7 +108,7 @@ def replay_inputs(axis: AxisParameters, seed: int) -> tuple[Array, Array]:
 
 
 def expected_answers(file: ParameterFile, real: str) -> bytes:
-    """Return what the packaged library answers, as replay.c writes it."""
+    """Return the answers of the packaged library, in the format of replay.c."""
     number = PRECISIONS[real][1]
     record = np.dtype([("voltage_V", np.dtype(number)), ("status", "<u4")])
     answers = []
@@ -163,7 +163,7 @@ def compare(
 
 
 def run_program(command: Sequence[str], folder: Path) -> str:
-    """Run a program in a folder and return what it printed.
+    """Run a program in a folder and return its output.
 
     Raises ``RuntimeLibraryError`` with the program's own words where it fails.
     """
@@ -242,7 +242,7 @@ def _on_host(
 
 
 def check_bundle(file: ParameterFile, contents: Mapping[str, bytes] | None) -> Mapping[str, bytes]:
-    """Return the bundle's files, after comparing those found with what this file makes."""
+    """Compare the files of a bundle with those made from this file, and return them."""
     expected = bundle(file).files
     for name, content in expected.items():
         if contents is not None and contents.get(name) != content:

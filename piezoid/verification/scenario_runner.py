@@ -93,7 +93,7 @@ class ScenarioRunner:
         ]
 
     def run(self, runs: Sequence[AxisRun]) -> dict[str, LoopRecord]:
-        """Run axes that move at the same time, each with its own noise; records by axis."""
+        """Run axes simultaneously, each with independent noise; returns records by axis."""
         numbered = list(enumerate(runs, self.run_count + 1))
         self.run_count += len(runs)
         records = self.executor.map(self._run, numbered)

@@ -123,7 +123,7 @@ class Scenario:
     fault_s: float = _FAULT_s
 
     def fault_of(self, samples: int, rate_Hz: float) -> Array | None:
-        """Return the sensor's fault, (samples,), or None."""
+        """Return the fault of the sensor, (samples,), or None."""
         if self.fault is None:
             return None
         fault = np.zeros(samples)

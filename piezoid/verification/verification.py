@@ -63,7 +63,7 @@ class ErrorBound:
 
     @property
     def is_exceeded(self) -> bool:
-        """Whether a stage was drawn that goes beyond the bound: its conditions do not hold there.
+        """Whether a drawn stage exceeds the bound, so that its conditions do not hold.
 
         A certificate takes what no model of the class explains for no more than it left of rows
         left out; stages are drawn that are farther from the class.
@@ -83,7 +83,7 @@ class SpiralRow:
 
 @dataclass(frozen=True, kw_only=True)
 class CurrentRow:
-    """The tunnelling loop during a scenario of what ships.
+    """The tunnelling loop during a scenario of the exported controller.
 
     ln_current_std     of ln i
     height_rms_m       the same as a distance
