@@ -1,4 +1,4 @@
-"""Appearance: the coordinate in which an effect shows, over classes, over time, or as a spectrum.
+"""Appearance of an effect: along a coordinate, over time, or in the spectrum.
 
 The coordinates that several effects share stand here; one of a single effect stands in its file.
 """

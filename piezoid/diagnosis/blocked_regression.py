@@ -1,4 +1,4 @@
-"""Least squares seen from the rows it did not use: sums over blocks, folds made of blocks.
+"""Linear regression with cross-validation on blocks of rows.
 
     beta_f = (sum_(b not in f) C_b' C_b)^-1 sum_(b not in f) C_b' e_b,
     loss_b = |e_b - C_b beta_f|^2

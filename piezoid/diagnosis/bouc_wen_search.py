@@ -1,4 +1,4 @@
-"""Search for the Bouc-Wen state that serves the nuisance class best.
+"""Search for the Bouc-Wen state of the smallest residual in the nuisance class.
 
 It is structure, not a cause: it is taken in only where it leaves less than any effect does. Other
 structure has to beat the class without it, which may then have a Bouc-Wen state of its own.

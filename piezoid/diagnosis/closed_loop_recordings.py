@@ -1,4 +1,4 @@
-"""Creep of a sensor that is held by feedback: the drive compensates it, and shows it directly.
+"""Creep under feedback that holds the sensor: the drive that compensates it shows it directly.
 
     y = const  =>  -g (u(t) - u(0)) = a ln(1 + t / s) + noise,      g the stage's mean gain
 

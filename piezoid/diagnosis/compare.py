@@ -1,4 +1,4 @@
-"""Compare a model with later recordings: it holds, the sensitivity changed, or more than that.
+"""Compare a model with later recordings: unchanged, changed sensitivity, or another change.
 
 Three simulations of the new recordings, judged on the same held-out blocks: the model as it was
 fitted, with the initial state and zero of each recording; the same with another sensitivity; and

@@ -1,4 +1,4 @@
-"""How much of the residual a curve along one coordinate explains on left-out blocks.
+"""Share of the residual that a curve along one coordinate explains on left-out blocks.
 
 The residual is what neither the nuisance class nor the tangents of any effect can follow,
 

@@ -1,4 +1,4 @@
-"""Effects that were not detected: an upper bound of each, and the size that would be detected."""
+"""Effects that were not detected: an upper bound and a detection limit for each."""
 
 from math import sqrt
 

@@ -1,4 +1,4 @@
-"""Diagnosis: what was found, what was not, and how small a thing these recordings could show."""
+"""Diagnosis: findings, effects that were not detected, and detection limits."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

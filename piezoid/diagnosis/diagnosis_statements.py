@@ -1,4 +1,4 @@
-"""Statements about a diagnosis: what cannot be separated, what no effect explains, what to record.
+"""Statements about a diagnosis: confounded effects, unexplained residual, next recordings.
 
 The sizes of the findings stand in their table; a statement is made only where a reader has to know
 more than a size.

@@ -1,4 +1,4 @@
-"""History: a track with what its drive did before, and the states that leaves along it.
+"""Drive history: hysteresis states along a track, including reversals before its start.
 
 What hysteresis knows of a way depends on where it turned and on nothing between: states at some
 rows follow from these rows and the turns of the drive alone.

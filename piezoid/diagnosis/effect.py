@@ -1,4 +1,4 @@
-"""What one effect must provide; the engine knows nothing else of it.
+"""Interface of one effect between the catalogue and the search.
 
 An effect is one file: an explanation under five headings, the trials that look for it, placebos
 of the same freedom that must do clearly worse, what it adds once it is selected, and its size.

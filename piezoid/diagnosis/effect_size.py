@@ -1,4 +1,4 @@
-"""Sizes: how large a cause is, with an interval from blocks that count as independent.
+"""Size of an effect, with an interval from independent blocks.
 
 Coefficients and nonlinear parameters are judged together, by the columns of the one and the
 tangents of the other beside the whole null; the size is a function of both,

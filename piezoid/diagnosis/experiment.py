@@ -1,4 +1,4 @@
-"""Plan the next experiment: the drive that best answers what a diagnosis left open.
+"""Plan the next experiment: the drive that best answers the open questions of a diagnosis.
 
 Questions come first: two effects that could not be separated, else the size with the widest
 interval, else an effect that these recordings could hardly show. Every candidate drive is

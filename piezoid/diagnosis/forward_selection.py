@@ -1,4 +1,4 @@
-"""Forward selection: take in one effect after another until none is significant.
+"""Forward selection: add one effect after another until none is significant.
 
 A step takes in the effect that leaves the smallest error, or what explains as much without any
 effect: a filter on the other side of the hysteresis, a Bouc-Wen state, other initial states. Where

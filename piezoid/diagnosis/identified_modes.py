@@ -1,4 +1,4 @@
-"""Modes that the fit of dynamics has identified: named, and kept out of the search for effects.
+"""Findings of modes that the fit of dynamics has identified, excluded from the search for effects.
 
 Recordings that a mode shapes determine its frequency and damping far better than a search for
 effects, and hide everything else there. Hysteresis and slow effects are sought in the recordings

@@ -1,4 +1,4 @@
-"""Faults that ingest met and repaired: gaps in the time stamps, and readings that are none."""
+"""Faults that ingest has repaired: gaps in the time stamps, and invalid readings."""
 
 from collections.abc import Sequence
 from dataclasses import replace

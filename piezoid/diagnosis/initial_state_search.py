@@ -1,4 +1,4 @@
-"""The initial state of each track: what hysteresis remembers from before its first sample.
+"""Search for the initial hysteresis state of each track.
 
 The nuisance class is fitted to rows where that is forgotten: before them the drive has covered its
 whole range since the track began. Hypotheses about the initial state are then compared by how well

@@ -1,4 +1,4 @@
-"""Pasts: histories of a drive before its first sample, and the memory they leave.
+"""Hypotheses of earlier reversals of a drive, and the initial states after them.
 
 Of all that a drive did, later turns wipe out those between them.
 

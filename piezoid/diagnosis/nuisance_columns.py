@@ -1,4 +1,4 @@
-"""The shape of the nuisance class: powers of states and their products with the drive.
+"""Columns of the nuisance class: powers of states and their products with the drive.
 
     sum_(i, n) c_in z_i^n + (d_i u + e_i u^2) z_i + sum_j f_j(x_j1, u) + g_j2 x_j2 + g_j3 x_j3
 

@@ -1,4 +1,4 @@
-"""p-values by rank among healthy stages: of a systematic residual, and of evidence for an effect.
+"""p-values as ranks among healthy stages: of a systematic residual, and of evidence for an effect.
 
 Hysteresis of another law than the nuisance class leaves a systematic residual, which no shuffling
 distinguishes from an effect outside the catalogue. Its score is therefore compared with the

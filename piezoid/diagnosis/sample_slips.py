@@ -1,4 +1,4 @@
-"""Sample slips: instants from which on the readings are some samples late or early.
+"""Sample slips: instants after which the readings are some samples late or early.
 
 A slip of L samples at sample m of a track adds
 

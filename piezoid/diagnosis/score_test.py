@@ -1,4 +1,4 @@
-"""Screening: what every effect would bring to a view by its tangent, and its placebos by theirs.
+"""Score tests: gain of each effect by its tangent, compared with placebos.
 
 It tells where to look. Effects are accepted in ``candidate``, after a refit.
 """

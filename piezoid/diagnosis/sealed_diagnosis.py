@@ -1,4 +1,4 @@
-"""diagnosis.json: how a diagnosis and its entries stand there, written and read back."""
+"""Write and read diagnosis.json."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""Tracks: recordings in scaled units, with the rows that are compared and the blocks they form."""
+"""Tracks: recordings in scaled units, with the fitted rows and their blocks."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""The search for causes: faults of the data first, then forward selection, then model comparison.
+"""Search for causes: faults of the data, forward selection, model comparison.
 
 Every effect gets a score test by its tangents; the shortlist is refitted with the whole model, and
 the one that then leaves the smallest error is selected, if it is significant, physical and clearly

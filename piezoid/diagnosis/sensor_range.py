@@ -1,4 +1,4 @@
-"""Detect the end of a sensor's range: the reading stays at one level while the stage moves on.
+"""Detect the end of the sensor range: the reading is constant while the stage moves on.
 
     y = min(x, L)   or   y = max(x, L)
 

@@ -1,4 +1,4 @@
-"""Linear filters of a track's static response, and what a changed drive would make of it."""
+"""Linear filters of the static response of a track, and the change by a changed drive."""
 
 from collections.abc import Callable
 from dataclasses import replace

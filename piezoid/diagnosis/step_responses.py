@@ -1,4 +1,4 @@
-"""Jumps: what follows a jump of the drive, seen at every sample.
+"""Step responses: resonances after jumps of the drive, at all samples.
 
 A mode that a jump has struck rings for some milliseconds: a few of thousands of rows, all in one
 block, of which no mean over blocks is ever sure. So what follows jumps is looked at by itself,

@@ -1,4 +1,4 @@
-"""Findings of a residual that no effect explains: its size, its coordinate and its profile."""
+"""Findings of unexplained structure: size, coordinate and profile."""
 
 from math import sqrt
 

@@ -1,4 +1,4 @@
-"""ActuatorModel: what is known of a whole stage, axis by axis."""
+"""ActuatorModel: the identified model of a whole stage, axis by axis."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""What the model class does not follow, as a second hysteresis: for verification, never shipped.
+"""Model discrepancy for verification: a second hysteresis term that no controller contains.
 
 A model verified against its own inverse shows an error of nothing. What a stage really leaves is
 at least what recordings leave that the fit did not see, and most of that is hysteresis of another

@@ -1,4 +1,4 @@
-"""The uncertainty budget of a displacement that an axis model predicts.
+"""Uncertainty budget of a predicted displacement.
 
     u_c^2 = residual^2 + parameters^2 + zero^2 + lag^2                   (type A)
             + gain^2 + linearity^2 + tilt^2 + temperature^2 + converter^2    (type B)

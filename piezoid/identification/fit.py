@@ -1,4 +1,4 @@
-"""Recordings in, one ActuatorModel of the whole stage out."""
+"""Fit one ActuatorModel of the whole stage to recordings."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""The forward model: from a drive to a reading, part by part, in the order in which a stage acts.
+"""Forward model from a drive to a reading, in the order in which the parts act.
 
     u -> declared amplifier, drive extensions -> gamma, plays -> irreversible extensions -> Psi
       -> response extensions -> own lag -> declared sensor -> + zero + what is added -> reading

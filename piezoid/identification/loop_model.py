@@ -1,4 +1,4 @@
-"""An axis as a control loop feels it: the one description behind design and verification.
+"""Linear model of an axis for control loops, common to design and verification.
 
     u -> clip, slew -> front -> hysteresis -> behind -> slow -> position, + motion -> sensor
 

@@ -1,4 +1,4 @@
-"""Minor loops as recordings show them: plays behind functions, where they predict better.
+"""Minor loops: plays behind functions, selected if they predict better.
 
 What plays with dead zones and an envelope leave of a ceramic is the shape of minor loops. Plays
 behind rising functions of their states follow any loops that close [Krejci 1996]. With thresholds

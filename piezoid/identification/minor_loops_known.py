@@ -1,4 +1,4 @@
-"""Plays behind functions as an axis holds them: the operator, how well it is known, trials."""
+"""Fitted plays behind functions: operator, uncertainty and trials."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""AxisModel: what is known of one axis, with how well it is known."""
+"""AxisModel: the identified model of one axis, with its uncertainty."""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING

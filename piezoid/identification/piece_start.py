@@ -1,4 +1,4 @@
-"""Where the pieces of recordings begin: memory and zero, which no model can know."""
+"""Fitted starts of the pieces of recordings: memory and zero."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""What a fitted axis says of recordings, those of the fit and any other.
+"""Predictions of a fitted axis for recordings of the fit and others.
 
 A recording begins somewhere: with a memory and at a zero that no model can know. Both are taken
 from its own displacement, and nothing else of it; the operator stays what was fitted.

@@ -1,4 +1,4 @@
-"""How far a fitted axis may be believed: verdict, error, spread of its parameters, bound."""
+"""Quality of a fitted axis: verdict, errors, uncertainty of parameters, bound."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

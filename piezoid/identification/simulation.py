@@ -1,4 +1,4 @@
-"""What the model says a whole recording should look like, piece by piece, from its own start."""
+"""Simulate whole recordings of the fit, piece by piece, from their fitted starts."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""ActuatorModel to model.json and back, exactly: every number returns with its last bit."""
+"""Write ActuatorModel to model.json and read it back exactly."""
 
 from collections.abc import Mapping
 from typing import Any, Literal

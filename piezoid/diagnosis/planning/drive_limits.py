@@ -1,4 +1,4 @@
-"""Limits of a drive, a drive to be played, and the limits of one bench with their origin."""
+"""Limits of a drive and of all axes of a bench, with their origin."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,4 @@
-"""Questions that a diagnosis leaves open, and how much of each a drive leaves.
+"""Open questions of a diagnosis, and the uncertainty that remains after a drive.
 
 The share that a drive leaves is 1 if nothing is gained and 0 if the question is answered. For a
 size it is the expected interval over the present one; for an effect that was not detected, the

@@ -1,4 +1,4 @@
-"""Expected precision of drives before they are played: separability of effects and their errors.
+"""Expected precision of planned drives: separability of effects and their errors.
 
 Every column is first made orthogonal to what a refit of the model could absorb. Of two effects
 

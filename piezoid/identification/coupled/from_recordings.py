@@ -1,4 +1,4 @@
-"""Recordings of a stage whose drives act on all of its axes: its model, and each axis for itself.
+"""Identify stages whose drives act on all axes, and decouple their recordings.
 
     y = G(s) v,   y' = D y = D G v,   D = diag(G_0) G_0^-1
 

@@ -1,4 +1,4 @@
-"""Least squares of the modal sum over all levels, the residues eliminated (variable projection).
+"""Least squares of the modal sum over all levels by variable projection.
 
     minimise  sum_r w_r |e^(j w delay) Y_r - G(s, l) U_r|^2,     G linear in its residues
 

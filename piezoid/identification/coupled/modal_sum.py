@@ -1,4 +1,4 @@
-"""The linear part: poles shared by all paths, residues that follow the level of the drive."""
+"""Modal sum: poles shared by all paths, with residues that depend on the level of the drive."""
 
 from dataclasses import dataclass
 

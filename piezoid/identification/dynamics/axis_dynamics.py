@@ -1,4 +1,4 @@
-"""The dynamics of a fitted axis: behind its hysteresis, from recordings that excite them."""
+"""Dynamics of a fitted axis behind its hysteresis, from recordings that excite them."""
 
 from collections.abc import Sequence
 from dataclasses import replace

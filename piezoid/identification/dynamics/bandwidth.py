@@ -1,4 +1,4 @@
-"""What a data sheet's "bandwidth" means: a first-order pole, or a resonance."""
+"""Bandwidth verdict: a first-order pole, or a resonance."""
 
 from dataclasses import dataclass, replace
 from typing import Literal

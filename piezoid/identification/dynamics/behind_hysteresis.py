@@ -1,4 +1,4 @@
-"""The measured response from the output of a known hysteresis to the displacement.
+"""Measure the response from the output of a known hysteresis to the displacement.
 
     u -> H -> v = (H[u] - y_off) / a -> G(s) -> y
 

@@ -1,4 +1,4 @@
-"""Even and odd distortion and noise, measured at lines that the drive leaves out.
+"""Even and odd distortion and noise, measured at lines without drive.
 
     u of odd lines only:   u^2 answers at even lines, u^3 at odd ones      [Pintelon & Schoukens]
 

@@ -1,4 +1,4 @@
-"""Which recordings excite the dynamics of an axis: drives that are broad and fast."""
+"""Select recordings that excite the dynamics of an axis: broad and fast drives."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""FrequencyResponse: what was measured at each line, how surely, and what was rejected."""
+"""FrequencyResponse: measured lines with variances, and rejected lines."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Hysteresis and dynamics of an axis in one fit, started from a separate fit of each.
+"""Joint fit of hysteresis and dynamics of an axis, started from separate fits.
 
     minimise over all segments   1/samples sum_lines |E(f)|^2 / sigma^2(f)
     y = y_off + G[Psi(sum_i w_i P_i[u])],    G of modes, lags and a delay with unit gain at rest

@@ -1,4 +1,4 @@
-"""Segments of recordings for the joint fit: states of the plays, and spectra padded for decay.
+"""Segments of recordings for the joint fit: play states, and spectra padded for decay.
 
 A segment is uninterrupted, and the static fit determined its initial memory. The drive is that at
 the hysteresis: behind the hold of the controller and the declared pole of the amplifier.

@@ -1,4 +1,4 @@
-"""LinearDynamics: modes, lags and delay of an axis, with what is known about each of them."""
+"""LinearDynamics: modes, lags and delay of an axis, with their uncertainty."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -1,4 +1,4 @@
-"""The modal form: its structure, its parameters in order, and its columns at measured lines."""
+"""Modal form: its structure, the order of its parameters, and its columns at measured lines."""
 
 from dataclasses import dataclass
 from functools import cached_property

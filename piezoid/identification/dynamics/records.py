@@ -1,4 +1,4 @@
-"""Records of the dynamics that a model keeps beside the modes: joint fit, measured response."""
+"""Records of the dynamics beside the modes: joint fit, measured response."""
 
 from dataclasses import dataclass, replace
 

@@ -1,4 +1,4 @@
-"""Validate a measured response against an axis, and put its dynamics into the axis' gain.
+"""Validate a measured response against an axis, and scale its dynamics to the gain of the axis.
 
 A response is measured with small fast drives; the hysteresis is that of large slow ones. Their
 gains differ, and neither overrides the other; but a wrong unit, axis or sign makes them differ by

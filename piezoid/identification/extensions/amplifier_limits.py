@@ -1,4 +1,4 @@
-"""The supply ends before the command does."""
+"""Amplifier limits: the output saturates at the supply."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self

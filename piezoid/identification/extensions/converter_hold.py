@@ -1,4 +1,4 @@
-"""The converter holds every value for a period of its clock."""
+"""Converter hold: each value is held for a period of the converter clock."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self

@@ -1,4 +1,4 @@
-"""The answer of this axis to another one's drive."""
+"""Cross coupling: response of this axis to the drive of another axis."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self

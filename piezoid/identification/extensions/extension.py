@@ -1,4 +1,4 @@
-"""What one extension of an axis model must provide; simulation and fit know nothing else of it.
+"""Interface of the extensions of an axis model for simulation, fit and design.
 
     command -> drive -> reversible + irreversible part -> dead zones -> response -> + added
             -> reading

@@ -1,4 +1,4 @@
-"""From one instant on, or ever more, the stage is more or less sensitive."""
+"""Gain change: another sensitivity from one instant on, or a gradual change."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self

@@ -1,4 +1,4 @@
-"""What a control loop feels of an extension: one record for design and verification."""
+"""Effect of an extension on a control loop: one record for design and verification."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The grid hums in the reading."""
+"""Mains interference in the reading."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

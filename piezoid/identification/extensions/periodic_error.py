@@ -1,4 +1,4 @@
-"""The reading is wrong once every period of displacement."""
+"""Periodic sensor error over the displacement."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self

@@ -1,4 +1,4 @@
-"""What is irreversible needs time to follow."""
+"""Rate dependence: a lag of the irreversible part."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self

@@ -1,4 +1,4 @@
-"""The amplifier's current charges the ceramic only so fast."""
+"""Slew limit: the amplifier current limits the rate of the drive."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self

@@ -1,4 +1,4 @@
-"""The stage moves slowly whatever the drive does."""
+"""Thermal drift: slow motion independent of the drive."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Hysteresis of an axis: plays, dead zones, envelope, lag, and how well they are known.
+"""Hysteresis of an axis: plays, dead zones, envelope and lag, with their uncertainty.
 
     estimate_axis(recordings, axis, rig) -> AxisModel    all of it; estimate.py
     search(pieces, shape, settings) -> Fitted            one shape

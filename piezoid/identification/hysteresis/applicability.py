@@ -1,4 +1,4 @@
-"""Whether the Modified Prandtl-Ishlinskii class applies to the data at all.
+"""Applicability of the Modified Prandtl-Ishlinskii class to the data.
 
 Three ways it does not, each told apart before a number is believed:
 a loop whose opening changes sign (the operator's branches never cross), a response that turns

@@ -1,4 +1,4 @@
-"""The boundedness certificate: how wrong the model can be for any drive in its range.
+"""Boundedness certificate: largest error of the model for any drive in its range.
 
     |Gamma_t[u] - Gamma_m[u]| <= Lip(Psi_m) (int |W_t - W_m| dr + Lip(H_m) sup |gamma_t - gamma_m|)
                                  + sup |Psi_t - Psi_m| + rho

@@ -1,4 +1,4 @@
-"""What the fit varies: a vector of bounded numbers, and the operator it stands for.
+"""Parameter vector of the fit, with bounds, and its operator.
 
 Everything is in scaled units, drive and displacement divided by half their range, so that all
 numbers are of order one. The parametrisation makes every constraint a bound on one number:

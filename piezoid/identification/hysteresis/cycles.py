@@ -1,4 +1,4 @@
-"""Slow trends over many equal cycles, found cycle by cycle: gain, middle, and the two tips.
+"""Slow trends over many equal cycles: gain, middle, and both reversals.
 
     y_i = g_i c + z_i,     c the mean cycle,     trends of g_i, z_i and the tips by Theil and Sen
 

@@ -1,4 +1,4 @@
-"""One axis from its recordings: the whole way from scaled pieces to an AxisModel."""
+"""Estimate one axis from its recordings, from scaled pieces to an AxisModel."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

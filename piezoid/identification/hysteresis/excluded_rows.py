@@ -1,4 +1,4 @@
-"""Rows excluded from a fit: single outliers, and beginnings that no initial memory explains.
+"""Rows excluded from a fit: single outliers, and initial transients without a fitting memory.
 
     d[k] = e[k] - median(e[k-4..k+4]),   out where |d| > 8 max(s, local), s = 1.4826 median |d|
 

@@ -1,4 +1,4 @@
-"""The search for the least forward output error within the bounds, steps judged by the true cost.
+"""Minimise the forward output error within bounds by Gauss-Newton steps.
 
     min  mean e^2 + ridge |kinks|^2,   within the bounds
 

@@ -1,4 +1,4 @@
-"""Uncertainty that survives correlated residuals: the fit without each block of time in turn.
+"""Jackknife uncertainty, robust to correlated residuals: refits without each block of time.
 
 Residuals of a hysteresis fit are correlated over many samples, so formulas that count samples are
 wrong by large factors. Here the data are cut into blocks of whole cycles, and one Gauss-Newton

@@ -1,4 +1,4 @@
-"""Lags without hysteresis that stand beside plays: of second order, with and without a delay.
+"""Lag models without hysteresis as rivals of plays: second order, with and without delay.
 
     y = c + sum_k a_k x^k, k = 1..3,     x = w^2 / (s^2 + 2 d w s + w^2) e^(-s T) u
 

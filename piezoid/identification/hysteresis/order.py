@@ -1,4 +1,4 @@
-"""How many plays and dead zones, and which lag: the smallest model that predicts as well.
+"""Order selection: the smallest number of plays and dead zones that predicts as well.
 
 As well is within 3 % of the best. A standard error of the paired difference on top of that was
 tried and is not taken: on laws that plays follow badly (Dahl, Duhem) it doubled the error on fresh

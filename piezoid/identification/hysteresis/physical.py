@@ -1,4 +1,4 @@
-"""From scaled units to volts and metres."""
+"""Conversion from scaled units to volts and metres."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What the fit is given: uninterrupted pieces of drive and displacement in scaled units."""
+"""Uninterrupted pieces of drive and displacement in scaled units."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

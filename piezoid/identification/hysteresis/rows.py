@@ -1,4 +1,4 @@
-"""Residual and tangent rows of the forward output error, chunk by chunk.
+"""Residual and tangent rows of the forward output error, in chunks.
 
     e = y_off + L Psi(H[u]) - y,     L: lag and declared sensor pole
 

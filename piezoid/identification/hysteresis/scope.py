@@ -1,4 +1,4 @@
-"""What recordings can show at all, before any number of the fit is believed.
+"""Scope of recordings: what they can identify, before any fit.
 
 A branch that was never driven, a speed or an amplitude at which nothing was recorded: no residual
 tells of them. Each such lack is a sentence and the most that a score may be with it.

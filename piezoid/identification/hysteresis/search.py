@@ -1,4 +1,4 @@
-"""One fit of one shape: lag, convex start, Gauss-Newton; and the error on rows it did not see."""
+"""Fit of one shape: lag, convex start and Gauss-Newton, with the error on held-out rows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

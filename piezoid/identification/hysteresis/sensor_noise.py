@@ -1,4 +1,4 @@
-"""The noise of the sensor: of repeated periods where there are any, else of what is left.
+"""Sensor noise: from repeated periods if there are any, else from the residual.
 
     s = rms(y[k + P] - y[k]) / sqrt 2,      a drive that repeats itself after P samples
     s = min(rms(y), rms(y - model)),        any other

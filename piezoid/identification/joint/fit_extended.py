@@ -1,4 +1,4 @@
-"""fit_extended: an axis model and its extensions, all numbers at once, judged on rows left out.
+"""fit_extended: joint refit of an axis model and its extensions, with cross-validation.
 
 The rows are many and the numbers few, so normal equations are formed once for every step. On a
 fold the columns of the whole search serve again: only the error is new (a chord step), and what is

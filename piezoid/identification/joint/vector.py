@@ -1,4 +1,4 @@
-"""What the joint fit varies: the numbers of the hysteresis, then those of the extensions.
+"""Parameter vector of the joint fit: hysteresis, then extensions.
 
 Recordings as the joint fit sees them: pieces, the rows that count, the blocks they form.
 

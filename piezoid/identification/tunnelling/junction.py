@@ -1,4 +1,4 @@
-"""The tunnelling part of a stage: gap law from Z spectroscopies, plant from closed loops."""
+"""Tunnelling part of a stage: gap law from Z spectroscopies, plant from closed loops."""
 
 from collections.abc import Sequence
 from dataclasses import replace

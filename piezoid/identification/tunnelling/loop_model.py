@@ -1,4 +1,4 @@
-"""LoopPlant: the plant of a tip over all of its closed-loop records, and the family around it.
+"""LoopPlant: the plant of a tip from all closed-loop records, and its family.
 
 Two spreads add in the family: what each record leaves uncertain, and what truly differs from
 record to record (tip, spot, temperature).

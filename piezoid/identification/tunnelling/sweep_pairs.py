@@ -1,4 +1,4 @@
-"""The gap law of sweeps of a height that drifts: both ways together, or as wide as drift allows.
+"""Gap law from pairs of sweeps with drift of the height.
 
 A gap that opens at v while the height is swept at s, away from the surface and back, has
 
