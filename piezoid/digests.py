@@ -1,4 +1,4 @@
-"""Digests: what a record or a file was made from, and whether it is still what was written.
+"""Digests: provenance of records and files, and detection of changes.
 
 A sealed file is JSON text that carries the SHA-256 of its own bytes, computed with the digest's
 place filled by zeros. Any changed bit, white space included, breaks the seal.

@@ -1,4 +1,4 @@
-"""Every exception of the house.
+"""All exceptions of piezoid.
 
     PiezoidError
     +-- RecordingError            the data cannot carry the question

@@ -1,4 +1,4 @@
-"""Numbers as people write them: the prefix chosen for the number, three digits, no exponent.
+"""Format numbers with a suitable prefix and three digits, without exponents.
 
 Sentences of the library and the terminal take them in plain letters (``6.06 um``); a page of the
 report sets them with its own signs.

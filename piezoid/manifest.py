@@ -1,4 +1,4 @@
-"""Manifests: which files of a folder piezoid wrote, each with its digest.
+"""Manifests: the files of a folder that piezoid wrote, with their digests.
 
 A manifest is sealed JSON. While files are exchanged one by one it lists, beside the new digest of
 a file, those that the file may have had before.

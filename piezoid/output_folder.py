@@ -1,4 +1,4 @@
-"""Write folders of results; nothing that piezoid did not write is replaced, removed or followed.
+"""Write folders of results without replacing, removing or following files of others.
 
 A folder is written if it is new, empty, or bears a manifest: ``manifest.json``, sealed, lists each
 file that piezoid wrote there with its digest. In a folder without one, sealed files are ours.

@@ -1,4 +1,4 @@
-"""Records to JSON values and back by the types of their fields: every number with its last bit.
+"""Convert records to JSON values and back by the types of their fields, exactly.
 
 A frozen record becomes a table of its fields, an array or a tuple becomes a list, an enumeration
 its value. Where a file is laid out in another way than its record, a ``RecordLayout`` says how. A

@@ -1,4 +1,4 @@
-"""Sealed files of a stage, read back into the records that they are of.
+"""Read sealed files of a stage back into records.
 
 A sealed file is JSON with its schema and a digest of its content; the same record, the same bytes.
 """

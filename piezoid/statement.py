@@ -1,4 +1,4 @@
-"""Statements about the data, the model or the controller, made once where the fact is known.
+"""Statements about data, model or controller.
 
 Checks, fits, diagnosis, design and verification return statements. The terminal, the report and
 the JSON files select and print them; they never judge a fact again.

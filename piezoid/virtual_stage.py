@@ -1,4 +1,4 @@
-"""simulate: recordings of a virtual stage whose faults are known."""
+"""simulate: recordings of a virtual stage with known faults."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""All statements about one stage, from its fit to the verification of what ships."""
+"""All statements about one stage, from its fit to the verification of its controllers."""
 
 from collections.abc import Iterable, Mapping, Sequence
 

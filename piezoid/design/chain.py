@@ -1,4 +1,4 @@
-"""The physical description of a plant, section by section, and how it is sampled."""
+"""Physical description of a plant, section by section, and its sampling."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

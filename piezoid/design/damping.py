@@ -1,4 +1,4 @@
-"""A lightly damped mode that the loop damps: how far that raises a default bandwidth, in words.
+"""A lightly damped mode that the loop damps, and its effect on the default bandwidth.
 
 State feedback from an observer several times as fast as the mode moves the mode's poles to the
 left, where they keep their frequency. Integral resonant control and positive position feedback do

@@ -1,4 +1,4 @@
-"""Statements about controllers: what limits their bandwidth, and which bounds are of no use."""
+"""Statements about controllers: what limits their bandwidth, and which bounds are not useful."""
 
 from math import isfinite
 

@@ -1,4 +1,4 @@
-"""Specifications that cannot be met: refused with where, by how much, and what could be met."""
+"""Infeasible specifications: location and size of the violation, and the nearest feasible one."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Fit the filter and the preview of the reference, which make the closed loop a pure delay."""
+"""Fit the reference filter and the preview that make the closed loop a pure delay."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

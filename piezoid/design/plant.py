@@ -1,4 +1,4 @@
-"""Sampled linear plants, and the family of plants that recordings allow."""
+"""Sampled linear plants, and families of plants within their uncertainty."""
 
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property

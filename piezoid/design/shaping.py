@@ -1,4 +1,4 @@
-"""Iterative sensitivity shaping: pole placement, and a band-stop wherever a template is left.
+"""Iterative sensitivity shaping: pole placement, with a band-stop at each violated template.
 
 After Landau & Zito 2006: dominant pair, auxiliary poles, then pairs of fixed part and auxiliary
 pole around the frequency of the worst violation, and the equation is solved again.

@@ -1,4 +1,4 @@
-"""Templates: frequency masks that sensitivity functions must stay under, and who leaves them."""
+"""Templates: frequency masks that bound sensitivity functions, and their violations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

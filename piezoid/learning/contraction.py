@@ -1,4 +1,4 @@
-"""The learning filter of periodic motion, and by how much a period must shrink the error.
+"""Learning filter of periodic motion, and the required reduction of the error per period.
 
     f <- f + Q L E,   E <- (1 - Q L G (1 + D)) E,   |D| <= rho
 

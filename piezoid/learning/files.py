@@ -1,4 +1,4 @@
-"""Files of a learnt table for firmware or a wave generator, and the file of its reference."""
+"""Files of a learnt table for firmware or a waveform generator, and of its reference."""
 
 from collections.abc import Mapping
 from pathlib import Path

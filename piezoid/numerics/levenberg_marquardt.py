@@ -1,4 +1,4 @@
-"""Nonlinear least squares within bounds: one damped step, one rule of when to stop.
+"""Nonlinear least squares within bounds: damped steps and one stopping rule.
 
     min_x  c(x) = |r(x)|^2,   l <= x <= u
 

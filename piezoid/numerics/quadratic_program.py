@@ -1,4 +1,4 @@
-"""Small convex least squares under linear constraints, with the certificate of its optimum."""
+"""Small convex least squares with linear constraints and an optimality certificate."""
 
 from dataclasses import dataclass
 from typing import Any

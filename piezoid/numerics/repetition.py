@@ -1,4 +1,4 @@
-"""Signals that repeat: their period, and the equal cycles of a period of any length."""
+"""Periodic signals: their period, and the equal cycles for a period of any length."""
 
 from dataclasses import dataclass
 

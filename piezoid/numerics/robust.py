@@ -1,4 +1,4 @@
-"""Robust statistics of many samples: median, spread and trend that one gross error cannot move."""
+"""Robust statistics of many samples: median, spread and trend, insensitive to gross errors."""
 
 from dataclasses import dataclass, replace
 

@@ -1,4 +1,4 @@
-"""The triangular factor of a tall least-squares problem, gathered chunk by chunk.
+"""Triangular factor of a tall least-squares problem, updated in chunks.
 
 All that least squares needs to know of a million rows [J | e] is the small triangle R of their QR
 factorisation: |J x + e|^2 = |R (x, 1)|^2. Gathering R block by block keeps memory constant and,

@@ -1,4 +1,4 @@
-"""An uncertainty budget: contributions, their sum, and how large an error can come of them.
+"""Uncertainty budget: contributions, their sum, and the distribution of the largest error.
 
     u_c^2 = sum u_i^2,   nu_eff = u_c^4 / sum (u_i^4 / nu_i),   U = t(0.975, nu_eff) u_c
 

@@ -1,4 +1,4 @@
-"""The Bouc-Wen state: a state that saturates smoothly and whose minor loops do not close.
+"""Bouc-Wen state: smooth saturation, with minor loops that do not close.
 
     dz/du = 1 - |z|^n (gamma + beta sgn(z du))
 

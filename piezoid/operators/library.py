@@ -1,4 +1,4 @@
-"""The compiled kernels, seen from Python: opened once, each function with its argument types."""
+"""Compiled kernels: loaded once, with argument types for each function."""
 
 import ctypes
 

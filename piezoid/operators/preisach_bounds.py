@@ -1,4 +1,4 @@
-"""How far two sums of plays behind functions can be apart, exactly, over all histories.
+"""Largest difference of two sums of plays behind functions over all histories, computed exactly.
 
 With plays and edges on one lattice a drive leaves both in the same states:
 

@@ -1,4 +1,4 @@
-"""The tunnelling junction at rest: current against gap, its logarithm, barrier against decay.
+"""Static tunnelling junction: current over gap, its logarithm, barrier and decay.
 
 Sign: the gap ``d`` grows when the tip retracts; a drive that extends the tip lowers ``d`` and
 raises ``ln i``. The decay ``k`` is that of the *current* (``k = 2 kappa`` where kappa is the decay

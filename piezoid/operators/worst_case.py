@@ -1,4 +1,4 @@
-"""How far two Prandtl-Ishlinskii operators can ever be apart, and the input that shows it."""
+"""Largest difference of two Prandtl-Ishlinskii operators, and the input that attains it."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Recordings: what was measured, read from the files that laboratories write.
+"""Recordings: measured data, read from the files that laboratories write.
 
 Start at recording.py (the record) and ingest.py (the path to it): ``readers`` turn any format into
 a ``RawTable``, columns.py finds quantity, axis and SI unit of every column, clock.py the sampling

@@ -1,4 +1,4 @@
-"""Find what a column measures and on which axis, from its name and its unit alone."""
+"""Find quantity and axis of a column from its name and its unit."""
 
 import re
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Assign columns: quantity, axis and SI unit of each, from lab.toml or the headings; no guess.
+"""Assign columns: quantity, axis and SI unit of each, from lab.toml or the headings.
 
 A file that leaves the assignment open is refused with the columns seen and the lines of lab.toml
 that decide.

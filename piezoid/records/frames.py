@@ -1,4 +1,4 @@
-"""Recordings from arrays and data frames, and back; judged as a file with these columns would be.
+"""Recordings from arrays and data frames, and back, with the same checks as files.
 
 Heading and unit decide what a column is, by the same rules as for files: ``Voltage [V]``,
 ``position_um``. What they leave open is refused, never guessed.

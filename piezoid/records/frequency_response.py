@@ -1,4 +1,4 @@
-"""FrequencyResponseRecord: what an instrument measured at each frequency, path by path."""
+"""FrequencyResponseRecord: measured response at each frequency, path by path."""
 
 from dataclasses import dataclass, replace
 

@@ -1,4 +1,4 @@
-"""Ingest: from a table, and what lab.toml declares about it, to recordings.
+"""Ingest: from a table and the declarations of lab.toml to recordings.
 
 assign_columns -> unique_rows, complete_rows -> clock -> SampleRows
     -> find_invalid_samples -> Recording -> checks -> split_at_baseline_steps

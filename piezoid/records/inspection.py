@@ -1,4 +1,4 @@
-"""Inspection: what was understood of a file, whether or not it can become a recording."""
+"""Inspection: summary of a file, whether or not it can become a recording."""
 
 import contextlib
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""Find invalid samples: numbers that a sensor wrote where it measured nothing.
+"""Find invalid samples: numbers that a sensor wrote without a measurement.
 
 Five kinds, found from the samples alone, without a model:
 

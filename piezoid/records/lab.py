@@ -1,4 +1,4 @@
-"""lab.toml: what a laboratory knows about its rig and its files and no recording says.
+"""lab.toml: declarations about a rig and its files that recordings do not contain.
 
     [rig]            name
     [amplifier]      gain_V_per_V, bandwidth_Hz, output_min_V, output_max_V, slew_V_per_s

@@ -1,4 +1,4 @@
-"""What the numbers of a lab.toml may be."""
+"""Admissible numbers of lab.toml."""
 
 from piezoid.errors import LabFileError
 

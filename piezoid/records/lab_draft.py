@@ -1,4 +1,4 @@
-"""Draft a first lab.toml: an entry for each recording, and comments for what only the user knows.
+"""Draft a first lab.toml: an entry for each recording, and comments for facts the user must add.
 
 What the files state is written as entries; the rest is written as comments with an example, so
 that the draft claims nothing that is not known.

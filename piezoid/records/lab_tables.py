@@ -1,4 +1,4 @@
-"""The tables of lab.toml: every name one may write, with its unit and what it means."""
+"""Tables of lab.toml: every key, with its unit and its meaning."""
 
 from typing import Literal
 

@@ -1,4 +1,4 @@
-"""Which column is what of a frequency response: from lab.toml, else from headings; never a guess.
+"""Assign the columns of a frequency response, from lab.toml or from headings.
 
 A file is one where a column is a frequency, swept, and no column is a time, or lab.toml says so.
 """

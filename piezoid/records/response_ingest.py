@@ -1,4 +1,4 @@
-"""From a table and what lab.toml says about it to a FrequencyResponseRecord, or a refusal."""
+"""Ingest: from a table and the declarations of lab.toml to a FrequencyResponseRecord."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

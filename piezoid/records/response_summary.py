@@ -1,4 +1,4 @@
-"""What a frequency response shows at first sight: its band, its peaks, how its axes couple."""
+"""Summary of a frequency response without a fit: band, peaks, coupling of the axes."""
 
 from dataclasses import dataclass
 

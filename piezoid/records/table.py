@@ -1,4 +1,4 @@
-"""RawTable: the columns of a file as a reader returns them, not yet interpreted."""
+"""RawTable: the columns of a file as a reader returns them, not interpreted."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace

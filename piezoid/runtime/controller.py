@@ -1,4 +1,4 @@
-"""Controller: the shipped C, one axis, with its own state."""
+"""Controller: the exported C code for one axis, with its state."""
 
 import ctypes
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""The compiled runtime, seen from Python: opened in either precision, its layout compared."""
+"""The compiled runtime: loaded in either precision, with its layout checked."""
 
 import ctypes
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""The one table of what the runtime consumes. Everything else about parameters is a loop over it.
+"""Parameters of the runtime in one table. All other code about parameters loops over it.
 
 The C structure is written by hand, because engineers read it; its layout, names and bounds are
 compared with this table when the library is loaded (library.py) and its size when it is compiled.

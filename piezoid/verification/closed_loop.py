@@ -1,4 +1,4 @@
-"""Run the compiled controller against a plant, sample by sample, with the values that ship."""
+"""Run the compiled controller against a plant, sample by sample, with the exported values."""
 
 import ctypes
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Numbers to verdicts: what was measured, what was allowed, and what it means."""
+"""Acceptance criteria: from measured numbers and limits to verdicts."""
 
 import sys
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""The shipped C proved by abstract interpretation: no input, however wrong, leads past a limit.
+"""Prove by abstract interpretation that the exported C never exceeds a limit, for any input.
 
 Frama-C's EVA (Bühler 2017, *Structuring an abstract interpreter through value and state
 abstractions*) runs the runtime with this stage's own parameters on *sets* of numbers: every

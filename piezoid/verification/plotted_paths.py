@@ -1,4 +1,4 @@
-"""Paths as the report plots them: spirals, rasters and steps, thinned to a few hundred points."""
+"""Paths for the report: spirals, rasters and steps, thinned to a few hundred points."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

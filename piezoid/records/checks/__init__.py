@@ -1,4 +1,4 @@
-"""Checks of recordings: each states what is odd about the data and changes nothing.
+"""Checks of recordings: each reports a problem of the data and changes nothing.
 
 Start at gain.py. A check is a function that returns a list of statements, empty for clean data:
 ``check_...(recording, axis)`` of an axis with drive and displacement,

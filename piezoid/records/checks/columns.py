@@ -1,4 +1,4 @@
-"""Report columns of a file that are empty, constant, clipped, overflowing or equal to another."""
+"""Report columns of a file that are empty, constant, clipped, overflowing or duplicated."""
 
 import hashlib
 from collections.abc import Mapping, Sequence

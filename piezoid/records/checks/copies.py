@@ -1,4 +1,4 @@
-"""Report recordings that hold the samples of another one: they test nothing.
+"""Report recordings that duplicate another one.
 
 A copy differs by its printing or its unit alone; two recordings of one drive differ by the noise.
 A part of a file, or an export that overlaps, shares its rows.

@@ -1,4 +1,4 @@
-"""Report recordings whose drive hardly moves beside that of the widest recording."""
+"""Report recordings with a much smaller drive than the widest recording."""
 
 from collections.abc import Sequence
 

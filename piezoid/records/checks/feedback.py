@@ -1,4 +1,4 @@
-"""Report a sensor that stands still while the drive moves: feedback, or a sensor out of order.
+"""Report a sensor that is constant while the drive moves: feedback, or a faulty sensor.
 
 Block means over a hundredth of the recording stay within the noise of single samples, although
 the drive moves far enough to displace the stage visibly at the gain of the rest of the recording.

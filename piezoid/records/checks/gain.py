@@ -1,4 +1,4 @@
-"""Report a gain that no piezo stage has: a unit is wrong, or the drive is the output of a monitor.
+"""Report an implausible gain: a wrong unit, or a drive recorded at a monitor output.
 
 gain = range of the displacement / range of the drive
 """

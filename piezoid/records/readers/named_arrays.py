@@ -1,4 +1,4 @@
-"""Tables of named arrays, as the libraries return them that read binary formats."""
+"""Tables of named arrays, as returned by libraries for binary formats."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping

@@ -1,4 +1,4 @@
-"""A file on its way in: bounded, decompressed, decoded, and every failure of it named."""
+"""Source of a file: bounded, decompressed and decoded, with an error for every failure."""
 
 import contextlib
 import errno

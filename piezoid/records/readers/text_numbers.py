@@ -1,4 +1,4 @@
-"""Parse the numbers of a text table: fast if it is whole, else cell by cell with its faults."""
+"""Parse the numbers of a text table: fast if it is regular, else cell by cell."""
 
 import csv
 import io

@@ -1,4 +1,4 @@
-"""Text tables: CSV, TSV, semicolons or blanks, decimal point or comma, with whatever is above."""
+"""Text tables: CSV, TSV, semicolons or blanks, decimal point or comma, with lines above."""
 
 import gzip
 import io
