@@ -50,7 +50,7 @@ def stage_of(
     return FleetStage(
         name=name,
         state=FAILED if failed else PASSED,
-        reason="shape error of what ships: 1.2 % of the diameter" if failed else "",
+        reason="shape error of the shipped controller: 1.2 % of the diameter" if failed else "",
         version=version,
         inputs=inputs or {},
         outputs=digests,

@@ -81,6 +81,7 @@ def design(
 def _table(design: "Design", model: "ActuatorModel") -> "Table":
     from piezoid.design.design_statements import guaranteed_error_m
     from piezoid.formatting import with_unit
+    from piezoid.runtime.schema import METHOD_NAMES
 
     rows = []
     for axis in design.axes:
@@ -92,6 +93,6 @@ def _table(design: "Design", model: "ActuatorModel") -> "Table":
             if axis.axis in model.axes:
                 bound_m = guaranteed_error_m(loop.certificate, model.axes[axis.axis])
             bound = bound_m if isinstance(bound_m, str) else with_unit(bound_m, "m")
-            rows.append((axis.axis, loop.method, bandwidth, margin, delay, bound))
+            rows.append((axis.axis, METHOD_NAMES[loop.method], bandwidth, margin, delay, bound))
     headings = ("axis", "method", "bandwidth", "modulus margin", "delay margin", "bound")
     return table("controllers, worst member of each plant family", headings, rows)

@@ -212,5 +212,6 @@ def _table(diagnosis: "Diagnosis") -> "Table":
         for finding in largest_first(diagnosis)
     ]
     headings = ("effect", "gain", "size", "95 %", "not separable from")
-    title = f"axis {diagnosis.axis}: {len(diagnosis.findings)} effects found"
+    count = len(diagnosis.findings)
+    title = f"axis {diagnosis.axis}: {count} {'effect' if count == 1 else 'effects'} found"
     return table(title, headings, rows, n_words=5)

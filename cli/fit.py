@@ -157,7 +157,7 @@ def show(calibration: "Calibration") -> None:
     verification = controllers.verification
     if verification is not None:
         passed = sum(verdict.passed for verdict in verification.verdicts)
-        line = f"verification: {passed} of {len(verification.verdicts)} verdicts passed"
+        line = f"verification: {passed} of {len(verification.verdicts)} checks passed"
         console.print(plain(line, "" if verification.passed else "bold red"))
     statements = stage_statements(
         model,

@@ -131,7 +131,7 @@ def _missing(path: Path) -> ParameterFileError:
         return ParameterFileError(
             f"{folder} holds no controller: what was designed failed its verification",
             needed="a controller that passed",
-            remedy=f"Read the failed verdicts in {folder / 'refused' / 'verification.json'}, "
+            remedy=f"Read the failed checks in {folder / 'refused' / 'verification.json'}, "
             "record what the model lacks, and fit again.",
         )
     return ParameterFileError(

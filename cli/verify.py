@@ -174,18 +174,19 @@ def show(verification: "Verification", file: "ParameterFile") -> None:
     if len(failed) > MAX_SHOWN:
         console.print(plain(f"{len(failed) - MAX_SHOWN} more failed: see verification.json"))
     n_all = len(verification.verdicts)
-    console.print(plain(f"{n_all - len(failed)} of {n_all} verdicts passed"))
+    console.print(plain(f"{n_all - len(failed)} of {n_all} checks passed"))
 
 
 def _comparison(verification: "Verification") -> "Table":
     """Return the rms error of each method, spirals of one rate in a column."""
     from piezoid.formatting import with_unit
+    from piezoid.runtime.schema import METHOD_NAMES
 
     rows_of = verification.comparison
     rates_Hz = sorted({row.frequency_Hz for row in rows_of})
     errors = {(row.method, row.frequency_Hz): with_unit(row.rms_m, "m") for row in rows_of}
     rows = [
-        (method, *(errors.get((method, rate_Hz), "") for rate_Hz in rates_Hz))
+        (METHOD_NAMES[method], *(errors.get((method, rate_Hz), "") for rate_Hz in rates_Hz))
         for method in dict.fromkeys(row.method for row in rows_of)
     ]
     radius = with_unit(verification.radius_m, "m")

@@ -22,6 +22,7 @@ from piezoid.identification.prediction import Comparison, compare
 from piezoid.numerics.arrays import Array
 from piezoid.raw_counts import in_counts
 from piezoid.records.recording import Quantity, Recording
+from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.verification import Verification
 
@@ -35,13 +36,6 @@ _PREFIXES = ((1e-12, "p"), (1e-9, "n"), (1e-6, "µ"), (1e-3, "m"), (1.0, ""), (1
 _LOOPS = (1.0, 0.6, 0.3)  # of the range of the drive
 _SAMPLES = 400  # of half a loop
 _DECADES = 4.0
-_METHODS = {
-    "none": "static gain",
-    "mpi": "inverse",
-    "dob": "observer",
-    "mpi_dob": "inverse and observer",
-    "rst": "RST",
-}
 
 
 Drawable = (
@@ -291,7 +285,7 @@ def _verification(verification: Verification, kind: str, *, ax: "Axes | None" = 
             markersize=4.0 if ships else 3.0,
             linewidth=1.8 if ships else 0.9,
             color=MODEL if ships else (MEASURED, THIRD, FAINT)[index % 3],
-            label=_METHODS.get(method, method) + (", ships" if ships else ""),
+            label=METHOD_NAMES[method] + (", ships" if ships else ""),
         )
     axes.set(xscale="log", yscale="log", xlabel="turns of the spiral a second (Hz)")
     axes.set(ylabel=f"position error, rms ({unit})")
@@ -416,7 +410,7 @@ def _sensitivity(axis: AxisDesign, loop: LoopDesign, color: str, axes: "Axes") -
     )
     level_dB = 20.0 * np.log10(np.maximum(remaining, 1e-6))
     label = (
-        f"axis {axis.axis}, {_METHODS.get(loop.method, loop.method)}, "
+        f"axis {axis.axis}, {METHOD_NAMES[loop.method]}, "
         f"bandwidth {with_unit(loop.bandwidth_Hz, 'Hz')}"
     )
     low_dB, high_dB = level_dB.min(axis=0), level_dB.max(axis=0)

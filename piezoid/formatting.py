@@ -1,13 +1,9 @@
-"""Format numbers with a suitable prefix and three digits, without exponents.
-
-Sentences of the library and the terminal take them in plain letters (``6.06 um``); a page of the
-report sets them with its own signs.
-"""
+"""Format numbers with a suitable prefix and three digits, without exponents."""
 
 import math
 from dataclasses import dataclass
 
-PREFIXES = ((1e-12, "p"), (1e-9, "n"), (1e-6, "u"), (1e-3, "m"), (1.0, ""), (1e3, "k"), (1e6, "M"))
+PREFIXES = ((1e-12, "p"), (1e-9, "n"), (1e-6, "µ"), (1e-3, "m"), (1.0, ""), (1e3, "k"), (1e6, "M"))
 UNKNOWN = "not known"
 
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.formatting import Scale
+from piezoid.formatting import Scale, scale_for
 from piezoid.numerics.arrays import Array
-from piezoid_reports.quantities import MINUS, scale_for
+from piezoid_reports.quantities import MINUS
 
 MAX_SPLIT = 50_000  # samples of a curve that are split one by one
 Indices = NDArray[np.int_]

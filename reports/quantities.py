@@ -1,21 +1,13 @@
 """Numbers for readers: engineering units chosen for each number, its interval beside it."""
 
 import math
-from dataclasses import replace
 
 from piezoid import formatting
 from piezoid.diagnosis.diagnosis import Finding
-from piezoid.formatting import UNKNOWN, Scale
+from piezoid.formatting import UNKNOWN, scale_for
 
 NARROW = "\u202f"  # a narrow space at which no line breaks: number and unit stay together
 MINUS = "\N{MINUS SIGN}"
-MICRO = "µ"
-
-
-def scale_for(largest: float, unit: str) -> Scale:
-    """Return the scale in which a number of this size has one to three digits before the point."""
-    scale = formatting.scale_for(largest, unit)
-    return replace(scale, unit=MICRO + unit) if scale.unit == f"u{unit}" else scale
 
 
 def number(value: float, unit: str, digits: int = 3) -> str:

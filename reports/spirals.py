@@ -3,13 +3,13 @@
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.verification.criteria import SHAPE_ERROR, Limits
-from piezoid.verification.plotted_paths import Motion, SpiralTrace, rms_from
+from piezoid.runtime.schema import METHOD_NAMES
+from piezoid.verification.criteria import SHAPE_ERROR, SHAPE_RATIO, Limits
+from piezoid.verification.plotted_paths import UNCOMPENSATED, Motion, SpiralTrace, rms_from
 from piezoid.verification.verification import Verification
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.parts import Figure
-from piezoid_reports.quantities import number
-from piezoid_reports.traces import rms
+from piezoid_reports.quantities import number, significant
 
 AVERAGED = 5  # places: a single one crosses zero, which a logarithm shows as a fall to nothing
 GUIDE_ERROR = "Good: the error falls to the noise after each turn or step. Bad: a slow tail."
@@ -18,13 +18,6 @@ SQUARE = 440
 NANO = 1e-9
 STEPS = "steps"  # scenario whose error is drawn against time
 SMALLEST_m = 1e-12  # below, an error is drawn as this: no stage is a picometre from its path
-METHODS = {
-    "none": "static gain",
-    "mpi": "inverse alone",
-    "dob": "plain observer",
-    "mpi_dob": "observer on the inverse",
-    "rst": "R, S, T on ln i",
-}
 SHADES = {"measured": 0.1, "good": 1.0 / 3.0, "middling": 1.0, "bad": np.inf}  # of the limit
 
 
@@ -41,9 +34,9 @@ def spiral(trace: SpiralTrace, verification: Verification) -> Figure:
     if scale_m is None:
         scale_m = Limits().aligned_percent / 100.0 * 2.0 * verification.radius_m
     return Figure(
-        title=f"Spiral of {number(trace.frequency_Hz, 'Hz')}: {METHODS[trace.method]}",
+        title=f"Spiral of {number(trace.frequency_Hz, 'Hz')}: {METHOD_NAMES[trace.method]}",
         caption=f"Colour is the shape error: median {number(float(np.median(error_m)), 'm')}, "
-        f"largest {number(float(error_m.max()), 'm')}{_limit_clause(limit_m)}.",
+        f"largest {number(float(error_m.max()), 'm')}.",
         guide="Good: the first colour everywhere. Bad: the last colours at the turning points.",
         canvas=canvas,
         layers=tuple(_shaded(canvas, x_m, y_m, error_m, scale_m)),
@@ -68,19 +61,23 @@ def _error_in_time(frequency_Hz: float, verification: Verification) -> Figure:
     y = decades_over("shape error", [*logs, *limits], "nm")
     canvas = Canvas(x=x, y=y)
     layers = [
-        canvas.line("model" if t.method in shipped else "grey", METHODS[t.method], a, v)
+        canvas.line("model" if t.method in shipped else "grey", METHOD_NAMES[t.method], a, v)
         for t, a, v in zip(traces, along, logs, strict=True)
     ]
+    rms_m = {
+        row.method: row.aligned_rms_m
+        for row in verification.comparison
+        if row.frequency_Hz == frequency_Hz
+    }
     sizes = "; ".join(
-        f"{METHODS[t.method]}: {number(rms(np.array(t.shape_error_m)), 'm')} rms"
-        for t in reversed(traces)
+        f"{METHOD_NAMES[t.method]}: {number(rms_m[t.method], 'm')} rms" for t in reversed(traces)
     )
     sizes = f"{sizes[:1].upper()}{sizes[1:]}"
+    baseline = "the dashed line" if limits else METHOD_NAMES[UNCOMPENSATED]
     return Figure(
         title=f"Shape error along the spiral of {number(frequency_Hz, 'Hz')}",
-        caption=f"{sizes}{_limit_clause(limit_m)}.",
-        guide="Good: far below the dashed line, or else below the static gain. Bad: rising "
-        "outwards, or a spike every turn.",
+        caption=f"{sizes}; {_limit_clause(verification, frequency_Hz)}.",
+        guide=f"Good: far below {baseline}. Bad: rising outwards, or a spike every turn.",
         canvas=canvas,
         layers=(
             *layers,
@@ -101,10 +98,17 @@ def _shape_limit_m(verification: Verification, frequency_Hz: float) -> float | N
     return percent[0] / 100.0 * 2.0 * verification.radius_m if percent else None
 
 
-def _limit_clause(limit_m: float | None) -> str:
-    if limit_m is None:
-        return "; no limit is set at this rate"
-    return f"; limit {number(limit_m, 'm')} rms"
+def _limit_clause(verification: Verification, frequency_Hz: float) -> str:
+    """Return the limit of the shape error at a rate: a length, or a ratio to no compensation."""
+    limit_m = _shape_limit_m(verification, frequency_Hz)
+    if limit_m is not None:
+        return f"limit {number(limit_m, 'm')} rms"
+    scenario = f"spiral, {frequency_Hz:g} Hz"
+    for verdict in verification.verdicts:
+        if (verdict.name, verdict.scenario) == (SHAPE_RATIO, scenario):
+            ratio, limit = significant(verdict.value), significant(verdict.limit)
+            return f"ratio {ratio}, allowed {limit}; no limit in metres at this rate"
+    return "no limit at this rate"
 
 
 def _shaded(canvas: Canvas, x_m: Array, y_m: Array, error_m: Array, limit_m: float) -> list[Layer]:
@@ -143,7 +147,7 @@ def _error(motion: Motion, verification: Verification) -> Figure:
     y = decades_over("distance from the reference", logs, "nm")
     canvas = Canvas(x=x, y=y)
     medians = "; ".join(
-        f"{METHODS[name]}: {number(float(np.median(error_m)), 'm')}"
+        f"{METHOD_NAMES[name]}: {number(float(np.median(error_m)), 'm')}"
         for _, name, error_m in reversed(errors)
     )
     return Figure(
@@ -152,7 +156,7 @@ def _error(motion: Motion, verification: Verification) -> Figure:
         guide=GUIDE_ERROR,
         canvas=canvas,
         layers=tuple(
-            canvas.line(role, METHODS[name], time_s, log)
+            canvas.line(role, METHOD_NAMES[name], time_s, log)
             for (role, name, _), log in zip(errors, logs, strict=True)
         ),
     )

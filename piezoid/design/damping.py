@@ -21,6 +21,7 @@ from piezoid.design.specification import MODE_SHARE, Specification
 from piezoid.design.templates import Template
 from piezoid.design.tuning import DAMPED, METHODS, tune_observer
 from piezoid.errors import TemplateError
+from piezoid.formatting import significant, with_unit
 from piezoid.numerics.frequency import decibel
 from piezoid.numerics.polynomial import roots_of
 
@@ -37,7 +38,7 @@ class Mode:
     """The slowest pair of poles of a plant that rings.
 
     frequency_Hz  natural
-    damping       of critical, below ``LIGHT``
+    damping       ratio, below ``LIGHT``
     """
 
     frequency_Hz: float
@@ -69,10 +70,10 @@ def describe_obstacle(family: PlantFamily, bandwidth_Hz: float) -> str:
     modes = [mode for mode in map(ringing_mode, family.members) if mode is not None]
     frequencies_Hz = [mode.frequency_Hz for mode in modes]
     return (
-        f"To get there the loop must damp the mode at {frequencies_Hz[0]:.4g} Hz, damping "
-        f"{modes[0].damping:.3g}. It lies anywhere from {min(frequencies_Hz):.4g} to "
-        f"{max(frequencies_Hz):.4g} Hz, and {describe_delay(plant, modes[0])}, which the feedback "
-        "must lead"
+        f"To get there the loop must damp the mode at {with_unit(frequencies_Hz[0], 'Hz', 4)}, "
+        f"damping ratio {significant(modes[0].damping)}. It lies anywhere from "
+        f"{with_unit(min(frequencies_Hz), 'Hz', 4)} to {with_unit(max(frequencies_Hz), 'Hz', 4)}, "
+        f"and {describe_delay(plant, modes[0])}, which the feedback must lead"
     )
 
 
@@ -83,7 +84,7 @@ def describe_delay(plant: Fraction, mode: Mode) -> str:
     """
     late_s = plant.rest_delay_s - mode.damping / (np.pi * mode.frequency_Hz)
     return (
-        f"hold, converters and filters, {1e6 * late_s:.3g} us, turn it by "
+        f"hold, converters and filters, {with_unit(late_s, 's')}, turn it by "
         f"{360.0 * mode.frequency_Hz * late_s:.3g} degrees"
     )
 
@@ -96,12 +97,13 @@ def describe_mode(loop: LoopDesign) -> str:
         return ""
     if damped is None:
         return (
-            f"The loop stays below the mode at {mode.frequency_Hz:.4g} Hz and leaves it as it is; "
-            f"{describe_delay(nominal, mode)}."
+            f"The loop stays below the mode at {with_unit(mode.frequency_Hz, 'Hz', 4)} and leaves "
+            f"it as it is; {describe_delay(nominal, mode)}."
         )
     return (
-        f"The mode at {mode.frequency_Hz:.4g} Hz is damped by state feedback, from "
-        f"{mode.damping:.3g} to {damped:.3g} of critical; {describe_delay(nominal, mode)}."
+        f"The mode at {with_unit(mode.frequency_Hz, 'Hz', 4)} is damped by state feedback, from a "
+        f"damping ratio of {significant(mode.damping)} to {significant(damped)}; "
+        f"{describe_delay(nominal, mode)}."
     )
 
 

@@ -64,6 +64,12 @@ class HysteresisBounds:
         return sector + self.slope_beyond
 
 
+def describe_command_range(low_V: float, high_V: float) -> str:
+    """Return the condition that the command stays between two voltages."""
+    low, high = (with_unit(round(end_V, 9), "V") for end_V in (low_V, high_V))
+    return f"the command stays between {low} and {high}"
+
+
 def affine_bounds(
     model: Operator,
     reach_V: float,
@@ -86,6 +92,7 @@ def affine_bounds(
                  residual
     remainder_m_per_V  by how much that changes the slope, at most
     """
+    centre_V = model.voltage_offset_V
     lowest, greatest = model.slope_sector_m_per_V
     gain = 0.5 * (greatest + lowest)
     if isinstance(model, PreisachPlays):
@@ -101,7 +108,7 @@ def affine_bounds(
         error_m=error,
         reach_V=reach_V,
         conditions=(
-            f"the command stays within {with_unit(reach_V, 'V')} of the model's centre",
+            describe_command_range(centre_V - reach_V, centre_V + reach_V),
             "the stage started de-poled, or has passed an extreme larger than the scan",
             f"the hysteresis model errs by at most {with_unit(remainder_m, 'm')}",
         ),
@@ -151,7 +158,7 @@ def inverse_bounds(
     errors, sectors = _errors_and_sectors(model, replicates, reach_V)
     low = float(np.quantile(sectors[:, 0], 1.0 - confidence))
     high = float(np.quantile(sectors[:, 1], confidence))
-    centre = 0.5 * (low + high)
+    centre, centre_V = 0.5 * (low + high), model.voltage_offset_V
     return HysteresisBounds(
         form="inverse",
         gain_m_per_V=gain_m_per_V * centre,
@@ -161,7 +168,7 @@ def inverse_bounds(
         error_m=float(np.quantile(errors, confidence)) + remainder_m,
         reach_V=reach_V,
         conditions=(
-            f"the drive stays within {with_unit(reach_V, 'V')} of the model's centre",
+            describe_command_range(centre_V - reach_V, centre_V + reach_V),
             f"the true hysteresis lies within {100.0 * confidence:g} % of {len(replicates)} "
             "refits",
             f"the displacement that no model of this class explains stays below "

@@ -31,6 +31,7 @@ from piezoid.design.specification import Specification, default_specification
 from piezoid.design.templates import Template, Violation
 from piezoid.design.youla import ConvexController, optimise
 from piezoid.errors import DesignError, LabFileError
+from piezoid.formatting import with_unit
 from piezoid.identification.loop_model import DECLARED_SPREAD
 from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
@@ -238,7 +239,7 @@ def _refuse_instantaneous(plant: JunctionPlant, axis: str) -> None:
 def _chain(plant: JunctionPlant, index: int) -> Chain:
     description = (
         f"{plant.gain_nepers_per_V:.4g} nepers/V, sensor {1e-3 * plant.sensor_pole_Hz:.3g} kHz, "
-        f"delay {1e6 * plant.delay_s:.3g} us"
+        f"delay {with_unit(plant.delay_s, 's')}"
     )
     return Chain(
         label=description if index else f"nominal: {description}",

@@ -17,6 +17,7 @@ from piezoid.design.certificate import Disturbances
 from piezoid.design.hysteresis_bounds import (
     HysteresisBounds,
     affine_bounds,
+    describe_command_range,
     draw_replicates,
     inverse_bounds,
 )
@@ -25,6 +26,7 @@ from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.specification import Specification, default_specification
 from piezoid.design.templates import Template
 from piezoid.errors import DesignError
+from piezoid.formatting import with_unit
 from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.loop_model import (
     DECLARED_SPREAD,
@@ -141,21 +143,23 @@ def unseen(axis: AxisModel) -> Unseen:
         return Unseen(
             from_Hz=from_Hz,
             peak=FURTHER_MODE,
-            known=f"above {from_Hz:.4g} Hz, where recordings no longer show the response, no mode "
-            f"adds more to it than {FURTHER_MODE:g} times the gain at rest",
+            known=f"above {with_unit(from_Hz, 'Hz')}, where recordings no longer show the "
+            f"response, no mode adds more to it than {FURTHER_MODE:g} times the gain at rest",
         )
     lowest_Hz, reason = UNTOLD_Hz, "no recording shows it and no data sheet was declared"
     if bandwidth is not None and bandwidth.stated_Hz is not None:
         lowest_Hz = bandwidth.stated_Hz / (1.0 + DECLARED_SPREAD)
-        reason = f"the data sheet states {bandwidth.stated_Hz:.4g} Hz, and no recording shows it"
+        stated = with_unit(bandwidth.stated_Hz, "Hz")
+        reason = f"the data sheet states {stated}, and no recording shows it"
     if axis.unfitted_resonance_Hz is not None:
         lowest_Hz = min(lowest_Hz, axis.unfitted_resonance_Hz / (1.0 + DECLARED_SPREAD))
-        reason = f"recordings show it near {axis.unfitted_resonance_Hz:.4g} Hz, not fitted"
+        resonance = with_unit(axis.unfitted_resonance_Hz, "Hz")
+        reason = f"recordings show it near {resonance}, not fitted"
     return Unseen(
         from_Hz=lowest_Hz,
         peak=FIRST_MODE,
-        known=f"the first mode lies above {lowest_Hz:.4g} Hz, with at most {FIRST_MODE:g} times "
-        f"the gain at rest: {reason}",
+        known=f"the first mode lies above {with_unit(lowest_Hz, 'Hz')}, with at most "
+        f"{FIRST_MODE:g} times the gain at rest: {reason}",
     )
 
 
@@ -326,11 +330,10 @@ def _bounds(axis: AxisModel, seed: int) -> dict[str, HysteresisBounds]:
 def assumptions_of(axis: AxisModel) -> tuple[str, ...]:
     """Return the assumptions on which the family rests, as sentences."""
     declared = [axis.rig.amplifier_bandwidth_Hz, axis.rig.sensor_bandwidth_Hz]
-    poles = ", ".join(f"{pole_Hz:g} Hz" for pole_Hz in declared if pole_Hz is not None)
+    poles = ", ".join(with_unit(pole_Hz, "Hz") for pole_Hz in declared if pole_Hz is not None)
     declared_poles = (f"the declared poles ({poles}) are right to {100 * DECLARED_SPREAD:.0f} %",)
     return (
         *(declared_poles if poles else ()),
         unseen(axis).known,
-        f"the drive stays within {axis.voltage_V[0]:.4g} to {axis.voltage_V[1]:.4g} V, as in the "
-        "recordings",
+        describe_command_range(*axis.voltage_V),
     )

@@ -148,4 +148,4 @@ def plain_ascii(text: str, *, length: int = 80) -> str:
     Whatever is not a letter, digit, space or plain punctuation becomes ``_``: a star and slash,
     a backslash, a line end, a quotation mark, a trigraph's question marks.
     """
-    return _HARMLESS.sub("_", text)[:length]
+    return _HARMLESS.sub("_", text.replace("µ", "u"))[:length]

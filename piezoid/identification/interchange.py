@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from piezoid.errors import IdentificationError
+from piezoid.formatting import with_unit
 from piezoid.identification.loop_model import LoopModel, loop_model
 from piezoid.identification.model import AxisModel
 from piezoid.operators.linear import ContinuousSystem, DiscreteSystem, cascade, sample
@@ -73,7 +74,8 @@ def _system(axis: AxisModel, sampling_rate_Hz: float | None) -> ContinuousSystem
         return sample(system, sampling_rate_Hz)
     if system.delay_s > 0.0:
         raise IdentificationError(
-            f"axis {axis.axis}: its linear part has a delay of {1e6 * system.delay_s:.4g} us",
+            f"axis {axis.axis}: its linear part has a delay of "
+            f"{with_unit(system.delay_s, 's', 4)}",
             needed="a sampling rate: a delay is no system of finite order in continuous time",
             remedy="Pass sampling_rate_Hz; the delay then stands in the states.",
         )

@@ -21,6 +21,13 @@ MAX_TAPS = 32
 
 METHODS = ("none", "mpi", "dob", "mpi_dob", "rst")
 _METHOD_NUMBERS = ", ".join(f"{number} {name}" for number, name in enumerate(METHODS))
+METHOD_NAMES = {  # for readers, the key in brackets
+    "none": "static gain (none)",
+    "mpi": "inverse (mpi)",
+    "dob": "observer (dob)",
+    "mpi_dob": "inverse and observer (mpi_dob)",
+    "rst": "R, S, T (rst)",
+}
 
 NO_BOUND_V = 1e4
 NO_BOUND_m = 1e3

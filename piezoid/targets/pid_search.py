@@ -13,6 +13,7 @@ from piezoid.design.sensitivity import Margins, closed_loop_polynomial, margins
 from piezoid.design.specification import Specification
 from piezoid.design.templates import Template, violations
 from piezoid.errors import DesignError
+from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import Response, grid_Hz, polynomial_response, unit_circle
 from piezoid.numerics.polynomial import spectral_radius
@@ -101,7 +102,7 @@ def tuned_pid(
         f"that the recordings allow with a loop of {_MIN_LOOP_Hz:g} Hz; their gains range from "
         f"{gains[0]:.3g} to {gains[-1]:.3g} m/V",
         needed=f"a modulus margin of {specification.modulus_margin:g}, a delay margin of "
-        f"{1e6 * specification.delay_margin_s:.3g} us and every limit of the control effort on "
+        f"{with_unit(specification.delay_margin_s, 's')} and every limit of the control effort on "
         "every one",
         remedy="Use --target waveform, which closes no loop, or record again so that the "
         "intervals are narrower.",

@@ -15,7 +15,9 @@ from piezoid.toml_files import read_toml
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.tracking import Tracking
 
-SHAPE_ERROR = "shape error of what ships"
+SHAPE_ERROR = "shape error of the shipped controller"
+HOLD_TIME = "time without sensor until the output is held"
+SHAPE_RATIO = "shape error, ratio to no compensation"
 _SETTLED = 0.02  # of the largest step
 _BEFORE_NEXT_s = 5e-3  # a loop that previews its reference moves before the next step
 _RECOVERED = 0.5  # nepers, within which the current is back at its set point
@@ -26,18 +28,18 @@ _AFTERWARDS = 0.25  # of a record, its end: where a fault must be forgotten
 class Limits:
     """Acceptance limits; every number may be replaced for an application.
 
-    aligned_percent     of the diameter, shape error of what ships, up to judged_Hz
+    aligned_percent     of the diameter, shape error of the shipped controller, up to judged_Hz
     judged_Hz           above it, spirals are compared with no compensation only
     settling_s          after the largest step, to 2 % of it
     overshoot_percent   of the largest step
     varied_percent      of the diameter, shape error with any plant the uncertainty allows
-    fault_percent       of the diameter, furthest from the path with a failed sensor
+    fault_percent       of the diameter, largest distance from the path with a failed sensor
     coupling_percent    of the motion of a coupled axis, amplitude of another one, at judged_Hz
     ln_current          standard deviation of ln i, up to judged_Hz
     blind_s             after which a stage without a sensor is held at constant voltage
     closest_m           how much closer to the surface a tip comes than its set point holds it
                         and a step of the surface puts it; a gap is 0.4 to 1 nm wide
-    recovery_s          after a fault that ends, until the current is back at its set point
+    recovery_s          after a fault that ends, time until the current recovers at its set point
     approach_s          the same from 200 nm, or after a reset
     """
 
@@ -151,10 +153,10 @@ def fault_verdicts(
     usual_m = max(healthy.max_m, limits.aligned_percent / 100.0 * 2.0 * radius_m)
     largest_percent = 100.0 * float(error_m.max()) / (2.0 * radius_m)
     ratio = float(error_m[-int(_AFTERWARDS * len(error_m)) :].max()) / usual_m
-    name, allowed = "furthest from the path", limits.fault_percent
+    name, allowed = "largest distance from the path", limits.fault_percent
     return (
         verdict(name, scenario, largest_percent, allowed, "% of the diameter"),
-        verdict("largest error after the fault, against none", scenario, ratio, 1.5, "1"),
+        verdict("error after the fault, ratio to no fault", scenario, ratio, 1.5, "1"),
     )
 
 
@@ -179,8 +181,8 @@ def hold_verdicts(
     )
     blind_s = (at - lost_at) / record.sampling_rate_Hz
     return (
-        verdict("without a sensor until held", scenario, blind_s, limits.blind_s, "s"),
-        none_of("samples that moved while held", scenario, changes),
+        verdict(HOLD_TIME, scenario, blind_s, limits.blind_s, "s"),
+        none_of("samples that moved while the output was held", scenario, changes),
     )
 
 
@@ -193,7 +195,7 @@ def recovery_verdict(
     """
     off = np.flatnonzero(np.abs(nepers) > _RECOVERED)
     recovery_s = (int(off[-1]) + 1 if len(off) else 0) / rate_Hz
-    name = "until the current is back" + (" from far away" if is_far else "")
+    name = "time until the current recovers" + (" from far away" if is_far else "")
     return verdict(name, scenario, recovery_s, allowed_s, "s")
 
 

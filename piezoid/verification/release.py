@@ -76,7 +76,7 @@ def _reason(verification: Verification) -> str:
     if not failed:
         return "it passes alone, and not together with the other axes"
     return (
-        f"its own verification failed, {len(failed)} of {len(verification.verdicts)} verdicts: "
+        f"its own verification failed, {len(failed)} of {len(verification.verdicts)} checks: "
         f"{described}{omitted}. Figures for study are in refused/; read there which scenario "
         "fails, record what the model lacks (a chirp or multisine through the first resonance, at "
         "the controller's rate, and slow full loops), and fit again"

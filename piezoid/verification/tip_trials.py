@@ -209,7 +209,7 @@ def _trial_verdicts(
         final_status = record.status[round((at_s - 0.1) * rate_Hz) : round(at_s * rate_Hz) - 1]
         expected = np.uint32(Status.LATCHED | Status.RETRACTED | cause)
         silent = int(np.sum((final_status & expected) != expected))
-        verdicts.append(none_of("samples not latched with their cause", trial.name, silent))
+        verdicts.append(none_of("faults not latched with their cause", trial.name, silent))
     if not trial.cause and trial.gain == 1.0:
         nepers = np.log(record.position[round(recovers_from_s * rate_Hz) :] / junction.current_A)
         verdicts.append(

@@ -13,7 +13,7 @@ from piezoid.record_json import (
     refusing,
     to_json,
 )
-from piezoid.runtime.schema import METHODS
+from piezoid.runtime.schema import METHOD_NAMES, METHODS
 from piezoid.summary import Summarised, Summary
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.limit_proof import LimitProof
@@ -168,7 +168,7 @@ class Verification(Summarised):
         """Return a table of the rms tracking error per method and frequency, and failed verdicts.
 
         >>> print(shipping.verification.summary())
-        Verification of ...: passed, ... of ... verdicts
+        Verification of ...: passed, ... of ... checks
         method ...
         """
         passed = sum(verdict.passed for verdict in self.verdicts)
@@ -177,10 +177,13 @@ class Verification(Summarised):
         frequencies_Hz = sorted({frequency_Hz for _, frequency_Hz in errors})
         return Summary(
             title=f"Verification of {self.name}: {'passed' if self.passed else 'failed'}, "
-            f"{passed} of {len(self.verdicts)} verdicts",
+            f"{passed} of {len(self.verdicts)} checks",
             headings=("method", *(with_unit(f_Hz, "Hz") for f_Hz in frequencies_Hz)),
             rows=[
-                (method, *(with_unit(errors[method, f_Hz], "m") for f_Hz in frequencies_Hz))
+                (
+                    METHOD_NAMES[method],
+                    *(with_unit(errors[method, f_Hz], "m") for f_Hz in frequencies_Hz),
+                )
                 for method in dict.fromkeys(row.method for row in self.comparison)
             ],
             notes=(

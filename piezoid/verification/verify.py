@@ -163,8 +163,8 @@ def _judge_scenario(runner: ScenarioRunner, scenario: Scenario, path: Path) -> R
         )
     if UNCOMPENSATED in methods[1:]:
         errors_m = [worst[method][0].aligned_rms_m for method in (shipped, UNCOMPENSATED)]
-        name = "shape error, against no compensation"
-        runner.verdicts.append(verdict(name, scenario.name, errors_m[0] / errors_m[1], 1.0, "1"))
+        ratio = errors_m[0] / errors_m[1]
+        runner.verdicts.append(verdict(criteria.SHAPE_RATIO, scenario.name, ratio, 1.0, "1"))
     return worst[shipped][1]
 
 
@@ -236,7 +236,7 @@ def _judge_fault(runner: ScenarioRunner, scenario: Scenario, path: Path, reading
     )
     flag = np.uint32(Status.BAD_MEASUREMENT if np.isnan(reading) else Status.STUCK_SENSOR)
     silent = sum(not np.any(record.status & flag) for record in with_feedback)
-    runner.verdicts.append(none_of("axes whose status did not say so", name, silent))
+    runner.verdicts.append(none_of("faults not reported by the status", name, silent))
 
 
 def _motions(

@@ -12,6 +12,7 @@ from piezoid.design.sensitivity import sensitivities
 from piezoid.design.templates import delay_limit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
+from piezoid.runtime.schema import METHOD_NAMES
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.page import Page
 from piezoid_reports.parts import (
@@ -39,11 +40,6 @@ FUNCTIONS = {
         "noise sensitivity",
         "Good: 0 dB up to the bandwidth, then falling. Bad: a hump near the delay limit.",
     ),
-}
-METHODS = {
-    "mpi_dob": "disturbance observer on the inverse",
-    "dob": "disturbance observer with an affine map",
-    "rst": "R, S, T on the logarithm of the current",
 }
 
 
@@ -97,7 +93,7 @@ def _loops(page: Page) -> Table:
         rows=tuple(
             (
                 axis.axis,
-                METHODS[loop.method],
+                METHOD_NAMES[loop.method],
                 number(loop.bandwidth_Hz, "Hz"),
                 significant(loop.worst_modulus_margin),
                 "any"

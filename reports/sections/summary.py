@@ -7,13 +7,13 @@ from piezoid.design.design_statements import guaranteed_error_m
 from piezoid.formatting import words
 from piezoid.identification.fit_statements import Grade, grade_of
 from piezoid.identification.model import AxisModel
+from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.statement import Level
 from piezoid.verification.scenarios import spiral_speed_m_per_s
 from piezoid_reports.page import Page
-from piezoid_reports.parts import Card, Cards, Figure, Headline, Section, worst_tone
+from piezoid_reports.parts import Card, Cards, Figure, Headline, Section, count_of, worst_tone
 from piezoid_reports.quantities import number, percent, significant, with_interval
 from piezoid_reports.sections import loops, residuals, tunnelling
-from piezoid_reports.spirals import METHODS
 
 LOOP_SIZE, RESIDUAL_SIZE = (300, 122), (440, 122)  # pixels, beside each other
 TRACKED_Hz = 10.0  # of the spirals that the verification compares
@@ -29,7 +29,7 @@ def render(page: Page) -> Section:
     """Return verdict, error, limits and next step, and a card for each axis."""
     cards = (*(_card(page, axis) for axis in page.axes), *_tip_card(page))
     tones = [card.tone for card in cards]
-    if page.unshipped or (page.verification is not None and not page.verification.passed):
+    if _fails(page):
         tones.append("bad")
     summary = Headline(sentences=sentences(page), tone=worst_tone(tones))
     return Section(anchor="summary", title="Summary", lead="", parts=(summary, Cards(cards=cards)))
@@ -38,15 +38,23 @@ def render(page: Page) -> Section:
 def sentences(page: Page) -> tuple[tuple[str, str], ...]:
     """Return the sentences on top, each with the word in front of it."""
     labels = {Level.ACTION: "Next", Level.WARNING: "Limits"}
-    word = "Tip"
+    word, grade = "Tip", ""
     if page.axes:
         worst = max((grade_of(axis) for axis in page.axes), key=list(Grade).index)
         word = {Grade.REJECTED: "Bad", Grade.LIMITED: "Care"}.get(worst, words(worst).capitalize())
+        if _fails(page) and worst is not Grade.REJECTED:
+            word, grade = "Fails", f" (model {worst})"
     return (
-        (word, f"{_verdict(page)}{_verified(page)}."),
+        (word, f"{_verdict(page)}{grade}{_verified(page)}."),
         *_accuracy(page),
         *((labels[fact.level], page.text_of(fact)) for fact in reversed(page.headline)),
     )
+
+
+def _fails(page: Page) -> bool:
+    """Return whether a controller that was designed does not ship."""
+    verification = page.verification
+    return bool(page.unshipped) or (verification is not None and not verification.passed)
 
 
 def _verdict(page: Page) -> str:
@@ -69,10 +77,11 @@ def _verified(page: Page) -> str:
     n_all = len(verification.verdicts)
     n_failed = sum(not verdict.passed for verdict in verification.verdicts)
     if n_failed:
-        return f"; the controllers failed {n_failed} of {n_all} verdicts{missing}"
+        checks = count_of(n_all, "check")
+        return f"; its controllers failed {n_failed} of {checks}, none ships{missing}"
     if not verification.passed:
         return f"; a rebuild of the controllers did not give the same bits{missing}"
-    return f"; the controllers passed all {n_all} verdicts{missing}"
+    return f"; its controllers passed all {count_of(n_all, 'check')}{missing}"
 
 
 def _names(axes: list[str]) -> str:
@@ -181,7 +190,7 @@ def ships(page: Page, axis: str) -> str:
     verification = page.verification
     if verification is None or axis not in verification.methods:
         return "no: not verified"
-    method = METHODS[verification.methods[axis]]
+    method = METHOD_NAMES[verification.methods[axis]]
     return f"yes: {method}" if verification.passed else f"no: verification failed ({method})"
 
 

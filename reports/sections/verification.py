@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.rebuild import Proof
@@ -13,7 +14,7 @@ from piezoid_reports.chart import Canvas, decades_over
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Figure, Part, Section, Table, count_of, folded, with_rows
 from piezoid_reports.quantities import number, significant
-from piezoid_reports.spirals import METHODS, errors_in_time, motions, spiral
+from piezoid_reports.spirals import errors_in_time, motions, spiral
 
 MAX_VERDICTS = 10  # in the table; all that failed are shown
 STROKES = {"mpi_dob": "model", "none": "limit", "dob": "rising", "mpi": "trend"}
@@ -71,12 +72,13 @@ def _shape_figure(verification: Verification) -> Figure:
     x = decades_over("frequency", [p[0] for p in points.values()], "Hz")
     y = decades_over("shape error", [p[1] for p in points.values()], "nm")
     canvas = Canvas(x=x, y=y)
-    layers = [canvas.line(STROKES[m], METHODS[m], *points[m]) for m in methods]
+    layers = [canvas.line(STROKES[m], METHOD_NAMES[m], *points[m]) for m in methods]
     shipped = curves[methods[0]]
     return Figure(
         title="Shape error on spirals, method by method",
-        caption=f"{METHODS[methods[0]].capitalize()}: {number(shipped[0].aligned_rms_m, 'm')} at "
-        f"{number(shipped[0].frequency_Hz, 'Hz')}, {number(shipped[-1].aligned_rms_m, 'm')} at "
+        caption=f"{METHOD_NAMES[methods[0]].capitalize()}: "
+        f"{number(shipped[0].aligned_rms_m, 'm')} at {number(shipped[0].frequency_Hz, 'Hz')}, "
+        f"{number(shipped[-1].aligned_rms_m, 'm')} at "
         f"{number(shipped[-1].frequency_Hz, 'Hz')}, rms after the best delay.",
         guide="Good: the controller that ships lies lowest. Bad: it crosses another method.",
         canvas=canvas,
@@ -94,14 +96,14 @@ def _table(page: Page, verification: Verification) -> Table:
     for method, of_method in by_method.items():
         errors = [of_method.get(rate_Hz) for rate_Hz in rates_Hz]
         rows.append(
-            (METHODS[method], *("" if e is None else number(e.rms_m, "m") for e in errors))
+            (METHOD_NAMES[method], *("" if e is None else number(e.rms_m, "m") for e in errors))
         )
         bounds = ["" if e is None else _guaranteed(page, verification, e) for e in errors]
         if any(bounds) and method in verification.methods.values():
-            rows.append((f"guaranteed: {METHODS[method]}", *bounds))
+            rows.append((f"guaranteed: {METHOD_NAMES[method]}", *bounds))
     return Table(
-        caption=f"Distance from a spiral of radius {number(verification.radius_m, 'm')}, rms, "
-        "by turns per second.",
+        caption=f"Tracking error on a spiral of radius {number(verification.radius_m, 'm')}, rms, "
+        "its delay included, by turns per second.",
         columns=("method", *(number(rate_Hz, "Hz") for rate_Hz in rates_Hz)),
         rows=tuple(rows),
     )
@@ -171,7 +173,7 @@ def _currents(verification: Verification) -> Table:
 
 
 def _verdicts(verdicts: Sequence[Verdict]) -> Table:
-    """Return the verdicts by name, each with the scenario that comes closest to its limit."""
+    """Return the checks by name, each with the scenario that comes closest to its limit."""
     by_name: dict[str, list[Verdict]] = {}
     for verdict in verdicts:
         by_name.setdefault(verdict.name, []).append(verdict)
@@ -179,9 +181,9 @@ def _verdicts(verdicts: Sequence[Verdict]) -> Table:
     worst.sort(key=_closeness, reverse=True)
     n_passed = sum(verdict.passed for verdict in verdicts)
     return Table(
-        caption=f"Verdicts: {n_passed} of {len(verdicts)} passed. The closest to their limits, "
+        caption=f"Checks: {n_passed} of {len(verdicts)} passed. The closest to their limits, "
         "each in its worst scenario; verification.json has all.",
-        columns=("what", "worst in", "found", "limit", ""),
+        columns=("check (scenarios)", "worst in", "value", "limit", "result"),
         rows=tuple(
             (
                 f"{verdict.name} ({len(by_name[verdict.name])})",

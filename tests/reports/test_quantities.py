@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from piezoid import formatting
 from piezoid.formatting import PREFIXES, UNKNOWN
 from piezoid_reports.quantities import (
-    MICRO,
     MINUS,
     number,
     significant,
@@ -17,7 +16,7 @@ from piezoid_reports.quantities import (
     with_interval,
 )
 
-FACTOR = {prefix: factor for factor, prefix in PREFIXES} | {MICRO: 1e-6}
+FACTOR = {prefix: factor for factor, prefix in PREFIXES}
 
 
 @pytest.mark.parametrize(
@@ -78,15 +77,14 @@ def test_significant_digits_come_back(value: float) -> None:
 
 
 @given(st.floats(-1e6, 1e6))
-def test_the_terminal_is_told_the_same_number_in_plain_letters(value: float) -> None:
+def test_the_terminal_prints_the_same_number(value: float) -> None:
     plain = formatting.with_unit(value, "m")
-    assert plain.isascii()
-    set_here = number(value, "m").replace("\u202f", " ").replace(MINUS, "-").replace(MICRO, "u")
+    set_here = number(value, "m").replace("\u202f", " ").replace(MINUS, "-")
     assert set_here == plain
 
 
 def test_microns_in_a_sentence_are_written_without_a_power_of_ten() -> None:
-    assert formatting.with_unit(6.06e-6, "m") == "6.06 um"
+    assert formatting.with_unit(6.06e-6, "m") == "6.06 µm"
 
 
 def test_a_value_that_may_be_anything_is_not_told():

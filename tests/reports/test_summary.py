@@ -96,8 +96,12 @@ def test_the_verification_decides_the_tone(value: float, expected: str) -> None:
         )
     )
     assert tone(page) == expected
-    count = "passed all 1" if expected == "good" else "failed 1 of 1"
-    assert count in sentences(page)["Good"]
+    top = sentences(page)
+    if expected == "good":
+        assert "passed all 1 check" in top["Good"]
+    else:
+        assert "failed 1 of 1 check" in top["Fails"]
+        assert "model good" in top["Fails"]
 
 
 def test_an_axis_without_a_controller_is_named_on_top() -> None:
@@ -108,6 +112,6 @@ def test_an_axis_without_a_controller_is_named_on_top() -> None:
             unshipped={"z": "ceiling_A is missing"},
         )
     )
-    assert "axis z has no controller" in sentences(page)["Good"]
+    assert "axis z has no controller" in sentences(page)["Fails"]
     assert tone(page) == "bad"
     assert page.count("ceiling_A is missing") == 1

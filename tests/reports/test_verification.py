@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezoid.runtime.schema import METHOD_NAMES
+from piezoid.verification.criteria import SHAPE_ERROR
 from piezoid.verification.plotted_paths import SPIRAL_POINTS, SpiralTrace
 from piezoid.verification.rebuild import Proof
 from piezoid.verification.scenarios import SCENARIOS
@@ -20,7 +22,7 @@ from piezoid_reports.quantities import number
 from piezoid_reports.render import render
 from piezoid_reports.sections import verification
 from piezoid_reports.sections.verification import MAX_VERDICTS
-from piezoid_reports.spirals import METHODS, SHADES, STEPS, errors_in_time, motions, spiral
+from piezoid_reports.spirals import SHADES, STEPS, errors_in_time, motions, spiral
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, recording, stage_model
 from tests.verification.rig import PLANTS, stage
@@ -59,7 +61,7 @@ def test_every_method_and_verdict_has_its_row_and_every_verdict_its_limit(
 ) -> None:
     rows = texts(found)
     for row in found.comparison:
-        shown = f"{METHODS[row.method]}{number(row.rms_m, 'm')}".replace("\u202f", " ")
+        shown = f"{METHOD_NAMES[row.method]}{number(row.rms_m, 'm')}".replace("\u202f", " ")
         assert any(line.startswith(shown) for line in rows)
     names = {verdict.name for verdict in found.verdicts}
     assert sum(row.endswith("passed") for row in rows) == min(len(names), MAX_VERDICTS)
@@ -157,8 +159,16 @@ def test_a_limit_is_drawn_only_beside_the_spiral_that_it_was_the_limit_of(
     (at_10_Hz,) = errors_in_time(found)
     assert at_10_Hz.layers[-1].role == "limit"
     assert "limit" in at_10_Hz.caption
-    faster = replace(found, traces=tuple(replace(t, frequency_Hz=100.0) for t in found.traces))
+    faster = replace(
+        found,
+        traces=tuple(replace(t, frequency_Hz=100.0) for t in found.traces),
+        comparison=tuple(replace(row, frequency_Hz=100.0) for row in found.comparison),
+        verdicts=tuple(replace(v, scenario="spiral, 100 Hz") for v in found.verdicts),
+    )
+    faster = replace(faster, verdicts=tuple(v for v in faster.verdicts if v.name != SHAPE_ERROR))
     (at_100_Hz,) = errors_in_time(faster)
     assert "limit" not in {layer.role for layer in at_100_Hz.layers}
-    for figure in (at_100_Hz, spiral(faster.traces[0], faster)):
-        assert figure.caption.endswith("no limit is set at this rate.")
+    assert "dashed" not in at_100_Hz.guide
+    assert "allowed 1.00" in at_100_Hz.caption
+    shipped = next(row for row in faster.comparison if row.method == "mpi_dob")
+    assert number(shipped.aligned_rms_m, "m") in at_100_Hz.caption

@@ -13,8 +13,8 @@ from tests.verification.rig import PLANTS, stage
 
 TRIALS = {trial.name: trial for trial in TIP_TRIALS}
 CLOSER = "closer to the surface than the set point"
-LATCHED = "samples not latched with their cause"
-BACK = "until the current is back"
+LATCHED = "faults not latched with their cause"
+BACK = "time until the current recovers"
 
 
 def verdicts(*names, limits=None, **changed):

@@ -177,7 +177,7 @@ def test_what_ships_is_verified_and_nothing_else():
     )
     bare = verify(ParameterFile(name="bare", axes=axes), PLANTS[:2], limits=Limits())
     failed = {v.name for v in bare.verdicts if not v.passed}
-    assert "shape error of what ships" in failed
+    assert "shape error of the shipped controller" in failed
     assert not bare.passed
 
 
@@ -204,7 +204,7 @@ def test_a_fault_is_forgotten_once_the_error_is_what_may_ship(percent, passes):
 
 
 def furthest(found):
-    return next(v.value for v in found.verdicts if v.name == "furthest from the path")
+    return next(v.value for v in found.verdicts if v.name == "largest distance from the path")
 
 
 def test_a_runtime_that_does_not_watch_its_sensor_fails_the_frozen_sensor():
@@ -212,7 +212,7 @@ def test_a_runtime_that_does_not_watch_its_sensor_fails_the_frozen_sensor():
     frozen = [s for s in SCENARIOS if s.fault == 1.0]
     found = verify(ParameterFile(name="blind", axes=axes), PLANTS[:2], scenarios=frozen)
     failed = {v.name for v in found.verdicts if not v.passed}
-    assert "axes whose status did not say so" in failed
+    assert "faults not reported by the status" in failed
     watching = verify(stage("x", "y"), PLANTS[:2], scenarios=frozen)
     assert furthest(found) > 2 * furthest(watching) > 0
 
@@ -295,7 +295,7 @@ def test_a_stage_that_flies_blind_for_ever_is_seen(how):
         for n in (2000, 0)
     )
     good, bad = (verify(f, PLANTS[:1], scenarios=(scenario,)) for f in (held, endless))
-    until = "without a sensor until held"
+    until = "time without sensor until the output is held"
     found = {v.name: v for v in good.verdicts}
     assert good.passed
     assert 0.099 < found[until].value < 0.12

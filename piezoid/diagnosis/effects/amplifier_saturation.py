@@ -117,7 +117,7 @@ def extend(estimate: EffectEstimate, setting: SearchScaling) -> tuple[Extension,
 EFFECT = Effect(
     name="amplifier_saturation",
     explanation=__doc__ or "",
-    unit="percent of the drive range that is cut off",
+    unit="% of the drive range that is cut off",
     experiment="Record slow loops to the full range and to four fifths of it, with the "
     "monitor output of the amplifier: only the first are clipped.",
     control="Beyond the limit the drive has no effect: reduce the range, or the integrator "

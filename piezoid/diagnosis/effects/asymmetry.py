@@ -32,7 +32,7 @@ def inject(recording: Recording, share: float) -> Recording:
 EFFECT = Effect(
     name="asymmetry",
     explanation=__doc__ or "",
-    unit="percent of the stroke, rms",
+    unit="% of the stroke, rms",
     experiment="Nothing is needed: compare the loading curve of the model with a straight line.",
     control="A symmetric inverse has a larger error on one side; the dead zones of the model "
     "represent the asymmetry exactly.",

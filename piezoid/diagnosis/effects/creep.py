@@ -154,7 +154,7 @@ def extend(estimate: EffectEstimate, setting: SearchScaling) -> tuple[Extension,
 EFFECT = Effect(
     name="creep",
     explanation=__doc__ or "",
-    unit="percent of a step per decade of time",
+    unit="% of a step per decade of time",
     # on 25 stages of thirteen laws: 14 % rms
     model_error=0.15,
     experiment="Record a staircase of random levels, up and down, each held for ten seconds or "

@@ -115,7 +115,7 @@ def _coupled(axis: str, setting: SearchScaling) -> Extension:
 EFFECT = Effect(
     name=NAME,
     explanation=__doc__ or "",
-    unit="percent of the stroke, rms where most",
+    unit="% of the stroke, rms where most",
     experiment="Hold this axis, drive the other one over its range in decaying loops, and "
     "record both drives and this displacement.",
     control="Feed the drive of the other axis forward; otherwise the loop must reject its "

@@ -79,7 +79,7 @@ def extend(estimate: EffectEstimate, _: SearchScaling) -> tuple[Extension, ...]:
 EFFECT = Effect(
     name="delay",
     explanation=__doc__ or "",
-    unit="us, in the fastest recording",
+    unit="µs, in the fastest recording",
     model_error=0.004,
     experiment="Record a small multisine or chirp up to a third of the resonance: a delay turns "
     "the phase in proportion to frequency and leaves the gain flat, a lag attenuates.",

@@ -192,7 +192,7 @@ def extend(estimate: EffectEstimate, setting: SearchScaling) -> tuple[Extension,
 WITHIN = Effect(
     name="gain_change",
     explanation=__doc__ or "",
-    unit="percent",
+    unit="%",
     experiment="Record equal full cycles for the whole time, and write down when anything on "
     "the stage is touched. A small multisine shows whether a load, which moves the resonance, "
     "is the cause.",

@@ -76,7 +76,7 @@ def inject(recording: Recording, share: float) -> Recording:
 EFFECT = Effect(
     name="initial_state",
     explanation=__doc__ or "",
-    unit="percent of the stroke, rms",
+    unit="% of the stroke, rms",
     experiment="Cycle the drive twice over its whole range before every recording, and begin the "
     "recording with one full cycle.",
     control="The first motion after switching on follows another branch: cycle the drive "

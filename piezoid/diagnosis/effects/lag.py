@@ -56,7 +56,7 @@ def _trials(view: View) -> list[Trial]:
 BEHIND = Effect(
     name="lag",
     explanation=__doc__ or "",
-    unit="us",
+    unit="µs",
     model_error=0.015,
     experiment="Record a small multisine or chirp beyond the corner 1/(2 pi lag): a lag "
     "attenuates there, a delay does not.",

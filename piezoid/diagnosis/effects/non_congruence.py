@@ -116,7 +116,7 @@ def _opened(drive: Array) -> Array:
 EFFECT = Effect(
     name="non_congruence",
     explanation=__doc__ or "",
-    unit="percent of the stroke, rms",
+    unit="% of the stroke, rms",
     experiment="Record the same small loop at five biases, each reached from above and "
     "from below.",
     control="The inverse does not represent how minor loops change with the bias: use "
