@@ -59,3 +59,12 @@ def significant(value: float, digits: int = 3) -> str:
     if not -5 <= exponent < 9:
         return f"{rounded:.{digits - 1}e}"
     return f"{rounded:.{max(digits - 1 - exponent, 0)}f}"
+
+
+def p_value(probability: float) -> str:
+    """Return a p-value with two digits; below a thousandth its size means nothing.
+
+    >>> p_value(8.4e-8)
+    '< 0.001'
+    """
+    return "< 0.001" if probability < 0.001 else significant(probability, 2)

@@ -7,7 +7,7 @@ import numpy as np
 from piezoid.diagnosis.appearance import Appearance, over_time
 from piezoid.diagnosis.diagnosis import Finding
 from piezoid.diagnosis.effects import effect_named
-from piezoid.formatting import words
+from piezoid.formatting import p_value, words
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Axis, Canvas, Layer, axis_over, decades_over
 from piezoid_reports.effect_comparison import EffectSimulation
@@ -225,7 +225,7 @@ def unnamed_figure(finding: Finding) -> Figure | None:
     canvas = Canvas(x=x, y=axis_over("residual", [low, high, fitted], "m"), height=HEIGHT)
     return Figure(
         title=f"{words(finding.effect).capitalize()}: residual against {_against(finding)}",
-        caption=f"The curve explains {_explained(finding)}; p {finding.p_value:.2g}.",
+        caption=f"The curve explains {_explained(finding)}; p {p_value(finding.p_value)}.",
         guide="Residual in classes of the coordinate, median and middle half. Where the curve, "
         "fitted to other parts of the recordings, follows the median, the residual depends on "
         "the coordinate.",

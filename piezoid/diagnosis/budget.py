@@ -60,7 +60,8 @@ class RemainingErrors:
     explained_m  in sample, corrected for the number of parameters
     wide_m       of the widest class of hysteresis with every effect, corrected in the same way
     scatter      relative standard error of a mean square of the residual, from blocks
-    before_m     held-out error without the wider class of hysteresis, where the model has it
+    before_m     held-out error with every effect but without the wider class of hysteresis, where
+                 the model has it: the error that findings state with their effect
     is_compared  whether model and widest class follow the same stage at all; False where the
                  class of the model does not apply
     recordings_m  error of the model in sample by recording; empty where it was not computed
@@ -247,7 +248,7 @@ def _remaining_part(
         LOOP_SHAPE: f"Loop shape that the model class cannot represent ({sizes}).",
         "extrapolation": _extrapolation_text(errors.recordings_m),
         SOMETHING_ELSE: f"Residual that lives in one coordinate ({sizes}).",
-        "unexplained": f"Residual that no effect explains ({sizes}).",
+        "unexplained": f"Residual that no effect explains ({sizes}).{_advice(diagnosis)}",
     }
     return BudgetPart(part=name, rms_m=rms_m, is_explained=False, text=texts[name])
 
@@ -263,6 +264,16 @@ def _extrapolation_text(recordings_m: Mapping[str, float]) -> str:
         f"at most {others_rms}. Leave it out, or record it again; a chirp needs a smaller "
         "amplitude, at the rate of the controller or faster."
     )
+
+
+def _advice(diagnosis: Diagnosis) -> str:
+    """Return what an unexplained residual means and what to do about it."""
+    unexplained = diagnosis.unexplained
+    if unexplained is None:
+        return ""
+    if unexplained.p_value > ALPHA:
+        return " Healthy stages show as much: no action is needed, feedback reduces it."
+    return f" Healthy stages show less. {next_experiment(unexplained.coordinate)}".rstrip()
 
 
 def _with_loop_shape(
@@ -285,7 +296,7 @@ def _with_loop_shape(
         before_m, is_named = errors.before_m, True
         power = max(before_m**2 - after_m**2, 0.0)
         power_std = max(errors.scatter, 1e-6) * before_m**2
-    if before_m <= NOISE_RATIO * noise_m or not is_named:
+    if before_m <= NOISE_RATIO * noise_m or power <= 0.0 or not is_named:
         return _without_loop_shape(diagnosis, sqrt(max(power, 0.0) + ONE_SIDED_95 * power_std))
     effect = effect_named(LOOP_SHAPE)
     low, high = (sqrt(max(power + side * 1.96 * power_std, 0.0)) for side in (-1.0, 1.0))

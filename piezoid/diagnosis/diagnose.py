@@ -331,12 +331,12 @@ def _remaining_errors(
     outcome: Outcome, errors: ModelErrors, final: AxisModel, recordings: Sequence[Recording]
 ) -> RemainingErrors:
     rows, columns = outcome.final.null.every.shape
-    plain_m = final.without_loop_shape().quality.held_out_rms_m
+    has_wide_class = final.without_loop_shape() is not final
     return RemainingErrors(
         explained_m=final.quality.explained_rms_m,
         wide_m=outcome.final.rms * outcome.first.half_stroke_m * corrected(rows, columns),
         scatter=errors.scatter,
-        before_m=plain_m if plain_m > final.quality.held_out_rms_m else None,
+        before_m=min(errors.final_m, errors.baseline_m) if has_wide_class else None,
         is_compared=not outcome.against,
         recordings_m=_errors_by_recording(final, recordings),
     )

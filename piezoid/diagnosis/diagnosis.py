@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from piezoid.formatting import significant, with_unit, words
+from piezoid.formatting import p_value, significant, with_unit, words
 from piezoid.identification.model import AxisModel
 from piezoid.summary import Summarised, Summary
 
@@ -24,6 +24,11 @@ class Size:
         """Return half the width of the interval."""
         low, high = self.ci95
         return 0.5 * (high - low)
+
+    def scaled(self, factor: float) -> "Size":
+        """Return the size times a factor, its interval as well."""
+        low, high = self.ci95
+        return replace(self, value=factor * self.value, ci95=(factor * low, factor * high))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,7 +238,7 @@ class Diagnosis(Summarised):
                 _interval(finding.size),
                 f"{with_unit(1e-2 * finding.rms_percent * self.stroke_m, 'm')} rms",
                 f"{100 * finding.held_out_gain:.1f} %",
-                significant(finding.p_value, 2),
+                p_value(finding.p_value),
             )
             for finding in self.findings
         ]

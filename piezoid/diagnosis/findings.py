@@ -5,6 +5,7 @@ The errors are held-out errors of the refitted model.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import sqrt
 
 import numpy as np
 
@@ -136,7 +137,10 @@ def effect_finding(cause: Candidate, outcome: Outcome, errors: ModelErrors) -> F
         for alternative in map(effect_named, (*confounded, *resembling))
         if alternative.structural is not None
     ]
-    size = size_of(cause)
+    size, share = size_of(cause), cause.share
+    if effect.structural is not None and before_m > after_m and share > 0.0:
+        share = sqrt(before_m**2 - after_m**2) / (2.0 * outcome.first.half_stroke_m)
+        size = size.scaled(100.0 * share / size.value)
     if structural:
         low, high = size.ci95
         size = replace(size, ci95=(min(low, 0.0), max(high, 0.0)))
@@ -146,13 +150,13 @@ def effect_finding(cause: Candidate, outcome: Outcome, errors: ModelErrors) -> F
         held_out_rms_before_m=before_m,
         held_out_rms_after_m=after_m,
         p_value=evidence_p_value(cause.strength),
-        rms_percent=100.0 * cause.share,
+        rms_percent=100.0 * share,
         size=size,
         not_separable_from=(
             *confounded,
             *(s.name for s in structural if s.name not in confounded),
         ),
-        explanation=_explanation(cause, structural),
+        explanation=_explanation(cause, share, structural),
         next_experiment=" ".join(e.experiment for e in (effect, *structural)),
         parameters=dict(parameters),
     )
@@ -166,14 +170,15 @@ def _resembling_effects(cause: Candidate, outcome: Outcome) -> list[str]:
     return [effect.name for effect in other_effects if effect.resembles(cause.effect)]
 
 
-def _explanation(cause: Candidate, structural: Sequence[Effect]) -> str:
+def _explanation(cause: Candidate, share: float, structural: Sequence[Effect]) -> str:
     effect = cause.effect
     where = "Behind jumps of the drive" if cause.selected.from_jumps else "Here"
-    sentences = [
-        effect.summary,
-        f"{where} {100 * cause.share:.3g} % of the stroke (rms) cannot be imitated by any "
-        "hysteresis.",
-    ]
+    size = f"{100 * share:.3g} % of the stroke (rms)"
+    if effect.structural is None:
+        evidence = f"{where} {size} cannot be imitated by any hysteresis."
+    else:
+        evidence = f"A simulation without it misses {size}; the model includes it."
+    sentences = [effect.summary, evidence]
     if structural:
         names = " or ".join(words(alternative.name) for alternative in structural)
         sentences.append(f"Not separable from {names}; the interval therefore includes zero.")

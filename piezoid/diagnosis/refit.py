@@ -2,8 +2,8 @@
 
 Each effect becomes extensions of the axis model, whose start values are those of the search. All
 are refitted together, and again without each effect; all errors are of the same held-out rows. The
-baseline is the static model with the declared rig alone. A fault of the data is repaired in the
-recordings themselves, as it was in the search.
+baseline is the static model with the declared rig and without every effect. A fault of the data is
+repaired in the recordings themselves, as it was in the search.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -43,7 +43,8 @@ STATIC = Structure(lag=False)
 class ModelErrors:
     """Held-out errors of the model, rms in m.
 
-    baseline_m  of the static model on the recordings as they came
+    baseline_m  of the static model on the recordings as they came, without every effect: with an
+                initial state of its own unless that is one of them
     final_m     with every effect, faults repaired
     without_m   with every effect but one, by its name
     scatter     relative standard error of the mean square of the final error
@@ -146,6 +147,11 @@ def refit_model(
     final = _with_free_rungs(final, recordings, structure, rows)
     fitted = final.model.extensions
     refit = partial(fit_extended, final.model, further_starts=alternatives)
+    plain = STATIC
+    for estimate in estimates:  # a part of the static model that was found is none of the baseline
+        plain = _structure_of(plain, estimate, model, has_effect=False)
+    if plain != STATIC:
+        baseline = refit(raw, declared, structure=plain)
     without = {}
     for estimate in estimates:
         progress(f"refitting without {words(estimate.effect)}")

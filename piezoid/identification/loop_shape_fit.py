@@ -39,7 +39,7 @@ from piezoid.identification.loop_shape_regression import (
 )
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
-from piezoid.identification.quality import BLOCKS, IN_SAMPLE
+from piezoid.identification.quality import BLOCKS, IN_SAMPLE, with_noise_bound
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.family_ridge import FamilyRidge, Moments
 from piezoid.operators.wide_hysteresis import coefficients
@@ -250,7 +250,7 @@ def _accepted(
                 starts=axis.starts,
             ),
         ),
-        quality=quality,
+        quality=with_noise_bound(quality),
         starts=_starts(final, pieces),
     )
 

@@ -46,6 +46,9 @@ BLOCKS = "blocks of several seconds, in five folds"
 IN_SAMPLE = "none, one loop"
 
 
+CLEAR_EXCESS = 1.1  # noise over the error of the model: third differences scatter by a few percent
+
+
 @dataclass(frozen=True, kw_only=True)
 class Limit:
     """A gap of the recordings that no fit can close.
@@ -132,6 +135,21 @@ class FitQuality:
     def held_out_rms_percent(self) -> float:
         """Held-out error in percent of the displacement range."""
         return 100.0 * self.held_out_rms_m / self.range_m
+
+
+def with_noise_bound(quality: FitQuality) -> FitQuality:
+    """Return the quality with a sensor noise that does not exceed the error of the model.
+
+    The residual contains the noise. A noise that exceeds it clearly was estimated from the
+    residual of a worse model, and is known as an upper limit only.
+    """
+    bound_m = quality.explained_rms_m
+    if quality.is_tested:
+        bound_m = min(bound_m, quality.held_out_rms_m)
+    if quality.noise_rms_m <= bound_m:
+        return quality
+    is_most = quality.noise_is_most or quality.noise_rms_m > CLEAR_EXCESS * bound_m
+    return replace(quality, noise_rms_m=bound_m, noise_is_most=is_most)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -56,7 +56,7 @@ def test_a_fitted_stage_gets_both_forms_and_keeps_its_other_files(stage: Path) -
     loop = found.axis("x").recommended
     page = (stage / "design.html").read_text().replace("\u202f", " ")
     assert f"<td>{significant(loop.worst_modulus_margin)}</td>" in page
-    for words in ('id="controllers"', "modulus margin", "the declared poles (4000 Hz, 8500 Hz)"):
+    for words in ('id="controllers"', "modulus margin", "the declared poles (4.00 kHz, 8.50 kHz)"):
         assert words in page
     undesigned = render(
         Page(

@@ -24,7 +24,7 @@ def test_what_fails_leaves_neither_parameters_nor_a_bundle_but_its_figures():
     """The tip's loop cannot hold a junction whose gain is eight times the one it is made for."""
     found = release(stage("z"), junction_model(ratios=(1.0, 8.0)))
     assert found.parameters is None
-    assert "verdicts" in found.reasons["z"]
+    assert "checks" in found.reasons["z"]
     assert "plants the recordings allow" in found.reasons["z"]
     files = shipping_files(found)
     assert set(files) == {"verification.json", "refused/params.json", "refused/verification.json"}

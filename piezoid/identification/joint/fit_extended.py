@@ -24,7 +24,7 @@ from piezoid.identification.joint.vector import (
     state_of,
 )
 from piezoid.identification.model import AxisModel, Lag
-from piezoid.identification.quality import BLOCKS, IN_SAMPLE
+from piezoid.identification.quality import BLOCKS, IN_SAMPLE, with_noise_bound
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
 from piezoid.numerics.levenberg_marquardt import Minimum, NormalEquations, Rule, minimise
@@ -148,14 +148,16 @@ def _model(
         ),
         starts=starts,
         uncertainty=uncertainty,
-        quality=replace(
-            model.quality,
-            rms_m=end.rms_m,
-            held_out_rms_m=held_rms_m if is_tested else end.rms_m,
-            held_out_kind=BLOCKS if is_tested else IN_SAMPLE,
-            rows=end.rows,
-            effective_parameters=float(len(state.vector)),
-            converged=converged,
+        quality=with_noise_bound(
+            replace(
+                model.quality,
+                rms_m=end.rms_m,
+                held_out_rms_m=held_rms_m if is_tested else end.rms_m,
+                held_out_kind=BLOCKS if is_tested else IN_SAMPLE,
+                rows=end.rows,
+                effective_parameters=float(len(state.vector)),
+                converged=converged,
+            )
         ),
         certificate=replace(
             model.certificate, remainder_m=float(np.quantile(np.abs(held_m), 0.999))
