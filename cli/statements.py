@@ -52,7 +52,7 @@ def budget_lines(diagnoses: "Sequence[Diagnosis]", legend: str = "") -> list[str
     lines = []
     for diagnosis in diagnoses:
         terms = ", ".join(
-            f"{label_of(part)} {with_unit(part.rms_m, 'm')}{'*' if part.is_explained else ''}"
+            f"{label_of(part.part)} {with_unit(part.rms_m, 'm')}{'*' if part.is_explained else ''}"
             for part in visible_parts(diagnosis)
         )
         total = with_unit(diagnosis.baseline.rms_m, "m")

@@ -20,6 +20,7 @@ from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.from_recordings import as_single_axes
+from piezoid.identification.fit_statements import GOOD_PERCENT, NEAR_NOISE
 from piezoid.identification.store import write_model
 from piezoid.raw_counts import in_counts
 from piezoid.records.collection import Collection
@@ -150,6 +151,8 @@ def html(
             style=Markup(style),
             script=Markup(script),
             policy=policy_for(style, script),
+            good_percent=GOOD_PERCENT,
+            near_noise=NEAR_NOISE,
         )
     )
 

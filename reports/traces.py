@@ -10,6 +10,8 @@ from piezoid.identification.simulation import simulate_recording, starts_of
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
+WIDE_SHARE = 0.5  # of the widest drive, from which a recording shows the loop
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trace:
@@ -58,7 +60,10 @@ def rms(values: Array) -> float:
 
 
 def traces_of(axis_model: AxisModel, recordings: Sequence[Recording]) -> tuple[Trace, ...]:
-    """Return a trace for every recording the axis was fitted on, worst fitted first."""
+    """Return a trace for every recording the axis was fitted on, worst fitted first.
+
+    Recordings over less than half of the widest drive come last: they show no full loop.
+    """
     fitted = [r for r in recordings if starts_of(axis_model, r)]
     modelled = [_counted(axis_model, recording) for recording in fitted]
     axis = axis_model.axis
@@ -73,7 +78,9 @@ def traces_of(axis_model: AxisModel, recordings: Sequence[Recording]) -> tuple[T
         _trace(recording, axis, model_m, slope)
         for recording, model_m in zip(fitted, modelled, strict=True)
     ]
-    return tuple(sorted(traces, key=lambda trace: -rms(trace.residual_m)))
+    ranges_V = {id(trace): float(np.ptp(trace.voltage_V)) for trace in traces}
+    least_V = WIDE_SHARE * max(ranges_V.values(), default=0.0)
+    return tuple(sorted(traces, key=lambda t: (ranges_V[id(t)] < least_V, -rms(t.residual_m))))
 
 
 def _counted(axis_model: AxisModel, recording: Recording) -> Array:

@@ -121,9 +121,15 @@ def _bound(design: AxisDesign, axis: AxisModel) -> list[Statement]:
 
 
 def error_parts_m(certificate: Certificate) -> dict[str, float]:
-    """Return the contributions to a guaranteed error by name, m; they add up to it."""
+    """Return the contributions to a guaranteed error by name, m; they add up to it.
+
+    A controller with an inverse is left with the error of the hysteresis model.
+    """
+    is_inverted = certificate.form == "inverse"
     return {
-        "the hysteresis": certificate.hysteresis_error_m,
+        "the uncertainty of the hysteresis model"
+        if is_inverted
+        else "the hysteresis": certificate.hysteresis_error_m,
         "the delay of the reference": certificate.reference_error_m,
         "the converter": certificate.converter_error_m,
         "drift, coupling and hum": certificate.disturbance_error_m,

@@ -10,6 +10,7 @@ from piezoid_reports.parts import Bar, Section, Waterfall
 from piezoid_reports.quantities import number
 
 NOISE = "noise"
+LABELS = {NOISE: "sensor noise", "extrapolation": "held-out minus in-sample"}
 NEGLIGIBLE = 1e-3  # of the power of the error: no bar
 
 
@@ -33,9 +34,9 @@ def visible_parts(diagnosis: Diagnosis) -> tuple[BudgetPart, ...]:
     return tuple(p for p in diagnosis.budget if p.rms_m**2 > least_m2 or p.part == NOISE)
 
 
-def label_of(part: BudgetPart) -> str:
-    """Return the name of a part as a reader sees it."""
-    return "sensor noise" if part.part == NOISE else words(part.part)
+def label_of(part: str) -> str:
+    """Return the name of a part of the budget as a reader sees it."""
+    return LABELS.get(part, words(part))
 
 
 def _waterfall(diagnosis: Diagnosis) -> Waterfall:
@@ -53,14 +54,14 @@ def _waterfall(diagnosis: Diagnosis) -> Waterfall:
         rest_m2 = max(rest_m2 - part.rms_m**2, 0.0)
         bars.append(
             Bar(
-                name=label_of(part),
+                name=label_of(part.part),
                 start_m=0.0 if is_noise else sqrt(rest_m2),
                 end_m=part.rms_m if is_noise else end_m,
                 value=number(part.rms_m, "m"),
                 role="noise" if is_noise else "modelled" if part.is_explained else "open",
             )
         )
-    modelled = [label_of(part) for part in parts if part.is_explained]
+    modelled = [label_of(part.part) for part in parts if part.is_explained]
     removed = f"{', '.join(modelled)} (red)" if modelled else "none of them"
     return Waterfall(
         title=f"Axis {diagnosis.axis}: error budget",

@@ -1,12 +1,12 @@
 """Limits of the results, and the recording or repair that helps most."""
 
-from piezoid.formatting import words
 from piezoid.identification.fit_statements import DYNAMICS
 from piezoid.identification.model import AxisModel
 from piezoid.statement import Level
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Listing, Part, Prose, Section, Table, folded
 from piezoid_reports.quantities import number
+from piezoid_reports.sections.error_budget import label_of
 
 LABELS = {Level.ACTION: "act", Level.WARNING: "note"}
 
@@ -22,6 +22,7 @@ def render(page: Page) -> Section:
         if fact.level is Level.NOTE and fact.quantity != DYNAMICS
     )
     untested = tuple(_untested(page, axis) for axis in page.axes)
+    has_action = any(fact.level is Level.ACTION for fact in open_facts)
     parts: list[Part] = []
     if open_facts:
         parts.append(
@@ -29,7 +30,7 @@ def render(page: Page) -> Section:
                 caption="Limits, and what to do about them.",
                 columns=("level", "about", "statement"),
                 rows=tuple(
-                    (LABELS[fact.level], words(fact.quantity), page.text_of(fact))
+                    (LABELS[fact.level], label_of(fact.quantity), page.text_of(fact))
                     for fact in open_facts
                 ),
                 wordy=(2,),
@@ -45,7 +46,7 @@ def render(page: Page) -> Section:
         parts += folded(summary, [Listing(items=items)] if items else [])
     return Section(
         anchor="limits",
-        title="Limits and next experiment",
+        title="Limits and next experiment" if has_action else "Limits",
         lead="Conditions under which the results hold"
         + (", beyond those in the summary." if page.has_summary else "."),
         parts=tuple(parts),

@@ -12,6 +12,7 @@ from piezoid.identification.quality import Uncertainty
 from piezoid.numerics.robust import student_quantile
 from piezoid.numerics.uncertainty_budget import Contribution
 from piezoid_reports.chart import Canvas, axis_over
+from piezoid_reports.loop_errors import TRACKED_Hz, guarantee, tracking_error
 from piezoid_reports.page import Page
 from piezoid_reports.parts import (
     Figure,
@@ -22,6 +23,7 @@ from piezoid_reports.parts import (
     Table,
     axis_heading,
     folded,
+    with_rows,
 )
 from piezoid_reports.quantities import MINUS, number, percent, significant, with_half_width
 
@@ -47,11 +49,11 @@ def render(page: Page) -> Section | None:
         parts += [axis_heading(axis), _bow(axis)]
         if axis.verdict.applies:
             budgets.append(displacement_budget(axis, page.lab))
-            parts += [_uncertainty(budgets[-1]), _bound(axis)]
         parts += folded("Parameters", [*_functions(axis), *_weights(axis, intervals)])
     if not parts:
         return None
-    parts += [Heading(text="All axes"), *_contributions(budgets), _quantities(page)]
+    parts.append(Heading(text="All axes"))
+    parts += [*_errors(page, budgets), *_contributions(budgets), _quantities(page)]
     missing = dict.fromkeys(name for budget in budgets for name in budget.unknown)
     if missing:
         names = ", ".join(f"{DECLARATIONS[name]} ({name})" for name in missing)
@@ -85,13 +87,33 @@ def _bow(axis: AxisModel) -> Figure:
     )
 
 
-def _uncertainty(budget: DisplacementBudget) -> Prose:
-    uncertainty = budget.budget
-    half = number(uncertainty.expanded, "m")
-    return Prose(
-        text=f"Axis {budget.axis}: a predicted position is known to ±{half} (95 %, coverage "
-        f"factor {significant(uncertainty.coverage_factor)}); the largest error of "
-        f"{uncertainty.positions} positions is below {number(uncertainty.largest[1], 'm')}.",
+def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Part]:
+    """Return which error holds for what, from the expected ones to the proven limit."""
+    rows: dict[str, list[str]] = {}
+    for budget in budgets:
+        axis, expected = page.model.axes[budget.axis], budget.budget
+        held_out = number(axis.quality.held_out_rms_m, "m") if axis.quality.is_tested else ""
+        expanded, factor = number(expected.expanded, "m"), significant(expected.coverage_factor)
+        largest, tracked = number(expected.largest[1], "m"), tracking_error(page, budget.axis)
+        values = {
+            f"with feedback: simulated spiral of {TRACKED_Hz:g} Hz, rms": tracked,
+            "without feedback: held-out error, rms": held_out,
+            "without feedback: 95 % of positions, drift and lag included": f"±{expanded} "
+            f"(coverage factor {factor})",
+            f"without feedback: largest of {expected.positions} positions": f"below {largest}",
+            "without feedback: bound of the hysteresis model alone, 95 %": _bound(axis),
+            "with feedback: guaranteed error": guarantee(page, axis),
+        }
+        for name, value in values.items():
+            rows.setdefault(name, []).append(value)
+    return with_rows(
+        Table(
+            caption="Which error holds for what. The last two rows are limits for every drive, "
+            "not the expected error.",
+            columns=("error", *(f"axis {budget.axis}" for budget in budgets)),
+            rows=tuple((name, *values) for name, values in rows.items() if any(values)),
+            is_open=True,
+        )
     )
 
 
@@ -126,19 +148,18 @@ def _contributions(budgets: Sequence[DisplacementBudget]) -> list[Part]:
     ]
 
 
-def _bound(axis: AxisModel) -> Prose:
-    """Return the bound of the model without feedback, if there is one of use."""
+def _bound(axis: AxisModel) -> str:
+    """Return the bound of the model without feedback, or that none is of use."""
     certificate, range_m = axis.certificate, axis.quality.range_m
     if not axis.quality.is_tested or certificate.bound_m > range_m:
-        return Prose(text=f"Axis {axis.axis}: no useful bound of the model without feedback.")
+        return "no useful bound"
     middle_V = axis.hysteresis.voltage_offset_V
     speed = " at the speed of the recordings" if axis.quality.lag_is_open else ""
-    return Prose(
-        text=f"Axis {axis.axis}: without feedback the model error stays below "
-        f"{number(certificate.bound_m, 'm')} (95 % confidence) for drives between "
-        f"{number(middle_V - certificate.reach_V, 'V')} and "
+    return (
+        f"{number(certificate.bound_m, 'm')}, for "
+        f"{number(middle_V - certificate.reach_V, 'V')} to "
         f"{number(middle_V + certificate.reach_V, 'V')}, up to "
-        f"{number(certificate.slew_V_per_s, 'V/s')}{speed}."
+        f"{number(certificate.slew_V_per_s, 'V/s')}{speed}"
     )
 
 

@@ -63,7 +63,7 @@ def over_time(trace: Trace, axis: AxisModel, *, size: tuple[int, int] | None = N
         title=f"{trace.recording.name}, axis {axis.axis}: residual against time",
         caption=f"{number(rms(residual_m), 'm')} rms, at most "
         f"{number(float(finite_m.max()), 'm')}; {percent(inside)} of the samples lie within "
-        f"twice the sensor noise of {number(noise_m, 'm')}.",
+        f"twice the sensor noise of {number(noise_m, 'm')} (95 % expected for noise alone).",
         guide=GUIDE_TIME,
         canvas=canvas,
         is_small=size is not None,

@@ -3,20 +3,18 @@
 from dataclasses import replace
 
 from piezoid.design.design import LoopDesign
-from piezoid.design.design_statements import guaranteed_error_m
 from piezoid.formatting import words
 from piezoid.identification.fit_statements import Grade, grade_of
 from piezoid.identification.model import AxisModel
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.statement import Level
-from piezoid.verification.scenarios import spiral_speed_m_per_s
+from piezoid_reports.loop_errors import TRACKED_Hz, guarantee, tracking_error
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Card, Cards, Figure, Headline, Section, count_of, worst_tone
 from piezoid_reports.quantities import number, percent, significant, with_interval
 from piezoid_reports.sections import loops, residuals, tunnelling
 
 LOOP_SIZE, RESIDUAL_SIZE = (300, 122), (440, 122)  # pixels, beside each other
-TRACKED_Hz = 10.0  # of the spirals that the verification compares
 TONES = {
     Grade.GOOD: "good",
     Grade.LIMITED: "middling",
@@ -146,7 +144,7 @@ def _facts(page: Page, axis: AxisModel) -> tuple[tuple[str, str], ...]:
             f"{quality.noise_bound}{number(noise_m, 'm')} rms; {closure}",
         ),
         _speed(page, axis.axis, loop),
-        ("Guaranteed error", guarantee(page, axis, loop)),
+        ("Guaranteed error", guarantee(page, axis)),
         ("Ships", ships(page, axis.axis)),
     )
 
@@ -155,30 +153,11 @@ def _speed(page: Page, axis: str, loop: LoopDesign | None) -> tuple[str, str]:
     """Return the bandwidth, with the error on the spiral if the verification ran one."""
     if loop is None:
         return "Bandwidth", "none"
-    bandwidth, verification = number(loop.bandwidth_Hz, "Hz"), page.verification
-    if verification is None:
+    bandwidth = number(loop.bandwidth_Hz, "Hz")
+    error = tracking_error(page, axis)
+    if not error:
         return "Bandwidth", bandwidth
-    for row in verification.comparison:
-        if (row.method, row.frequency_Hz) == (verification.methods.get(axis), TRACKED_Hz):
-            label = f"Bandwidth; tracking error at {TRACKED_Hz:g} Hz"
-            return label, f"{bandwidth}; {number(row.rms_m, 'm')} rms"
-    return "Bandwidth", bandwidth
-
-
-def guarantee(page: Page, axis: AxisModel, loop: LoopDesign | None) -> str:
-    """Return the guaranteed error of a loop, or why there is none of use."""
-    certificate, verification = None if loop is None else loop.certificate, page.verification
-    bound_m = guaranteed_error_m(certificate, axis, is_verified=page.ships(axis.axis))
-    if isinstance(bound_m, str):
-        return bound_m
-    assert certificate is not None
-    assert verification is not None
-    speed_m_per_s = spiral_speed_m_per_s(TRACKED_Hz, verification.radius_m)
-    slow_m = certificate.guaranteed_at(speed_m_per_s)
-    at_most = f"{number(bound_m, 'm')} at most"
-    return (
-        f"{number(slow_m, 'm')} at {TRACKED_Hz:g} Hz, {at_most}" if slow_m < bound_m else at_most
-    )
+    return f"Bandwidth; tracking error at {TRACKED_Hz:g} Hz", f"{bandwidth}; {error} rms"
 
 
 def ships(page: Page, axis: str) -> str:

@@ -70,7 +70,7 @@ def test_the_bound_of_the_model_states_its_range() -> None:
     page = render(Page(model=stage_model(axis_model()), recordings=[recording()])).replace(
         "\u202f", " "
     )
-    assert "stays below 140 nm (95 % confidence) for drives between 0 V and 10.0 V" in page
+    assert "140 nm, for 0 V to 10.0 V" in page
     wrong = render(
         Page(model=stage_model(axis_model(reason="a butterfly")), recordings=[recording()])
     )
