@@ -23,6 +23,7 @@ from piezoid_reports.parts import (
     Prose,
     Section,
     Table,
+    count_of,
     folded,
 )
 from piezoid_reports.quantities import MINUS, number, significant
@@ -150,7 +151,8 @@ def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
     return Figure(
         title=f"Axis {axis.axis}: {what} |{function}|",
         caption=f"Largest {largest_dB} at "
-        f"{number(float(frequency_Hz[worst_dB.argmax()]), 'Hz')}, of {len(loop.members)} members.",
+        f"{number(float(frequency_Hz[worst_dB.argmax()]), 'Hz')}, of "
+        f"{count_of(len(loop.members), 'member')}.",
         guide=guide,
         canvas=canvas,
         layers=tuple(layers),

@@ -22,6 +22,7 @@ from piezoid_reports.parts import (
     Section,
     Table,
     axis_heading,
+    count_of,
     folded,
     with_rows,
 )
@@ -224,7 +225,8 @@ def _weights(axis: AxisModel, intervals: Known) -> tuple[Figure, ...]:
     canvas = Canvas(x=axis_over("threshold", [threshold_V], "V"), y=y, height=240)
     figure = Figure(
         title=f"Axis {axis.axis}: weights of the plays",
-        caption=f"{len(weight)} plays, {len(axis.hysteresis.dead_zones.weight) - 1} dead zones.",
+        caption=f"{count_of(len(weight), 'play')}, "
+        f"{count_of(len(axis.hysteresis.dead_zones.weight) - 1, 'dead zone')}.",
         guide="Neighbouring plays share their weight: single weights are known less well than the "
         "loading curve.",
         canvas=canvas,

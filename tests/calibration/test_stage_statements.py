@@ -13,7 +13,7 @@ from piezoid.diagnosis.diagnosis_statements import (
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.identification.fit_statements import Grade, fit_statements, grade_of
 from piezoid.identification.model import AxisModel
-from piezoid.identification.quality import Limit
+from piezoid.identification.quality import Limit, with_noise_bound
 from piezoid.statement import Level, select
 from piezoid.verification import criteria
 from piezoid.verification.verification import Verification
@@ -43,12 +43,23 @@ def test_what_was_never_measured_asks_for_a_recording(score: int, level: Level) 
     [
         ({"converged": False}, "convergence"),
         ({"noise_is_most": True}, "noise"),
-        ({"held_out_rms_m": 0.5 * NOISE_m}, "noise"),
     ],
 )
 def test_a_weak_fit_has_a_warning(changes: dict[str, object], quantity: str) -> None:
     assert quantity not in levels(axis_model())
     assert levels(with_quality(**changes))[quantity] is Level.WARNING
+
+
+def test_a_noise_above_the_error_of_the_model_is_an_upper_limit() -> None:
+    quality = replace(axis_model().quality, rms_m=0.5 * NOISE_m, held_out_rms_m=0.6 * NOISE_m)
+    bounded = with_noise_bound(quality)
+    assert bounded.noise_rms_m == quality.explained_rms_m
+    assert bounded.noise_is_most
+    close = with_noise_bound(replace(quality, rms_m=0.97 * NOISE_m, held_out_rms_m=NOISE_m))
+    assert close.noise_rms_m < NOISE_m
+    assert not close.noise_is_most
+    larger = axis_model().quality
+    assert with_noise_bound(larger) is larger
 
 
 def test_intervals_on_few_blocks_and_a_loose_loop_width_have_warnings() -> None:

@@ -74,3 +74,10 @@ def test_the_clock_that_the_laboratory_declares_is_no_finding() -> None:
     declared = Lab(acquisition=Acquisition(sampling_rate_Hz=500.0))
     numbers = _refitted(recordings, (), lab=declared)
     assert numbers.baseline_m < 1.3 * NOISE_m
+
+
+def test_a_finding_alone_and_the_baseline_have_the_same_error_without_it() -> None:
+    """An initial state that is a finding is none of the baseline."""
+    found = (EffectEstimate(effect="initial_state"),)
+    numbers = _refitted(recordings_of(), found)
+    assert numbers.without_m["initial_state"] == pytest.approx(numbers.baseline_m, rel=1e-9)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.diagnosis import NotDetected
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.formatting import words
@@ -187,3 +188,23 @@ def test_a_diagnosis_drawn_on_a_model_in_no_file_names_no_model_json() -> None:
     rows = [e.text for e in Anatomy(page).all("tr")]
     assert any(row.startswith("diagnosis.json") for row in rows)
     assert not any(row.startswith("model.json") for row in rows)
+
+
+def test_a_drift_that_the_fit_follows_is_named_beside_the_bound_of_a_drift() -> None:
+    absent = NotDetected(
+        effect="thermal_drift",
+        upper_bound_m=1e-9,
+        detection_limit_m=2e-9,
+        reason="not found",
+        next_experiment="wait",
+    )
+    found = replace(diagnosed(), not_detected=(absent,))
+    page = Page(model=stage_model(axis_model()), recordings=[recording()], diagnoses=(found,))
+    cells = [e.text.replace("\u202f", " ") for e in Anatomy(render(page)).all("td")]
+    assert "1.00 nm, 2.00 nm, beyond the drift that the fit follows" in cells
+
+
+def test_a_p_value_below_a_thousandth_is_printed_as_such() -> None:
+    found = diagnosed(replace(finding("creep"), p_value=8.4e-8))
+    page = Page(model=stage_model(axis_model()), recordings=[recording()], diagnoses=(found,))
+    assert "< 0.001" in [e.text for e in Anatomy(render(page)).all("td")]

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezoid.records.recording import Quantity
 from piezoid_reports.page import Page
 from piezoid_reports.render import render
 from piezoid_reports.traces import rms, traces_of
@@ -43,3 +44,21 @@ def test_samples_left_out_cover_no_more_of_the_picture_than_they_are() -> None:
     rounded = " ".join(rule for rule in rules if "linecap: round" in rule)
     assert ".dots" in rounded
     assert ".missing" not in rounded
+
+
+def test_a_recording_over_a_small_part_of_the_drive_is_drawn_last() -> None:
+    full = recording()
+    small = replace(
+        full,
+        name="chirp.csv",
+        channels=tuple(
+            replace(c, values=5.0 + 0.02 * (c.values - 5.0))
+            if c.quantity is Quantity.VOLTAGE
+            else c
+            for c in full.channels
+        ),
+    )
+    axis = axis_model("x", ("sweep.csv", "chirp.csv"))
+    traces = traces_of(axis, [small, full])
+    assert rms(traces[1].residual_m) > rms(traces[0].residual_m)
+    assert [trace.recording.name for trace in traces] == ["sweep.csv", "chirp.csv"]
