@@ -197,7 +197,7 @@ def _titled(
     return Figure(
         title=f"{words(finding.effect).capitalize()}, {recording}: "
         f"residual against {appearance.label}",
-        caption=f"Residual {number(without_m, 'm')} rms without the effect, "
+        caption=f"Residual, nothing refitted: {number(without_m, 'm')} rms without the effect, "
         f"{number(with_m, 'm')} with it.",
         guide=appearance.reading,
         canvas=canvas,
