@@ -59,5 +59,5 @@ def budget_lines(diagnoses: "Sequence[Diagnosis]", legend: str = "") -> list[str
         line = f"error budget {diagnosis.axis}: {total} = {terms}"
         lines.append(in_counts(line, diagnosis.counted))
     if any("*" in line for line in lines):
-        lines.append(f"(rms; squares add up; * removed by the model{legend})")
+        lines.append(f"(rms, squares add up; * removed by the model{legend})")
     return lines
