@@ -21,7 +21,7 @@ from piezoid.numerics.executor import Once
 FOLDS = 5
 TESTS = 3  # of the mean, of signs, of the likelihood ratio
 RIDGE = 1e-9
-TELLING = 0.95  # of what columns explain
+TELLING = 0.95  # share of the explained power in informative blocks
 FEWEST = 6  # blocks to judge by
 
 

@@ -21,7 +21,7 @@ BENDS = (-0.2, 0.0, 0.2)  # between them lie ridges
 PARTS = (1.0, 0.5, 0.25, 0.1)
 BETA, EXPONENT = 1.4, 1.35  # factors of a full step
 RATIO, BEND = 0.25, 0.25  # steps
-RCOND = 1e-9  # of lengths: columns that the others already have
+RCOND = 1e-9  # relative length of linearly dependent columns
 LIMITS = ((0.2, 20.0), (-0.4, 0.9), (1.0, 4.0), (-0.6, 0.6))
 
 

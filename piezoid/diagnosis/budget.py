@@ -50,7 +50,7 @@ EXTRAPOLATION_TEXT = (
     "The held-out error exceeds the error in sample: a fit to the other recordings predicts "
     "each of them worse than a fit to all. Record every amplitude and speed at least twice."
 )
-MANY_TIMES = 5.0  # residual of one recording over that of all others: it makes the error
+MANY_TIMES = 5.0  # residual of one recording over that of all others, so that it dominates
 
 
 @dataclass(frozen=True, kw_only=True)

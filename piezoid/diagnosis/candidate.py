@@ -13,10 +13,10 @@ from piezoid.diagnosis.refitted_view import SelectedEffect, filter_offset, witho
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import ScoreTest, null_of, score_test, screened
 
-MINIMUM_Z = 3.3  # standard errors, 0.0005 on one side: a wrong name is worse than none
+MINIMUM_Z = 3.3  # standard errors, one-sided 0.0005: a false name is worse than a missing one
 MINIMUM_SHARE = 5e-5  # of the stroke: smaller effects need not be detected
 NUDGE = 0.1  # of a parameter's width, for derivatives
-MIN_LENGTH = 0.15  # of the longest column: what the null must leave of a recording's column
+MIN_LENGTH = 0.15  # of the longest column: smallest part orthogonal to the null for one recording
 MAX_DEVIATION = 0.35  # of the fitted time, in one recording
 DEVIATION_Z = 4.0  # standard errors of such a deviation
 OVER_PLACEBO = 1.6  # times the placebo's gain; or else

@@ -29,13 +29,13 @@ from piezoid.statement import Kind, Level, Statement
 FIXED_OPERATOR = Structure(operator=False)
 STUDENT_95_FIVE_FOLDS = 2.8
 RECORDING_EFFECTS = (GainChange, MainsLines, ThermalDrift)  # belong to the recordings of the fit
-MIN_GAIN = 0.05  # of the error: a change that takes off less is none
+MIN_GAIN = 0.05  # of the error: smaller reductions are no change
 # Error over that of the fit: another excitation of the same stage doubles it (Preisach ceramics
 # leave 0.08 % on a like sweep and 0.15 % on a staircase), a lag or a load multiplies it.
 MAX_GROWTH = 3.0
 MAX_SHARE = 0.2  # of the motion, rms: 8 % of the range of a triangle, where no fit applies either
 NOISE_GROWTH = 2.0  # sensors of one stage differ by less from day to day
-RATIO_LIMITS = (0.11, 9.0)  # inside the limits of the search, at which nothing was found
+RATIO_LIMITS = (0.11, 9.0)  # narrower than the limits of the search
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,7 +202,7 @@ def compare(
             remedy="Write scale = { ... } into lab.toml as at the fit.",
         )
     progress("simulating the earlier model")
-    model = model.without_loop_shape()  # what is refitted is plays with dead zones
+    model = model.without_loop_shape()  # plays with dead zones are refitted
     lasting = tuple(e for e in model.extensions if not isinstance(e, RECORDING_EFFECTS))
     start = replace(model, extensions=lasting, starts=())
     unchanged = fit_extended(start, recordings, lasting, structure=FIXED_OPERATOR)

@@ -29,7 +29,7 @@ from piezoid.numerics.arrays import Array
 
 SURROGATES = 99
 RIDGE = 1e-3  # of a column's squared length
-MIN_LENGTH = 1e-3  # of a column's length: what the null must not follow of it
+MIN_LENGTH = 1e-3  # of the length of a column: smallest part orthogonal to the null
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

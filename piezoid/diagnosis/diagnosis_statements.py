@@ -11,9 +11,9 @@ from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
 from piezoid.formatting import significant, with_unit, words
 from piezoid.statement import Kind, Level, Statement
 
-USUAL_P = 0.05  # p-value: healthy stages leave as much structure
+USUAL_P = 0.05  # p-value from which structure is usual for healthy stages
 MIN_GAIN = 0.01  # of the power: less has no coordinate
-NEAR_NOISE = 1.2  # what exceeds the noise is then two thirds of it, and hides there
+NEAR_NOISE = 1.2  # residual over noise; below it the excess is hidden by the noise
 
 SHAPE_EXPERIMENT = (
     "Record reversals of many sizes at several biases, each reached from above and from below."

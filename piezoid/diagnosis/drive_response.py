@@ -26,7 +26,7 @@ from piezoid.records.recording import Quantity, Recording
 
 ROWS = 700  # of each drive that are compared
 BENT = (0, 2, 3)  # powers of the input that the model might have bent
-BEND = 1e-3  # of half the range, for the difference that stands for a derivative
+BEND = 1e-3  # of half the range, for the finite difference
 SETTLED = 2  # cycles over the range before a drive of which the initial state is not known
 
 

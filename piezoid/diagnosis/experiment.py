@@ -26,7 +26,7 @@ from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 
 LOOSER = 4.0  # times a limit, to find the one that prevents an answer
-NOTICEABLE = 0.9  # of the share left open: a limit that changes less does not prevent an answer
+NOTICEABLE = 0.9  # of the remaining share: a limit with less influence does not prevent an answer
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -40,7 +40,7 @@ from piezoid.numerics.executor import Executor
 FIRST_GAIN = 0.25  # of the best tangent's gain, from which an effect is refitted at first
 MIN_GAIN = 0.012  # of the error: tangents err by factors
 NEAR_PLACEBO = 0.9  # times its placebo's gain, below which a refit will not help it
-NEAR = 3.0  # times the least error left: how far a first refit may lie behind to be refined
+NEAR = 3.0  # times the smallest error: largest error of a first refit that is refined
 ABOUT = (-6, -5, -4, -3, -2, -1, 1, 2, 3, 4, 5, 6)  # steps from a trial to beyond the next
 OTHER_SIDE = 0.98  # largest relative error at which a filter changes its side
 MAX_EFFECTS = 5

@@ -30,7 +30,7 @@ from piezoid.records.recording import Recording
 NAME = "resonance"
 TREND = 3  # degree of the slow motion that no dynamics explain
 _LEAST_P = 1e-12
-RATIO_DOUBT = 0.8  # of the gain ratio: what damping and the gain at rest leave open
+RATIO_DOUBT = 0.8  # of the gain ratio: uncertainty by damping and static gain
 MIN_RISE = 1.5  # noise and distortion raise a gain by up to 1.2
 # A mode so close that the gain rises further lies within 10 % of the band and would be resolved;
 # noise that grows with speed raised a single line by 24.

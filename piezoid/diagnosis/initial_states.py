@@ -15,7 +15,7 @@ from piezoid.operators.play import play_columns
 
 RANDOM_HYPOTHESES = 16
 ONCE, TWICE = 9, 5  # places of turns to try
-FREE = 4  # of the histories are what a laboratory does on purpose wherever 0 V lies
+FREE = 4  # number of deliberate histories that do not depend on 0 V
 DECAYING = 24  # turns that end at rest
 ROUND = 0.03  # of a drive's span: so near an end it has come there
 ROUNDS = 3  # that show that a drive goes round

@@ -128,7 +128,7 @@ def _evaluate_alternative(
 def is_confounded(alternative: Candidate, candidate: Candidate) -> bool:
     """Tell whether the recordings cannot separate an alternative from a selected effect."""
     if not alternative.physical:
-        # an impossible effect that leaves a smaller error: the selected one is not what it seems
+        # a physically impossible effect with a smaller error: the selected effect is doubtful
         return alternative.cv.rms < candidate.cv.rms
     excess = alternative.cv.rms**2 - candidate.cv.rms**2
     explained = candidate.without.rms**2 - candidate.cv.rms**2

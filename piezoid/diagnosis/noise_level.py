@@ -26,7 +26,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.sample_statistics import step_size
 
 MEAN_LOG = -1.2704  # of chi-squared of one degree: the digamma of 1/2, and log 2
-MIN_NOISE = 1e-3  # of the noise: rounding makes smaller differences
+MIN_NOISE = 1e-3  # of the noise: smaller differences are rounding
 RANGE = (0.02, 0.98)  # quantiles of the level: the quietest and the loudest place
 # The loudest over the quietest: at most 1.5 on an outsider's healthy stages, 1.7 with a delay, and
 # from 3.7 on where the noise grows by the reading or the speed (docs/how_piezoid_decides.md).

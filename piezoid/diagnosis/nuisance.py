@@ -40,7 +40,7 @@ from piezoid.numerics.executor import Once
 from piezoid.operators.play import thinned_drive
 
 FORGETTING = 4  # groups of plays whose first states each track may correct
-MEMORY = FORGETTING + 2 * len(ONCE_BEYOND)  # columns of it, what was poled for good among them
+MEMORY = FORGETTING + 2 * len(ONCE_BEYOND)  # columns of the initial state, with poling
 KEPT = 1 << 20  # samples of which all states are kept: some 300 MB
 
 

@@ -20,7 +20,7 @@ from piezoid.operators.polynomials import sum_of_polynomials
 
 PLAYS = 18
 POWERS = 4
-FINE = 6  # plays below TURN_AT, by equal ratios; the others by equal steps
+FINE = 6  # plays below TURN_AT, with equal ratios; the others with equal steps
 TURN_AT = 0.15
 THRESHOLD = np.concatenate(
     [np.geomspace(0.01, TURN_AT, FINE + 1)[:-1], np.linspace(TURN_AT, 0.97, PLAYS - FINE)]

@@ -25,7 +25,7 @@ from piezoid.numerics.arrays import Array
 
 MIN_PERIODS = 4.0  # of a wave in a recording
 LINES = 3  # of each recording
-DRIVEN = 4.0  # times the spectrum around: a line of the stage's own motion
+DRIVEN = 4.0  # times the surrounding spectrum: a line of the motion of the stage
 RESOLVED = 0.9  # periods per recording between two lines; 1 separates two waves
 AROUND = 12  # frequencies on either side that a line is compared with
 MAX_PERIOD = 128  # samples

@@ -34,8 +34,8 @@ from piezoid.identification.piece_start import wandering_zeros
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 
-FREE_RUNGS = 0.85  # of the error: what free shares of a creep ladder must leave
-SMALL_LAG = 0.1  # of the model's lag: start value beside a mode that it had stood for
+FREE_RUNGS = 0.85  # of the error: largest error with free shares of a creep ladder
+SMALL_LAG = 0.1  # of the lag of the model: start value beside a mode that the lag had represented
 STATIC = Structure(lag=False)
 
 

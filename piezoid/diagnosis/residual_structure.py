@@ -35,9 +35,9 @@ MAINS, AMPLIFIER_LIMIT = "mains_interference", "amplifier_saturation"
 MAINS_COORDINATES = ("frequency", "line_phase")
 MIN_NOISE_RATIO = 1.1  # residual/noise; below it a limit of the amplifier explains a plateau
 MAX_P_VALUE = 0.02  # of one coordinate, by surrogates: the second of 99
-MAX_HEALTHY_P_VALUE = 0.05  # that a healthy stage leaves as systematic a residual
-REPLACES = 0.9  # of an effect's error: what a curve in its place must leave
-BETTER = 0.97  # of the error: what the second search must leave
+MAX_HEALTHY_P_VALUE = 0.05  # of a residual as systematic in a healthy stage
+REPLACES = 0.9  # of the error with the effect: largest error with a curve instead
+BETTER = 0.97  # of the error: largest error after the second search
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

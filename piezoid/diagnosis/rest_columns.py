@@ -9,7 +9,7 @@ from piezoid.diagnosis.segments import Places
 from piezoid.numerics.arrays import Array
 
 BLOCKS, FOLDS = 40, 5  # blocks of time, each fold every fifth of them
-SAME_ERROR = 1.02  # ratio of rms errors up to which two trends are not told apart
+SAME_ERROR = 1.02  # ratio of rms errors up to which two trends are equivalent
 MIN_Z = 3.3  # standard errors of the gain of blocks: as for every effect
 
 

@@ -14,8 +14,8 @@ from piezoid.diagnosis.residual_view import View
 from piezoid.numerics.arrays import Array
 
 LEAST_SHARE = 0.05
-APART = 0.03  # of a column, by length: what the null must leave of a lag to tell it from a loop
-TINY = 1e-12  # of a column: nothing is left of it
+APART = 0.03  # of a column, by length: smallest part beside the null that separates lag and loop
+TINY = 1e-12  # of a column: numerically zero
 Row = tuple[Trial, CrossValidated, Array]
 
 

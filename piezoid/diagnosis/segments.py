@@ -28,7 +28,7 @@ LONGEST = 4000  # samples that may take it
 MOST_TURNS = 60  # or twice as many, of one track
 
 Places = NDArray[np.int_]
-SAME = 0.01  # of the clock: so near a recording's rate is the converter's own
+SAME = 0.01  # relative difference of rates up to which a recording has the rate of the converter
 APART = 1e-4  # of a pole: nearer ones are one
 
 

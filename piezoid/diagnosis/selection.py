@@ -32,9 +32,9 @@ from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.formatting import words
 from piezoid.numerics.executor import SERIAL, Executor
 
-MOST = 0.65  # of what is no noise, in power: what structure takes off that nothing else looks like
+MOST = 0.65  # share of the power above the noise that unmistakable structure explains
 MOST_REPAIRS = 3
-EVIDENT = 0.5  # of the error: what a shared initial state leaves that is beyond doubt
+EVIDENT = 0.5  # of the error: largest error with an evident shared initial state
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -31,7 +31,7 @@ FEWEST = 100  # of them
 WITHIN = 3  # samples for all of a jump
 SETTLED = 6  # samples until amplifier and converter have followed
 JUMP = 0.1  # of half the range
-CALM = 0.05  # of a jump: what the drive may move as fast behind it
+CALM = 0.05  # of a jump: largest motion of the drive after it in the same time
 DEGREE = 4  # of trends
 Stretch = tuple[int, int]
 

@@ -49,9 +49,9 @@ from piezoid.records.recording import Recording
 RUNGS = 8  # of a creep ladder in the model: as many as the runtime has
 PER_DECADE = 2
 FASTEST_s = 0.01
-DECAY_s = 30.0  # of what began before a track: the rest of it is in its zero
+DECAY_s = 30.0  # of creep from before a track; slower creep is part of its zero
 LONGER = 10.0  # slowest time constant over the longest track
-TOLD_AT_s = 10.0  # where the spectrum is told, within a record
+TOLD_AT_s = 10.0  # reference time of the spectrum, within a record
 TILTS = (0.0, -0.15, 0.15)  # of it there, for each decade
 BEGINS = (1.0, 0.5)  # part of the fastest rung
 ALLOWED = (0.0, 0.1)  # share of a step for each decade

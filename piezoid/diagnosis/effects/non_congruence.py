@@ -32,10 +32,10 @@ from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
 
 OPENING = 0.15  # of loops over half the range; ceramics by themselves open by less
-ALONE = 0.5  # of what all products with the drive explain, in power: a ceramic of another kind
+ALONE = 0.5  # share of the power that all products with the drive explain
 # misses many of them
-WORTH = 0.025  # of the error: more than one class of ceramics leaves for want of another
-PLAYS = np.linspace(0.05, 0.95, 10)  # thresholds of what inject opens
+WORTH = 0.025  # of the error: more than the difference between classes of ceramics
+PLAYS = np.linspace(0.05, 0.95, 10)  # thresholds of the plays that inject opens
 POINTS = 401
 BENDS = 3  # of the envelope, on each side
 

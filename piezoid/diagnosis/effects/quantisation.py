@@ -44,7 +44,7 @@ MAX_LATTICE_STEPS = 2000  # in the range: finer steps do not matter
 ON_LATTICE = 0.1  # of a step
 STEP_ERROR = 0.02  # of a step: rounding of its last printed digit
 TRIALS_PER_PERIOD = 20  # of a step, for each that the range resolves
-MIN_ON_LATTICE = 0.99  # of the samples: the others are spikes
+MIN_ON_LATTICE = 0.99  # share of the samples; the remaining ones are spikes
 
 # a drive
 MIN_STEPS, MAX_STEPS = 20.0, 300.0  # in half its range
@@ -56,7 +56,7 @@ HEIGHT_ERROR = 0.4  # relative deviation of the sawtooth's height
 HEIGHT_Z = 3.0  # standard errors of it
 BLOCKS = 20  # of rows, for these
 DRIVE_DECIMALS = 6  # of half the range
-VALUES_PER_STEP = 4.0  # of a drive; fewer, and the steps may be its own
+VALUES_PER_STEP = 4.0  # of a drive; with fewer the steps may be those of the drive
 MIN_FINE_ROWS = 0.1  # of all rows
 
 

@@ -37,13 +37,13 @@ from piezoid.operators.limits import activated
 from piezoid.records.recording import Recording
 
 LINEAR_STRAIN = 1.0  # half strokes: from here on the lag of the walls is as good as linear
-SHARES = (0.03, 3.0)  # of the walls' lag: what a search may say where it splits them otherwise
+SHARES = (0.03, 3.0)  # range of the share of the lag, which a search may divide differently
 ALLOWED = (0.03, 5.0)
 TIMES_s = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 WIDEST = 1.0  # strain from which the lag is as good as linear
 STRAINS = (1e-3, 1e9)  # a lag that is as good as linear has no strain
 LONGEST = (2e-6, 0.3)
-TOO_LITTLE = 1e-5  # of half the stroke: a lag nobody sees
+TOO_LITTLE = 1e-5  # of half the stroke: an invisible lag
 FEWEST = 8  # reversals
 ONE_PLACE = 0.01  # of half the drive's range
 SPEED = 50.0  # strokes per second at which the injected lag is the share that is asked for

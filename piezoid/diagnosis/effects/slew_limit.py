@@ -33,7 +33,7 @@ from piezoid.records.recording import Recording
 
 SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.92)  # of the fastest drive
 SLOWER = (0.06, 0.09, 0.13, 0.18)  # and where a tangent would look like anything
-QUICK = 0.999  # quantile of the speed: single jumps of a staircase settle nothing
+QUICK = 0.999  # quantile of the speed, to ignore single jumps of a staircase
 PLANNED = 0.7  # of the fastest speed along the drive, in a plan
 
 

@@ -59,7 +59,7 @@ MIN_WINDOWS = 3  # on either side
 MIN_REVERSE_MOTION = 0.08  # of the squared speed
 PERMUTATIONS = 2000
 MAX_SLIPS = 8
-EVIDENT_GAIN = 0.6  # of a track's squared residual: evident beside slips of other tracks
+EVIDENT_GAIN = 0.6  # share of the squared residual of a track, evident despite other slips
 MIN_KEPT = 0.6  # of the gain of the tangent, by the refitted slip
 # Error of all recordings after a slip of a known length is undone, over that before: 0.26 in the
 # chirp of a Coleman-Hodgdon stage.
@@ -304,7 +304,7 @@ def _next_slip(view: View, refit: Refit) -> SlipEvidence | None:
             break
         evidence = slip_evidence(view, null, refine_slip(view, slip, refit=refit))
         if evidence is not None and abs(evidence.step - evidence.slip.samples) > 2 * evidence.std:
-            # beside other slips the step of windows of equal speed is the better length
+            # with other slips present, the step of windows of equal speed is more accurate
             length = round(evidence.step) or int(np.sign(slip.samples))
             if abs(length) > max_slip(len(view.tracks[slip.track].drive)):
                 continue

@@ -22,7 +22,7 @@ from piezoid.errors import ExcitationError
 
 HALF_95 = 1.96  # standard errors
 POWER = 2.8  # standard errors of the smallest size that is detected in four cases of five
-MAX_LEFT = 0.8  # share that a recording worth its time may leave
+MAX_LEFT = 0.8  # largest remaining share after a recording that is worth its time
 WIDE = 0.25  # half the interval over the size, from which on a size is worth a recording
 UNTESTED_SHARE = 2e-3  # of the stroke, of an effect that these recordings could not show
 LOWERABLE = 1.25  # detection limit over the smallest size that is named
