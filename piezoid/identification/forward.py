@@ -23,7 +23,7 @@ from piezoid.operators.dead_zone import LINEAR
 from piezoid.operators.filters import lagged
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 
-SLOW = 0.004  # of the motion: what a delay may miss of the filters
+SLOW = 0.004  # of the motion: largest error of a delay instead of the filters
 LARGEST = 16_000_000  # numbers in one array of columns
 LAG_STEP = 1e-3  # samples
 

@@ -13,7 +13,7 @@ from piezoid.operators.linear import ContinuousSystem, DiscreteSystem, cascade, 
 if TYPE_CHECKING:
     from scipy.signal import StateSpace
 
-_NO_RATE_Hz = 1e9  # of a system in continuous time: every pole is slow beside it
+_NO_RATE_Hz = 1e9  # for continuous time: much faster than any pole
 
 
 def linear_part(axis: AxisModel, sampling_rate_Hz: float | None) -> ContinuousSystem:

@@ -40,18 +40,18 @@ from piezoid.operators.preisach_bounds import farthest_apart_m
 from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.records.recording import Recording
 
-EDGE_STEPS = 4  # thresholds from edge to edge: more edges brought nothing on the zoo
+EDGE_STEPS = 4  # thresholds from edge to edge: more edges gave no improvement on the zoo
 SHAPES = (4, 6, 8)  # pieces of a function; twice as many plays
-CLOSE = 1.03  # as of the other shapes: nobody would notice
+CLOSE = 1.03  # times the error of larger shapes: not noticeable
 WORTH = 1.5  # times the error of plays with dead zones: less is not worth its instructions
 LEAST_SLOPE = 0.2  # of the mean one, of a branch right behind a turn: see coordinates.py
 RIDGE = 1e-3  # on differences of rises between neighbours; a tenth or ten times it: no difference
 ROWS = 3000  # of a recording
 STEPS = 20  # of the search for first states
-BEGINNING = 0.1  # weight of what states from before a recording are in: they are fitted as well
-WIPED = 0.95  # of the range of a recording: then what was before it is forgotten
+BEGINNING = 0.1  # weight of rows that depend on the fitted initial states
+WIPED = 0.95  # of the range of a recording: the initial state is then forgotten
 ROUNDING = 1e-13  # of the trace: cells that no drive reached hang on their neighbours alone
-BEYOND = 0.1  # of half the range, that a recording left out may go further than the others
+BEYOND = 0.1  # of half the range by which a held-out recording may exceed the others
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

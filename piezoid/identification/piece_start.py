@@ -7,7 +7,7 @@ import numpy as np
 
 from piezoid.numerics.arrays import Array, freeze
 
-SEEN = 5e-4  # of the range: a zero that moves less means nothing to a controller
+SEEN = 5e-4  # of the range: smaller movements of the zero do not matter to a controller
 # Times what the fit leaves: the zero takes up what a class leaves of a strange law, too. On
 # healthy recordings of seven laws it moved by 0.01 to 3.1 times that, with a drift of 1 % by 16.
 BEYOND_THE_FIT = 4.0

@@ -30,7 +30,7 @@ from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.recording import Recording
 
 MIN_LINES, MAX_LINES = 20, 150  # of a recording's response
-MAX_COST = 4.0  # over its expected value: a fit that explains less determines nothing
+MAX_COST = 4.0  # over its expected value: with a larger cost nothing is identifiable
 QUASI_STATIC = 0.02  # of the rms: an opening of 7 to 15 % would be wrong by a quarter
 SAME_MODE = 0.1  # by how much of itself a mode may move in the joint fit
 EQUAL_COST = 1.25  # a structure whose cost is within this of the least counts as equal

@@ -21,7 +21,7 @@ MIN_WINDOWS = 4
 LEVEL_LINES = 33  # over which a random drive is as strong in one window as in another
 OVERLAP_LOSS = 1.0 + 2.0 / 36.0  # Hann windows that overlap by half share (1/6)^2 of their power
 MAIN_LOBE_LINES = 2  # a Hann window smears the mean over this many lines
-MIN_POWER = 1e-10  # of the strongest line: below, the drive has none
+MIN_POWER = 1e-10  # of the strongest line: weaker lines are not driven
 TINY = float(np.finfo(np.float64).tiny)
 
 

@@ -24,7 +24,7 @@ from piezoid.numerics.repetition import FEWEST, SETTLING, STILL, Repetition, fin
 from piezoid.records.recording import Quantity, Recording
 
 FEWEST_DRIVEN = 8  # lines: fewer are a triangle's or a sine's
-FEWEST_SILENT = 3  # odd lines, or an odd level means nothing
+FEWEST_SILENT = 3  # odd lines needed for an odd level
 ONE_SIDED_95 = 1.6448536269514722
 
 

@@ -167,7 +167,7 @@ def _shape_of_poles(poles_Hz: ComplexArray, structure: Structure) -> Array:
         (np.sqrt(a * b), (a + b) / (2 * np.sqrt(a * b)))
         for a, b in zip(real[::2], real[1::2], strict=False)
     ]
-    while len(lags) < structure.lags:  # a broad pair stands in for two lags
+    while len(lags) < structure.lags:  # a strongly damped pair replaces two lags
         frequency_Hz, _ = modes.pop(int(np.argmax([damping for _, damping in modes])))
         lags += [0.7 * frequency_Hz, 1.4 * frequency_Hz][: structure.lags - len(lags)]
     modes = sorted(modes)[: structure.modes]

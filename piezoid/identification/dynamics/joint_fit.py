@@ -43,7 +43,7 @@ WEIGHT_ROUNDS = 3
 STEPS = Rule(tolerance=0.0, enough=0.1, iterations=4, tries=6)
 MAX_LOG_STEP = 0.3
 NEIGHBOURS = 30  # samples over which whitened noise may still be correlated
-PARTS = 12  # of a segment, each one draw of what the operator does not follow
+PARTS = 12  # of a segment, each an independent sample of the operator error
 PARTS_QUANTILE = 2.2010  # Student's of eleven degrees of freedom, 95 %
 TINY = 1e-300
 

@@ -19,7 +19,7 @@ from piezoid.records.recording import Recording
 
 SMALL_PLAYS = (0.05, 0.1, 0.2, 0.35)  # of the exciting drive's reach
 DISTINCT = 0.02  # of that reach: plays nearer to each other are one
-MAX_SAMPLES = 60_000  # of one segment: a second of a fast one says as much as ten
+MAX_SAMPLES = 60_000  # of one segment: one second of a fast recording is as informative as ten
 RINGING = 10.0  # time constants after which a ring has decayed
 
 

@@ -14,7 +14,7 @@ from piezoid.operators.limits import activated
 
 SHORTEST_s, LONGEST_s = 1e-9, 10.0
 WIDEST_m = 1.0
-NARROWEST = 1e-12  # m: a strain below it is none of a wall
+NARROWEST = 1e-12  # m: smallest strain of a domain wall
 FELT = 1e-3  # of a number: a change that is felt
 
 

@@ -25,11 +25,11 @@ from piezoid.records.reversals import noise_of, reversals_of
 WIDE = 0.01  # of the displacement range: a loop worth explaining
 CROSSING = 0.15  # of the widest opening: how far a loop may open the wrong way
 BINS = 20  # of the drive, in each of which the branches are averaged
-BUTTERFLY = 0.25  # of the displacement range: how far both ends stand from an extreme between
+BUTTERFLY = 0.25  # of the displacement range: distance of both ends from an extremum between them
 BEYOND = 0.1  # of a drive's range at either end: less is driven over the same range
 TURNING = 0.05  # of the displacement range: how far a branch may turn back
-UNEXPLAINED = 0.08  # of the displacement range: held-out rms of a fit nobody should use
-FOLLOWED = 0.7  # of the rms of the motion: what leaves more follows half of its power at most
+UNEXPLAINED = 0.08  # of the displacement range: held-out rms of an unusable fit
+FOLLOWED = 0.7  # of the rms of the motion: largest residual, half of the power explained
 POINTS = 41  # of the grid on which a loop's branches are compared
 MAX_JUMP = 0.2  # of a branch, between two samples: a parabola's chord is off by its square, 4 %
 AS_GOOD = 1.1  # held-out error of the lag alone over that of the hysteresis model

@@ -19,11 +19,11 @@ from piezoid.numerics.robust import Trend, spread_of, trend_of
 
 FEWEST = 8  # cycles: a trend of fewer may be one cycle that was odd
 MOST = 1000  # that are compared: each with each
-SURE = 1e-3  # chance of such a trend where there is none, of four that are asked for
-GAIN = 2e-4  # a smaller change over all cycles means nothing to a controller
+SURE = 1e-3  # false alarm probability of a trend, of four trends
+GAIN = 2e-4  # smaller changes over all cycles do not matter to a controller
 TIP = 0.02  # of the samples of a cycle at either end of the drive
 SLIDES = 0.1  # samples over all cycles: less is how a period that is no whole number is cut
-WANDERS = 3.0  # times what the noise of its samples lets a tip scatter by
+WANDERS = 3.0  # times the scatter of a tip by the noise of its samples
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -29,14 +29,14 @@ from piezoid.records.reversals import noise_of, reversals_of
 
 FACTOR = 8.0  # robust standard deviations: one of 1e15 normal residuals
 WIDTH = 9  # samples of the median, of which four may be wrong
-AROUND = 10  # samples on either side that say whether it rings
+AROUND = 10  # samples on either side that show ringing
 RINGING = 0.7  # of these
 STEEP = 0.8  # of its distance from the median: less is a corner
 SOLE = 0.9  # of a pair's, for a corner is three quarters
 BEFORE, BEHIND = 2, 8  # samples about a turn in which a law bends as a rough fit does not
-TURNS = 3  # so many show what is usual there
-MOTION = 0.1  # of the motion in the window: what a rough fit may miss of it
-PASSES = 3  # one of two beside each other may hide the other
+TURNS = 3  # number of reversals that show the usual deviation
+MOTION = 0.1  # of the motion in the window: allowed error of a rough fit
+PASSES = 3  # one of two neighbouring outliers may hide the other
 MAX_SHARE = 0.1  # of a piece: more are no outliers
 TRANSIENT = 3.0  # rms of a beginning over that of the rows behind it
 

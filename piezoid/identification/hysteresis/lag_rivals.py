@@ -21,7 +21,7 @@ from piezoid.operators.filters import later
 ROWS = 3000  # of all pieces together: three numbers need no more
 SAMPLES = 6000  # of one piece
 EVALUATIONS = 40
-EXPLAINED = 0.12  # of what no lag leaves: seven lags leave 0.01 to 0.08 of it, loops from 0.18 on
+EXPLAINED = 0.12  # of the residual without lag: seven lags have 0.01 to 0.08, loops 0.18 or more
 POWERS = (1, 2, 3)
 NO_LAG = np.array([np.log(1e-6), 0.0, 0.0])  # as shares of the longest: none
 

@@ -35,12 +35,12 @@ from piezoid.operators.chain import Samples
 ORDERS = ((2, 0), (4, 1), (8, 2), (12, 4), (16, 6))
 LAGS = ("delay", "first_order")
 BENDS = (3, 6)
-CLOSE = 1.03  # times the rms of the best: nobody would notice
+CLOSE = 1.03  # times the rms of the best: not noticeable
 CLOSE_IN_SAMPLE = 1.15  # the error of the fit itself falls with every number more
-NO_BETTER = 2  # orders in a row that bring nothing: the next would not either
+NO_BETTER = 2  # consecutive orders without improvement, after which the search stops
 FOLDS = 3
 MANY = 12  # crossings of the middle: so many are more than one loop, whatever their noise
-BEYOND = 0.1  # of half the drive's range: what a model may be asked beyond what it was shown
+BEYOND = 0.1  # of half the drive range: allowed extrapolation of a model
 ROUNDED = 1e-9  # of a sum of squares: more than its rounding
 
 
@@ -61,7 +61,7 @@ class Fold:
         """Return the samples of a tested piece that count and were not trained on."""
         piece = self.testing[number]
         if number >= self.trained or self.training == self.testing:
-            return piece.counting()  # of one loop nothing is unseen: all of it is looked at
+            return piece.counting()  # a single loop has no unseen part: all of it is used
         return replace(piece, first=self.training[number].last).counting()
 
 
@@ -297,7 +297,7 @@ def _unseen(fitted: Fitted, fold: Fold) -> Array:
     is_only_recording = _recordings((*fold.training, *fold.testing)) == 1
     residuals = []
     for number, piece in enumerate(fold.testing):
-        if number < fold.trained:  # its zero stays where the trained part left it
+        if number < fold.trained:  # keep the zero of the training part
             output = continued(fitted, number, fold.training[number])
         else:
             output = continued(refitted, number - fold.trained, piece)

@@ -18,7 +18,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.operators.chain import Chain, Following, Samples
 from piezoid.operators.play import thinned_drive
 
-CHUNK = 1024  # rows written together: about what the second cache holds
+CHUNK = 1024  # rows written together: about the size of the L2 cache
 
 SPARSE = 3  # samples a row, from which on the way from row to row is shorter
 QUICK = 0.5  # samples: a declared pole quicker than this acts as a delay

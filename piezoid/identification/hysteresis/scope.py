@@ -19,7 +19,7 @@ LARGE = 0.2  # of the drive's range: a branch that shows a loop
 ONE_LOOP = 3  # branches: from the middle up, down and back
 SMALL = 0.02  # of the same: less is no reversal
 ALIKE = 1.5  # how far the spans of two branches may differ to be compared at two speeds
-FASTER = 2.0  # a loop that a lag makes is twice as wide at twice the speed: more than any doubt
+FASTER = 2.0  # loop width by a lag doubles with the speed, which exceeds any uncertainty
 OTHER_SIZE = 1.25  # times the span of the smallest: reversals of more than one size
 # the most a score may be: none of them is "good" (90), and what leaves open whether there is a
 # loop, or what it is, is no more than "usable with care" (50)
@@ -34,7 +34,7 @@ AS_RECORDED = {
     "stands": 70,
     "zero_jump": 85,
 }
-SLIDES = 50  # as a lag that cannot be told from a width
+SLIDES = 50  # as for a lag that cannot be separated from loop width
 
 
 @dataclass(frozen=True, kw_only=True)

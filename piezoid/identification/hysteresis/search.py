@@ -31,7 +31,7 @@ WEAK = 1e-9
 THRESHOLDS = ("gap", "below_gap", "above_gap")
 CLOSE_GAP = 0.01  # of half the drive's range: thresholds nearer than that are one
 NO_WEIGHT = 1e-4  # of the total slope
-NO_KINK = 1e-3  # a change of slope that is none
+NO_KINK = 1e-3  # negligible change of slope
 NO_WORSE = 1.002  # rms of a fit with fewer parts that is kept
 
 

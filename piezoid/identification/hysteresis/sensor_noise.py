@@ -29,7 +29,7 @@ MOST = 0.9  # of the samples that must repeat
 GROWTH = 1.1  # from one spacing to its double: between 1.01 of 1/f noise and 8 of a motion
 FEWEST = 64  # samples for each sample of spacing, or the median is itself noise
 POLE = 2  # octaves in which a sensor's pole may let go of its neighbours
-MOTION = 2.0  # times the noise of the residual: the readings' own is mostly motion
+MOTION = 2.0  # times the noise of the residual: more is mostly motion
 DIGITS = 9  # of half the stroke: a step is the same however it was rounded
 
 

@@ -39,7 +39,7 @@ ROWS = 12_000  # of all pieces together
 FOLDS = 5
 BLOCKS = 6, 15  # of a piece, at least and at most
 BLOCK_s = 4.0
-NEVER_OUT = -1  # the fold of blocks that are never left out
+NEVER_OUT = -1  # fold number of blocks that are always used for training
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -44,7 +44,7 @@ _REPEATED = 3  # neighbours in height with exactly the largest current: noise ne
 _CLEAR = 0.8
 _SMOOTHED = 5  # rows of the running median
 
-MIN_POINTS = 8  # three parameters, two of noise, and something left over to judge them by
+MIN_POINTS = 8  # three parameters, two of noise, and some degrees of freedom
 
 
 class Direction(Enum):

@@ -36,8 +36,8 @@ from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid.record_json import Interval
 
 _DRIFT_m_per_s = 50e-12  # standard deviation: 1 to 100 pm/s in the laboratories we know of
-_UNSTATED_s = 1.8  # of one way where no file says it: 95 % of what 0.1 to 5 s to and fro allow
-_MAX_DRIFT = 0.25  # of the travel, standard deviation: with more, nobody would call it a sweep
+_UNSTATED_s = 1.8  # of one way if no file states it: 95 % limit for 0.1 to 5 s to and fro
+_MAX_DRIFT = 0.25  # of the travel, standard deviation: with more it is no sweep
 # 95 %, of the drift: creep that began 30 s ago changes by a tenth between both ways of 3 s, and
 # the mean of both takes up half of that.
 _INCONSTANT = 0.05
