@@ -77,9 +77,9 @@ def _shape_figure(verification: Verification) -> Figure:
     return Figure(
         title="Shape error on spirals, method by method",
         caption=f"{METHOD_NAMES[methods[0]].capitalize()}: "
-        f"{number(shipped[0].aligned_rms_m, 'm')} at {number(shipped[0].frequency_Hz, 'Hz')}, "
-        f"{number(shipped[-1].aligned_rms_m, 'm')} at "
-        f"{number(shipped[-1].frequency_Hz, 'Hz')}, rms after the best delay.",
+        f"{number(shipped[0].aligned_rms_m, 'm')} rms at "
+        f"{number(shipped[0].frequency_Hz, 'Hz')}. Shape error: distance from the path after the "
+        "best delay.",
         guide="Good: the controller that ships lies lowest. Bad: it crosses another method.",
         canvas=canvas,
         layers=tuple(layers),
