@@ -58,12 +58,16 @@ def stage_statements(
     if design is not None:
         statements += record_in_counts(design_statements(design, model), model.counted)
     statements += _tip(model)
-    statements += [_limit(Level.ACTION, "not_used", text) for text in model.remarks]
-    statements += [
-        _limit(fact.level, fact.quantity, f"{recording.name}: {fact.text}")
+    of_recordings = {
+        f"{recording.name}: {fact.text}": fact
         for recording in recordings
         for fact in recording.statements
-    ]
+    }
+    for text in model.remarks:
+        fact = of_recordings.pop(text, None)
+        quantity = "recordings" if fact is None else fact.quantity
+        statements.append(_limit(Level.ACTION, quantity, text))
+    statements += [_limit(fact.level, fact.quantity, text) for text, fact in of_recordings.items()]
     return tuple(dict.fromkeys(statements))
 
 

@@ -15,6 +15,7 @@ from piezoid.identification.fit_statements import Grade, fit_statements, grade_o
 from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import Limit, with_noise_bound
 from piezoid.statement import Level, select
+from piezoid.statement import finding as finding_of_recording
 from piezoid.verification import criteria
 from piezoid.verification.verification import Verification
 from tests.reports.known_diagnosis import diagnosed, finding
@@ -199,4 +200,15 @@ def test_no_statement_is_made_twice() -> None:
         diagnoses=[diagnosed(finding("creep", rivals=("lag",)))],
         undiagnosed=("axis z is not diagnosed.",),
     )
+    assert len({fact.text for fact in facts}) == len(facts)
+
+
+def test_a_remark_of_the_model_about_a_recording_is_one_statement_that_needs_action() -> None:
+    rate = finding_of_recording("controller_rate", "No time column.")
+    odd = replace(recording(), statements=(rate,))
+    model = replace(stage_model(axis_model()), remarks=(f"{odd.name}: {rate.text}", "no junction"))
+    facts = stage_statements(model, recordings=[odd])
+    needed = {fact.quantity: fact.text for fact in facts if fact.level is Level.ACTION}
+    assert needed["controller_rate"] == f"{odd.name}: {rate.text}"
+    assert needed["recordings"] == "no junction"
     assert len({fact.text for fact in facts}) == len(facts)
