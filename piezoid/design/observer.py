@@ -20,6 +20,7 @@ from piezoid.errors import DesignError
 from piezoid.numerics.arrays import Array, freeze
 
 _UNREACHABLE = 1e-12
+_ROUNDING = 1e-14  # of the largest entry; entries in m/V are larger
 
 FORMS = ("affine", "inverse")
 
@@ -67,8 +68,10 @@ def placement_form(A: Array, B: Array) -> PlacementForm:
 
     Raises ``DesignError`` where a part of the state cannot be reached from B.
     """
-    # Powers of two that make rows and columns alike: states in m and in V differ by 1e6.
-    balanced, (basis, _) = matrix_balance(A, permute=False, separate=True)
+    # Powers of two that make rows and columns alike: states in m and in V differ by 1e6. What an
+    # instantaneous pole keeps of its state is rounding, and would be made as large as its row.
+    rounded = np.where(np.abs(A) > _ROUNDING * np.abs(A).max(), A, 0.0)
+    balanced, (basis, _) = matrix_balance(rounded, permute=False, separate=True)
     input_column = (np.asarray(B, dtype=np.float64) / basis)[:, None]
     reflect, upper = np.linalg.qr(input_column, mode="complete")  # first column along the input
     form, Q = hessenberg(reflect.T @ balanced @ reflect, calc_q=True)

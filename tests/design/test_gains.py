@@ -90,3 +90,18 @@ def test_a_drift_that_never_happens_is_refused():
             drift_variance=0.0,
             sensor_variance=1.0,
         )
+
+
+def test_the_rounding_of_an_instantaneous_pole_hides_no_state():
+    """A mode beside a direct path, without delay: the fast pole leaves 2.8e-16 of its state."""
+    A = np.array(
+        [[0.9670511, 0.2536913, 0.0], [-0.2536913, 0.9567867, 0.0], [0.9500301, 0.2419992, 0.0]]
+    )
+    B = np.array([3.513376e-07, 2.705139e-06, 5.328345e-07])
+    rounded = A.copy()
+    rounded[2, 2] = 2.793248e-16
+    poles = np.array([0.5, 0.4, 0.3])
+    gain = placement_form(rounded, B).gain(poles)
+    np.testing.assert_allclose(gain, placement_form(A, B).gain(poles), rtol=1e-6)
+    placed = np.sort(np.linalg.eigvals(A - np.outer(B, gain)).real)
+    np.testing.assert_allclose(placed, np.sort(poles), atol=1e-6)
