@@ -173,7 +173,8 @@ def unfitted(
         remarks=(
             *remarks_on_currents(recordings),
             *(s.text for s in statements),
-            *remarks_on_reading(recordings, CONTROLLER_RATE),
+            # A loop of a tip is recorded at every tick of its controller.
+            *remarks_on_reading([r for r in recordings if not is_loop(r)], CONTROLLER_RATE),
             *remarks_on_reading(recordings, MAY_BE_HIGH_VOLTAGE),
             *(() if lab.coupled.axes else remarks_on_reading(recordings, "coupled_drives")[:1]),
         ),

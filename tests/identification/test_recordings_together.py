@@ -4,10 +4,11 @@ from pathlib import Path
 
 import pytest
 
+import piezoid_datasets
 from piezoid.errors import RecordingError
 from piezoid.identification.fit import moving, unfitted
 from piezoid.records.collection import collect
-from piezoid.records.lab import Lab
+from piezoid.records.lab import Acquisition, Lab, read_lab
 from piezoid.records.recording import Recording
 from tests.records.messy.writers import NAMES, columns, lines, text
 
@@ -49,3 +50,18 @@ def test_a_file_of_the_other_polarity_ends_before_the_fit(tmp_path: Path) -> Non
     recordings = read(tmp_path, sweep=lines(), turned=lines(table=columns() * [1, -1, 1]))
     with pytest.raises(RecordingError, match=r"turned.csv moves .* opposite polarity"):
         unfitted(recordings, Lab())
+
+
+def test_a_file_without_time_read_at_the_rate_of_the_controller_is_named(tmp_path: Path) -> None:
+    text(lines(table=columns()[:, 1:], names=NAMES[1:]))(tmp_path / "notime.csv")
+    lab = Lab(acquisition=Acquisition(sampling_rate_Hz=1000.0))
+    (said,) = unfitted(collect([tmp_path / "notime.csv"], lab).recordings, lab).remarks
+    assert said.startswith("notime.csv: No time column; 1000 Hz from [acquisition]")
+
+
+def test_a_loop_of_a_tip_has_the_rate_of_its_controller_by_definition() -> None:
+    lab = read_lab(piezoid_datasets.LAB)
+    loops = [place for place in piezoid_datasets.recordings() if "z_loop" in place.name]
+    recordings = collect(loops, lab).recordings
+    assert {r.sampling_rate_Hz for r in recordings} == {lab.acquisition.sampling_rate_Hz}
+    assert not any("No time column" in said for said in unfitted(recordings, lab).remarks)
