@@ -12,7 +12,7 @@ def init(
     files: Annotated[list[Path], typer.Argument(help="Recordings of one stage, any number.")],
     out: Annotated[Path, typer.Option(help="The file to write.")] = Path("lab.toml"),
     force: Annotated[
-        bool, typer.Option("--force", help="Replace the file if it is there.")
+        bool, typer.Option("--force", help="Replace a file that this command wrote.")
     ] = False,
     quiet: Quiet = False,
     json: Json = False,

@@ -30,7 +30,8 @@ REMEDIES = {
     "closed_loop": "Open the loop and record again with the drive free.",
     "leads": "Check the assignment of the columns, and that one clock stamps both channels.",
     "smoothed": "Use the file as it was recorded, without smoothing.",
-    "implausible_gain": "Check both units, and whether the drive is an amplifier's monitor.",
+    "implausible_gain": "Check both units, and whether the drive is an amplifier's monitor. "
+    "At a sharp resonance such a gain is right.",
     "stands": "Record with the drive inside that range, or exclude those cycles.",
     "slides": "Stamp both channels by one clock, and record again.",
     "zero_jump": "Tighten the mount, check the sensor's zero and its counter, and record again.",

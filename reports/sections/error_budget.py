@@ -11,7 +11,7 @@ from piezoid_reports.quantities import number
 
 NOISE = "noise"
 LABELS = {NOISE: "sensor noise", "extrapolation": "held-out minus in-sample"}
-NEGLIGIBLE = 1e-3  # of the power of the error: no bar
+NEGLIGIBLE = 1e-3  # of the power of the final error: no bar
 
 
 def render(page: Page) -> Section | None:
@@ -30,7 +30,7 @@ def render(page: Page) -> Section | None:
 
 def visible_parts(diagnosis: Diagnosis) -> tuple[BudgetPart, ...]:
     """Return the parts of the error that are not negligible, the noise last."""
-    least_m2 = NEGLIGIBLE * diagnosis.baseline.rms_m**2
+    least_m2 = NEGLIGIBLE * diagnosis.final.rms_m**2
     return tuple(p for p in diagnosis.budget if p.rms_m**2 > least_m2 or p.part == NOISE)
 
 
