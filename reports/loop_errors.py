@@ -35,3 +35,11 @@ def guarantee(page: Page, axis: AxisModel) -> str:
     return (
         f"{number(slow_m, 'm')} at {TRACKED_Hz:g} Hz, {at_most}" if slow_m < bound_m else at_most
     )
+
+
+def guaranteed_limit(page: Page, axis: AxisModel) -> str:
+    """Return the guaranteed error at any speed of the reference, or why there is none of use."""
+    loop = page.loop_of(axis.axis)
+    certificate = None if loop is None else loop.certificate
+    bound_m = guaranteed_error_m(certificate, axis, is_verified=page.ships(axis.axis))
+    return bound_m if isinstance(bound_m, str) else number(bound_m, "m")

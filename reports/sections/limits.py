@@ -1,8 +1,11 @@
 """Limits of the results, and the recording or repair that helps most."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 from piezoid.identification.fit_statements import DYNAMICS
 from piezoid.identification.model import AxisModel
-from piezoid.statement import Level
+from piezoid.statement import Level, Statement
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Listing, Part, Prose, Section, Table, folded
 from piezoid_reports.quantities import number
@@ -29,10 +32,7 @@ def render(page: Page) -> Section:
             Table(
                 caption="Limits, and what to do about them.",
                 columns=("level", "about", "statement"),
-                rows=tuple(
-                    (LABELS[fact.level], label_of(fact.quantity), page.text_of(fact))
-                    for fact in open_facts
-                ),
+                rows=_rows(page, open_facts),
                 wordy=(2,),
                 is_open=True,
             )
@@ -51,6 +51,20 @@ def render(page: Page) -> Section:
         + (", beyond those in the summary." if page.has_summary else "."),
         parts=tuple(parts),
     )
+
+
+def _rows(page: Page, facts: Sequence[Statement]) -> tuple[tuple[str, ...], ...]:
+    """Return the statements as rows; what holds for several axes stands in one."""
+    axes: dict[Statement, list[str]] = {}
+    for fact in facts:
+        axes.setdefault(replace(fact, axis="", value=None), []).append(fact.axis)
+    rows = []
+    for fact, names in axes.items():
+        text = page.text_of(replace(fact, axis=names[0]))
+        if len(names) > 1:
+            text = f"Axes {', '.join(names)}: {fact.text}"
+        rows.append((LABELS[fact.level], label_of(fact.quantity), text))
+    return tuple(rows)
 
 
 def _untested(page: Page, axis: AxisModel) -> str:

@@ -12,7 +12,7 @@ from piezoid.identification.quality import Uncertainty
 from piezoid.numerics.robust import student_quantile
 from piezoid.numerics.uncertainty_budget import Contribution
 from piezoid_reports.chart import Canvas, axis_over
-from piezoid_reports.loop_errors import TRACKED_Hz, guarantee, tracking_error
+from piezoid_reports.loop_errors import TRACKED_Hz, guaranteed_limit, tracking_error
 from piezoid_reports.page import Page
 from piezoid_reports.parts import (
     Figure,
@@ -97,20 +97,19 @@ def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Part]:
         expanded, factor = number(expected.expanded, "m"), significant(expected.coverage_factor)
         largest, tracked = number(expected.largest[1], "m"), tracking_error(page, budget.axis)
         values = {
-            f"with feedback: simulated spiral of {TRACKED_Hz:g} Hz, rms": tracked,
-            "without feedback: held-out error, rms": held_out,
-            "without feedback: 95 % of positions, drift and lag included": f"±{expanded} "
-            f"(coverage factor {factor})",
-            f"without feedback: largest of {expected.positions} positions": f"below {largest}",
-            "without feedback: bound of the hysteresis model alone, 95 %": _bound(axis),
-            "with feedback: guaranteed error": guarantee(page, axis),
+            "held-out error, rms": held_out,
+            f"{TRACKED_Hz:g} Hz spiral with feedback, rms": tracked,
+            "95 % of positions": f"±{expanded} (k = {factor})",
+            f"largest of {expected.positions} positions": largest,
+            "bound of the hysteresis model alone, 95 %": _bound(axis),
+            "guaranteed error with feedback": guaranteed_limit(page, axis),
         }
         for name, value in values.items():
             rows.setdefault(name, []).append(value)
     return with_rows(
         Table(
-            caption="Which error holds for what. The last two rows are limits for every drive, "
-            "not the expected error.",
+            caption="Which error holds for what, without feedback unless stated. The last two are "
+            "limits for every drive, not expected errors.",
             columns=("error", *(f"axis {budget.axis}" for budget in budgets)),
             rows=tuple((name, *values) for name, values in rows.items() if any(values)),
             is_open=True,
@@ -154,14 +153,8 @@ def _bound(axis: AxisModel) -> str:
     certificate, range_m = axis.certificate, axis.quality.range_m
     if not axis.quality.is_tested or certificate.bound_m > range_m:
         return "no useful bound"
-    middle_V = axis.hysteresis.voltage_offset_V
     speed = " at the speed of the recordings" if axis.quality.lag_is_open else ""
-    return (
-        f"{number(certificate.bound_m, 'm')}, for "
-        f"{number(middle_V - certificate.reach_V, 'V')} to "
-        f"{number(middle_V + certificate.reach_V, 'V')}, up to "
-        f"{number(certificate.slew_V_per_s, 'V/s')}{speed}"
-    )
+    return f"{number(certificate.bound_m, 'm')}{speed}"
 
 
 def known_of(uncertainty: Uncertainty) -> Known:

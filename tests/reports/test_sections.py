@@ -66,15 +66,17 @@ def test_quantities_of_the_fit_stand_with_their_intervals() -> None:
     assert ("valid drive", "0 V to 10.0 V") in table
 
 
-def test_the_bound_of_the_model_states_its_range() -> None:
-    page = render(Page(model=stage_model(axis_model()), recordings=[recording()])).replace(
-        "\u202f", " "
-    )
-    assert "140 nm, for 0 V to 10.0 V" in page
+def test_every_error_of_an_axis_has_a_row_and_its_limits_a_range() -> None:
+    page = render(Page(model=stage_model(axis_model()), recordings=[recording()]))
+    values = {row[0]: row[1] for row in rows(page) if len(row) == 2}
+    assert values["held-out error, rms"] == "30.0 nm"
+    assert values["bound of the hysteresis model alone, 95 %"] == "140 nm"
+    assert values["guaranteed error with feedback"] == "none"
+    assert "drive below 0 V or above 10.0 V" in page.replace("\u202f", " ")
     wrong = render(
         Page(model=stage_model(axis_model(reason="a butterfly")), recordings=[recording()])
     )
-    assert "95 % confidence" not in wrong
+    assert "hysteresis model alone" not in wrong
 
 
 def test_limits_hold_every_statement_that_the_summary_does_not_show() -> None:
@@ -90,6 +92,20 @@ def test_limits_hold_every_statement_that_the_summary_does_not_show() -> None:
     for fact in facts:
         assert page.count(fact.text) == 1, fact
     assert sum(fact.text in limits for fact in facts) == len(facts) - 1
+
+
+def test_a_limit_of_several_axes_stands_in_one_row() -> None:
+    unsure = [
+        replace(axis, quality=replace(axis.quality, converged=False))
+        for axis in (axis_model("x"), axis_model("y", ("up.csv",)))
+    ]
+    few = [replace(a, uncertainty=replace(a.uncertainty, blocks=5)) for a in unsure]
+    page = render(
+        Page(model=stage_model(*few), recordings=[recording(), recording("up.csv", "y")])
+    )
+    limits = [row[2] for row in rows(page) if row[0] == "note"]
+    assert sum(text.startswith("Axes x, y: The search stopped") for text in limits) == 1
+    assert not any(text.startswith("Axis y: The search stopped") for text in limits)
 
 
 def test_sections_without_matter_are_not_on_the_page() -> None:
