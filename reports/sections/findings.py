@@ -32,8 +32,8 @@ def render(page: Page) -> Section | None:
     return Section(
         anchor="findings",
         title="Findings",
-        lead="Effects that a simulation with hysteresis alone lacks. Look-alike: the same effect, "
-        "added to the simulation of a healthy stage.",
+        lead="Effects that a simulation with hysteresis alone lacks. Look-alike: the same effect "
+        "in a healthy stage.",
         parts=(*parts, *_not_detected_tables(page)),
     )
 
@@ -75,8 +75,8 @@ def _table(diagnoses: Sequence[Diagnosis]) -> Part:
         return Prose(text="No effect was found.")
     return Table(
         caption="Size with 95 % interval; held-out error of the model refitted without the "
-        "effect, and with it; loop shape is added last. p: rank among healthy stages, 0.019 at "
-        "least; of data faults, modes and loop shape: against their own scatter.",
+        "effect, and with it; loop shape is added last. p: rank among healthy stages (0.019 at "
+        "least), or against its own scatter.",
         columns=("axis", "effect", "size", "error without", "with", "gain", "p"),
         rows=rows,
         is_open=True,
