@@ -18,6 +18,7 @@ AT_REST_deg = 22.5  # at rest a stage has turned by less
 # Where a slew limit leaves 0.707 of a sine its triangle lags by acos(0.707 pi^2 / 8) = 29 degrees,
 # a pole by 45: a gain that falls with less than half way between them is neither's.
 PHASELESS_deg = -37.0
+AT_THE_END = 0.8  # of the highest line: a gain that peaks above may rise further
 CLEAR_PEAK = 1.2  # a first-order pole never rises; noise and distortion do a little
 PEAK_SIGMAS = 4.0  # standard deviations: the peak is the largest of many lines
 LOW_BAND = 2.0  # the gain at rest is the median up to so many times the lowest line
@@ -164,10 +165,15 @@ def unfitted(
     if at_Hz == verdict.peak_Hz:
         size = f" ({verdict.peak_ratio:.3g} times the gain at rest)"
     model = "takes the mode from the diagnosis" if has_mode else "keeps a pure lag"
+    location, chirp = f"near {at_Hz:.3g} Hz", "through it"
+    peak_Hz = verdict.peak_Hz or 0.0
+    if verdict.fallen_Hz is None and peak_Hz > AT_THE_END * verdict.highest_Hz:
+        location = f"at {at_Hz:.3g} Hz or above, where its response ends"
+        chirp = f"to at least {2.0 * verdict.highest_Hz:.0f} Hz"
     text = (
-        f"{recording} shows {shape} near {at_Hz:.3g} Hz{size}. Its frequency response could not "
-        f"be fitted: {reason}. The model {model}. Record a small chirp through it, about 2 % of "
-        "the range of the drive, at the rate of the controller or faster."
+        f"{recording} shows {shape} {location}{size}. Its frequency response could not be fitted: "
+        f"{reason}. The model {model}. Record a small chirp {chirp}, about 2 % of the range of "
+        "the drive, at the rate of the controller or faster."
     )
     return replace(verdict, text=_stated(stated_Hz) + text)
 

@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from piezoid.identification.dynamics.axis_dynamics import with_dynamics
-from piezoid.identification.dynamics.bandwidth import BandwidthVerdict, decide_bandwidth
+from piezoid.identification.dynamics.bandwidth import (
+    BandwidthVerdict,
+    decide_bandwidth,
+    unfitted,
+)
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.periodic_estimate import estimate_response
 from piezoid.operators.linear import ContinuousSystem, cascade, first_order, resonance, sample
@@ -135,3 +139,14 @@ def test_a_slew_limit_is_no_pole(rng: np.random.Generator) -> None:
         assert verdict.kind == "undecided"
         assert verdict.phase_interval_deg is not None
         assert verdict.phase_interval_deg[0] == pytest.approx(-29.0, abs=3.0)
+
+
+def test_a_gain_that_peaks_where_the_response_ends_is_a_resonance_there_or_above() -> None:
+    peak = BandwidthVerdict(
+        kind="resonance", stated_Hz=None, peak_ratio=2.4, peak_Hz=125.0, highest_Hz=127.0, text=""
+    )
+    at_the_end = unfitted(peak, "chirp.csv", "a reason").text
+    assert "at 125 Hz or above, where its response ends" in at_the_end
+    assert "to at least 254 Hz" in at_the_end
+    inside = unfitted(replace(peak, peak_Hz=60.0), "chirp.csv", "a reason").text
+    assert "near 60 Hz" in inside
