@@ -75,11 +75,15 @@ def _inseparable_reason(effect: Effect, outcome: Outcome) -> str:
 def _bounded(test: ScoreTest, outcome: Outcome) -> NotDetected:
     """Return the bounds of a tested effect, with the part that hysteresis absorbs.
 
-    The limit is not below the bound: an effect of that size may be present and was not named.
+    The limit is not below the bound: an effect of that size may be present and was not named. A
+    bound above the range bounds nothing.
     """
     effect, final = test.effect, outcome.final
     scale_m = test.absorption * 2.0 * final.half_stroke_m
     bound_m = scale_m * test.bound
+    if bound_m > 2.0 * final.half_stroke_m:
+        reason = "hysteresis absorbs it on these recordings: any size up to the range would fit"
+        return _untested(effect, reason, effect.experiment)
     min_share = final.rms / 2.0 * sqrt(2.0 * effect.minimum_gain)
     margin = POWER * (test.bound - test.share)
     limit_m = max(scale_m * max(margin, min_share, MINIMUM_SHARE, test.floor), bound_m)
