@@ -61,7 +61,9 @@ class RemainingErrors:
     wide_m       of the widest class of hysteresis with every effect, corrected in the same way
     scatter      relative standard error of a mean square of the residual, from blocks
     before_m     held-out error with every effect but without the wider class of hysteresis, where
-                 the model has it: the error that findings state with their effect
+                 the model has it
+    structure_m  rms of structure without a name that the model does not contain and that was
+                 subtracted from the readings before ``wide_m`` was computed
     is_compared  whether model and widest class follow the same stage at all; False where the
                  class of the model does not apply
     recordings_m  error of the model in sample by recording; empty where it was not computed
@@ -71,6 +73,7 @@ class RemainingErrors:
     wide_m: float
     scatter: float
     before_m: float | None = None
+    structure_m: float = 0.0
     is_compared: bool = True
     recordings_m: Mapping[str, float] = field(default_factory=dict)
 
@@ -109,8 +112,12 @@ def with_budget(
     noise = min(diagnosis.noise_floor_rms_m**2, total)
     final_power = float(np.clip(final.rms_m**2, noise, total))
     explained = float(np.clip(errors.explained_m**2, noise, final_power))
+    remaining = {"extrapolation": final_power - explained}
+    if errors.structure_m > 0.0:
+        remaining[SOMETHING_ELSE] = min(errors.structure_m**2, explained - noise)
+        explained -= remaining[SOMETHING_ELSE]
     wide = float(np.clip(errors.wide_m**2, noise, explained))
-    remaining = {"extrapolation": final_power - explained, "unexplained": wide - noise}
+    remaining["unexplained"] = wide - noise
     in_sequence = {}  # gains of parts that were added to the model one after another
     if errors.before_m is None:
         remaining[LOOP_SHAPE] = explained - wide
@@ -124,9 +131,8 @@ def with_budget(
         diagnosis = _with_loop_shape(diagnosis, errors, explained - wide, is_largest=is_largest)
     diagnosis, remaining = _with_something_else(diagnosis, errors, remaining)
     together = total - final_power - sum(in_sequence.values())
-    effects = _effect_parts(diagnosis, together, in_sequence, other_recordings)
     parts = [
-        *(part for part in effects if part.part not in remaining),
+        *_effect_parts(diagnosis, together, in_sequence, remaining, other_recordings),
         *(_remaining_part(name, power, diagnosis, errors) for name, power in remaining.items()),
         BudgetPart(part="noise", rms_m=sqrt(noise), is_explained=False, text="Sensor noise."),
     ]
@@ -200,26 +206,29 @@ def _effect_parts(
     diagnosis: Diagnosis,
     power: float,
     in_sequence: Mapping[str, float],
+    remaining: Mapping[str, float],
     other_recordings: Mapping[str, str],
 ) -> list[BudgetPart]:
     """Divide the gain of the model among the findings, without loop shape outside the model.
 
     power        gain of all effects together, of the model without loop shape
     in_sequence  gains of parts that were measured one after another, by name
+    remaining    parts of the final error, which the model does not remove
     """
     rises = {
         finding.effect: max(
             finding.held_out_rms_before_m**2 - finding.held_out_rms_after_m**2, 0.0
         )
         for finding in diagnosis.findings
-        if finding.effect not in other_recordings and finding.effect not in in_sequence
+        if finding.effect not in {*other_recordings, *in_sequence, *remaining}
     }
     total_rise = sum(rises.values())
     if total_rise == 0.0 and power > 0.0:
         # the model's lag, which is no finding if it cannot be separated from a width of the loop
         rises["lag"] = total_rise = power
     parts = []
-    for name in dict.fromkeys((*diagnosis.names, *rises, *in_sequence)):
+    names = dict.fromkeys((*diagnosis.names, *rises, *in_sequence))
+    for name in (name for name in names if name not in remaining):
         share = rises.get(name, 0.0) / total_rise if total_rise > 0.0 else 0.0
         parts.append(
             BudgetPart(
@@ -234,7 +243,7 @@ def _effect_parts(
 
 def _effect_text(name: str) -> str:
     if name == SOMETHING_ELSE:
-        return "Residual along one coordinate, taken off the data."
+        return "Cause outside the catalogue."
     is_fault = effect_named(name).fault is not None
     return f"{words(name).capitalize()}, {'repaired in the data' if is_fault else 'modelled'}."
 
@@ -247,7 +256,8 @@ def _remaining_part(
     texts = {
         LOOP_SHAPE: f"Loop shape that the model class cannot represent ({sizes}).",
         "extrapolation": _extrapolation_text(errors.recordings_m),
-        SOMETHING_ELSE: f"Residual that lives in one coordinate ({sizes}).",
+        SOMETHING_ELSE: "Systematic residual that no effect explains; the model does not contain "
+        f"it ({sizes}).",
         "unexplained": f"Residual that no effect explains ({sizes}).{_advice(diagnosis)}",
     }
     return BudgetPart(part=name, rms_m=rms_m, is_explained=False, text=texts[name])

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from math import sqrt
 
 import numpy as np
 
@@ -85,10 +86,10 @@ def diagnose(
     progress    told what is being done, by whichever thread does it, one at a time
     threads     so many work at once; what is found does not depend on it
 
-    Raises ``ExcitationError`` where drive or displacement is missing or does not move. What goes
-    wrong: a cause that no effect stands for is ``something_else`` where it lives in one
-    coordinate; where it lives in several, it may be given to the effect that resembles it most.
-    ``unexplained`` tells how much is left.
+    Raises ``ExcitationError`` where drive or displacement is missing or does not move. A cause
+    outside the catalogue is ``something_else`` if it depends on one coordinate. If it depends on
+    several, it may be attributed to the effect that resembles it most. ``unexplained`` states the
+    size of the residual that remains.
     """
     selected_axis = _select_axis(recordings, axis)
     constant = recorded_of(recordings, selected_axis)
@@ -332,11 +333,13 @@ def _remaining_errors(
 ) -> RemainingErrors:
     rows, columns = outcome.final.null.every.shape
     has_wide_class = final.without_loop_shape() is not final
+    with_structure_m = errors.without_m.get(SOMETHING_ELSE, errors.final_m)
     return RemainingErrors(
         explained_m=final.quality.explained_rms_m,
         wide_m=outcome.final.rms * outcome.first.half_stroke_m * corrected(rows, columns),
         scatter=errors.scatter,
-        before_m=min(errors.final_m, errors.baseline_m) if has_wide_class else None,
+        before_m=min(with_structure_m, errors.baseline_m) if has_wide_class else None,
+        structure_m=sqrt(max(with_structure_m**2 - errors.final_m**2, 0.0)),
         is_compared=not outcome.against,
         recordings_m=_errors_by_recording(final, recordings),
     )

@@ -77,6 +77,17 @@ def test_a_residual_that_dominates_is_something_else_with_its_coordinate() -> No
     assert found.largest_remaining.part in ("something_else", "unexplained")
 
 
+def test_structure_that_the_model_lacks_is_part_of_the_final_error() -> None:
+    errors = RemainingErrors(explained_m=2.5e-8, wide_m=1e-8, scatter=0.01, structure_m=2e-8)
+    found = with_budget(diagnosed(finding("creep", 0.4), finding("something_else", 0.4)), errors)
+    parts = {part.part: part for part in found.budget}
+    assert not parts["something_else"].is_explained
+    assert parts["something_else"].rms_m == pytest.approx(2e-8)
+    assert parts["creep"].rms_m == pytest.approx(4e-8)
+    assert parts["loop_shape"].rms_m == pytest.approx(np.sqrt(1.25) * 1e-8)
+    assert power(found) == pytest.approx(found.baseline.rms_m**2)
+
+
 @pytest.mark.parametrize(("chirp_m", "words"), [(9e-8, "comes from chirp.csv"), (1e-8, "twice")])
 def test_an_error_of_one_recording_names_it(chirp_m: float, words: str) -> None:
     recordings_m = {"sweep.csv": 4e-9, "chirp.csv": chirp_m, "check.csv": 5e-9}
