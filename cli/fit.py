@@ -151,7 +151,7 @@ def show(calibration: "Calibration") -> None:
 
     console, model, controllers = Console(), calibration.model, calibration.controllers
     console.print(_table(calibration))
-    legend = "; closure: error / noise; guaranteed: proven limit"
+    legend = "; closure: error / noise; guaranteed: proven limit; bandwidth: of the feedback"
     budgets = budget_lines(calibration.diagnoses, legend)
     for line in (*budgets, *_tip(model.tunnelling), *_coupled(model.coupled)):
         console.print(plain(line))

@@ -137,4 +137,6 @@ def _table(planned: "Plan") -> "Table":
             )
         )
     title = f"axis {planned.axis}: {' against '.join(planned.question.effects)}"
-    return table(title, (*headings, "standard error, of the size"), rows, n_words=1)
+    source = "with the recordings" if planned.recorded is not None else "from the drive alone"
+    last_heading = f"standard error of the effect's size, {source}"
+    return table(title, (*headings, last_heading), rows, n_words=1)

@@ -190,20 +190,22 @@ def _comparison(verification: "Verification") -> "Table":
         for method in dict.fromkeys(row.method for row in rows_of)
     ]
     radius = with_unit(verification.radius_m, "m")
-    title = f"spirals of radius {radius}: rms error by frequency"
+    title = f"spirals of radius {radius}: simulated rms error by frequency"
     return table(title, ("method", *(with_unit(rate, "Hz") for rate in rates_Hz)), rows, n_words=1)
 
 
 def _bound_line(row: "ErrorBound") -> str:
     from piezoid.formatting import with_unit
 
-    bounded = "not bounded" if row.bound_m is None else f"bounded by {with_unit(row.bound_m, 'm')}"
+    bounded = "none" if row.bound_m is None else with_unit(row.bound_m, "m")
     if row.is_exceeded:
-        bounded += " (but not on all stages drawn here: some are farther from the model's class)"
+        bounded += " (exceeded on stages that are farther from the model's class)"
+    limit = with_unit(row.probable_m, "m")
+    probable = f"with {100.0 * row.probability:g} % probability below {limit}"
     return (
-        f"axis {row.axis}, at most {with_unit(row.slew_m_per_s, 'm/s')}: {bounded}, below "
-        f"{with_unit(row.probable_m, 'm')} with {100.0 * row.probability:g} % probability, worst "
-        f"found {with_unit(row.worst_found_m, 'm')}, simulated {with_unit(row.simulated_m, 'm')}"
+        f"axis {row.axis}, references up to {with_unit(row.slew_m_per_s, 'm/s')}: proven bound "
+        f"{bounded}; {probable}; worst run of a search {with_unit(row.worst_found_m, 'm')}; "
+        f"median run {with_unit(row.simulated_m, 'm')}"
     )
 
 

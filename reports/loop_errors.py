@@ -31,14 +31,13 @@ def guarantee(page: Page, axis: AxisModel) -> str:
     assert verification is not None
     speed_m_per_s = spiral_speed_m_per_s(TRACKED_Hz, verification.radius_m)
     slow_m = certificate.guaranteed_at(speed_m_per_s)
-    at_most = f"{number(bound_m, 'm')} at most"
-    return (
-        f"{number(slow_m, 'm')} at {TRACKED_Hz:g} Hz, {at_most}" if slow_m < bound_m else at_most
-    )
+    fastest = number(certificate.reference_slew_m_per_s, "m/s")
+    limit = f"{number(bound_m, 'm')} up to {fastest}; faster: not covered"
+    return f"{number(slow_m, 'm')} at {TRACKED_Hz:g} Hz, {limit}" if slow_m < bound_m else limit
 
 
 def guaranteed_limit(page: Page, axis: AxisModel) -> str:
-    """Return the guaranteed error at any speed of the reference, or why there is none of use."""
+    """Return the guaranteed error at every covered speed, or why there is none of use."""
     loop = page.loop_of(axis.axis)
     certificate = None if loop is None else loop.certificate
     bound_m = guaranteed_error_m(certificate, axis, is_verified=page.ships(axis.axis))

@@ -84,8 +84,8 @@ def describe_delay(plant: Fraction, mode: Mode) -> str:
     """
     late_s = plant.rest_delay_s - mode.damping / (np.pi * mode.frequency_Hz)
     return (
-        f"hold, converters and filters, {with_unit(late_s, 's')}, turn it by "
-        f"{360.0 * mode.frequency_Hz * late_s:.3g} degrees"
+        f"hold, converters and filters, {with_unit(late_s, 's')}, delay it by "
+        f"{significant(360.0 * mode.frequency_Hz * late_s)}°"
     )
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.errors import DesignError
+from piezoid.formatting import with_unit
 from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid.numerics.arrays import Array, ComplexArray, freeze
 
@@ -49,7 +50,7 @@ class Decoupling:
         """Describe the coupling without the matrix and the remaining coupling."""
         i, j = np.unravel_index(int(self.left.argmax()), self.left.shape)
         return (
-            f"Up to {self.frequency_Hz:.4g} Hz axes move each other by as much as "
+            f"Up to {with_unit(self.frequency_Hz, 'Hz')} axes move each other by as much as "
             f"{100 * self.before.max():.3g} % of the motion of one without the matrix and "
             f"{100 * self.left.max():.3g} % behind it, before feedback; most, axis "
             f"{self.axes[i]} when {self.axes[j]} moves."

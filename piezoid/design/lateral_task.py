@@ -265,7 +265,8 @@ def _refuse_without_poles(axis: AxisModel, loop: LoopModel, rate_Hz: float) -> N
     stated_Hz = None if axis.bandwidth is None else axis.bandwidth.stated_Hz
     note = ""
     if axis.unfitted_resonance_Hz is not None:
-        note = f"; the resonance near {axis.unfitted_resonance_Hz:.3g} Hz could not be fitted"
+        resonance = with_unit(axis.unfitted_resonance_Hz, "Hz")
+        note = f"; the resonance near {resonance} could not be fitted"
     elif stated_Hz is not None:
         note = (
             f"; bandwidth_Hz = {stated_Hz:g} of [actuator] does not suffice, because "

@@ -304,8 +304,8 @@ def _something_else(
         return replace(
             finding,
             effect=SOMETHING_ELSE,
-            explanation="No effect of the catalogue stands for it: a line at "
-            f"{significant(readings.line_Hz, 5)} Hz, of the floor, a pump or another instrument. "
+            explanation="No effect of the catalogue explains a line at "
+            f"{significant(readings.line_Hz, 5)} Hz: the floor, a pump or another instrument. "
             f"{size}",
             next_experiment=NEXT_EXPERIMENTS["frequency"],
             parameters={"frequency_Hz": readings.line_Hz},
@@ -318,9 +318,9 @@ def _something_else(
     return replace(
         finding,
         effect=SOMETHING_ELSE,
-        explanation="No effect of the catalogue stands for it: one jump by "
-        f"{with_unit(jump_m, 'm')} at {with_unit(readings.jump_s, 's')}, of the stage, its mount "
-        "or the sensor.",
+        explanation="No effect of the catalogue explains one jump by "
+        f"{with_unit(jump_m, 'm')} at {with_unit(readings.jump_s, 's')}: the stage, its mount or "
+        "the sensor.",
         next_experiment=NEXT_EXPERIMENTS["time"],
         parameters={"instant_s": readings.jump_s, "jump_m": jump_m},
         coordinate="time",

@@ -51,12 +51,15 @@ def largest_first(diagnosis: Diagnosis) -> tuple[Finding, ...]:
 def _remaining(diagnosis: Diagnosis) -> list[Statement]:
     """Return the part that dominates the error of the final model, if that is far above the noise.
 
-    What one coordinate explains is a finding with a statement of its own.
+    What one coordinate explains is a finding with a statement of its own. Every fit predicts new
+    recordings worse than its own: extrapolation needs action only if it is most of the error.
     """
     part = diagnosis.largest_remaining
     if part is None or part.part == SOMETHING_ELSE:
         return []
-    level = Level.ACTION if part.part == "extrapolation" else Level.WARNING
+    is_most = part.rms_m**2 > 0.5 * diagnosis.final.rms_m**2
+    is_action = part.part == "extrapolation" and is_most
+    level = Level.ACTION if is_action else Level.WARNING
     return [_statement(diagnosis, Kind.LIMIT, level, part.part, part.text, part.rms_m, "m")]
 
 

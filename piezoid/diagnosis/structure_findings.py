@@ -41,7 +41,7 @@ def structure_finding(
     scale_m: float,
     middle_m: float,
 ) -> Finding:
-    """Return the finding of structure that was subtracted from the readings.
+    """Return the finding of structure that the search subtracted from the readings.
 
     without_curve  held-out error of the model without the curve
     with_curve     and with it
@@ -54,7 +54,7 @@ def structure_finding(
     profile = _profile(
         score, view, sign * structure.residual, sign * score.fitted, scale_m, middle_m
     )
-    share = f"{100 * structure.share:.0f} % of what no cause explains beyond the noise"
+    share = f"{100 * structure.share:.0f} % of the residual power above the noise"
     return Finding(
         effect=SOMETHING_ELSE,
         held_out_gain=held_out_gain(without_curve.rms_m, with_curve.rms_m),
@@ -64,9 +64,9 @@ def structure_finding(
         rms_percent=50.0 * rms_m / view.half_stroke_m,
         size=_size(low_m, rms_m, high_m),
         not_separable_from=(),
-        explanation=f"No effect of the catalogue stands for it: {share} lives in "
-        f"{coordinate_words(score.coordinate)}{_location(structure, profile)}. "
-        f"It is {with_unit(rms_m, 'm')} rms.",
+        explanation="Residual that no effect of the catalogue explains: "
+        f"{with_unit(rms_m, 'm')} rms along {coordinate_words(score.coordinate)}"
+        f"{_location(structure, profile)}; {share}.",
         next_experiment=next_experiment(score.coordinate),
         parameters=_parameters(structure),
         coordinate=score.coordinate,
@@ -84,7 +84,7 @@ def noise_finding(
     """
     score, view = noise.score, noise.view
     low_m, rms_m, high_m = (view.half_stroke_m * rms for rms in excess_of(noise))
-    quiet_m, loud_m = (view.half_stroke_m * rms for rms in noise.range)
+    quiet, loud = (with_unit(view.half_stroke_m * rms, "m") for rms in noise.range)
     return Finding(
         effect=SOMETHING_ELSE,
         held_out_gain=0.0,
@@ -94,11 +94,9 @@ def noise_finding(
         rms_percent=50.0 * rms_m / view.half_stroke_m,
         size=_size(low_m, rms_m, high_m),
         not_separable_from=(),
-        explanation="No effect of the catalogue stands for it: the noise of the readings is not "
-        f"the same everywhere, it lives in {coordinate_words(score.coordinate)}. It is "
-        f"{with_unit(quiet_m, 'm')} rms in the quietest place and {with_unit(loud_m, 'm')} in the "
-        f"loudest, {with_unit(rms_m, 'm')} rms beyond the quietest in all. No model can take it "
-        "off.",
+        explanation=f"The noise of the readings changes along {coordinate_words(score.coordinate)}"
+        f", from {quiet} rms in the quietest region to {loud} in the loudest: "
+        f"{with_unit(rms_m, 'm')} rms above the quietest on average. No model removes it.",
         next_experiment=NOISE_EXPERIMENT,
         parameters={},
         coordinate=score.coordinate,

@@ -59,7 +59,8 @@ logarithm of a current. Memory: code of about 14 kB (Cortex-M4, float), and per 
 
 must end with `0 differ`; add `-DPZ_REAL_FLOAT` for single precision. The test needs standard
 input: run it on a host, and with your cross compiler in an emulator. On a target without files,
-start at 0 V and the first reading of the axis, step through its first rows, compare the outputs.
+start at 0 V and the first reading of the axis, step through its first rows, compare the outputs;
+where 0 V is outside the output range, `pz_start` starts at the nearest limit.
 With contracted products and sums, some outputs of the float version differ by a few converter
 codes, which does not matter in the loop. `golden.csv` covers motion, limits, a lost reference and
 lost readings; not an approach, retract, stuck sensor, latch, `pz_reset` or feedforward. Its first

@@ -16,6 +16,7 @@ GOOD_PERCENT = 0.5  # of the range, rms: a sixth of uncompensated hysteresis or 
 POOR_PERCENT = 2.0  # of the range, rms: the model removes hardly more than half
 NEAR_NOISE = 1.5  # held-out error over sensor noise: the sensor limits the error
 LOOSE_WIDTH = 0.2  # half interval of the loop width over the width
+MAX_WIDTH_ERRORS = 10.0  # half interval over the held-out error, which contains both branches
 MIN_BLOCKS = 10  # of cycles, from which intervals are computed
 POOR_SCORE, ACTION_SCORE, GOOD_SCORE = 50, 70, 90  # of `Limit.most`
 
@@ -76,17 +77,17 @@ def fit_statements(axis: AxisModel) -> tuple[Statement, ...]:
             "times slower."
         )
         statements.append(_limit(axis, Level.ACTION, "model_class", text))
-    for limit in axis.quality.limits:  # never measured, or odd about the recordings
-        level = Level.ACTION if limit.most <= ACTION_SCORE else Level.WARNING
-        text = f"{sentence(limit.reason)} {REMEDIES.get(limit.lack, '')}".strip()
-        statements.append(_limit(axis, level, limit.lack, text))
-    statements += [*_noise(axis), *_intervals(axis)]
     if not axis.quality.converged:
         text = (
             "The search stopped at its limit of iterations; a better fit may exist. Record "
             "reversals of decreasing size over the whole range and fit again."
         )
         statements.append(_limit(axis, Level.WARNING, "convergence", text))
+    for limit in axis.quality.limits:  # never measured, or odd about the recordings
+        level = Level.ACTION if limit.most <= ACTION_SCORE else Level.WARNING
+        text = f"{sentence(limit.reason)} {REMEDIES.get(limit.lack, '')}".strip()
+        statements.append(_limit(axis, level, limit.lack, text))
+    statements += [*_noise(axis), *_intervals(axis)]
     statements += _zero(axis)
     for remark in axis.verdict.remarks:
         quantity = DYNAMICS if remark in axis.dynamics_remarks else "fit"
@@ -147,11 +148,28 @@ def _intervals(axis: AxisModel) -> list[Statement]:
     width_m, half_m = axis.uncertainty.loop_width_m
     if half_m > LOOSE_WIDTH * abs(width_m):
         text = (
-            f"The width of the loop is known to ±{with_unit(half_m, 'm')} only, of "
-            f"{with_unit(width_m, 'm')}. Record full-range cycles several times at one speed."
+            f"The width of the loop, {with_unit(width_m, 'm')}, is known to "
+            f"±{with_unit(half_m, 'm')} only."
+            if has_usable_intervals(axis)
+            else "These recordings do not determine single parameters: their intervals are not "
+            "usable. For drives like the recorded ones the held-out error, "
+            f"{with_unit(axis.quality.held_out_rms_m, 'm')} rms, holds."
         )
+        text += " Record full-range cycles several times at one speed."
         statements.append(_limit(axis, Level.WARNING, "loop_width", text, half_m, "m"))
     return statements
+
+
+def has_usable_intervals(axis: AxisModel) -> bool:
+    """Return whether the intervals of the parameters agree with the held-out error.
+
+    Held-out predictions come from refits without a block, as the intervals do. If they are good
+    although the intervals are wide, a linear step along a poorly determined direction made the
+    intervals.
+    """
+    width_m, half_m = axis.uncertainty.loop_width_m
+    limit_m = max(LOOSE_WIDTH * abs(width_m), MAX_WIDTH_ERRORS * axis.quality.held_out_rms_m)
+    return not axis.quality.is_tested or half_m <= limit_m
 
 
 def _zero(axis: AxisModel) -> list[Statement]:

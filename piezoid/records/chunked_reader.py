@@ -209,7 +209,7 @@ def _recording(
     rate_Hz = first.sampling_rate_Hz / thinned.stride
     if thinned.stride > 1 or thinned.share < 1.0:
         text = (
-            f"read in chunks: {thinned.rows.shape[1]} samples at {rate_Hz:.4g} Hz of axis {axis} "
+            f"read in chunks: {thinned.rows.shape[1]} samples at {rate_Hz:.6g} Hz of axis {axis} "
             f"represent the file, which was sampled at {first.sampling_rate_Hz:.6g} Hz"
         )
         if thinned.share < 1.0:

@@ -19,6 +19,11 @@ _JUMP_SHARE = 0.2
 # of the sampling rate. A smaller share of the range than this is not worth a remark.
 _MIN_WHITE = 0.8
 _NOTICEABLE = 1e-3
+# White noise is the same in every block; a chirp through a resonance is not. Blocks of white noise
+# of 64 samples or more differ by less than a factor of 2.
+_BLOCKS = 8
+_MIN_BLOCK = 64
+_MAX_UNEVEN = 4.0
 
 
 def noise_rms(values: Array) -> float:
@@ -39,11 +44,19 @@ def is_noise_hidden(values: Array) -> bool:
 
     The third difference of white noise has twenty times its variance, so that both differences
     give the same noise. A sine of w radians a sample gives 2 sin(w / 2) sqrt(6 / 20) times as much
-    by the third as by the second one.
+    by the third as by the second one. A signal that is fast in one part of the record only, as a
+    chirp through a resonance, has a noise there that is many times that of another part.
     """
     second, third = (_spread(np.diff(values, order)) for order in (2, 3))
     is_noticeable = second / math.sqrt(6.0) > _NOTICEABLE * float(np.ptp(values))
-    return is_noticeable and third / math.sqrt(20.0) < _MIN_WHITE * second / math.sqrt(6.0)
+    if not is_noticeable:
+        return False
+    if third / math.sqrt(20.0) < _MIN_WHITE * second / math.sqrt(6.0):
+        return True
+    if len(values) < _BLOCKS * _MIN_BLOCK:
+        return False
+    blocks = [_spread(np.diff(block, 2)) for block in np.array_split(values, _BLOCKS)]
+    return max(blocks) > _MAX_UNEVEN * max(min(blocks), step_size(values))
 
 
 def _spread(values: Array) -> float:

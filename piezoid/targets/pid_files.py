@@ -87,8 +87,11 @@ class PidResult:
     def loss(self) -> str:
         """The loss in one sentence."""
         worst = worst_errors(self.errors_m)
+        pid = self.tuned.pid
+        is_integral = pid.proportional_V_per_m == pid.derivative_V_s_per_m == 0.0
+        controller = "an integral controller" if is_integral else "a PID"
         return (
-            f"with a PID and {_NOTCHES[len(self.tuned.pid.notches)]}, a spiral of "
+            f"with {controller} and {_NOTCHES[len(pid.notches)]}, a spiral of "
             f"{_SPIRAL_Hz:g} Hz errs by {worst['pid']} rms instead of {worst['exported']} "
             f"(worst of {len(self.errors_m)} plants)"
         )

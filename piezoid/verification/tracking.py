@@ -21,7 +21,7 @@ class Tracking:
     rms_m          sqrt(mean(e_x^2 + e_y^2))
     rms_percent    of the path's diameter
     max_m          the largest
-    aligned_rms_m  rms after the best common delay
+    aligned_rms_m  shape error, rms: distance from the path after the best common delay
     delay_s        that delay, positive where the stage is late
     radial_rms_m   of |position| - |reference|, about the middle of the path
     pitch_error    standard deviation of the distance between neighbouring turns, relative to the
@@ -121,7 +121,7 @@ def _earlier(pieces: Array, first: int, count: int, delay: float) -> tuple[Array
 def shape_error(
     reference: Array, position: Array, sampling_rate_Hz: float, delay_s: float
 ) -> Array:
-    """Return the distance from the path after a common delay, sample by sample.
+    """Return the shape error, the distance from the path after a common delay, sample by sample.
 
     reference, position  (axes, samples)
     returned             (samples,); outside the record the path stands still

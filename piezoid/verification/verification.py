@@ -187,7 +187,8 @@ class Verification(Summarised):
                 for method in dict.fromkeys(row.method for row in self.comparison)
             ],
             notes=(
-                f"rms tracking error on spirals of radius {with_unit(self.radius_m, 'm')}",
+                "simulated rms tracking error on spirals of radius "
+                f"{with_unit(self.radius_m, 'm')}",
                 *(
                     f"failed: {v.name} ({v.scenario}): {significant(v.value)} {v.unit}, "
                     f"limit {significant(v.limit)}"

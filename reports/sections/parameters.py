@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from piezoid.identification.displacement_budget import DisplacementBudget, displacement_budget
+from piezoid.identification.fit_statements import has_usable_intervals
 from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import Uncertainty
 from piezoid.numerics.robust import student_quantile
@@ -71,13 +72,18 @@ def _bow(axis: AxisModel) -> Figure:
     """Draw the loading curve (de-poled stage, rising drive) without its chord."""
     uncertainty = axis.uncertainty
     reach_V, half_m = uncertainty.reach_V, uncertainty.loading_half_m
+    width = (
+        with_half_width(*uncertainty.loop_width_m, "m")
+        if has_usable_intervals(axis)
+        else f"{number(uncertainty.loop_width_m[0], 'm')} (no usable interval)"
+    )
     bow_m = uncertainty.loading_m - uncertainty.loading_m[-1] * reach_V / reach_V[-1]
     x = axis_over("rise of the drive", [reach_V], "V")
     curves = [bow_m - half_m, bow_m + half_m, np.zeros(1)]
     canvas = Canvas(x=x, y=axis_over("loading curve minus chord", curves, "m"), height=260)
     return Figure(
         title=f"Axis {axis.axis}: loading curve without its chord",
-        caption=f"The full loop is {with_half_width(*uncertainty.loop_width_m, 'm')} wide.",
+        caption=f"Width of the full loop: {width}.",
         guide=GUIDE_BOW,
         canvas=canvas,
         layers=(
@@ -96,10 +102,13 @@ def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Part]:
         held_out = number(axis.quality.held_out_rms_m, "m") if axis.quality.is_tested else ""
         expanded, factor = number(expected.expanded, "m"), significant(expected.coverage_factor)
         largest, tracked = number(expected.largest[1], "m"), tracking_error(page, budget.axis)
+        positions = f"±{expanded} (k = {factor})"
+        if not has_usable_intervals(axis):
+            positions = largest = "no usable interval"
         values = {
             "held-out error, rms": held_out,
-            f"{TRACKED_Hz:g} Hz spiral with feedback, rms": tracked,
-            "95 % of positions": f"±{expanded} (k = {factor})",
+            f"{TRACKED_Hz:g} Hz spiral with feedback, simulated, rms": tracked,
+            "95 % of positions": positions,
             f"largest of {expected.positions} positions": largest,
             "bound of the hysteresis model alone, 95 %": _bound(axis),
             "guaranteed error with feedback": guaranteed_limit(page, axis),

@@ -156,8 +156,9 @@ def _speed(page: Page, axis: str, loop: LoopDesign | None) -> tuple[str, str]:
     bandwidth = number(loop.bandwidth_Hz, "Hz")
     error = tracking_error(page, axis)
     if not error:
-        return "Bandwidth", bandwidth
-    return f"Bandwidth; tracking error at {TRACKED_Hz:g} Hz", f"{bandwidth}; {error} rms"
+        return "Bandwidth of the feedback", bandwidth
+    label = f"Bandwidth of the feedback; simulated error at {TRACKED_Hz:g} Hz"
+    return label, f"{bandwidth}; {error} rms"
 
 
 def ships(page: Page, axis: str) -> str:

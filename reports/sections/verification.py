@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from piezoid.design.design_statements import guaranteed_error_m
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.limit_proof import LimitProof
@@ -79,7 +80,7 @@ def _shape_figure(verification: Verification) -> Figure:
         caption=f"{METHOD_NAMES[methods[0]].capitalize()}: "
         f"{number(shipped[0].aligned_rms_m, 'm')} rms at "
         f"{number(shipped[0].frequency_Hz, 'Hz')}. Shape error: distance from the path after the "
-        "best delay.",
+        "best common delay.",
         guide="Good: the controller that ships lies lowest. Bad: it crosses another method.",
         canvas=canvas,
         layers=tuple(layers),
@@ -102,8 +103,9 @@ def _table(page: Page, verification: Verification) -> Table:
         if any(bounds) and method in verification.methods.values():
             rows.append((f"guaranteed: {METHOD_NAMES[method]}", *bounds))
     return Table(
-        caption=f"Tracking error on a spiral of radius {number(verification.radius_m, 'm')}, rms, "
-        "its delay included, by turns per second.",
+        caption="Simulated tracking error on a spiral of radius "
+        f"{number(verification.radius_m, 'm')}, rms, delay included, by turns per second. Not "
+        "covered: faster than the certificate.",
         columns=("method", *(number(rate_Hz, "Hz") for rate_Hz in rates_Hz)),
         rows=tuple(rows),
     )
@@ -137,22 +139,24 @@ def _bounds(verification: Verification) -> Table:
 def _guaranteed(page: Page, verification: Verification, row: ComparisonRow) -> str:
     """Return the guaranteed distance from the path at its speed, from the axes' certificates."""
     loops = [
-        loop
+        (axis.axis, loop.certificate)
         for axis in (page.design.axes if page.design is not None else ())
         for loop in axis.loops
-        if axis.axis in verification.methods and loop.method == row.method
+        if axis.axis in verification.methods
+        and axis.axis in page.model.axes
+        and loop.method == row.method
     ]
-    proven = [loop.certificate for loop in loops if loop.certificate is not None]
-    if (
-        not verification.passed
-        or not proven
-        or not all(certificate.is_guaranteed for certificate in proven)
-    ):
+    if not verification.passed or not loops:
         return ""
     speed_m_per_s = spiral_speed_m_per_s(row.frequency_Hz, verification.radius_m)
-    bounds_m = [certificate.guaranteed_at(speed_m_per_s) for certificate in proven]
-    bound_m = float(np.hypot.reduce(bounds_m))
-    return number(bound_m, "m") if bound_m < 2.0 * verification.radius_m else ""
+    bounds_m = []
+    for axis, certificate in loops:
+        bound_m = guaranteed_error_m(certificate, page.model.axes[axis])
+        if certificate is None or isinstance(bound_m, str):
+            return str(bound_m)
+        bounds_m.append(certificate.guaranteed_at(speed_m_per_s))
+    together_m = float(np.hypot.reduce(bounds_m))
+    return number(together_m, "m") if np.isfinite(together_m) else "not covered"
 
 
 def _currents(verification: Verification) -> Table:

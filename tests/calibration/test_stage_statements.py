@@ -72,6 +72,14 @@ def test_intervals_on_few_blocks_and_a_loose_loop_width_have_warnings() -> None:
     assert not {"blocks", "loop_width"} & set(levels(axis))
 
 
+def test_an_interval_that_contradicts_the_held_out_error_is_not_stated() -> None:
+    axis = axis_model()
+    wild = replace(axis, uncertainty=replace(axis.uncertainty, loop_width_m=(5.1e-6, 7.2e-6)))
+    (fact,) = (fact for fact in fit_statements(wild) if fact.quantity == "loop_width")
+    assert "7.2" not in fact.text
+    assert "held-out error, 30.0 nm rms" in fact.text
+
+
 def test_a_baseline_that_drifts_is_stated_with_its_size() -> None:
     (drift,) = {
         (fact.value, fact.recording)
@@ -147,6 +155,8 @@ def test_the_part_that_dominates_the_remaining_error_is_stated(part: str, level:
     found = replace(diagnosed(finding("delay")), budget=(large,))
     (fact,) = diagnosis_statements(found)
     assert (fact.quantity, fact.level, fact.value) == (part, level, 2.9e-8)
+    small = replace(found, budget=(replace(large, rms_m=1.5e-8),))
+    assert diagnosis_statements(small)[0].level is Level.WARNING
     near = replace(found, final=replace(found.final, rms_m=5.5e-9))
     assert diagnosis_statements(near) == ()
 

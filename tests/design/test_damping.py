@@ -141,5 +141,5 @@ def test_a_mode_that_the_delay_turns_too_far_is_refused_with_the_angle():
     mode = ringing_mode(of.nominal)
     assert mode is not None
     assert mode.frequency_Hz == pytest.approx(4000.0)
-    with pytest.raises(TemplateError, match=r"75.0 µs, turn it by 108 degrees.*bandwidth_Hz = "):
+    with pytest.raises(TemplateError, match=r"75.0 µs, delay it by 108°.*bandwidth_Hz = "):
         designed(of, replace(default(of), bandwidth_Hz=900.0))

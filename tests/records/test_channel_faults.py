@@ -34,6 +34,15 @@ def test_a_signal_as_fast_as_noise_hides_it(
     assert is_noise_hidden(fast + rng.normal(0, 1e-2, len(fast))) is is_hidden
 
 
+def test_a_chirp_through_a_resonance_hides_the_noise(rng: np.random.Generator) -> None:
+    t = np.linspace(0.0, 1.0, 20000)
+    per_sample = 0.4 * t  # to four fifths of half the sampling rate
+    amplitude = 0.01 + 1.0 / (1.0 + ((per_sample - 0.26) / 0.01) ** 2)
+    chirp = amplitude * np.sin(np.pi * per_sample * 20000 * t)
+    assert is_noise_hidden(chirp + rng.normal(0, 2e-3, len(chirp)))
+    assert not is_noise_hidden(np.linspace(0.0, 1.0, 20000) + rng.normal(0, 2e-3, len(chirp)))
+
+
 def test_spikes_do_not_count_as_noise(rng: np.random.Generator) -> None:
     values = SINE + rng.normal(0, 1e-3, len(SINE))
     values[::500] += 1

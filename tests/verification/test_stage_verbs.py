@@ -113,7 +113,7 @@ def test_boxes_get_their_files_and_the_terminal_says_what_they_lose(folder):
     done = called("export", folder, *asked)
     assert done.exit_code == 0, done.output
     said = " ".join(done.output.split())
-    assert "axis x: with a PID and no notch, a spiral of 10 Hz errs by" in said
+    assert "and no notch, a spiral of 10 Hz errs by" in said
     assert "axis x: the waveform errs by" in said
     assert {path.name for path in (folder / "pid").iterdir()} == {
         "README.md",
