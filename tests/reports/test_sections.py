@@ -104,8 +104,8 @@ def test_a_limit_of_several_axes_stands_in_one_row() -> None:
         Page(model=stage_model(*few), recordings=[recording(), recording("up.csv", "y")])
     )
     limits = [row[2] for row in rows(page) if row[0] == "note"]
-    assert sum(text.startswith("Axes x, y: The search stopped") for text in limits) == 1
-    assert not any(text.startswith("Axis y: The search stopped") for text in limits)
+    assert sum(text.startswith("Axes x, y: The intervals rest") for text in limits) == 1
+    assert not any(text.startswith("Axis y: The intervals rest") for text in limits)
 
 
 def test_sections_without_matter_are_not_on_the_page() -> None:
