@@ -15,6 +15,7 @@ from piezoid.errors import PiezoidError, TemplateError
 from piezoid.export.bundle import bundle
 from piezoid.export.export_stage import export_stage
 from piezoid.export.parameter_file import ParameterFile, to_json
+from piezoid.formatting import with_unit
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.lab import Lab
 from piezoid.verification.release import Shipping, release
@@ -113,9 +114,9 @@ def controllers_of(
         progress("trying again below the mode")
         slower = design_of(undamped, model_digest=digest, lab=lab, coupled=model.coupled)
         remarks = tuple(
-            f"axis {axis.axis}: a loop of {fast.recommended.bandwidth_Hz:.4g} Hz that damps the "
-            f"mode did not pass: {reasons[axis.axis]}. This one of "
-            f"{axis.recommended.bandwidth_Hz:.4g} Hz leaves the mode as it is."
+            f"axis {axis.axis}: a loop of {with_unit(fast.recommended.bandwidth_Hz, 'Hz')} that "
+            f"damps the mode did not pass: {reasons[axis.axis]}. This one of "
+            f"{with_unit(axis.recommended.bandwidth_Hz, 'Hz')} leaves the mode as it is."
             for axis in slower.axes
             if (fast := design.axis(axis.axis)) is not axis
         )

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from piezoid.design.plant import Fraction
 from piezoid.design.sensitivity import margins, sensitivities
+from piezoid.formatting import significant, with_unit
 from piezoid.numerics.arrays import Array, freeze, same_length, strictly_increasing
 from piezoid.numerics.frequency import decibel, grid_Hz
 
@@ -71,10 +72,11 @@ class Violation:
     @property
     def sentence(self) -> str:
         """The violation in words."""
+        at, limit = with_unit(self.frequency_Hz, "Hz"), significant(self.limit, 4)
         return (
-            f"{self.template} of the member '{self.member}' is {self.found:.4g} {self.unit} at "
-            f"{self.frequency_Hz:.4g} Hz where {self.limit:.4g} {self.unit} is the limit, missed "
-            f"by {self.excess_dB:.2f} dB"
+            f"{self.template} of the member '{self.member}' is {significant(self.found, 4)} "
+            f"{self.unit} at {at} where {limit} {self.unit} is the limit, missed by "
+            f"{self.excess_dB:.2f} dB"
         )
 
 

@@ -42,8 +42,8 @@ NEXT_EXPERIMENTS: Mapping[str, str] = {
     "converter's.",
 }
 CONTROL_ADVICE = (
-    "No model of a controller has it. What is in the reading alone the loop will follow, so find "
-    "out first whether the stage moves."
+    "No controller compensates it, because no model contains it. The loop follows an error of the "
+    "reading: find out first whether the stage moves."
 )
 OTHER_AXIS_EXPERIMENT = (
     "Move the other axis alone, slowly over its range, with this drive at rest."

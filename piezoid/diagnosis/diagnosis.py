@@ -80,13 +80,13 @@ class Finding:
     held_out_rms_after_m    with it
     p_value                 of a cause and of something else: the probability that a healthy stage
                             shows as much, by its rank among healthy stages of every law of the
-                            zoo, never below one over their number; of a noise that lives
-                            somewhere: by its shifts; of a fault of the data: of such evidence
-                            where there is none, times the number of effects
+                            zoo, never below one over their number; of a noise that varies
+                            along a coordinate: by its shifts; of a fault of the data: of such
+                            evidence where there is none, times the number of effects
     rms_percent             rms of what it adds, percent of the stroke
     not_separable_from      effects that would explain nearly as much
     parameters              nonlinear ones, by name with unit
-    coordinate              of something else: in which it lives
+    coordinate              of something else: the coordinate it depends on
     law                     of something else: the formula, where one predicts other recordings
     seen                    of something else: its picture
     """
@@ -151,7 +151,7 @@ class BudgetPart:
     """One part of the held-out error of the baseline; the squares of all parts add up to it.
 
     part          name of an effect, ``noise``, ``extrapolation`` or ``unexplained``
-    is_explained  whether the final model takes it off
+    is_explained  whether the final model removes it
     text          what it is, in one or two sentences
     """
 
@@ -183,7 +183,7 @@ class Diagnosis(Summarised):
     envelope_rms_m      what the widest class of hysteresis leaves with everything found
     noise_floor_rms_m   of the sensor
     explained_fraction  of the variance above the noise floor
-    unexplained         what no name stands for; None in files of versions that did not ask
+    unexplained         residual that no effect explains; None in files of older versions
     budget              parts of the error of ``baseline``: effects in the model, largest first,
                         then what remains of the final error, then the noise
     findings            by falling gain

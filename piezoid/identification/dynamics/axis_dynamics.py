@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.errors import ExcitationError, IdentificationError
+from piezoid.formatting import with_unit
 from piezoid.identification.dynamics.bandwidth import (
     BandwidthVerdict,
     UNKNOWN_DELAY_s,
@@ -230,7 +231,7 @@ def _with_fit(
     low_Hz, high_Hz = dynamics.band_Hz
     text = (
         f"{recording.name} drives up to {highest_Hz:.0f} Hz: linear dynamics were fitted behind "
-        f"the hysteresis from {low_Hz:.3g} to {high_Hz:.4g} Hz"
+        f"the hysteresis from {with_unit(low_Hz, 'Hz')} to {with_unit(high_Hz, 'Hz')}"
     )
     joint = fit_jointly(axis, dynamics, recording, recordings)
     if joint is None:
@@ -245,7 +246,8 @@ def _with_fit(
 
 def _obstacle(dynamics: LinearDynamics) -> str:
     """Return why a fit is not determined, the first condition of ``is_determined`` that fails."""
-    band = f"between {dynamics.band_Hz[0]:.3g} and {dynamics.band_Hz[1]:.3g} Hz"
+    low, high = (with_unit(edge_Hz, "Hz") for edge_Hz in dynamics.band_Hz)
+    band = f"between {low} and {high}"
     if dynamics.cost_ratio > MAX_COST:
         text = (
             f"{band} the best model misses the response by {np.sqrt(dynamics.cost_ratio):.2g} "

@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 
+from piezoid.formatting import with_unit
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.modal_basis import Declaration
 from piezoid.numerics.robust import NORMAL_95
@@ -103,7 +104,9 @@ def decide_bandwidth(
     fallen = int(np.argmax(runs)) if runs.any() else None
     turned_deg = float(np.degrees(np.abs(np.angle(relative[0]))))
     if turned_deg >= AT_REST_deg or (fallen is not None and f[fallen] <= LOW_BAND * f[0]):
-        return unmeasured(stated_Hz, f"lines from {f[0]:.4g} Hz do not show the gain at rest")
+        return unmeasured(
+            stated_Hz, f"lines from {with_unit(f[0], 'Hz')} do not show the gain at rest"
+        )
     peak = int(np.argmax(gain[: None if fallen is None else fallen + 1]))
     peak_Hz, ratio = float(f[peak]), float(gain[peak])
     is_peak = peak < len(f) - 1 and ratio * (1.0 - PEAK_SIGMAS * spread[peak]) > CLEAR_PEAK
@@ -119,19 +122,19 @@ def decide_bandwidth(
         interval = (phase_deg - half, max(min(phase_deg + later, 0.0), phase_deg) + half)
         kind = _kind(interval, bool(is_peak))
         text = (
-            f"The gain has fallen by 3 dB at {fallen_Hz:.4g} Hz with a phase between "
-            f"{interval[0]:.0f} and {interval[1]:.0f} degrees; the largest gain before is "
-            f"{ratio:.3g} times that at rest, at {peak_Hz:.4g} Hz: {MEANING[kind]}."
+            f"The gain has fallen by 3 dB at {with_unit(fallen_Hz, 'Hz')} with a phase between "
+            f"{interval[0]:.0f}° and {interval[1]:.0f}°; the largest gain before is "
+            f"{ratio:.3g} times that at rest, at {with_unit(peak_Hz, 'Hz')}: {MEANING[kind]}."
         )
     elif is_peak:
         text = (
-            f"The gain peaks at {peak_Hz:.4g} Hz with {ratio:.3g} times that at rest: "
+            f"The gain peaks at {with_unit(peak_Hz, 'Hz')} with {ratio:.3g} times that at rest: "
             f"{MEANING[kind]}."
         )
     else:
         text = (
-            f"{UNDECIDED}: they end at {f[-1]:.3g} Hz, where the gain is still {gain[-1]:.2f} "
-            f"times that at rest. {_remedy(stated_Hz)}"
+            f"{UNDECIDED}: they end at {with_unit(f[-1], 'Hz')}, where the gain is still "
+            f"{gain[-1]:.2f} times that at rest. {_remedy(stated_Hz)}"
         )
     return BandwidthVerdict(
         kind=kind,
@@ -165,10 +168,10 @@ def unfitted(
     if at_Hz == verdict.peak_Hz:
         size = f" ({verdict.peak_ratio:.3g} times the gain at rest)"
     model = "takes the mode from the diagnosis" if has_mode else "keeps a pure lag"
-    location, chirp = f"near {at_Hz:.3g} Hz", "through it"
+    location, chirp = f"near {with_unit(at_Hz or 0.0, 'Hz')}", "through it"
     peak_Hz = verdict.peak_Hz or 0.0
     if verdict.fallen_Hz is None and peak_Hz > AT_THE_END * verdict.highest_Hz:
-        location = f"at {at_Hz:.3g} Hz or above, where its response ends"
+        location = f"at {with_unit(at_Hz or 0.0, 'Hz')} or above, where its response ends"
         chirp = f"to at least {2.0 * verdict.highest_Hz:.0f} Hz"
     text = (
         f"{recording} shows {shape} {location}{size}. Its frequency response could not be fitted: "

@@ -149,4 +149,4 @@ def test_a_gain_that_peaks_where_the_response_ends_is_a_resonance_there_or_above
     assert "at 125 Hz or above, where its response ends" in at_the_end
     assert "to at least 254 Hz" in at_the_end
     inside = unfitted(replace(peak, peak_Hz=60.0), "chirp.csv", "a reason").text
-    assert "near 60 Hz" in inside
+    assert "near 60.0 Hz" in inside
