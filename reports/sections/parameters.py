@@ -55,7 +55,8 @@ def render(page: Page) -> Section | None:
     if not parts:
         return None
     parts.append(Heading(text="All axes"))
-    parts += [*_errors(page, budgets), *_contributions(budgets), _quantities(page)]
+    usable = [b for b in budgets if has_usable_intervals(page.model.axes[b.axis])]
+    parts += [*_errors(page, budgets), *_contributions(usable), _quantities(page)]
     missing = dict.fromkeys(name for budget in budgets for name in budget.unknown)
     if missing:
         names = ", ".join(f"{DECLARATIONS[name]} ({name})" for name in missing)
@@ -72,18 +73,15 @@ def _bow(axis: AxisModel) -> Figure:
     """Draw the loading curve (de-poled stage, rising drive) without its chord."""
     uncertainty = axis.uncertainty
     reach_V, half_m = uncertainty.reach_V, uncertainty.loading_half_m
-    width = (
-        with_half_width(*uncertainty.loop_width_m, "m")
-        if has_usable_intervals(axis)
-        else f"{number(uncertainty.loop_width_m[0], 'm')} (no usable interval)"
-    )
+    if not has_usable_intervals(axis):
+        half_m = np.zeros_like(half_m)
     bow_m = uncertainty.loading_m - uncertainty.loading_m[-1] * reach_V / reach_V[-1]
     x = axis_over("rise of the drive", [reach_V], "V")
     curves = [bow_m - half_m, bow_m + half_m, np.zeros(1)]
     canvas = Canvas(x=x, y=axis_over("loading curve minus chord", curves, "m"), height=260)
     return Figure(
         title=f"Axis {axis.axis}: loading curve without its chord",
-        caption=f"Width of the full loop: {width}.",
+        caption=f"Width of the full loop: {_loop_width(axis)}.",
         guide=GUIDE_BOW,
         canvas=canvas,
         layers=(
@@ -92,6 +90,13 @@ def _bow(axis: AxisModel) -> Figure:
             canvas.line("model", "loading curve", reach_V, bow_m),
         ),
     )
+
+
+def _loop_width(axis: AxisModel) -> str:
+    width_m, half_m = axis.uncertainty.loop_width_m
+    if has_usable_intervals(axis):
+        return with_half_width(width_m, half_m, "m")
+    return f"{number(width_m, 'm')} (no usable interval)"
 
 
 def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Part]:
@@ -247,7 +252,7 @@ def _quantities(page: Page) -> Table:
     for axis in page.axes:
         low_V, high_V = axis.voltage_V
         values = {
-            "width of the full loop": with_half_width(*axis.uncertainty.loop_width_m, "m"),
+            "width of the full loop": _loop_width(axis),
             "lag": _lag(axis),
             "voltage offset": number(axis.hysteresis.voltage_offset_V, "V", 4),
             "displacement offset": number(axis.hysteresis.displacement_offset_m, "m", 4),

@@ -108,6 +108,16 @@ def test_a_limit_of_several_axes_stands_in_one_row() -> None:
     assert not any(text.startswith("Axis y: The intervals rest") for text in limits)
 
 
+def test_intervals_that_the_held_out_error_contradicts_are_not_printed() -> None:
+    axis = axis_model()
+    wild = replace(axis, uncertainty=replace(axis.uncertainty, loop_width_m=(5.1e-6, 7.2e-6)))
+    page = render(Page(model=stage_model(wild), recordings=[recording()]))
+    values = {row[0]: row[1] for row in rows(page) if len(row) == 2}
+    assert values["width of the full loop"] == "5.10 µm (no usable interval)"
+    assert values["95 % of positions"] == "no usable interval"
+    assert "± 7.2" not in page
+
+
 def test_sections_without_matter_are_not_on_the_page() -> None:
     model, given = stage_model(axis_model()), (recording(),)
     page = Page(model=model, recordings=given)
