@@ -56,7 +56,9 @@ def is_noise_hidden(values: Array) -> bool:
     if len(values) < _BLOCKS * _MIN_BLOCK:
         return False
     blocks = [_spread(np.diff(block, 2)) for block in np.array_split(values, _BLOCKS)]
-    return max(blocks) > _MAX_UNEVEN * max(min(blocks), step_size(values))
+    positive = [spread for spread in blocks if spread > 0.0]  # a frozen reading has no noise
+    quietest = min(positive, default=0.0)
+    return max(blocks) > _MAX_UNEVEN * max(quietest, step_size(values))
 
 
 def _spread(values: Array) -> float:
