@@ -37,19 +37,16 @@ SHIPPED = ("piezoid_runtime.h", "piezoid_runtime.c", "example_main.c")
 _README = """\
 # Controller of {name}
 
-| file | content |
-| --- | --- |
-| `piezoid_runtime.h`, `piezoid_runtime.c` | the controller in C99, as it was verified |
-| `piezo_params.h` | the parameters of this stage |
-| `example_main.c`, `golden.csv` | a test of your build: {samples} samples per axis |
+`piezoid_runtime.h` and `.c` are the controller in C99, as it was verified; `piezo_params.h` has
+the parameters; `example_main.c` tests your build with {samples} samples per axis.
 
 | axis | index | method | calls per second | preview | reference | output, V | step, V | codes |
 | --- | --- | --- | --- | --- | --- | --- | --- | --- |
 {axes}
 {unshipped}
 Methods: `mpi_dob` is a disturbance observer on the inverse hysteresis model, `dob` an observer
-without the inverse, `mpi` the inverse without feedback, `rst` a polynomial controller on the
-logarithm of a current. Memory: code of about 14 kB (Cortex-M4, float), and per axis
+alone, `mpi` the inverse without feedback, `rst` a controller of the logarithm of a current.
+Memory: about 14 kB of code (Cortex-M4, float); for each axis of the table, used or not,
 {memory}.
 
 ## 1. Build and check
@@ -57,14 +54,12 @@ logarithm of a current. Memory: code of about 14 kB (Cortex-M4, float), and per 
     cc -std=c99 -O2 -ffp-contract=off example_main.c piezoid_runtime.c -o example
     ./example < golden.csv
 
-must end with `0 differ`; add `-DPZ_REAL_FLOAT` for single precision. The test needs standard
-input: run it on a host, and with your cross compiler in an emulator. On a target without files,
-start at 0 V and the first reading of the axis, step through its first rows, compare the outputs;
-where 0 V is outside the output range, `pz_start` starts at the nearest limit.
-With contracted products and sums, some outputs of the float version differ by a few converter
-codes, which does not matter in the loop. `golden.csv` covers motion, limits, a lost reference and
-lost readings; not an approach, retract, stuck sensor, latch, `pz_reset` or feedforward. Its first
-reading does not belong to 0 V, so that the start assumes a shifted zero.
+must end with `0 differ`; add `-DPZ_REAL_FLOAT` for single precision. Without standard input, start
+at 0 V (or the nearest limit) and the first reading of the axis, then step through its first rows.
+A float build that contracts products and sums (FMA) prints a few rows and exits with 1. It passes
+if each of them is one `step` off with the expected status (3 of 3000 rows with gcc and FMA).
+Not covered: approach, retract, stuck sensor, latch, `pz_reset`, feedforward. The first reading
+does not match 0 V; `pz_start` treats the difference as a shift of the sensor's zero.
 
 ## 2. Call order and timing
 
@@ -74,57 +69,68 @@ reading does not belong to 0 V, so that the start assumes a shifted zero.
     void power_up(void) {{                /* with the interrupt stopped */
         const int32_t invalid = pz_start(&state, p, dac_voltage_V(), read_sensor());
         if (invalid != PZ_OK) stop_with(pz_describe(invalid)->name);
+        reference = state.reference_m;   /* X, Y: the reading; ramp from here */
     }}
     void on_timer(void) {{                /* at the rate of the table */
         write_dac(pz_step(&state, p, reference, read_sensor()));
     }}
 
-- `pz_start` needs the voltage that the DAC puts out at that moment. Call it again, with the
-  interrupt stopped, after a pause and after you have moved the DAC yourself. To park, move the
-  reference slowly to the position and stop the interrupt; the DAC keeps its last voltage.
-- Read, step and write in the same call. The design knows the delay of the recordings: delay that
-  your firmware adds costs accuracy, and stability beyond the delay margin in `design.json`.
-- The rate cannot be checked. Another rate or missed calls cost accuracy without a status bit.
+- X, Y: before `pz_start` and `pz_reset` set the reference to the reading, then ramp it; only
+  `reference_step_m`, which is large, limits a jump. Z: the reference is always the set point.
+- `pz_start` needs the voltage that the DAC puts out at that moment. It accepts NaN and values out
+  of range; the first output is then 0 V or the nearest limit: check before. Call it again, with
+  the interrupt stopped, after a pause and after you have moved the DAC yourself. To park, ramp the
+  reference to the position and stop the interrupt; the DAC keeps its last voltage.
+- Read, step and write in the same call. `report.html` states the delay that the design includes
+  (Dynamics) and the delay margin of the loop that ships, `method` above (Controllers). More delay
+  costs accuracy, and stability beyond the margin; another rate or missed calls are not detected.
 - `reference` is the position wanted `preview` samples ahead. If you do not know the future, give
   the present one: the motion is then late by so many samples, otherwise the same.
 
 ## 3. Units and DAC codes
 
 {which_voltage}
-- Reading and reference are in m (`rst`: A) with the scale, zero and sign of the recordings. Do not
-  zero the sensor at power-up: a small shift is taken for hysteresis and costs accuracy.
+- X, Y: reading and reference in m, with the scale, zero and sign of the recordings. Do not zero
+  the sensor at power-up: a small shift is taken for hysteresis and costs accuracy.
+- Z: both in A, positive at the bias in use; change the sign of the reading where it is negative.
 - `output / step`, rounded, is the code of a two's-complement DAC, within the column `codes`; an
-  offset-binary DAC of n bits adds 2^(n-1). A step of 0: lab.toml declares no `dac_bits`, and
-  outputs are not rounded. Saturate codes to your DAC: a mask turns one too many into the other
-  end.
+  offset-binary DAC of n bits adds 2^(n-1). Clamp the code; masking wraps a code above full scale
+  to the opposite end. A step of 0: lab.toml declares no `dac_bits`; outputs are not rounded.
+- A coarser DAC rounds once more; keep `lsb_V`. For a DAC of smaller range, narrow the voltages.
 
 ## 4. Bad readings and limits
 
+| axis | {guard_names} |
+| --- | {guard_rules} |
+{guards}
+
 - Pass `NAN` for a reading that you do not trust (timeout, checksum, out of range).
 - X, Y: unusable are NaN, infinity, and a value that does not change for `stuck_samples` although
-  the voltage moves by `stuck_voltage_V`. The voltage then follows the reference on the model
-  alone for at most `blind_samples`, and is held until `pz_reset`.
-- X, Y: a reading beyond the displacement limits is replaced by the limit and used. The output can
-  then go to the end of its range and does not latch; nor does it with a reversed sensor. Detect a
-  broken cable and a railed or reversed sensor yourself.
-- Z retracts from a current that is dead (`NO_CURRENT`), frozen (`STUCK_SENSOR`) or saturated
-  (`MEASUREMENT_LIMITED`), and, after holding for `bad_samples`, from one that is reversed
-  (`WRONG_SIGN`) or NaN. It latches, retracted to `retract_voltage_V`, after `trip_limit` retracts
-  in a row or at the end of the drive.
+  the voltage moves by `stuck_voltage_V`. The model then continues alone, with the last estimate of
+  the disturbance. After `blind_samples` of them in a row the output latches until `pz_reset`.
+- X, Y: a reading beyond the displacement limits counts as the limit, which moves the output to the
+  end of its range. A constant one is then stuck and latches there. One with noise never latches,
+  nor does a reversed sensor: detect railed and reversed sensors and a broken cable yourself.
+- Z retracts from a current that is dead (`NO_CURRENT`), frozen (`STUCK_SENSOR`) or at the ceiling,
+  the end of its range (`MEASUREMENT_LIMITED`), and after `bad_samples` from one that is reversed
+  (`WRONG_SIGN`) or NaN. It latches at `retract_voltage_V` after `trip_limit` retracts in a row or
+  at the end of the drive. Keep the set point well below the ceiling. The ADC must show noise: the
+  same number for `stuck_samples`, above `stuck_current_A` (-1: even 0 A), stops every approach.
 
 ## 5. Status
 
-`state.status` is 0, or bits `PZ_STATUS_...` that state what was limited, replaced or faulty in
-this sample; the header lists them. `status_ever` collects them until the next `pz_start`. The
-guaranteed error of `report.html` holds while `status` is 0, and again once the transient after a
-bit has decayed. After `LATCHED`, find the cause, then call `pz_reset(&state)`.
+`state.status` is 0, or bits `PZ_STATUS_...` (header) of what was limited, replaced or faulty in
+this sample. `status_ever` collects them; start-up sets some, and only `pz_start` clears them. The
+guaranteed error of `report.html` holds while `status` is 0 and the transient after a bit is over.
 
 ## 6. Changing parameters
 
 Fit or design and export again after a change of the recordings or of lab.toml. In firmware: copy
-the structure, change it, set `copy.checksum = pz_checksum(&copy)`, then call `pz_start` with the
-copy. Narrower limits of voltage and reference and smaller steps keep the margins; any other change
-voids margins, guaranteed error and proofs.
+the structure, change it, set `copy.checksum = pz_checksum(&copy)`, stop the interrupt, call
+`pz_start` with the copy, and pass the same copy to every later `pz_step`; it must stay in RAM.
+While no limit acts, margins stay with narrower `voltage_minimum_V`, `voltage_maximum_V` (Z:
+`retract_voltage_V` within them), `reference_minimum_m`, `reference_maximum_m`, and smaller
+`voltage_step_V`, `reference_step_m` (0: any). Any other change voids margins, bounds and proofs.
 {decoupled}
 ## 7. Provenance
 
@@ -171,6 +177,9 @@ def bundle(file: ParameterFile) -> Bundle:
             samples=SAMPLES,
             axes="\n".join(_row(index, axis) for index, axis in enumerate(file.axes)),
             memory=_memory(),
+            guard_names=" | ".join(name for name, _, _ in _GUARDS),
+            guard_rules=" | ".join("---" for _ in _GUARDS),
+            guards="\n".join(map(_guard_row, file.axes)),
             first=file.axes[0].axis.upper(),
             which_voltage=fill(f"- {_VOLTAGE}", 98, subsequent_indent="  "),
             unshipped="".join(
@@ -198,8 +207,8 @@ _DECOUPLED = """
 The drives of the axes {names} act on all of their displacements. Before `pz_step`, multiply their
 references and their readings by the matrix `piezo_decoupling` of `piezo_params.h`; each axis then
 depends on its own drive, up to the coupling that `design.json` states. Multiplying the references
-alone is not enough, because feedback would control the coupled readings. `golden.csv` and the
-limits of references apply behind the matrix.
+alone is not enough, because feedback would control the coupled readings. `golden.csv`,
+`state.reference_m` and the limits apply behind the matrix.
 
 | | {heads} |
 | --- | {rules} |
@@ -225,12 +234,16 @@ def _decoupled(file: ParameterFile) -> str:
 
 
 def _row(index: int, axis: AxisParameters) -> str:
-    values = {name: float(value) for name, value in axis.values.items() if not value.ndim}
+    values = _scalars(axis)
     low_V, high_V, step_V = (values[f"{name}_V"] for name in _OUTPUT)
     codes = ""
     if step_V:
-        codes = f"{np.ceil(low_V / step_V):.0f} to {np.floor(high_V / step_V):.0f}"
+        first_code, last_code = np.ceil(low_V / step_V), np.floor(high_V / step_V)
+        codes = f"{first_code:.0f} to {last_code:.0f}"
+        low_V, high_V = first_code * step_V, last_code * step_V
     first, last, unit = _RANGE_A if axis.method == "rst" else _RANGE_m
+    if axis.method == "rst":
+        unit += f", set point {values['current_reference_A']:.4g}"
     cells = (
         *(axis.axis, index, axis.method, f"{values['sampling_rate_Hz']:g}"),
         f"{values['preview_samples']:g}",
@@ -240,6 +253,37 @@ def _row(index: int, axis: AxisParameters) -> str:
     return "| " + " | ".join(str(cell) for cell in cells) + " |"
 
 
+def _scalars(axis: AxisParameters) -> dict[str, float]:
+    return {name: float(value) for name, value in axis.values.items() if not value.ndim}
+
+
+def _guard_row(axis: AxisParameters) -> str:
+    """Return the table row of an axis; cells that do not apply to it are empty."""
+    values, is_tip = _scalars(axis), axis.method == "rst"
+    cells = [
+        text.format(**values, blind_s=values["blind_samples"] / values["sampling_rate_Hz"])
+        if only_tip in (None, is_tip)
+        else ""
+        for _, text, only_tip in _GUARDS
+    ]
+    return "| " + " | ".join([axis.axis, *cells]) + " |"
+
+
+# Heading, cell, and whether it applies to tips alone (True), to X and Y alone (False) or to both.
+_GUARDS: tuple[tuple[str, str, bool | None], ...] = (
+    ("`stuck_samples`", "{stuck_samples:.0f}", None),
+    ("`stuck_voltage_V`", "{stuck_voltage_V:.4g}", None),
+    ("`blind_samples`", "{blind_samples:.0f} ({blind_s:.3g} s)", False),
+    (
+        "displacement limits, m",
+        "{displacement_minimum_m:.4g} to {displacement_maximum_m:.4g}",
+        False,
+    ),
+    ("`bad_samples`", "{bad_samples:.0f}", True),
+    ("`stuck_current_A`", "{stuck_current_A:.4g}", True),
+    ("`trip_limit`", "{trip_limit:.0f}", True),
+    ("`retract_voltage_V`", "{retract_voltage_V:.4g}", True),
+)
 _OUTPUT = ("voltage_minimum", "voltage_maximum", "lsb")
 _RANGE_m = ("reference_minimum_m", "reference_maximum_m", "m")
 _RANGE_A = ("current_floor_A", "current_ceiling_A", "A")

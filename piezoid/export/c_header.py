@@ -39,6 +39,9 @@ _TOP = """\
 
 enum {{ {enumerators}, PIEZO_AXES }};
 
+/* Bit i: axis i regulates a current (Z). */
+#define PIEZO_TIP_AXES {tip_axes}u
+
 #ifdef PZ_REAL_FLOAT
 {sealed_float}
 #else
@@ -82,6 +85,7 @@ def c_header(file: ParameterFile, digest: str) -> str:
         enumerators=", ".join(
             f"PIEZO_AXIS_{axis.axis.upper()} = {index}" for index, axis in enumerate(file.axes)
         ),
+        tip_axes=sum(1 << i for i, axis in enumerate(file.axes) if axis.method == "rst"),
         **{f"sealed_{precision}": _sealed(file, precision) for precision in PRECISIONS},
     )
     bottom = _BOTTOM.format(decoupling=_decoupling(file))

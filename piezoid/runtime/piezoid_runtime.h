@@ -262,20 +262,20 @@ enum {
 enum {
     PZ_STATUS_BAD_REFERENCE = 1,       /* NaN or infinite: the last one is used */
     PZ_STATUS_REFERENCE_LIMITED = 2,   /* outside its range, or faster than its step */
-    PZ_STATUS_BAD_MEASUREMENT = 4,     /* NaN or infinite: X, Y use the model; Z holds */
+    PZ_STATUS_BAD_MEASUREMENT = 4,     /* NaN or infinite: X, Y use the model; Z waits */
     PZ_STATUS_MEASUREMENT_LIMITED = 8, /* out of range: X, Y use its end; Z retracts */
     PZ_STATUS_STUCK_SENSOR = 16,       /* frozen while the voltage moved: model; Z retracts */
     PZ_STATUS_VOLTAGE_LIMITED = 32,    /* at voltage_minimum_V or voltage_maximum_V */
     PZ_STATUS_VOLTAGE_STEP = 64,       /* change limited to voltage_step_V */
     PZ_STATUS_CURRENT_LOST = 128,      /* Z: current below its floor */
     PZ_STATUS_RETRACTED = 256,         /* Z: retracted */
-    PZ_STATUS_RESTARTED = 512,         /* a number overflowed: voltage held, memory set to rest */
+    PZ_STATUS_RESTARTED = 512,         /* a number overflowed: voltage unchanged, memory at rest */
     PZ_STATUS_NOT_STARTED = 1024,      /* pz_start was not called, or refused the parameters */
     PZ_STATUS_APPROACHING = 2048,      /* Z: extending slowly until current flows */
     PZ_STATUS_NO_CURRENT = 4096,       /* Z: no current up to the end of the search or drive */
     PZ_STATUS_WRONG_SIGN = 8192,       /* Z: the current has the wrong sign */
     PZ_STATUS_LATCHED = 16384,         /* waits for pz_reset; Z: the bits of the cause are set */
-    PZ_STATUS_BLIND = 32768,           /* X, Y: held, no usable reading for blind_samples */
+    PZ_STATUS_BLIND = 32768,           /* X, Y: latched, no usable reading for blind_samples */
     PZ_STATUS_UNCERTIFIED = 65536      /* X, Y: reference faster than certified_step_m */
 };
 
@@ -284,7 +284,7 @@ enum {
 typedef struct {
     uint32_t ready;
     uint32_t status;      /* PZ_STATUS_... of the last sample */
-    uint32_t status_ever; /* of all samples since pz_start */
+    uint32_t status_ever; /* of all samples; only pz_start clears it */
     int32_t unchanged;    /* samples since the measurement last changed */
     int32_t unusable;     /* unusable measurements in a row */
     int32_t retract_left; /* Z: samples until the next approach */
@@ -298,7 +298,7 @@ typedef struct {
 
     pz_real voltage_V;     /* u_a: last output */
     pz_real command_V;     /* clipped, before rounding */
-    pz_real reference_m;   /* after range and step */
+    pz_real reference_m;   /* after range and step; Z: A */
     pz_real bias_m;        /* without feedback: zero shift that pz_start found */
     pz_real measured;      /* last usable reading, m or A */
     pz_real moved_V;       /* voltage when the measurement last changed */
@@ -362,21 +362,25 @@ int32_t pz_check(const pz_parameters *parameters);
  * that the model agrees with the reading, as if the voltage had come monotonically from one
  * turning point. A reading that no turning point explains is treated as a shift of the sensor's
  * zero; without feedback (none, mpi) references are relative to it.
+ * Values that are not finite or out of range are accepted: check them before.
  *   voltage_V  V       present output of the converter; not finite: nearest 0 inside the limits
- *   measured   m or A  present reading; not finite: the reading that the model predicts */
+ *   measured   m or A  present reading; not finite: X, Y the reading that the model predicts, Z
+ *                      current_floor_A */
 int32_t pz_start(pz_state *state, const pz_parameters *parameters, pz_real voltage_V,
                  pz_real measured);
 
 /* Z: the gain of the plant is now `ratio` times that of the design; the gain of the controller is
- * divided by it, without a step. Limited by schedule_limit; not finite: ignored. Writes one
- * pz_real: stop the interrupt where that takes more than one store (double on a 32-bit core). */
+ * divided by it, without a step. Limited by schedule_limit: no effect if that is 1. Not finite:
+ * ignored. Writes one pz_real: stop the interrupt where that takes more than one store (double on
+ * a 32-bit core). */
 void pz_schedule(pz_state *state, const pz_parameters *parameters, pz_real ratio);
 
 /* ---- anywhere ------------------------------------------------------------------------------ */
 
 /* Continue after a latched fault, from the next step on; without one, nothing but the count of
  * retracts is cleared. Z approaches again from its retracted position, up to the end of the drive.
- * X, Y start without a step at the held voltage and the present reading. One write of 32 bits. */
+ * X, Y start at the latched voltage and the present reading, without a step if the reference is
+ * that reading. One write of 32 bits. */
 void pz_reset(pz_state *state);
 
 /* ---- real time: from the interrupt, once per sample ---------------------------------------- */
@@ -385,7 +389,7 @@ void pz_reset(pz_state *state);
  * state->status states what was limited, replaced or faulty. A sample that is left out, or another
  * rate than sampling_rate_Hz, cannot be detected.
  *   reference  m  X, Y: wanted position preview_samples ahead.  A  Z: wanted current
- *   measured   m  X, Y: displacement.  A  Z: current, positive for the bias in use.
+ *   measured   m  X, Y: displacement.  A  Z: current, positive at the bias in use.
  *                 NaN where the reading cannot be trusted
  *   returned   V
  * Cost: linear in plays + knots + taps + (order + 1)^2; loops may end earlier for some inputs. */

@@ -127,7 +127,7 @@ _COUNTS = (
     _integer("observer_order", MAX_ORDER, "observer states, the disturbance not counted"),
     _integer("preview_samples", 1e6, "samples by which the reference is given ahead"),
     _integer("stuck_samples", 1e6, "equal readings in a row before a sensor is stuck; 0: off"),
-    _integer("blind_samples", 1e6, "X, Y: unusable readings before a hold; 0: no hold"),
+    _integer("blind_samples", 1e6, "X, Y: unusable readings before a latch; 0: no latch"),
     _integer("bad_samples", 1e6, "Z: unusable currents in a row before a retract"),
     _integer("retract_samples", 1e6, "Z: length of the first retract; each further one doubles"),
     _integer("contact_samples", 1e6, "Z: samples in a row at the set point before contact"),

@@ -270,9 +270,9 @@ def test_the_readme_states_limits_codes_and_bytes():
         )
     )
     text = bundle(replace(stage(), axes=(axis,))).files["README.md"].decode()
-    assert "| -0.0004 to 9.79156 | 0.00030517578125 | -1 to 32084 |" in text
+    assert "| -0.0003051758 to 9.79126 | 0.00030517578125 | -1 to 32084 |" in text
     unrounded = replace(stage(), axes=(axis.with_values({"lsb_V": 0.0}),))
-    assert "| 0 |  |" in bundle(unrounded).files["README.md"].decode()
+    assert "| -0.0004 to 9.79156 | 0 |  |" in bundle(unrounded).files["README.md"].decode()
     for precision in ("float", "double"):
         assert f"{library(precision).state_size} ({precision})" in text
     assert ctypes.sizeof(ctypes.c_float) == library("float").code.pz_size_of_real()
@@ -307,3 +307,12 @@ def test_a_wrong_status_is_printed_with_its_axis(tmp_path):
     message = rf"axis 1, sample 500: .* status {int(cells[4]) - 2}; expected .* status {cells[4]}"
     with (folder / "golden.csv").open() as changed, pytest.raises(AssertionError, match=message):
         run(program, stdin=changed)
+
+
+def test_the_readme_states_the_guards_of_every_axis_and_the_set_point_of_a_tip():
+    x, _, z = stage().axes
+    x = x.with_values({"stuck_samples": 20, "stuck_voltage_V": 0.2, "blind_samples": 2000})
+    text = bundle(replace(stage(), axes=(x, z))).files["README.md"].decode()
+    assert "| x | 20 | 0.2 | 2000 (0.1 s) | -4e-05 to 4e-05 |  |  |  |  |" in text
+    assert "| z | 0 | 0 |  |  | 5 | 0 | 0 | -9 |" in text
+    assert "| 1e-11 to 2e-08 A, set point 1e-09 |" in text

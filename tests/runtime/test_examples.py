@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from piezoid.export.bundle import bundle
+from tests.export.stage import stage as three_axes
 from tests.runtime.compiler import SOURCE, found, run
 from tests.verification.rig import stage
 
@@ -81,6 +82,31 @@ def test_the_program_for_the_chip_builds_without_a_warning_and_fits(folder):
     size = run(found("arm-none-eabi-size"), str(program)).splitlines()[1].split()
     assert int(size[0]) + int(size[1]) < 64 * 1024
     assert int(size[2]) < 16 * 1024
+
+
+@pytest.mark.parametrize(
+    ("example", "language", "axis"),
+    [
+        ("stm32f405/main.c", "c", ("#define AXIS 0", "#define AXIS 2")),
+        ("arduino/piezoid.ino", "c++", ("const int AXIS = 0", "const int AXIS = 2")),
+    ],
+)
+def test_the_examples_refuse_the_axis_of_a_tip(example, language, axis, tmp_path):
+    for name, content in bundle(three_axes()).files.items():
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "Arduino.h").write_text(ARDUINO)
+    compiler = found("c++", "g++") if language == "c++" else found("cc", "gcc", "clang")
+    command = [compiler, "-w", "-fsyntax-only", "-DPZ_REAL_FLOAT", f"-I{tmp_path}", "-x", language]
+    if language == "c++":
+        command[1:1] = ["-include", "Arduino.h"]
+    text = (EXAMPLES / example).read_text()
+    for content, is_refused in ((text, False), (text.replace(*axis), True)):
+        (tmp_path / "example").write_text(content)
+        done = subprocess.run(
+            [*command, str(tmp_path / "example")], capture_output=True, text=True, check=False
+        )
+        assert (done.returncode != 0) is is_refused, done.stderr
+        assert ("for X and Y only" in done.stderr) is is_refused
 
 
 @pytest.mark.parametrize("example", ["stm32f405/main.c", "arduino/piezoid.ino"])

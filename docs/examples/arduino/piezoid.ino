@@ -8,7 +8,8 @@
 #include "piezo_params.h"
 #include "piezoid_runtime.h"
 
-const int AXIS = 0;
+const int AXIS = 0; // X and Y only: a tip may retract below 0 V, which the pin cannot
+static_assert(((PIEZO_TIP_AXES >> AXIS) & 1u) == 0u, "this sketch is for X and Y only");
 // To be adapted. The sensor has the scale, zero and sign of the recordings.
 const float SENSOR_m_PER_CODE = 1e-8f;
 // Volts at the input of the high-voltage amplifier for one code: here a buffer makes 0 to 10 V of
@@ -17,7 +18,9 @@ const float DRIVE_V_PER_CODE = 2.44140625e-3f;
 const int DRIVE_MAX_CODE = 4095;
 
 pz_state state;
-volatile float reference_m;
+const int RAMP_SAMPLES = 2000; // for the whole range of the reference
+float reference_m;             // starts at the first reading, and ramps to:
+volatile float wanted_m;
 volatile uint32_t worst_us;
 HardwareTimer timer(TIM2);
 
@@ -30,8 +33,21 @@ static int drive_code(float voltage_V) {
     return code < (float)DRIVE_MAX_CODE ? (int)code : DRIVE_MAX_CODE;
 }
 
+static void ramp_reference() {
+    const pz_parameters &p = piezo_params[AXIS];
+    const float step_m = (p.reference_maximum_m - p.reference_minimum_m) / RAMP_SAMPLES;
+    const float goal_m = wanted_m;
+    const float distance_m = goal_m - reference_m;
+    if (distance_m > step_m || distance_m < -step_m) {
+        reference_m += distance_m > 0.0f ? step_m : -step_m;
+    } else {
+        reference_m = goal_m;
+    }
+}
+
 void step() {
     const uint32_t begun = micros();
+    ramp_reference();
     const float measured_m = analogRead(A0) * SENSOR_m_PER_CODE;
     const float voltage_V = pz_step(&state, &piezo_params[AXIS], reference_m, measured_m);
     analogWrite(PA4, drive_code(voltage_V));
@@ -49,16 +65,17 @@ void setup() {
         Serial.println("pz_check refuses these parameters");
         return;
     }
-    reference_m = measured_m;
+    reference_m = state.reference_m; // the reading: no step
+    wanted_m = reference_m;
     timer.setOverflow(20000, HERTZ_FORMAT);
     timer.attachInterrupt(step);
     timer.resume();
 }
 
-// A number on the serial line sets the reference in micrometres.
+// The reference ramps to a number, in micrometres, on the serial line.
 void loop() {
     if (Serial.available() > 0) {
-        reference_m = Serial.parseFloat() * 1e-6f;
+        wanted_m = Serial.parseFloat() * 1e-6f;
     }
     Serial.print("status ");
     Serial.print(state.status);

@@ -15,8 +15,12 @@
 #include "piezo_params.h"
 #include "piezoid_runtime.h"
 
-/* To be adapted. The sensor has the scale, zero and sign of the recordings. */
+/* To be adapted. The sensor has the scale, zero and sign of the recordings. X and Y only: a tip
+ * may retract below 0 V, which this converter cannot put out. */
 #define AXIS 0
+#if (PIEZO_TIP_AXES >> AXIS) & 1u
+#error "AXIS regulates a current: this program is for X and Y only"
+#endif
 #define SENSOR_m_PER_CODE PZ_REAL(1e-8)
 #define SENSOR_ZERO_m PZ_REAL(0)
 /* Volts at the input of the high-voltage amplifier for one code: here a buffer makes 0 to 10 V of
@@ -29,7 +33,8 @@
 #define TIMER_Hz 84000000u /* of TIM2: twice the clock of its bus */
 #endif
 #define RATE_Hz 20000u
-#define POINTS 400u /* of a period: lines of 50 Hz */
+#define POINTS 400u        /* of a period: lines of 50 Hz */
+#define RAMP_SAMPLES 2000u /* for the whole range, before the first line */
 
 #define REGISTER(address) (*(volatile uint32_t *)(address))
 #define RCC(offset) REGISTER(0x40023800u + (offset))
@@ -57,6 +62,7 @@ int main(void);
 /* Table of `piezoid learn`; zeros: no feedforward. */
 static const pz_real feedforward_V[POINTS] = {0};
 static pz_state state;
+static pz_real reference_m; /* starts at the first reading */
 
 volatile uint32_t steps, worst_cycles, sum_cycles, missed;
 
@@ -103,21 +109,41 @@ static void write_drive(pz_real voltage_V) {
     DAC(0x08) = drive_code(voltage_V);
 }
 
-/* Reference at a point of the period: a triangle over the middle half of the references. */
-static pz_real reference_m(uint32_t point) {
+/* A triangle over the middle half of the references. */
+static pz_real triangle_m(uint32_t point) {
     const pz_parameters *p = &piezo_params[AXIS];
     const uint32_t up = point < POINTS / 2u ? point : POINTS - point;
     const pz_real share = PZ_REAL(0.25) + (pz_real)up / (pz_real)POINTS;
     return p->reference_minimum_m + share * (p->reference_maximum_m - p->reference_minimum_m);
 }
 
+/* Move the reference slowly from the first reading to the triangle. Returns 1 on the way. */
+static int ramps_to(pz_real goal_m) {
+    const pz_parameters *p = &piezo_params[AXIS];
+    const pz_real step_m =
+        (p->reference_maximum_m - p->reference_minimum_m) / (pz_real)RAMP_SAMPLES;
+    const pz_real distance_m = goal_m - reference_m;
+    if (distance_m > step_m || distance_m < -step_m) {
+        reference_m += distance_m > PZ_REAL(0) ? step_m : -step_m;
+        return 1;
+    }
+    return 0;
+}
+
 void on_timer(void) {
     static uint32_t point;
+    static int is_on_triangle;
     const uint32_t begun = SYSTICK_VALUE;
+    pz_real table_V = PZ_REAL(0);
     TIM2(0x10) = 0; /* clears the flag of this interrupt */
-    write_drive(pz_step_feedforward(&state, &piezo_params[AXIS], reference_m(point),
-                                    read_sensor_m(), feedforward_V[point]));
-    point = point + 1u < POINTS ? point + 1u : 0u;
+    if (is_on_triangle || !ramps_to(triangle_m(0))) {
+        is_on_triangle = 1;
+        reference_m = triangle_m(point);
+        table_V = feedforward_V[point];
+        point = point + 1u < POINTS ? point + 1u : 0u;
+    }
+    write_drive(
+        pz_step_feedforward(&state, &piezo_params[AXIS], reference_m, read_sensor_m(), table_V));
     const uint32_t taken = (begun - SYSTICK_VALUE) & SYSTICK_MASK;
     worst_cycles = taken > worst_cycles ? taken : worst_cycles;
     sum_cycles += taken;
@@ -192,7 +218,8 @@ int main(void) {
     if (pz_start(&state, &piezo_params[AXIS], voltage_V, read_sensor_m()) != PZ_OK) {
         stop(); /* parameters that pz_check refuses */
     }
-    start_timer(); /* the interrupt begins after pz_start */
+    reference_m = state.reference_m; /* the reading: no step */
+    start_timer();                   /* the interrupt begins after pz_start */
     watch();
     return 0;
 }
