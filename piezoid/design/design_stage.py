@@ -300,7 +300,7 @@ def _between_converters(name: str, default: Specification, lab: Lab) -> Specific
             f"axis {name}: its drive was recorded from {default.voltage_min_V:.6g} to "
             f"{default.voltage_max_V:.6g} V, converter and amplifier take commands from "
             f"{range_V[0]:.6g} to {range_V[1]:.6g} V",
-            needed="recordings of the controller's output, the command in front of the amplifier, "
+            needed="recordings of the controller's output, the command at the amplifier's input, "
             "not of the high voltage at the ceramic",
             remedy="If they were taken behind the amplifier, write "
             f"{amplifier_scale(lab, name)} into their [[recording]] and fit again; else correct "

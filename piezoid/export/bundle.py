@@ -75,7 +75,7 @@ does not match 0 V; `pz_start` treats the difference as a shift of the sensor's 
         write_dac(pz_step(&state, p, reference, read_sensor()));
     }}
 
-- X, Y: before `pz_start` and `pz_reset` set the reference to the reading, then ramp it; only
+- X, Y: at `pz_start` and `pz_reset` the reference must be the reading; then ramp it. Only
   `reference_step_m`, which is large, limits a jump. Z: the reference is always the set point.
 - `pz_start` needs the voltage that the DAC puts out at that moment. It accepts NaN and values out
   of range; the first output is then 0 V or the nearest limit: check before. Call it again, with
@@ -96,7 +96,7 @@ does not match 0 V; `pz_start` treats the difference as a shift of the sensor's 
 - `output / step`, rounded, is the code of a two's-complement DAC, within the column `codes`; an
   offset-binary DAC of n bits adds 2^(n-1). Clamp the code; masking wraps a code above full scale
   to the opposite end. A step of 0: lab.toml declares no `dac_bits`; outputs are not rounded.
-- A coarser DAC rounds once more; keep `lsb_V`. For a DAC of smaller range, narrow the voltages.
+- A coarser DAC rounds once more; keep `lsb_V`. A smaller range: narrow the voltages (section 6).
 
 ## 4. Bad readings and limits
 
@@ -107,10 +107,10 @@ does not match 0 V; `pz_start` treats the difference as a shift of the sensor's 
 - Pass `NAN` for a reading that you do not trust (timeout, checksum, out of range).
 - X, Y: unusable are NaN, infinity, and a value that does not change for `stuck_samples` although
   the voltage moves by `stuck_voltage_V`. The model then continues alone, with the last estimate of
-  the disturbance. After `blind_samples` of them in a row the output latches until `pz_reset`.
-- X, Y: a reading beyond the displacement limits counts as the limit, which moves the output to the
-  end of its range. A constant one is then stuck and latches there. One with noise never latches,
-  nor does a reversed sensor: detect railed and reversed sensors and a broken cable yourself.
+  the disturbance. After `blind_samples` unusable readings the output latches until `pz_reset`.
+- X, Y: a railed reading is used (beyond the displacement limits, as the limit) and moves the output
+  to the end of its range. A constant one is then stuck, and the output latches at that end. With
+  noise, or from a reversed sensor, it never latches. Detect these and a broken cable yourself.
 - Z retracts from a current that is dead (`NO_CURRENT`), frozen (`STUCK_SENSOR`) or at the ceiling,
   the end of its range (`MEASUREMENT_LIMITED`), and after `bad_samples` from one that is reversed
   (`WRONG_SIGN`) or NaN. It latches at `retract_voltage_V` after `trip_limit` retracts in a row or

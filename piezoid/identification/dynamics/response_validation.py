@@ -126,7 +126,7 @@ def _disagreement(
             f"its gain is {with_unit(gain, 'm')}/V, the hysteresis' slopes are "
             f"{with_unit(flattest, 'm')}/V to {with_unit(greatest, 'm')}/V: "
             f"{significant(gain / middle_slope_m_per_V(axis))} times their middle. Another unit, "
-            "another axis, or volts in front of the amplifier: name them in lab.toml, a factor as "
+            "another axis, or volts at the amplifier's input: name them in lab.toml, a factor as "
             "scale = { response = ... }"
         )
     if recorded is None:

@@ -1,7 +1,7 @@
 """Report a drive outside the range of the controller: it was recorded behind the amplifier.
 
 Between converter and ceramic stands an amplifier. A loop is designed for, ships and is clipped to
-the voltage in front of it; a recording of the other side is off by the gain.
+the voltage at its input; a recording of its output is off by the gain.
 """
 
 import re
@@ -14,7 +14,7 @@ from piezoid.records.recording import Quantity, Recording
 from piezoid.statement import Statement, finding
 
 DRIVE_VOLTAGE_NOTE = (
-    "Every drive voltage is the controller's output, the command in front of the amplifier, "
+    "Every drive voltage is the controller's output, the command at the amplifier's input, "
     "not the high voltage at the ceramic."
 )
 HIGH_VOLTAGE = re.compile(r"(?<![A-Za-z])HV(?![A-Za-z])|high.?voltage", re.IGNORECASE)
