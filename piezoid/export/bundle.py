@@ -108,7 +108,7 @@ does not match 0 V; `pz_start` treats the difference as a shift of the sensor's 
 - X, Y: unusable are NaN, infinity, and a value that does not change for `stuck_samples` although
   the voltage moves by `stuck_voltage_V`. The model then continues alone, with the last estimate of
   the disturbance. After `blind_samples` unusable readings the output latches until `pz_reset`.
-- X, Y: a railed reading is used (beyond the displacement limits, as the limit) and moves the output
+- X, Y: a railed reading is used (beyond the displacement limits as the limit) and moves the output
   to the end of its range. A constant one is then stuck, and the output latches at that end. With
   noise, or from a reversed sensor, it never latches. Detect these and a broken cable yourself.
 - Z retracts from a current that is dead (`NO_CURRENT`), frozen (`STUCK_SENSOR`) or at the ceiling,
