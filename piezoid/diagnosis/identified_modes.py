@@ -136,8 +136,8 @@ def _with_rising_gain(
         explanation=f"{effect.summary} The gain at {with_unit(peak_Hz, 'Hz')} is {ratio:.2g} "
         f"times that at rest, and the recordings end at {with_unit(bandwidth.highest_Hz, 'Hz')}: "
         "a mode lies near or beyond that and is not resolved.",
-        next_experiment=f"Record a small chirp through {with_unit(frequency_Hz, 'Hz', 2)}, at the "
-        "rate of the controller or faster.",
+        next_experiment="Record a small chirp to at least "
+        f"{with_unit(2.0 * frequency_Hz, 'Hz', 2)}, at the rate of the controller or faster.",
         parameters={"frequency_Hz": frequency_Hz},
     )
     return with_finding(diagnosis, finding)

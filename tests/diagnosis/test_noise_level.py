@@ -55,7 +55,7 @@ def test_noise_that_grows_with_position_is_a_finding_with_its_place() -> None:
     assert finding.coordinate in {"displacement", "reading"}
     assert finding.size.value == pytest.approx(1e9 * more_m, rel=0.25)
     assert finding.held_out_gain == 0.0
-    assert "the noise of the readings is not the same everywhere" in finding.explanation
+    assert "noise of the readings changes along the displacement" in finding.explanation
     assert finding.seen is not None
     assert max(finding.seen.fitted_m) > 3.0 * min(finding.seen.fitted_m)
 
