@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.identification.model import AxisModel
-from piezoid.identification.simulation import simulate_recording, starts_of
+from piezoid.identification.simulation import simulate_fitted_rows, starts_of
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
@@ -65,7 +65,7 @@ def traces_of(axis_model: AxisModel, recordings: Sequence[Recording]) -> tuple[T
     Recordings over less than half of the widest drive come last: they show no full loop.
     """
     fitted = [r for r in recordings if starts_of(axis_model, r)]
-    modelled = [_counted(axis_model, recording) for recording in fitted]
+    modelled = [simulate_fitted_rows(axis_model, recording) for recording in fitted]
     axis = axis_model.axis
     compared = [
         (r.voltage_V(axis)[np.isfinite(m)], r.displacement_m(axis)[np.isfinite(m)])
@@ -81,18 +81,6 @@ def traces_of(axis_model: AxisModel, recordings: Sequence[Recording]) -> tuple[T
     ranges_V = {id(trace): float(np.ptp(trace.voltage_V)) for trace in traces}
     least_V = WIDE_SHARE * max(ranges_V.values(), default=0.0)
     return tuple(sorted(traces, key=lambda t: (ranges_V[id(t)] < least_V, -rms(t.residual_m))))
-
-
-def _counted(axis_model: AxisModel, recording: Recording) -> Array:
-    """Return the simulation with the rows the fit left out as NaN."""
-    modelled_m = simulate_recording(axis_model, recording)
-    counts = np.zeros(recording.samples, dtype=bool)
-    parts = [p for p in recording.pieces if np.isfinite(modelled_m[p]).all()]
-    for part, start in zip(parts, starts_of(axis_model, recording), strict=True):
-        counts[part.start + start.first : part.start + start.last] = True
-    counts[list(recording.bridged)] = False
-    modelled_m[~counts] = np.nan
-    return modelled_m
 
 
 def _trace(recording: Recording, axis: str, modelled_m: Array, slope_m_per_V: float) -> Trace:

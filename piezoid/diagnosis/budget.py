@@ -344,7 +344,5 @@ def _without_loop_shape(diagnosis: Diagnosis, bound_m: float) -> Diagnosis:
         f"{with_unit(bound_m, 'm')} rms off the error of the model",
         next_experiment=effect.experiment,
     )
-    other_absences = [
-        absence for absence in diagnosis.not_detected if absence.effect != LOOP_SHAPE
-    ]
-    return replace(diagnosis, not_detected=(*other_absences, bounded))
+    absences = [absence for absence in diagnosis.not_detected if absence.effect != LOOP_SHAPE]
+    return replace(diagnosis, not_detected=(*absences, bounded))

@@ -54,7 +54,7 @@ from piezoid.identification.hysteresis.applicability import UNEXPLAINED
 from piezoid.identification.hysteresis.pieces import Scales, pieces_of, scales_of
 from piezoid.identification.hysteresis.scope import scope_of
 from piezoid.identification.model import AxisModel
-from piezoid.identification.simulation import simulate_recording
+from piezoid.identification.simulation import simulate_fitted_rows
 from piezoid.numerics.executor import Executor
 from piezoid.records.constant_drive import is_at_rest
 from piezoid.records.frequency_response import FrequencyResponseRecord
@@ -215,11 +215,8 @@ def _prefer_named_effects(
     the end of a sensor's range are not in the search: there its error decides, which was a fifth
     of that with a limit of the amplifier on a Duhem stage whose model errors differ by 1 %.
     """
-    errors, without_structure, structure = (
-        attribute(result),
-        result.without_structure,
-        result.structure,
-    )
+    errors = attribute(result)
+    without_structure, structure = result.without_structure, result.structure
     if without_structure is None or structure is None or structure.range_end is not None:
         return result, errors
     if not structure.exceeds_healthy and errors.final_m >= errors.without_m[SOMETHING_ELSE]:
@@ -319,12 +316,17 @@ def _assembled(
     gain_m_per_V = scales.displacement_m / scales.voltage_V
     diagnosis = with_creep_of_holds(diagnosis, recorded_of(recordings, axis), gain_m_per_V)
     diagnosis = with_modes(diagnosis, start, selection.mode_recordings, outcome.final)
-    ingest_effects = {finding.effect for finding in diagnosis.findings} - searched_names
+    effects_of_other_recordings = {
+        finding.effect for finding in diagnosis.findings
+    } - searched_names
     note = "{}: its error is not part of the baseline's."
     return with_budget(
         diagnosis,
         _remaining_errors(outcome, errors, final, selection.repaired(recordings)),
-        {name: note.format(words(name).capitalize()) for name in sorted(ingest_effects)},
+        {
+            name: note.format(words(name).capitalize())
+            for name in sorted(effects_of_other_recordings)
+        },
     )
 
 
@@ -355,7 +357,7 @@ def _errors_by_recording(model: AxisModel, recordings: Sequence[Recording]) -> d
         return {}
     for recording in recordings:
         with suppress(IdentificationError):  # other pieces than those of the fit
-            simulated_m = simulate_recording(model, recording)
+            simulated_m = simulate_fitted_rows(model, recording)
             error_m = recording.displacement_m(model.axis) - simulated_m
             errors_m[recording.name] = float(np.sqrt(np.nanmean(error_m**2)))
     return errors_m

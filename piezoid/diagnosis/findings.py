@@ -118,8 +118,8 @@ def fault_finding(name: str, fault: Fault, errors: ModelErrors, half_stroke_m: f
 
 
 def _list_places(fault: Fault) -> str:
-    hidden = len(fault.where) - MAX_PLACES
-    suffix = f" and {hidden} places more" if hidden > 0 else ""
+    further = len(fault.where) - MAX_PLACES
+    suffix = f" and {further} more" if further > 0 else ""
     return f"Seen in {', '.join(fault.where[:MAX_PLACES])}{suffix}."
 
 

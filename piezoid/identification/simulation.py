@@ -45,6 +45,21 @@ def simulate_recording(axis_model: AxisModel, recording: Recording) -> Array:
     return displacement_m
 
 
+def simulate_fitted_rows(axis_model: AxisModel, recording: Recording) -> Array:
+    """Return ``simulate_recording`` at the rows of the fit, and NaN at rows that it left out.
+
+    Raises ``IdentificationError`` as ``simulate_recording`` does.
+    """
+    displacement_m = simulate_recording(axis_model, recording)
+    is_fitted = np.zeros(recording.samples, dtype=bool)
+    parts = [p for p in recording.pieces if np.isfinite(displacement_m[p]).all()]
+    for part, start in zip(parts, starts_of(axis_model, recording), strict=True):
+        is_fitted[part.start + start.first : part.start + start.last] = True
+    is_fitted[list(recording.bridged)] = False
+    displacement_m[~is_fitted] = np.nan
+    return displacement_m
+
+
 def where_of(recording: Recording, axis: str, part: slice) -> Where:
     """Return the location of a piece for extensions, with the drives of other axes that move."""
     other_drives = {

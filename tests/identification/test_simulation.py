@@ -8,7 +8,13 @@ import pytest
 from piezoid.errors import IdentificationError
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
-from piezoid.identification.simulation import simulate_recording, starts_of, where_of, zero_of
+from piezoid.identification.simulation import (
+    simulate_fitted_rows,
+    simulate_recording,
+    starts_of,
+    where_of,
+    zero_of,
+)
 from piezoid.records.recording import Quantity
 from tests.reports.known_stage import BREAK, axis_model, recording, starts
 
@@ -50,6 +56,17 @@ def test_pieces_too_short_to_be_fitted_are_nan() -> None:
     simulated_m = simulate_recording(axis_model(), cut)
     assert np.isnan(simulated_m[-5:]).all()
     assert np.isfinite(simulated_m[:-5]).all()
+
+
+def test_rows_that_the_fit_left_out_are_nan_and_all_others_simulated() -> None:
+    exact, model = recording(noise_m=0.0), axis_model()
+    second = starts(exact.name)[1]
+    late = replace(model, starts=(starts(exact.name)[0], replace(second, first=100)))
+    fitted_m, simulated_m = simulate_fitted_rows(late, exact), simulate_recording(late, exact)
+    is_left_out = np.isnan(fitted_m)
+    assert is_left_out[BREAK : BREAK + 100].all()
+    assert not is_left_out[BREAK + 100 : BREAK + second.last].any()
+    np.testing.assert_array_equal(fitted_m[~is_left_out], simulated_m[~is_left_out])
 
 
 def test_the_zero_stays_where_it_was_before_and_behind_the_rows_that_counted() -> None:
