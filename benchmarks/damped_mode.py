@@ -15,10 +15,9 @@ import numpy as np
 from scipy.signal import bilinear
 from varied_chains import varied
 
-from piezoid.design.chain import Chain, Section, family_from_chains
 from piezoid.design.family_grid import FamilyGrid, family_grid, magnitudes
 from piezoid.design.observer import ObserverFrame, disturbance_model, feedback_polynomials
-from piezoid.design.plant import PlantFamily
+from piezoid.design.plant import Chain, PlantFamily, Section, family_from_chains
 from piezoid.design.rst import section_poles
 from piezoid.design.search import search
 from piezoid.design.specification import Specification, default_specification

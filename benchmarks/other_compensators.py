@@ -23,7 +23,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import bilinear, fftconvolve
 
-from piezoid.design.chain import Section
 from piezoid.design.design import AxisDesign
 from piezoid.design.family_grid import FamilyGrid, family_grid, judge
 from piezoid.design.feasibility import unmet
@@ -35,7 +34,7 @@ from piezoid.design.observer import (
     disturbance_model,
     linear_controller,
 )
-from piezoid.design.plant import Plant, PlantFamily
+from piezoid.design.plant import Plant, PlantFamily, Section
 from piezoid.design.rst import LIGHT, section_poles
 from piezoid.design.search import search as search_parameters
 from piezoid.design.sensitivity import closed_loop_polynomial

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from piezoid.design.chain import Chain
+from piezoid.design.plant import Chain
 
 
 def varied(

@@ -177,6 +177,8 @@ def certify(
     ]
     worst, loop = max(zip(speeds, loops, strict=True), key=lambda pair: pair[0].at(slew_m_per_s))
     converter_m = loop.converter_m(operation)
+    disturbed = operation.disturbances.motions or operation.disturbances.readings
+    as_recorded = ("drift, coupling and hum stay as large and as fast as in the recordings",)
     return Certificate(
         form=bounds.form,
         increment_gain=eps,
@@ -191,7 +193,14 @@ def certify(
         disturbance_error_m=worst.steady_m - converter_m,
         reference_slew_m_per_s=slew_m_per_s,
         worst_member=worst.label,
-        conditions=(*bounds.conditions, *_conditions(len(members), operation)),
+        conditions=(
+            *bounds.conditions,
+            *(as_recorded if disturbed else ()),
+            f"the linear plant is one of the {len(members)} members",
+            f"the reference moves at most {with_unit(slew_m_per_s, 'm/s')}",
+            "the command stays inside the converter's limits",
+            "sensor noise comes on top, as its own line",
+        ),
         speed_bounds=tuple(speeds),
     )
 
@@ -286,15 +295,3 @@ class _ClosedLoop:
             else:
                 total_m += self.gain(followed) * error_m
         return total_m
-
-
-def _conditions(count: int, operation: Operation) -> tuple[str, ...]:
-    disturbed = operation.disturbances.motions or operation.disturbances.readings
-    as_recorded = ("drift, coupling and hum stay as large and as fast as in the recordings",)
-    return (
-        *(as_recorded if disturbed else ()),
-        f"the linear plant is one of the {count} members",
-        f"the reference moves at most {with_unit(operation.reference_slew_m_per_s, 'm/s')}",
-        "the command stays inside the converter's limits",
-        "sensor noise comes on top, as its own line",
-    )

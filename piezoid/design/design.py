@@ -215,11 +215,27 @@ class Design(Summarised):
         Design ...
         axis  loop ...
         """
+        rows = []
+        for axis, loop in [(design, loop) for design in self.axes for loop in design.loops]:
+            certificate, delay_s = loop.certificate, loop.worst_delay_margin_s
+            error = "none"
+            if certificate is not None and certificate.is_guaranteed:
+                error = with_unit(certificate.guaranteed_error_m, "m")
+            rows.append(
+                (
+                    axis.axis,
+                    f"{loop.method} (recommended)" if loop is axis.recommended else loop.method,
+                    with_unit(loop.bandwidth_Hz, "Hz"),
+                    significant(loop.worst_modulus_margin, 2),
+                    "unlimited" if delay_s is None else with_unit(delay_s, "s", 2),
+                    error,
+                )
+            )
         margins = ("modulus margin", "delay margin", "guaranteed error")
         return Summary(
             title=f"Design for {len(self.axes)} axes",
             headings=("axis", "loop", "bandwidth", *margins),
-            rows=[(axis.axis, *_cells(axis, loop)) for axis in self.axes for loop in axis.loops],
+            rows=rows,
             notes=tuple(
                 f"axis {axis}: no controller: {text}" for axis, text in self.refused.items()
             ),
@@ -243,21 +259,6 @@ class Design(Summarised):
             if axis.axis == name:
                 return axis
         raise KeyError(f"no axis {name!r} in this design")
-
-
-def _cells(axis: AxisDesign, loop: LoopDesign) -> tuple[str, ...]:
-    """Return the cells of one loop in the summary."""
-    certificate, delay_s = loop.certificate, loop.worst_delay_margin_s
-    error = "none"
-    if certificate is not None and certificate.is_guaranteed:
-        error = with_unit(certificate.guaranteed_error_m, "m")
-    return (
-        f"{loop.method} (recommended)" if loop is axis.recommended else loop.method,
-        with_unit(loop.bandwidth_Hz, "Hz"),
-        significant(loop.worst_modulus_margin, 2),
-        "unlimited" if delay_s is None else with_unit(delay_s, "s", 2),
-        error,
-    )
 
 
 LAYOUTS = (

@@ -139,7 +139,20 @@ def design_axes(
     designed = []
     for name, task in tasks.items():
         progress(f"axis {name}: designing")
-        designed.append(_outcome(name, task, specifications[name]))
+        specification = specifications[name]
+        try:
+            if specification is task.specification:
+                # The bandwidth of a default is adapted: downwards to what is feasible and upwards
+                # where damping a mode allows that.
+                base = at_feasible_bandwidth(task.design, specification)
+                design = task.raised(base, specification)
+                slower = None if design is base else base
+            else:
+                design, slower = task.design(specification), None
+        except TemplateError as refusal:
+            designed.append(AxisDesignResult(axis=name, refusal=refusal))
+        else:
+            designed.append(AxisDesignResult(axis=name, design=design, slower=slower))
     return (*designed, *hindered)
 
 
@@ -207,20 +220,6 @@ def without_damping(
         else outcome
         for outcome in outcomes
     )
-
-
-def _outcome(name: str, task: _Task, specification: Specification) -> AxisDesignResult:
-    """Design a requested specification exactly; adapt the bandwidth of a default, downwards to
-    what is feasible and upwards where damping a mode allows that.
-    """
-    try:
-        if specification is not task.specification:
-            return AxisDesignResult(axis=name, design=task.design(specification))
-        base = at_feasible_bandwidth(task.design, specification)
-        design = task.raised(base, specification)
-    except TemplateError as refusal:
-        return AxisDesignResult(axis=name, refusal=refusal)
-    return AxisDesignResult(axis=name, design=design, slower=None if design is base else base)
 
 
 def _tasks(

@@ -67,32 +67,28 @@ def _bandwidth(design: AxisDesign, axis: AxisModel) -> list[Statement]:
     limit_Hz, bandwidth_Hz = bandwidth_limit_Hz(design, axis), design.recommended.bandwidth_Hz
     if limit_Hz is None or bandwidth_Hz < NEAR_LIMIT * limit_Hz:
         return []
-    reason, level = _unknown_response(design, axis)
-    text = f"Bandwidth limited to {with_unit(bandwidth_Hz, 'Hz')}: {reason}"
-    return [_statement(design.axis, level, "bandwidth", text, bandwidth_Hz, "Hz")]
-
-
-def _unknown_response(design: AxisDesign, axis: AxisModel) -> tuple[str, Level]:
-    """Return what is not known of the response with what to record, and how much it matters."""
     rate_Hz = design.sampling_rate_Hz
     until_Hz = MAX_CHIRP_SHARE * rate_Hz
     record = f"Record a small chirp up to {with_unit(until_Hz, 'Hz', 2)}"
     unknown, visible_Hz = unseen(axis), axis.unfitted_resonance_Hz
     stated_Hz = None if axis.bandwidth is None else axis.bandwidth.stated_Hz
+    level = Level.ACTION
     if unknown.peak < FIRST_MODE:
-        known_Hz = with_unit(unknown.from_Hz, "Hz")
-        return f"the recordings show the response only up to {known_Hz}. {record}.", Level.WARNING
-    if visible_Hz is not None:
+        level, known_Hz = Level.WARNING, with_unit(unknown.from_Hz, "Hz")
+        reason = f"the recordings show the response only up to {known_Hz}. {record}."
+    elif visible_Hz is not None:
         reason = f"the resonance near {with_unit(visible_Hz, 'Hz', 3)} could not be fitted."
-        return reason, Level.ACTION
-    if stated_Hz is None:
+    elif stated_Hz is None:
         declare = "or state bandwidth_Hz under [actuator] in lab.toml"
-        return f"no resonance was recorded. {record}, {declare}.", Level.ACTION
-    reason = f"the stated {with_unit(stated_Hz, 'Hz', 3)} was not recorded."
-    if stated_Hz > until_Hz:
-        rate = with_unit(rate_Hz, "Hz", 3)
-        return f"{reason} It cannot be seen at {rate}: use a faster recorder.", Level.ACTION
-    return f"{reason} {record}.", Level.ACTION
+        reason = f"no resonance was recorded. {record}, {declare}."
+    else:
+        advice = f"{record}."
+        if stated_Hz > until_Hz:
+            rate = with_unit(rate_Hz, "Hz", 3)
+            advice = f"It cannot be seen at {rate}: use a faster recorder."
+        reason = f"the stated {with_unit(stated_Hz, 'Hz', 3)} was not recorded. {advice}"
+    text = f"Bandwidth limited to {with_unit(bandwidth_Hz, 'Hz')}: {reason}"
+    return [_statement(design.axis, level, "bandwidth", text, bandwidth_Hz, "Hz")]
 
 
 def _bound(design: AxisDesign, axis: AxisModel) -> list[Statement]:

@@ -71,6 +71,13 @@ def family_grid(
     knots = [t.frequency_Hz for t in specification.all_templates]
     inside = np.concatenate([*knots, *(mode_lines_Hz(member) for member in family.members)])
     f = np.union1d(f, inside[(inside >= lowest_Hz) & (inside < 0.5 * rate_Hz)])
+    # The tightest limit of each function; margins become limits of Syp and Syb.
+    limits = np.full((4, len(f)), np.inf)
+    limits[0] = 1.0 / specification.modulus_margin
+    limits[2] = delay_limit(f, specification.delay_margin_s)
+    for template in specification.all_templates:
+        row = FUNCTIONS.index(template.function)
+        limits[row] = np.minimum(limits[row], 10.0 ** (template.limit_dB(f) / 20.0))
     q = unit_circle(f, rate_Hz)
     q_scan = unit_circle(_HARMONICS * specification.scan_frequency_Hz, rate_Hz)
     return FamilyGrid(
@@ -79,7 +86,7 @@ def family_grid(
         A=np.stack([polynomial_response(m.A, q) for m in family.members]),
         B=np.stack([polynomial_response(m.B, q) for m in family.members]),
         frequency_Hz=f,
-        limits=_limits(specification, f),
+        limits=limits,
         weight=np.gradient(f) / (0.5 * rate_Hz),
         q_scan=q_scan,
         A_scan=np.stack([polynomial_response(m.A, q_scan) for m in family.members]),
@@ -168,24 +175,9 @@ def magnitudes(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> tuple[Array, int
     functions = np.stack(
         [np.abs(grid.A * s), np.abs(grid.A * r), np.abs(grid.B * r), np.abs(grid.B * s)]
     ) / np.abs(p)
-    return functions, int(np.round(np.abs(_turned(np.angle(p))) / np.pi).max())
-
-
-def _turned(angle: Array) -> Array:
-    """Return how far each row turns from its first angle to its last, never by more than half a
-    turn at once. A search asks this thousands of times; ``np.unwrap`` takes eight times as long.
-    """
+    # The unwrapped angle from first line to last. A search asks this thousands of times;
+    # np.unwrap takes eight times as long.
+    angle = np.angle(p)
     turns = np.round(np.diff(angle) / (2.0 * np.pi)).sum(axis=1)
-    return np.asarray(angle[:, -1] - angle[:, 0] - 2.0 * np.pi * turns)
-
-
-def _limits(specification: Specification, f: Array) -> Array:
-    """Return the tightest limit of each function; margins become limits of Syp and Syb."""
-    limits = np.full((4, len(f)), np.inf)
-    limits[0] = 1.0 / specification.modulus_margin
-    limits[2] = delay_limit(f, specification.delay_margin_s)
-    for template in specification.all_templates:
-        level = 10.0 ** (template.limit_dB(f) / 20.0)
-        row = FUNCTIONS.index(template.function)
-        limits[row] = np.minimum(limits[row], level)
-    return limits
+    turned = angle[:, -1] - angle[:, 0] - 2.0 * np.pi * turns
+    return functions, int(np.round(np.abs(turned) / np.pi).max())

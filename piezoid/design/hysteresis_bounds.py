@@ -155,7 +155,21 @@ def inverse_bounds(
     remainder_m   rho_max: bounded part that no model of this kind explains
     remainder_m_per_V  by how much that part changes the slope, at most
     """
-    errors, sectors = _errors_and_sectors(model, replicates, reach_V)
+    if isinstance(model, PreisachPlays):
+        functions = [replicate for replicate in replicates if isinstance(replicate, PreisachPlays)]
+        errors_m = farthest_apart_m(model, functions, reach_V)
+        sectors = slope_ratios(model, functions, reach_V)
+    else:
+        reference = model.regauged()
+        truths = [r.regauged() for r in replicates if isinstance(r, ModifiedPrandtlIshlinskii)]
+        difference = joint_error(reference, truths, reach_V)
+        errors_m = difference.error_m
+        sectors = np.array(
+            [
+                ratio_sector(reference, truth, reach_V, difference, error_m)
+                for truth, error_m in zip(truths, errors_m.tolist(), strict=True)
+            ]
+        )
     low = float(np.quantile(sectors[:, 0], 1.0 - confidence))
     high = float(np.quantile(sectors[:, 1], confidence))
     centre, centre_V = 0.5 * (low + high), model.voltage_offset_V
@@ -165,7 +179,7 @@ def inverse_bounds(
         slope_min=low / centre,
         slope_max=high / centre,
         slope_beyond=remainder_m_per_V / (gain_m_per_V * centre),
-        error_m=float(np.quantile(errors, confidence)) + remainder_m,
+        error_m=float(np.quantile(errors_m, confidence)) + remainder_m,
         reach_V=reach_V,
         conditions=(
             describe_command_range(centre_V - reach_V, centre_V + reach_V),
@@ -175,24 +189,6 @@ def inverse_bounds(
             f"{with_unit(remainder_m, 'm')}",
         ),
     )
-
-
-def _errors_and_sectors(
-    model: Operator, replicates: Sequence[Operator], reach_V: float
-) -> tuple[Array, Array]:
-    """Return how far every replicate is from the model, (n,) m, and its slopes, (n, 2)."""
-    if isinstance(model, PreisachPlays):
-        functions = [replicate for replicate in replicates if isinstance(replicate, PreisachPlays)]
-        difference_m = farthest_apart_m(model, functions, reach_V)
-        return difference_m, slope_ratios(model, functions, reach_V)
-    reference = model.regauged()
-    truths = [r.regauged() for r in replicates if isinstance(r, ModifiedPrandtlIshlinskii)]
-    difference = joint_error(reference, truths, reach_V)
-    sectors = [
-        ratio_sector(reference, truth, reach_V, difference, error_m)
-        for truth, error_m in zip(truths, difference.error_m.tolist(), strict=True)
-    ]
-    return difference.error_m, np.array(sectors)
 
 
 def ratio_sector(
@@ -207,11 +203,23 @@ def ratio_sector(
     difference    of the model: its grid of voltages and what it can put out at each
     error_m  how far the outputs of both can be apart
     """
-    bend = _bends(model, truth, difference.voltage_V)
+    # the slope of kappa between each two voltages, which may be cut by knots of the envelopes
+    voltage_V = difference.voltage_V
+    knots = np.union1d(model.envelope.threshold, truth.envelope.threshold)
+    knots = knots[(knots > voltage_V[0]) & (knots < voltage_V[-1])]
+    edges = np.union1d(voltage_V, knots)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    ratio = truth.envelope.run_with_slope(middle)[1] / model.envelope.run_with_slope(middle)[1]
+    first = np.searchsorted(edges, voltage_V[:-1])
+    least_bend = np.minimum.reduceat(ratio, first)
+    greatest_bend = np.maximum.reduceat(ratio, first)
     static = _static_ratios(model.dead_zones, truth.dead_zones, difference, error_m)
     reach = envelope_reach_V(model, reach_V)
-    low, high = _play_ratios(model.plays, truth.plays, reach, bend[0].min(), bend[1].max())
-    return low * float((bend[0] * static[0]).min()), high * float((bend[1] * static[1]).max())
+    low, high = _play_ratios(
+        model.plays, truth.plays, reach, least_bend.min(), greatest_bend.max()
+    )
+    least = low * float((least_bend * static[0]).min())
+    return least, high * float((greatest_bend * static[1]).max())
 
 
 def envelope_reach_V(model: ModifiedPrandtlIshlinskii, reach_V: float) -> float:
@@ -224,19 +232,6 @@ def static_difference(zones: DeadZones, slope: float, reach: float) -> float:
     knots = zones.threshold
     h: Array = np.concatenate([[-reach], knots[np.abs(knots) < reach], [reach]])
     return float(np.abs(zones.run(h) - slope * h).max())
-
-
-def _bends(
-    model: ModifiedPrandtlIshlinskii, truth: ModifiedPrandtlIshlinskii, voltage_V: Array
-) -> tuple[Array, Array]:
-    """Return the least and the greatest slope of kappa between each two voltages."""
-    knots = np.union1d(model.envelope.threshold, truth.envelope.threshold)
-    knots = knots[(knots > voltage_V[0]) & (knots < voltage_V[-1])]
-    edges = np.union1d(voltage_V, knots)
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    ratio = truth.envelope.run_with_slope(middle)[1] / model.envelope.run_with_slope(middle)[1]
-    first = np.searchsorted(edges, voltage_V[:-1])
-    return np.minimum.reduceat(ratio, first), np.maximum.reduceat(ratio, first)
 
 
 def _static_ratios(

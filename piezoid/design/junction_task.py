@@ -13,8 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from piezoid.design.chain import Chain, Section, family_from_chains
-from piezoid.design.converters import Converters, converters_of
+from piezoid.design.converters import converters_of
 from piezoid.design.design import (
     AxisDesign,
     Candidate,
@@ -25,7 +24,7 @@ from piezoid.design.design import (
 )
 from piezoid.design.feasibility import refuse, severity, unmet
 from piezoid.design.feedforward import fit_reference_path
-from piezoid.design.plant import PlantFamily
+from piezoid.design.plant import Chain, PlantFamily, Section, family_from_chains
 from piezoid.design.shaping import ShapedController, shape
 from piezoid.design.specification import Specification, default_specification
 from piezoid.design.templates import Template, Violation
@@ -77,9 +76,27 @@ def vertical_task(tunnelling: TunnellingModel, lab: Lab) -> VerticalTask:
     loop = loop_plant_of(tunnelling)
     axis = axis_of(tunnelling)
     converters = converters_of(lab, axis)
-    low_V, high_V = _command_V(lab, converters)
+    if converters.command_V is None or not all(map(math.isfinite, converters.command_V)):
+        meaning = "the voltages the height's drive may take"
+        raise missing_line(lab, "input_range_V = [-10, 10]", meaning, "[acquisition]")
+    low_V, high_V = converters.command_V
+    if not low_V < high_V:
+        raise LabFileError(
+            f"{lab.place}: converter and amplifier have no voltage in common ({low_V:g} V to "
+            f"{high_V:g} V)",
+            needed="a range of commands that both can take",
+            remedy="Correct input_range_V of [acquisition] or the outputs of [amplifier].",
+        )
     members = junction_family(loop, lab)
-    _refuse_instantaneous(members[0], axis)
+    amplifier_Hz, sensor_Hz = members[0].amplifier_pole_Hz, members[0].sensor_pole_Hz
+    rate_Hz = members[0].sampling_rate_Hz
+    if min(amplifier_Hz, sensor_Hz) > _SLOWEST_SHARE * rate_Hz:
+        raise DesignError(
+            f"axis {axis}: amplifier ({amplifier_Hz:.4g} Hz) and current sensor "
+            f"({sensor_Hz:.4g} Hz) are instantaneous at {rate_Hz:g} Hz",
+            needed="a pole that limits the speed of the loop",
+            remedy=f"Declare bandwidth_Hz of [axis.{axis}.amplifier] and fit again.",
+        )
     chains = [_chain(member, index) for index, member in enumerate(members)]
     family = family_from_chains(chains[0], chains[1:])
     noise = reading_noise_A(loop.plant, lab, axis) / set_point_A(lab)
@@ -208,32 +225,6 @@ def missing_line(lab: Lab, line: str, meaning: str, table: str = "[tunnelling]")
         needed="a declaration: what keeps a tip from the surface is never guessed",
         remedy=f"Write, with your own number, `{line}` under {table}.",
     )
-
-
-def _command_V(lab: Lab, converters: Converters) -> tuple[float, float]:
-    if converters.command_V is None or not all(map(math.isfinite, converters.command_V)):
-        meaning = "the voltages the height's drive may take"
-        raise missing_line(lab, "input_range_V = [-10, 10]", meaning, "[acquisition]")
-    low_V, high_V = converters.command_V
-    if not low_V < high_V:
-        raise LabFileError(
-            f"{lab.place}: converter and amplifier have no voltage in common ({low_V:g} V to "
-            f"{high_V:g} V)",
-            needed="a range of commands that both can take",
-            remedy="Correct input_range_V of [acquisition] or the outputs of [amplifier].",
-        )
-    return low_V, high_V
-
-
-def _refuse_instantaneous(plant: JunctionPlant, axis: str) -> None:
-    slow_Hz = _SLOWEST_SHARE * plant.sampling_rate_Hz
-    if min(plant.amplifier_pole_Hz, plant.sensor_pole_Hz) > slow_Hz:
-        raise DesignError(
-            f"axis {axis}: amplifier ({plant.amplifier_pole_Hz:.4g} Hz) and current sensor "
-            f"({plant.sensor_pole_Hz:.4g} Hz) are instantaneous at {plant.sampling_rate_Hz:g} Hz",
-            needed="a pole that limits the speed of the loop",
-            remedy=f"Declare bandwidth_Hz of [axis.{axis}.amplifier] and fit again.",
-        )
 
 
 def _chain(plant: JunctionPlant, index: int) -> Chain:

@@ -8,7 +8,7 @@ m and M are the ends of the hysteresis' slope sector. In the inverse form the sa
 linearised command v into metres, so that both forms speak of the same volt.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,19 +70,18 @@ class LateralTask:
 
 
 def lateral_task(
-    axis: AxisModel, sampling_rate_Hz: float, *, forms: Sequence[str] = FORMS, seed: int = 0
+    axis: AxisModel, sampling_rate_Hz: float, *, forms: Sequence[str] = FORMS
 ) -> LateralTask:
     """Return the families, bounds and default specification of one identified axis.
 
     axis              whose model class applies
     sampling_rate_Hz  of the controller
     forms             wanted
-    seed              of the replicates drawn from the fit's covariance
 
     Raises ``DesignError`` where nothing is known that would limit the speed of a loop.
     """
     inverse = plant_family(axis, sampling_rate_Hz)
-    bounds = _bounds(axis, seed)
+    bounds = _bounds(axis)
     families = {"inverse": inverse, "affine": with_sector(inverse, bounds["affine"])}
     loop = loop_model(axis, sampling_rate_Hz)
     low_V, high_V = loop.drive_range_V
@@ -203,27 +202,29 @@ def plant_family(axis: AxisModel, rate_Hz: float) -> PlantFamily:
     _refuse_without_poles(axis, nominal, rate_Hz)
     gain = axis.polarity * 0.5 * sum(axis.operator.slope_sector_m_per_V)
     low, high = _gain_interval(axis, nominal)
+    # label, lateness and sharpness of corners, and how many ends of the gain they have
+    corners = [("slow", 1.0, 0.0, 2), ("fast", -1.0, 0.0, 2)]
+    wide = mode_half(axis)
+    if wide != 0.0:
+        corners = [
+            (f"{speed}, {sharp}", slower, sharper, 2)
+            for speed, slower in (("slow", 1.0), ("fast", -1.0))
+            for sharp, sharper in (("sharp", 1.0), ("damped", -1.0))
+        ]
+        between = min(
+            int(wide), _MOST_BETWEEN
+        )  # neighbours no farther apart than the mode is wide
+        corners += [
+            (f"slower by {slower:.2g}, sharp", slower, 1.0, 1)
+            for slower in np.linspace(1.0, -1.0, between + 2)[1:-1].tolist()
+        ]
     members = [_plant("nominal", nominal, gain * nominal.gain, rate_Hz)]
-    for label, slower, sharper, n_gains in _corners(axis):
+    for label, slower, sharper, n_gains in corners:
         corner = loop_model(at_corner(axis, slower, sharper), rate_Hz)
         for end, factor in (("low", low), ("high", high))[-n_gains:]:
-            label_of = f"{end} gain, {label}"
-            members.append(_plant(label_of, corner, gain * corner.gain * factor, rate_Hz))
+            gain_m_per_V = gain * corner.gain * factor
+            members.append(_plant(f"{end} gain, {label}", corner, gain_m_per_V, rate_Hz))
     return PlantFamily(members=tuple(members))
-
-
-def _corners(axis: AxisModel) -> Iterator[tuple[str, float, float, int]]:
-    """Yield label, lateness and sharpness of corners, and how many ends of the gain they have."""
-    wide = mode_half(axis)
-    if wide == 0.0:
-        yield from (("slow", 1.0, 0.0, 2), ("fast", -1.0, 0.0, 2))
-        return
-    for speed, slower in (("slow", 1.0), ("fast", -1.0)):
-        for sharp, sharper in (("sharp", 1.0), ("damped", -1.0)):
-            yield f"{speed}, {sharp}", slower, sharper, 2
-    between = min(int(wide), _MOST_BETWEEN)  # neighbours no farther apart than the mode is wide
-    for slower in np.linspace(1.0, -1.0, between + 2)[1:-1].tolist():
-        yield f"slower by {slower:.2g}, sharp", slower, 1.0, 1
 
 
 def _plant(label: str, loop: LoopModel, gain_m_per_V: float, rate_Hz: float) -> Plant:
@@ -303,7 +304,7 @@ def relative_gain_half(axis: AxisModel) -> float:
     return float(uncertainty.loading_half_m[-1] / abs(uncertainty.loading_m[-1]))
 
 
-def _bounds(axis: AxisModel, seed: int) -> dict[str, HysteresisBounds]:
+def _bounds(axis: AxisModel) -> dict[str, HysteresisBounds]:
     """Bound both forms, the inverse one where enough draws of the fit have an inverse."""
     reach_V = axis.certificate.reach_V
     second = axis.discrepancy
@@ -314,7 +315,7 @@ def _bounds(axis: AxisModel, seed: int) -> dict[str, HysteresisBounds]:
         remainder_m=axis.certificate.bound_m,
         remainder_m_per_V=steepest_m_per_V,
     )
-    replicates = draw_replicates(axis, np.random.default_rng(seed))
+    replicates = draw_replicates(axis, np.random.default_rng(0))
     bounds = {"affine": affine}
     if len(replicates) >= FEWEST_REPLICATES:
         bounds["inverse"] = inverse_bounds(

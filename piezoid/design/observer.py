@@ -295,7 +295,14 @@ def feedback_polynomials(observer: DisturbanceObserver) -> tuple[Array, Array]:
     closed = A_e - np.outer(B_e, K_e)
     transition = closed @ correct
     S = _characteristic(transition)
-    impulse = _impulse(transition, closed @ L, -K_e @ correct, -float(K_e @ L), len(S))
+    # The impulse response times the denominator is the numerator, with the digits that differences
+    # of characteristic polynomials lose.
+    row, state = -K_e @ correct, closed @ L
+    impulse = np.empty(len(S))
+    impulse[0] = -float(K_e @ L)
+    for k in range(1, len(S)):
+        impulse[k] = row @ state
+        state = transition @ state
     return -np.convolve(impulse, S)[: len(S)], S
 
 
@@ -342,20 +349,6 @@ def _stacked(observer: DisturbanceObserver) -> tuple[Array, Array, Array, Array,
     C_e = np.concatenate([observer.C, np.zeros(states)])
     L = np.concatenate([observer.state_gain, observer.disturbance_gain])
     return A_e, B_e, C_e, L, np.concatenate([observer.feedback_gain, model.output])
-
-
-def _impulse(A: Array, B: Array, C: Array, direct: float, samples: int) -> Array:
-    """Return the first samples of the impulse response of C (zI - A)^-1 B + direct.
-
-    Multiplied by the denominator they are the numerator, with the digits that differences of
-    characteristic polynomials lose.
-    """
-    impulse = np.empty(samples)
-    impulse[0], state = direct, B
-    for k in range(1, samples):
-        impulse[k] = C @ state
-        state = A @ state
-    return impulse
 
 
 def _characteristic(matrix: Array) -> Array:

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piezoid.design.chain import Section
-from piezoid.design.plant import Plant
+from piezoid.design.plant import Plant, Section
 from piezoid.errors import DesignError, UnstableLoopError
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.polynomial import Roots, from_roots, product, solve_bezout, spectral_radius

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.design.chain import Section
 from piezoid.design.family_grid import FamilyGrid, family_grid, worst_place
-from piezoid.design.plant import Plant, PlantFamily
+from piezoid.design.plant import Plant, PlantFamily, Section
 from piezoid.design.rst import (
     INTEGRATOR,
     OPEN_AT_NYQUIST,
@@ -150,18 +149,15 @@ def shape(
             denominator_damping=_DENOMINATOR_DAMPING,
         )
         placement = _best_placement(family.nominal, grid, (*best.band_stops, stop))
-        if not _is_worth_its_order(placement, best):
+        # Two more coefficients in R, S and P must buy something.
+        tightened_dB = max(best.excess_dB, 0.0) - max(placement.excess_dB, 0.0)
+        is_better = tightened_dB > 0.0
+        if abs(tightened_dB) <= _LEAST_TIGHTENING_dB:
+            is_better = placement.rejection < _LEAST_GAIN * best.rejection
+        if not is_better:
             break
         best = placement
     return best
-
-
-def _is_worth_its_order(extended: ShapedController, best: ShapedController) -> bool:
-    """Two more coefficients in R, S and P must buy something."""
-    tightened_dB = max(best.excess_dB, 0.0) - max(extended.excess_dB, 0.0)
-    if abs(tightened_dB) > _LEAST_TIGHTENING_dB:
-        return tightened_dB > 0.0
-    return extended.rejection < _LEAST_GAIN * best.rejection
 
 
 def _best_placement(

@@ -11,7 +11,6 @@ from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.templates import FUNCTIONS, Template, attenuation
 from piezoid.errors import LabFileError
 from piezoid.numerics.frequency import decibel
-from piezoid.numerics.polynomial import roots_of
 from piezoid.toml_files import read_toml
 
 AT_BANDWIDTH_dB = -3.0
@@ -63,8 +62,7 @@ class Specification:
     resonant_harmonics: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        positive = ("bandwidth_Hz", "delay_margin_s", "scan_frequency_Hz")
-        for name in positive:
+        for name in ("bandwidth_Hz", "delay_margin_s", "scan_frequency_Hz"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected > 0")
         if not 0 < self.modulus_margin < 1:
@@ -89,7 +87,7 @@ class Specification:
     @property
     def all_templates(self) -> tuple[Template, ...]:
         """The attenuation template of the bandwidth, then the further ones."""
-        return (attenuation("attenuation", self.bandwidth_Hz, AT_BANDWIDTH_dB), *self.templates)
+        return (attenuation(self.bandwidth_Hz, AT_BANDWIDTH_dB), *self.templates)
 
 
 def default_specification(
@@ -140,8 +138,7 @@ def default_specification(
 
 def slowest_Hz(plant: Plant) -> float:
     """Return the smallest natural frequency of the plant's poles, |ln z| fs / 2 pi."""
-    poles = roots_of(plant.A)
-    return float(np.abs(np.log(poles)).min() * plant.sampling_rate_Hz / (2.0 * np.pi))
+    return float(np.abs(np.log(plant.poles)).min() * plant.sampling_rate_Hz / (2.0 * np.pi))
 
 
 def specifications_from_toml(

@@ -80,12 +80,12 @@ class Violation:
         )
 
 
-def attenuation(name: str, bandwidth_Hz: float, level_dB: float) -> Template:
+def attenuation(bandwidth_Hz: float, level_dB: float) -> Template:
     """Return the template of an integrating loop: |Syp| rises by 20 dB per decade and reaches
     ``level_dB`` at ``bandwidth_Hz``.
     """
     return Template(
-        name=name,
+        name="attenuation",
         function="Syp",
         frequency_Hz=np.array([bandwidth_Hz / 1000.0, bandwidth_Hz]),
         upper_dB=np.array([level_dB - 60.0, level_dB]),
@@ -116,7 +116,25 @@ def violations(
     """Check every member on a fine grid against every limit; worst first."""
     checks: list[Violation] = []
     for plant in members:
-        checks += _margin_checks(plant, R, S, modulus_margin, delay_margin_s)
+        reached = margins(plant, R, S)
+        limits = [
+            ("modulus margin", reached.modulus_margin, modulus_margin, reached.modulus_Hz, "1")
+        ]
+        if reached.delay_margin_s is not None:
+            delay_Hz = reached.delay_Hz or reached.modulus_Hz
+            limits.append(("delay margin", reached.delay_margin_s, delay_margin_s, delay_Hz, "s"))
+        checks += [
+            Violation(
+                template=name,
+                member=plant.label,
+                frequency_Hz=frequency_Hz,
+                found=value,
+                limit=limit,
+                unit=unit,
+                excess_dB=float(decibel(limit / max(value, 1e-6 * limit))),
+            )
+            for name, value, limit, frequency_Hz, unit in limits
+        ]
         for template in templates:
             checks += _template_check(plant, R, S, template)
     violated = [check for check in checks if check.excess_dB > 0.0]
@@ -149,26 +167,4 @@ def _template_check(
             unit="dB",
             excess_dB=level - limit,
         )
-    ]
-
-
-def _margin_checks(
-    plant: Fraction, R: ArrayLike, S: ArrayLike, modulus_margin: float, delay_margin_s: float
-) -> list[Violation]:
-    reached = margins(plant, R, S)
-    checks = [("modulus margin", reached.modulus_margin, modulus_margin, reached.modulus_Hz, "1")]
-    if reached.delay_margin_s is not None:
-        place_Hz = reached.delay_Hz or reached.modulus_Hz
-        checks.append(("delay margin", reached.delay_margin_s, delay_margin_s, place_Hz, "s"))
-    return [
-        Violation(
-            template=name,
-            member=plant.label,
-            frequency_Hz=place_Hz,
-            found=value,
-            limit=limit,
-            unit=unit,
-            excess_dB=float(decibel(limit / max(value, 1e-6 * limit))),
-        )
-        for name, value, limit, place_Hz, unit in checks
     ]

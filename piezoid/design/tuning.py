@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.design.chain import Section
 from piezoid.design.family_grid import Judgement, family_grid, judge
 from piezoid.design.observer import (
     DisturbanceModel,
@@ -14,7 +13,7 @@ from piezoid.design.observer import (
     extended,
     feedback_polynomials,
 )
-from piezoid.design.plant import Plant, PlantFamily
+from piezoid.design.plant import Plant, PlantFamily, Section
 from piezoid.design.rst import (
     LIGHT,
     feedback_poles,

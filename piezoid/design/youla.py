@@ -114,7 +114,11 @@ def solve(
         solution = _solved(cones.at(deciding), count, reserve)
         if solution is None:
             return None
-        missed = _peaks(_excess(cones, solution, reserve)) & ~deciding
+        # rows of a real excess that are no better than both their neighbours
+        excess = _excess(cones, solution, reserve)
+        preceding, following = np.append(-np.inf, excess[:-1]), np.append(excess[1:], -np.inf)
+        peaks = (excess > _TOLERANCE) & (excess >= preceding) & (excess >= following)
+        missed = peaks & ~deciding
         if not missed.any():
             break
         deciding |= missed
@@ -161,12 +165,6 @@ def _excess(cones: Cones, solution: Reached, reserve: float) -> Array:
     size = np.abs(cones.A_S[0] @ solution.x + cones.A_S[1]) / cones.reference
     in_band = np.maximum(size / cones.slope - solution.gamma, 1.0 - real)
     return np.asarray(np.fmax(excess, in_band))  # above the band nothing is asked of the slope
-
-
-def _peaks(excess: Array) -> NDArray[np.bool_]:
-    """Return the rows of a real excess that are no better than both their neighbours."""
-    preceding, following = np.append(-np.inf, excess[:-1]), np.append(excess[1:], -np.inf)
-    return (excess > _TOLERANCE) & (excess >= preceding) & (excess >= following)
 
 
 def _solved(cones: Cones, count: int, reserve: float) -> Reached | None:
@@ -263,10 +261,16 @@ def optimise(
     best, R, S = worst_place(fine, start.R, start.S), start.R, start.S
     history = [best.rejection]
     while len(history) <= most_iterations:
-        step = _checked_step(coarse, fine, family.nominal, (R, S), count, deciding)
-        if step is None:
+        allowed_dB = max(best.excess_dB, 0.0) + _TIE
+        for reserve_dB in _RESERVES_dB:
+            reserve = 10.0 ** (-reserve_dB / 20.0)
+            step = solve(coarse, family.nominal, R, S, count, reserve, deciding)
+            if step is not None:
+                reached = worst_place(fine, *step)
+                if reached.excess_dB <= allowed_dB:
+                    break
+        else:
             break
-        reached = worst_place(fine, *step)
         tightened = max(best.excess_dB, 0.0) - max(reached.excess_dB, 0.0)
         gained = history[-1] - reached.rejection
         if tightened <= _TIE and gained <= _LEAST_GAIN * history[-1]:
@@ -280,21 +284,3 @@ def optimise(
         excess_dB=best.excess_dB,
         history=tuple(history),
     )
-
-
-def _checked_step(
-    coarse: FamilyGrid,
-    fine: FamilyGrid,
-    plant: Plant,
-    present: tuple[Array, Array],
-    count: int,
-    deciding: NDArray[np.bool_],
-) -> tuple[Array, Array] | None:
-    """Return the solution that passes the finer grid as well as the present one does."""
-    allowed_dB = max(worst_place(fine, *present).excess_dB, 0.0) + _TIE
-    for reserve_dB in _RESERVES_dB:
-        reserve = 10.0 ** (-reserve_dB / 20.0)
-        solution = solve(coarse, plant, *present, count, reserve, deciding)
-        if solution is not None and worst_place(fine, *solution).excess_dB <= allowed_dB:
-            return solution
-    return None

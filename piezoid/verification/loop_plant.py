@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import expm
 
-from piezoid.design.chain import Section, cascade
+from piezoid.design.plant import Section, cascade
 from piezoid.errors import ParameterFileError
 from piezoid.identification.loop_model import rest_gain
 from piezoid.numerics.arrays import Array

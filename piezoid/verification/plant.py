@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.design.chain import Section
+from piezoid.design.plant import Section
 from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.identification.loop_model import at_corner, loop_model
 from piezoid.identification.model import AxisModel, Discrepancy

@@ -5,8 +5,14 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.varied_chains import varied
-from piezoid.design.chain import Chain, Section, family_from_chains, plant_from_chain
-from piezoid.design.plant import Plant, PlantFamily
+from piezoid.design.plant import (
+    Chain,
+    Plant,
+    PlantFamily,
+    Section,
+    family_from_chains,
+    plant_from_chain,
+)
 from piezoid.design.rst import closed_loop_target, place_poles, sampled_poles
 from piezoid.design.specification import Specification
 from piezoid.numerics.arrays import Array

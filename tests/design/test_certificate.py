@@ -10,10 +10,10 @@ from piezoid.design.certificate import (
     peak_gain,
     without_difference,
 )
-from piezoid.design.chain import plant_from_chain
 from piezoid.design.feedforward import ReferencePath, fit_reference_path
 from piezoid.design.hysteresis_bounds import affine_bounds
 from piezoid.design.observer import DisturbanceObserver, linear_controller
+from piezoid.design.plant import plant_from_chain
 from piezoid.errors import UnstableLoopError
 from piezoid.numerics.arrays import Array
 from tests.design.hysteretic import REACH_V, THRESHOLD_V, hysteresis, loop

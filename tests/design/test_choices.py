@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.chain import Section, plant_from_chain
 from piezoid.design.feasibility import rounded_down
+from piezoid.design.plant import Section, plant_from_chain
 from piezoid.design.rst import observer_poles, sampled_poles, slow_and_fast
 from piezoid.design.tuning import search_box
 from piezoid.numerics.polynomial import roots_of

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.chain import Section, plant_from_chain
 from piezoid.design.family_grid import family_grid, judge, worst_place
 from piezoid.design.feasibility import noise_rms, unmet
-from piezoid.design.plant import PlantFamily
+from piezoid.design.plant import PlantFamily, Section, plant_from_chain
 from piezoid.design.rst import closed_loop_target, place_poles
 from piezoid.design.sensitivity import closed_loop_polynomial, margins, sensitivities
 from piezoid.design.templates import Template

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from piezoid.design.chain import plant_from_chain
 from piezoid.design.observer import ObserverFrame, disturbance_model, extended, placement_form
+from piezoid.design.plant import plant_from_chain
 from piezoid.design.tuning import kalman_gain
 from piezoid.errors import DesignError
 from piezoid.numerics.polynomial import from_roots

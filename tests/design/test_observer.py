@@ -7,14 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from piezoid.design.chain import Section, plant_from_chain
 from piezoid.design.observer import (
     DisturbanceObserver,
     disturbance_model,
     linear_controller,
     with_oscillators_as_states,
 )
-from piezoid.design.plant import Plant
+from piezoid.design.plant import Plant, Section, plant_from_chain
 from piezoid.design.rst import feedback_poles, observer_poles
 from piezoid.design.sensitivity import closed_loop_polynomial, margins, sensitivities
 from piezoid.numerics.polynomial import from_roots, roots_of

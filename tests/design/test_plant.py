@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.varied_chains import varied
-from piezoid.design.chain import Chain, Section, plant_from_chain
-from piezoid.design.plant import PlantFamily
+from piezoid.design.plant import Chain, PlantFamily, Section, plant_from_chain
 from piezoid.numerics.frequency import response, state_space_response
 from tests.design.placed import plant_from_fraction
 from tests.design.rig import (

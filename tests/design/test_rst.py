@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezoid.design.chain import Section, plant_from_chain
+from piezoid.design.plant import Section, plant_from_chain
 from piezoid.design.rst import (
     OPEN_AT_NYQUIST,
     PlacedController,

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from piezoid.design.chain import plant_from_chain
 from piezoid.design.feedforward import filter_sections, fit_reference_path
 from piezoid.design.observer import (
     DisturbanceObserver,
@@ -11,6 +10,7 @@ from piezoid.design.observer import (
     linear_controller,
     with_oscillators_as_states,
 )
+from piezoid.design.plant import plant_from_chain
 from piezoid.design.rst import place_poles
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import product

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezoid.design.chain import plant_from_chain
+from piezoid.design.plant import plant_from_chain
 from piezoid.design.sensitivity import margins, sensitivities
 from piezoid.design.templates import Template, attenuation, delay_limit, violations
 from piezoid.numerics.polynomial import delayed, product, spectral_radius, total
@@ -114,7 +114,7 @@ def test_the_delay_limit_is_one_half_where_a_smaller_delay_turns_further():
 
 
 def test_a_template_is_linear_in_decibels_over_log_frequency_and_ends_at_its_knots():
-    template = attenuation("a", 100.0, -3.0)
+    template = attenuation(100.0, -3.0)
     np.testing.assert_allclose(template.limit_dB([100.0, 10.0, 1.0]), [-3.0, -23.0, -43.0])
     assert template.limit_dB([100.1])[0] == np.inf
 

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.chain import Section
 from piezoid.design.feasibility import unmet
-from piezoid.design.plant import PlantFamily
+from piezoid.design.plant import PlantFamily, Section
 from piezoid.design.sensitivity import margins
 from piezoid.design.shaping import place_band_stops, shape
 from piezoid.design.templates import Template

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.chain import plant_from_chain
-from piezoid.design.plant import PlantFamily
+from piezoid.design.plant import PlantFamily, plant_from_chain
 from piezoid.design.specification import (
     Specification,
     default_specification,

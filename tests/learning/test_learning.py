@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from piezoid.design.chain import plant_from_chain
+from piezoid.design.plant import plant_from_chain
 from piezoid.errors import DesignError, ParameterFileError, RecordingError
 from piezoid.learning.contraction import learning_filter, table_response
 from piezoid.learning.learn import (

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.chain import Section
+from piezoid.design.plant import Section
 from piezoid.export.fmu import fmu_files
 from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.identification.model import Discrepancy

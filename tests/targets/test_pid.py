@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from piezoid.design.chain import plant_from_chain
-from piezoid.design.plant import PlantFamily
+from piezoid.design.plant import PlantFamily, plant_from_chain
 from piezoid.design.sensitivity import margins, sensitivities
 from piezoid.design.specification import default_specification
 from piezoid.design.templates import Template

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from piezoid.design.chain import Chain, Section, plant_from_chain
+from piezoid.design.plant import Chain, Section, plant_from_chain
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.export.runtime_parameters import observer_values
 from piezoid.operators.dead_zone import DeadZones

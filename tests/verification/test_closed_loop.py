@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from piezoid.design.chain import Chain, cascade, plant_from_chain
+from piezoid.design.plant import Chain, cascade, plant_from_chain
 from piezoid.errors import ParameterFileError
 from piezoid.operators.linear import ContinuousSystem
 from piezoid.runtime.controller import Controller, Status
