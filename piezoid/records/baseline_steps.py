@@ -20,7 +20,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.constant_drive import is_at_rest
 from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import step_size
-from piezoid.statement import Statement, finding
+from piezoid.statement import finding
 
 # In 294 healthy recordings, and in those of 60 stages of two other simulators, nothing passes both
 # tests with these values.
@@ -109,9 +109,23 @@ def split_at_baseline_steps(recording: Recording) -> Recording:
             for part in recording.pieces
             for s in baseline_steps(reading[part], drive[part], rests=rests)
         ]
-        if steps:
-            breaks.update(k for step in steps for k in (step.first + 1, step.last))
-            statements.append(_statement(steps, recording, axis))
+        if not steps:
+            continue
+        breaks.update(k for step in steps for k in (step.first + 1, step.last))
+        steps_in_words = [
+            f"{'+' if step.size > 0 else ''}{with_unit(step.size, 'm')} at "
+            f"{step.first / recording.sampling_rate_Hz:.4g} s"
+            for step in steps[:MAX_PLACES]
+        ]
+        further = f" and {len(steps) - MAX_PLACES} more" if len(steps) > MAX_PLACES else ""
+        times = "once" if len(steps) == 1 else f"{len(steps)} times"
+        text = (
+            f"{axis}: the zero of the displacement steps {times} while the drive does not: "
+            f"{', '.join(steps_in_words)}{further}. Likely cause: {_cause(steps)}. The spans "
+            "between are fitted with separate zeros."
+        )
+        largest_m = max(abs(step.size) for step in steps)
+        statements.append(finding("zero_jump", text, axis=axis, value=largest_m, unit="m"))
     return replace(
         recording,
         breaks=tuple(sorted(breaks)),
@@ -279,24 +293,6 @@ def _readings_at_rest(reading: Array) -> RepeatedReadings:
     middle = REST_BLOCK * np.arange(count) + REST_BLOCK // 2
     return RepeatedReadings(
         earlier=middle[:-2], later=middle[2:], difference=means[2:] - means[:-2]
-    )
-
-
-def _statement(steps: Sequence[BaselineStep], recording: Recording, axis: str) -> Statement:
-    steps_in_words = [
-        f"{'+' if step.size > 0 else ''}{with_unit(step.size, 'm')} at "
-        f"{step.first / recording.sampling_rate_Hz:.4g} s"
-        for step in steps[:MAX_PLACES]
-    ]
-    further = f" and {len(steps) - MAX_PLACES} more" if len(steps) > MAX_PLACES else ""
-    times = "once" if len(steps) == 1 else f"{len(steps)} times"
-    text = (
-        f"{axis}: the zero of the displacement steps {times} while the drive does not: "
-        f"{', '.join(steps_in_words)}{further}. Likely cause: {_cause(steps)}. The spans between "
-        "are fitted with separate zeros."
-    )
-    return finding(
-        "zero_jump", text, axis=axis, value=max(abs(step.size) for step in steps), unit="m"
     )
 
 

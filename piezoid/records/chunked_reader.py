@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 from msgspec import structs
-from numpy.typing import NDArray
 
 from piezoid.errors import LabFileError, RecordingError
 from piezoid.records.columns import Assignment, assign_columns
@@ -93,7 +92,10 @@ class _ThinnedFile:
         """Ingest the next chunk and add its samples."""
         if self._assignment is None:
             self._assignment = assign_columns(table, self._lab, self._whole)
-        has_numbers = _rows_with_numbers(table, self._assignment)
+        numbers = {assigned.column.number for assigned in self._assignment.columns}
+        has_numbers = np.logical_and.reduce(
+            [np.isfinite(column.values) for column in table.columns if column.number in numbers]
+        )
         if has_numbers.sum() < _MIN_NUMBERS and self._first is not None:
             self._is_broken = True
             return
@@ -231,10 +233,3 @@ def _recording(
         breaks=thinned.starts[1:],
         statements=tuple(statements),
     )
-
-
-def _rows_with_numbers(table: RawTable, assignment: Assignment) -> NDArray[np.bool_]:
-    """Tell which rows hold a number in every column that is read."""
-    numbers = {assigned.column.number for assigned in assignment.columns}
-    finite = [np.isfinite(c.values) for c in table.columns if c.number in numbers]
-    return np.asarray(np.logical_and.reduce(finite))

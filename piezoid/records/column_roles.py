@@ -112,10 +112,6 @@ def meaning_of(heading: Heading) -> Meaning:
         quantities = [Quantity.DISPLACEMENT]  # ``sensor voltage``: a position that comes as volts
     if len(quantities) == 1:
         return Meaning(role=Role.CHANNEL, quantity=quantities[0], axis=axis, by_name=True)
-    return _from_unit(dimension, axis, heading)
-
-
-def _from_unit(dimension: Dimension | None, axis: str | None, heading: Heading) -> Meaning:
     if dimension is Dimension.TIME:
         return _unread("a time that the name does not call the clock")
     for quantity, expected in DIMENSION_OF.items():

@@ -223,7 +223,20 @@ def _with_axes(
         raise ambiguous_columns(
             table, f"{_locations(in_volts)} in volts may be a drive or a sensor's output"
         )
-    default = _default_axis(table, entry, [(quantity, axis) for _, quantity, axis in parts])
+    # A column without an axis has that of the entry, the only one of the file, or x.
+    named_axes = sorted({a for _, q, a in parts if a is not None and q in _LOOP_QUANTITIES})
+    unnamed = [q for _, q, a in parts if a is None and q in _LOOP_QUANTITIES]
+    with_axis = {q for _, q, a in parts if a is not None}
+    default = "x"
+    if entry.axis is not None:
+        default = entry.axis
+    elif len(named_axes) == 1 and not with_axis & set(unnamed):
+        default = named_axes[0]
+    elif len(named_axes) > 1 and unnamed and "x" in named_axes:
+        kinds = ", ".join(quantity.name.lower() for quantity in unnamed)
+        raise ambiguous_columns(
+            table, f"the file names the axes {', '.join(named_axes)}, but not that of {kinds}"
+        )
     columns: dict[tuple[Quantity, str], Column] = {}
     for column, quantity, axis in parts:
         key = (quantity, axis or default)
@@ -234,25 +247,6 @@ def _with_axes(
             )
         columns[key] = column
     return [(column, quantity, axis) for (quantity, axis), column in columns.items()]
-
-
-def _default_axis(
-    table: RawTable, entry: RecordingEntry, parts: Sequence[tuple[Quantity, str | None]]
-) -> str:
-    """Return the axis of columns without one: of the entry, the only one of the file, or x."""
-    if entry.axis is not None:
-        return entry.axis
-    named_axes = sorted({axis for q, axis in parts if axis is not None and q in _LOOP_QUANTITIES})
-    unnamed = [q for q, axis in parts if axis is None and q in _LOOP_QUANTITIES]
-    with_axis = {q for q, axis in parts if axis is not None}
-    if len(named_axes) == 1 and not with_axis & set(unnamed):
-        return named_axes[0]
-    if len(named_axes) > 1 and unnamed and "x" in named_axes:
-        kinds = ", ".join(quantity.name.lower() for quantity in unnamed)
-        raise ambiguous_columns(
-            table, f"the file names the axes {', '.join(named_axes)}, but not that of {kinds}"
-        )
-    return "x"
 
 
 def _converted(
@@ -270,7 +264,8 @@ def _converted(
     a unit of something else, or in volts of a sensor whose gain is not known.
     """
     name = "time" if quantity is None else quantity.name.lower()
-    unit = _unit_of(entry, column, name, axis)
+    symbol = _declared_for(entry.units, name, axis)
+    unit = column.heading.unit if symbol is None else unit_of(symbol)
     if quantity is Quantity.REFERENCE:
         unit = unit or Unit(symbol="", dimension=Dimension.OTHER)  # only its shape is used
     elif unit is None and quantity is Quantity.VOLTAGE and entry.columns:
@@ -325,11 +320,6 @@ def _check_dimension(
         raise ambiguous_columns(table, f"{column.place} is a {name} by name but in {unit.symbol}")
 
 
-def _unit_of(entry: RecordingEntry, column: Column, name: str, axis: str) -> Unit | None:
-    symbol = _declared_for(entry.units, name, axis)
-    return column.heading.unit if symbol is None else unit_of(symbol)
-
-
 def _declared_for(by_name: Mapping[str, T], name: str, axis: str) -> T | None:
     """Return the declaration of an entry for a column, by its name with or without the axis."""
     return by_name.get(f"{name}_{axis}", by_name.get(name))
@@ -363,29 +353,25 @@ def _in_counts(
             remedy=f"Write into lab.toml:\n\n[[recording]]\nfile = {json.dumps(table.name)}\n"
             f"scale = {{ {name} = ... }}\n",
         )
-    size, source = _count_size(lab, quantity, axis)
+    # lab.toml states the size of a count where it declares the converter.
+    acquisition, range_V = lab.acquisition, lab.acquisition.input_range_V
+    is_drive = quantity is Quantity.VOLTAGE
+    bits = acquisition.dac_bits if is_drive else acquisition.adc_bits
+    gain_V_per_m = 1.0 if is_drive else lab.sensor_of(axis).gain_V_per_m
+    size, source = "...", ""
+    if range_V is not None and bits is not None and gain_V_per_m is not None:
+        span_V = range_V[1] - range_V[0]
+        size = f"{span_V / 2**bits / gain_V_per_m:.9g}"
+        source = (
+            f" (if the {span_V:g} V of input_range_V are the {bits} bits of the converter); "
+            f"offset = {{ {name} = ... }} adds the {quantity.value} of count 0"
+        )
     text = (
         f"{column.place} is a {name} in counts; results are stated in counts, and no controller "
         f"is exported. To change this, write scale = {{ {name} = {size} }}, {quantity.value} per "
         f"count, into its [[recording]] of lab.toml{source}."
     )
     return finding("counts", text, place=column.place)
-
-
-def _count_size(lab: Lab, quantity: Quantity, axis: str) -> tuple[str, str]:
-    """Return the size of a count if lab.toml declares the converter, and how it is computed."""
-    acquisition, range_V = lab.acquisition, lab.acquisition.input_range_V
-    is_drive = quantity is Quantity.VOLTAGE
-    bits = acquisition.dac_bits if is_drive else acquisition.adc_bits
-    gain_V_per_m = 1.0 if is_drive else lab.sensor_of(axis).gain_V_per_m
-    if range_V is None or bits is None or gain_V_per_m is None:
-        return "...", ""
-    span_V = range_V[1] - range_V[0]
-    return (
-        f"{span_V / 2**bits / gain_V_per_m:.9g}",
-        f" (if the {span_V:g} V of input_range_V are the {bits} bits of the converter); offset = "
-        f"{{ {quantity.name.lower()} = ... }} adds the {quantity.value} of count 0",
-    )
 
 
 def _locations(columns: Sequence[Column]) -> str:

@@ -118,7 +118,20 @@ def from_frame(
     >>> piezoid.from_frame(frame, units={"weg": "um"}).displacement_m().tolist()
     [0.0, 1e-07, 2e-07]
     """
-    _refuse_other_than_frame(frame, name)
+    from pandas import DataFrame, MultiIndex
+
+    if not isinstance(frame, DataFrame):
+        raise RecordingError(
+            f"{name}: {type(frame).__name__} given",
+            needed="a pandas DataFrame, one column for each channel",
+            remedy="Use piezoid.from_arrays for arrays.",
+        )
+    if isinstance(frame.columns, MultiIndex) or isinstance(frame.index, MultiIndex):
+        raise RecordingError(
+            f"{name}: headings or rows on several levels",
+            needed="one heading for each column, one row for each sample",
+            remedy="Flatten it, for example with frame.droplevel(0, axis=1).",
+        )
     headings = [str(heading) for heading in frame.columns]
     for heading in (*(units or {}), *(columns or {}).values()):
         if headings.count(heading) != 1:
@@ -131,10 +144,7 @@ def from_frame(
     declared = {
         heading: _declared_unit(name, heading, unit) for heading, unit in (units or {}).items()
     }
-    arrays = [
-        *_index(frame, name),
-        *_columns(frame, headings, set((columns or {}).values()), name),
-    ]
+    arrays = _numeric_columns(frame, set((columns or {}).values()), name)
     entry = RecordingEntry(
         file=name,
         axis=axis,
@@ -223,23 +233,6 @@ def _samples(data: ArrayLike, name: str) -> Array:
     return values
 
 
-def _refuse_other_than_frame(frame: object, name: str) -> None:
-    from pandas import DataFrame, MultiIndex
-
-    if not isinstance(frame, DataFrame):
-        raise RecordingError(
-            f"{name}: {type(frame).__name__} given",
-            needed="a pandas DataFrame, one column for each channel",
-            remedy="Use piezoid.from_arrays for arrays.",
-        )
-    if isinstance(frame.columns, MultiIndex) or isinstance(frame.index, MultiIndex):
-        raise RecordingError(
-            f"{name}: headings or rows on several levels",
-            needed="one heading for each column, one row for each sample",
-            remedy="Flatten it, for example with frame.droplevel(0, axis=1).",
-        )
-
-
 def _declared_unit(name: str, heading: str, symbol: str) -> str:
     """Return a declared unit; refuse one that is unknown or contradicts the heading."""
     unit, in_heading = unit_of(symbol), heading_of(heading).unit
@@ -261,47 +254,42 @@ def _declared_unit(name: str, heading: str, symbol: str) -> str:
     return symbol
 
 
-def _index(frame: "DataFrame", name: str) -> list[tuple[str, Array]]:
-    """Return the index as the clock, where it is one."""
+def _numeric_columns(frame: "DataFrame", declared: set[str], name: str) -> list[tuple[str, Array]]:
+    """Return the index, if it is a clock, and the numeric columns.
+
+    Refuses a column of another type that has a role by its heading or is declared.
+    """
     from pandas import DatetimeIndex, TimedeltaIndex
-
-    index: Any = frame.index
-    if isinstance(index, DatetimeIndex | TimedeltaIndex):
-        if not len(index):
-            return []
-        elapsed: Any = index - index[0]
-        return [("time_s", _samples(elapsed.total_seconds(), f"{name}: the index"))]
-    if index.name is not None and meaning_of(heading_of(str(index.name))).role is Role.TIME:
-        return [(str(index.name), _samples(index, f"{name}: the index {index.name!r}"))]
-    return []
-
-
-def _columns(
-    frame: "DataFrame", headings: list[str], named: set[str], name: str
-) -> list[tuple[str, Array]]:
-    """Return the numeric columns; refuse a column of another type that has a role."""
     from pandas.api.types import is_bool_dtype, is_numeric_dtype, is_timedelta64_dtype
 
+    clock: list[tuple[str, Array]] = []
+    index: Any = frame.index
+    if isinstance(index, DatetimeIndex | TimedeltaIndex):
+        if len(index):
+            elapsed: Any = index - index[0]
+            clock.append(("time_s", _samples(elapsed.total_seconds(), f"{name}: the index")))
+    elif index.name is not None and meaning_of(heading_of(str(index.name))).role is Role.TIME:
+        clock.append((str(index.name), _samples(index, f"{name}: the index {index.name!r}")))
     arrays = []
-    for index, heading in enumerate(headings):
-        column: Any = frame.iloc[:, index]
-        is_time = meaning_of(heading_of(heading)).role is Role.TIME
-        if is_timedelta64_dtype(column.dtype) and is_time:
+    for number, heading in enumerate(map(str, frame.columns), 1):
+        column: Any = frame.iloc[:, number - 1]
+        role = meaning_of(heading_of(heading)).role
+        if is_timedelta64_dtype(column.dtype) and role is Role.TIME:
             arrays.append((f"{heading} [s]", _samples(column.dt.total_seconds(), heading)))
         elif is_numeric_dtype(column.dtype) and not is_bool_dtype(column.dtype):
             arrays.append(
                 (heading, _samples(column.to_numpy(np.float64, na_value=np.nan), heading))
             )
-        elif heading in named or meaning_of(heading_of(heading)).role is not Role.UNREAD:
+        elif heading in declared or role is not Role.UNREAD:
             raise RecordingError(
-                f"{name}: column {index + 1} {heading!r} is of type {column.dtype}",
+                f"{name}: column {number} {heading!r} is of type {column.dtype}",
                 needed="numbers",
                 remedy="Convert it with pandas.to_numeric, or leave the column out.",
             )
     if not arrays:
         raise RecordingError(
-            f"{name}: no column of {len(headings)} holds numbers",
+            f"{name}: no column of {len(frame.columns)} holds numbers",
             needed="a drive and a displacement",
             remedy="Pass the frame that holds the samples.",
         )
-    return arrays
+    return [*clock, *arrays]

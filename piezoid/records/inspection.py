@@ -116,7 +116,21 @@ def inspect_files(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Inspec
     """
     paths, lab = tuple(paths), lab or Lab()
     lab.check_files(paths)
-    inspected = [pair for path in paths for pair in _inspected(path, lab)]
+    inspected: list[tuple[Inspection, Recording | None]] = []
+    for path in paths:
+        try:
+            table = read_table(path, lab.text_format_of(path))
+        except PiezoidError as error:
+            inspected.append((Inspection(name=path.name, refusal=str(error)), None))
+            continue
+        for entry in lab.entries_of(path) or (None,):
+            if is_response(table, entry):
+                inspected.append((_inspect_response(table, lab, entry), None))
+                continue
+            parts: tuple[Part, ...] = ((table, entry),)
+            with contextlib.suppress(PiezoidError):  # which reading the whole says as well
+                parts = parts_of(table, lab, entry)
+            inspected += [_inspect_table(part, lab, part_entry) for part, part_entry in parts]
     statements = check_set([recording for _, recording in inspected if recording is not None])
     inspections = []
     for inspection, recording in inspected:
@@ -124,23 +138,6 @@ def inspect_files(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Inspec
         further = (s for s in statements if s.recording == name)
         inspections.append(replace(inspection, statements=(*inspection.statements, *further)))
     return tuple(inspections)
-
-
-def _inspected(path: Path, lab: Lab) -> list[tuple[Inspection, Recording | None]]:
-    try:
-        table = read_table(path, lab.text_format_of(path))
-    except PiezoidError as error:
-        return [(Inspection(name=path.name, refusal=str(error)), None)]
-    inspected: list[tuple[Inspection, Recording | None]] = []
-    for entry in lab.entries_of(path) or (None,):
-        if is_response(table, entry):
-            inspected.append((_inspect_response(table, lab, entry), None))
-            continue
-        parts: tuple[Part, ...] = ((table, entry),)
-        with contextlib.suppress(PiezoidError):  # which reading the whole says as well
-            parts = parts_of(table, lab, entry)
-        inspected += [_inspect_table(part, lab, part_entry) for part, part_entry in parts]
-    return inspected
 
 
 def _of_table(table: RawTable) -> Inspection:

@@ -85,8 +85,10 @@ def find_invalid_readings(
     noise = max(white_noise_rms(values), 0.5 * step)
     range_ = _robust_range(values)
     driven = _driven_change(values, drive, range_)
-    # A sensor that does not scatter repeats a value whenever the stage stands.
-    scattering_drive = drive if drive is not None and _scatters(values, noise, step) else None
+    # A sensor that scatters by no more than a step repeats a value whenever the stage stands.
+    scatters = noise > max(step, MIN_SCATTER * float(np.ptp(values)))
+    scatters &= white_noise_rms(values, spacing=2) < MAX_NOISE_GROWTH * noise
+    scattering_drive = drive if scatters else None
     clipped = _clipped(values, scattering_drive)
     stuck = _stuck(values, scattering_drive) & ~clipped
     invalid: Mask = clipped | stuck
@@ -128,13 +130,6 @@ def interpolated(values: Array, invalid: Mask) -> Array:
         return values
     index = np.arange(len(values))
     return np.interp(index, index[~invalid], values[~invalid])
-
-
-def _scatters(values: Array, noise: float, step: float) -> bool:
-    """Return whether readings scatter by more than a step."""
-    if noise <= max(step, MIN_SCATTER * float(np.ptp(values))):
-        return False
-    return white_noise_rms(values, spacing=2) < MAX_NOISE_GROWTH * noise
 
 
 def _clipped(values: Array, drive: Array | None) -> Mask:

@@ -29,7 +29,6 @@ import msgspec
 
 from piezoid.digests import digest_of_bytes, digest_of_json
 from piezoid.errors import LabFileError
-from piezoid.records.lab_check import check_number, check_range, lab_error
 from piezoid.records.lab_tables import (
     GUARDS,
     Acquisition,
@@ -43,6 +42,9 @@ from piezoid.records.lab_tables import (
     Sensor,
     Table,
     Tunnelling,
+    check_number,
+    check_range,
+    lab_error,
 )
 from piezoid.records.readers.source import TextFormat, regular_size
 from piezoid.toml_files import read_toml

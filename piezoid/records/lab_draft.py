@@ -17,14 +17,14 @@ import numpy as np
 from piezoid.errors import PiezoidError
 from piezoid.records.checks.command_range import DRIVE_VOLTAGE_NOTE
 from piezoid.records.collection import is_over_height
-from piezoid.records.columns import AssignedColumn, assign_columns, entry_template
+from piezoid.records.columns import assign_columns, entry_template
 from piezoid.records.ingest import ingest_parts
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import read_table
 from piezoid.records.recording import Quantity, Recording
 from piezoid.records.response_columns import is_response, response_block
 from piezoid.records.response_ingest import ingest_response
-from piezoid.records.table import Column, RawTable
+from piezoid.records.table import RawTable
 from piezoid.records.units import unit_of
 
 HEAD = f"""\
@@ -142,8 +142,17 @@ def _with_file_name(block: str, name: str) -> str:
 def _entry(table: RawTable, recordings: Sequence[Recording], name: str) -> str:
     assignment = assign_columns(table, Lab(), RecordingEntry(file=table.name))
     clock = [("time", assignment.time)] if assignment.time is not None else []
-    read = [*clock, *((_key(channel), channel) for channel in assignment.channels)]
-    columns = ", ".join(f"{key} = {_heading(table, a.column)}" for key, a in read)
+    read = [
+        *clock,
+        *((f"{a.quantity.name.lower()}_{a.axis}", a) for a in assignment.channels if a.quantity),
+    ]
+    names = []
+    for key, a in read:
+        # A column is named by its heading, or by its number where the heading is not its own.
+        label = a.column.label
+        is_plain = label == label.strip() and label.isprintable()
+        is_unique = table.find(label) is a.column
+        names.append(f"{key} = {_toml(label) if is_plain and is_unique else a.column.number}")
     units = ", ".join(
         f"{key} = {_toml(a.unit.symbol)}" for key, a in read if unit_of(a.unit.symbol) == a.unit
     )
@@ -151,25 +160,10 @@ def _entry(table: RawTable, recordings: Sequence[Recording], name: str) -> str:
         "[[recording]]",
         f"file = {_toml(name)}",
         f"axis = {_toml(recordings[0].axis)}",
-        f"columns = {{ {columns} }}",
+        f"columns = {{ {', '.join(names)} }}",
         f"units = {{ {units} }}",
     ]
     return commented("\n".join(map(_summary, recordings))) + "\n".join(lines) + "\n"
-
-
-def _key(channel: AssignedColumn) -> str:
-    assert channel.quantity is not None
-    return f"{channel.quantity.name.lower()}_{channel.axis}"
-
-
-def _heading(table: RawTable, column: Column) -> str:
-    """Name a column by its heading, or by its number where the heading is not its own."""
-    is_plain = column.label == column.label.strip() and column.label.isprintable()
-    return (
-        _toml(column.label)
-        if is_plain and table.find(column.label) is column
-        else str(column.number)
-    )
 
 
 def _summary(recording: Recording) -> str:
@@ -189,11 +183,11 @@ def _summary(recording: Recording) -> str:
 
 def commented(text: str) -> str:
     """Return a text as comments that no name in it can end."""
-    return "".join(f"# {_harmless(line)}".rstrip() + "\n" for line in text.splitlines() or [""])
-
-
-def _harmless(line: str) -> str:
-    return "".join(c if unicodedata.category(c)[0] != "C" else ascii(c)[1:-1] for c in line)
+    lines = [
+        "".join(c if unicodedata.category(c)[0] != "C" else ascii(c)[1:-1] for c in line)
+        for line in text.splitlines() or [""]
+    ]
+    return "".join(f"# {line}".rstrip() + "\n" for line in lines)
 
 
 def _toml(text: str) -> str:

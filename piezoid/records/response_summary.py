@@ -97,8 +97,15 @@ def summary_of(record: FrequencyResponseRecord) -> ResponseSummary:
             )
         )
         self_response = record.path(path.drive, path.drive)
-        if not path.is_own and self_response is not None:
-            couplings.append(_coupling(frequency_Hz, path, self_response))
+        if path.is_own or self_response is None:
+            continue
+        ratio = np.abs(path.response_m_per_V / self_response.response_m_per_V)
+        modes = apparent_modes(frequency_Hz, self_response)
+        at_mode = None
+        if modes:
+            at_mode = float(ratio[np.searchsorted(frequency_Hz, modes[0].frequency_Hz)])
+        low = float(np.median(ratio[_is_low(frequency_Hz, modes)]))
+        couplings.append(Coupling(output=path.output, drive=path.drive, low=low, at_mode=at_mode))
     return ResponseSummary(
         lowest_Hz=float(frequency_Hz[0]),
         highest_Hz=float(frequency_Hz[-1]),
@@ -107,17 +114,6 @@ def summary_of(record: FrequencyResponseRecord) -> ResponseSummary:
         paths=tuple(paths),
         couplings=tuple(couplings),
     )
-
-
-def _coupling(frequency_Hz: Array, path: ResponsePath, self_response: ResponsePath) -> Coupling:
-    """Compare a path with the response of the axis of its drive."""
-    ratio = np.abs(path.response_m_per_V / self_response.response_m_per_V)
-    modes = apparent_modes(frequency_Hz, self_response)
-    at_mode = None
-    if modes:
-        at_mode = float(ratio[np.searchsorted(frequency_Hz, modes[0].frequency_Hz)])
-    low = float(np.median(ratio[_is_low(frequency_Hz, modes)]))
-    return Coupling(output=path.output, drive=path.drive, low=low, at_mode=at_mode)
 
 
 def apparent_modes(frequency_Hz: Array, path: ResponsePath) -> tuple[Peak, ...]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array
@@ -21,14 +21,6 @@ def rate_of(interval_s: float | None) -> float | None:
     """Return the sampling rate of a stated interval; None if the interval is invalid."""
     is_one = interval_s is not None and _SHORTEST_s <= interval_s <= _LONGEST_s
     return 1 / interval_s if interval_s is not None and is_one else None
-
-
-def _read_only(values: ArrayLike) -> Array:
-    """Return a read-only float64 copy; other than in a recording, NaN is kept."""
-    array = np.array(values, dtype=np.float64, order="C", copy=True).reshape(-1)
-    array[~(np.abs(array) < LARGEST)] = np.nan
-    array.setflags(write=False)
-    return array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,7 +40,10 @@ class Column:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "label", self.label[:MAX_HEADING])
-        object.__setattr__(self, "values", _read_only(self.values))
+        values = np.array(self.values, dtype=np.float64, order="C", copy=True).reshape(-1)
+        values[~(np.abs(values) < LARGEST)] = np.nan
+        values.setflags(write=False)
+        object.__setattr__(self, "values", values)
 
     @property
     def heading(self) -> Heading:

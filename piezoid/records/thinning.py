@@ -123,21 +123,18 @@ class Thinning:
         self._before_V = float(samples[0, -1])
         self._number += 1
         while self._rows > self._max_rows:
-            self._reduce()
+            can_halve = self._skip == 0 and self._block >> self._level > 1
+            if can_halve and self._fastest_branch() >= 2 * MIN_BRANCH_ROWS:
+                halved = map(self._halved, self._blocks)
+                self._blocks = [block for block in halved if block.rows.size]
+                self._level += 1
+            else:
+                self._skip += 1
+                self._blocks = [block for block in self._blocks if self._is_kept(block.number)]
+            self._rows = sum(block.rows.shape[1] for block in self._blocks)
 
     def _is_kept(self, number: int) -> bool:
         return (number >> self._level) % (1 << self._skip) == 0
-
-    def _reduce(self) -> None:
-        can_halve = self._skip == 0 and self._block >> self._level > 1
-        if can_halve and self._fastest_branch() >= 2 * MIN_BRANCH_ROWS:
-            halved = map(self._halved, self._blocks)
-            self._blocks = [block for block in halved if block.rows.size]
-            self._level += 1
-        else:
-            self._skip += 1
-            self._blocks = [block for block in self._blocks if self._is_kept(block.number)]
-        self._rows = sum(block.rows.shape[1] for block in self._blocks)
 
     def _fastest_branch(self) -> float:
         """Return the rows of the shorter branches of the drive."""

@@ -133,20 +133,12 @@ def heading_of(label: str) -> Heading:
     win over the other forms. A lone symbol (``V``) is a name, not a unit: it may be either.
     """
     label = " ".join(label[:MAX_HEADING].split())
-    return _bracketed(label) or _trailing(label) or Heading(stem=label, unit=None)
-
-
-def _bracketed(label: str) -> Heading | None:
-    for match in reversed(list(BRACKETS.finditer(label))):
-        content = match.group(1) or match.group(2) or ""
+    for brackets in reversed(list(BRACKETS.finditer(label))):
+        content = brackets.group(1) or brackets.group(2) or ""
         unit = unit_of(content) or unit_of(content.partition(",")[0])  # ``[um, filtered]``
         if unit is not None:
-            remaining_label = label[: match.start()] + " " + label[match.end() :]
-            return Heading(stem=" ".join(remaining_label.split()), unit=unit)
-    return None
-
-
-def _trailing(label: str) -> Heading | None:
+            stem = label[: brackets.start()] + " " + label[brackets.end() :]
+            return Heading(stem=" ".join(stem.split()), unit=unit)
     for pattern in (_AFTER_SLASH, _AFTER_COMMA, _AFTER_UNDERSCORE):
         match = pattern.match(label)
         if match is None:
@@ -154,6 +146,6 @@ def _trailing(label: str) -> Heading | None:
         unit = unit_of(match.group(2))
         # After an underscore a letter is too often an index (``sensor_h``) to be a rare unit.
         common = unit is not None and unit.dimension is not Dimension.OTHER
-        if unit is not None and common and match.group(2) not in ("h", "min"):
+        if common and match.group(2) not in ("h", "min"):
             return Heading(stem=match.group(1), unit=unit)
-    return None
+    return Heading(stem=label, unit=None)

@@ -16,7 +16,7 @@ from piezoid.digests import unseal
 from piezoid.errors import ParameterFileError, PiezoidError, UnreadableFileError
 from piezoid.records.inspection import inspect_files
 from piezoid.records.readers import read_table
-from piezoid.records.readers.source import _read_to, open_source
+from piezoid.records.readers.source import open_source
 from piezoid.records.readers.text_numbers import Layout, parse_numbers
 from tests.records.formats import SILENT, SPEAKING
 
@@ -223,16 +223,22 @@ def test_a_table_without_any_row_is_unreadable() -> None:
         parse_numbers("\n\n", Layout(separator=",", decimal=".", fields=2), "run.lvm", 7)
 
 
-def test_a_compressed_file_is_read_in_pieces() -> None:
-    asked: list[int] = []
+def test_a_compressed_file_is_read_in_pieces(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sizes: list[int] = []
+    read = gzip.GzipFile.read
 
-    class Stream(io.BytesIO):
-        def read(self, size: int | None = -1) -> bytes:
-            asked.append(size or -1)
-            return super().read(size)
+    def recorded(stream: gzip.GzipFile, size: int | None = -1) -> bytes:
+        sizes.append(size or -1)
+        return read(stream, size)
 
-    assert _read_to(Stream(b"0" * 10), 1 << 31) == b"0" * 10
-    assert 0 < max(asked) <= 1 << 20
+    monkeypatch.setattr(gzip.GzipFile, "read", recorded)
+    path = tmp_path / "run.csv.gz"
+    path.write_bytes(gzip.compress(b"1,2\n" * 10))
+    assert open_source(path).content() == b"1,2\n" * 10
+    assert sizes
+    assert all(0 < size <= 1 << 20 for size in sizes)
 
 
 @pytest.mark.parametrize("body", ["[" * 100_000 + "]" * 100_000, "9" * 10_000, "9" * 400, "\xff"])

@@ -15,16 +15,19 @@ from piezoid.errors import RecordingError
 from piezoid.raw_counts import record_in_counts
 from piezoid.records.checks.command_range import check_command_range
 from piezoid.records.checks.commanded_displacement import check_commanded_displacement
-from piezoid.records.checks.consistency import check_consistency, refuse_inconsistent
+from piezoid.records.checks.consistency import (
+    check_consistency,
+    check_drive_ranges,
+    check_mixed_units,
+    refuse_inconsistent,
+)
 from piezoid.records.checks.copies import check_copies
 from piezoid.records.checks.coupled_drives import check_coupled_drives
-from piezoid.records.checks.drive_ranges import check_drive_ranges
 from piezoid.records.checks.early_turns import check_early_turns
 from piezoid.records.checks.feedback import check_feedback, check_feedback_of_set
 from piezoid.records.checks.gain import check_gain
 from piezoid.records.checks.loop_direction import check_loop_direction
 from piezoid.records.checks.missing_channels import check_missing_channels
-from piezoid.records.checks.mixed_units import check_mixed_units
 from piezoid.records.checks.saturation import check_saturation
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording, counted_in

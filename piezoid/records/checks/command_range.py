@@ -34,7 +34,17 @@ def check_command_range(recording: Recording, lab: Lab) -> list[Statement]:
         if drive is None or drive.is_counted:
             continue
         if command_V is None:
-            statements += _high_voltage(recording, axis, drive.label, lab)
+            # Ask about a drive that its heading calls a high voltage, unless lab.toml scales it.
+            entries = [e for e in lab.recordings if Path(e.file).name == recording.name]
+            is_scaled = any({f"voltage_{axis}", "voltage"} & set(e.scale) for e in entries)
+            if not is_scaled and HIGH_VOLTAGE.search(drive.label):
+                text = (
+                    f"{axis}: {drive.label!r} may be the high voltage behind the amplifier. "
+                    f"{DRIVE_VOLTAGE_NOTE} If so, its [[recording]] needs "
+                    f"{amplifier_scale(lab, axis)}. If not, state output_min_V and output_max_V "
+                    "of [amplifier]."
+                )
+                statements.append(finding(MAY_BE_HIGH_VOLTAGE, text, axis=axis, place=drive.label))
             continue
         drive_V = float(drive.values.min()), float(drive.values.max())
         if exceeds_range(drive_V, command_V, tolerance=MONITOR_ERROR):
@@ -48,20 +58,6 @@ def check_command_range(recording: Recording, lab: Lab) -> list[Statement]:
             )
             statements.append(finding("beyond_the_controller", text, axis=axis))
     return statements
-
-
-def _high_voltage(recording: Recording, axis: str, label: str, lab: Lab) -> list[Statement]:
-    """Ask about a drive that its heading calls a high voltage, unless lab.toml scales it."""
-    scales = [entry.scale for entry in lab.recordings if Path(entry.file).name == recording.name]
-    is_scaled = any(f"voltage_{axis}" in scale or "voltage" in scale for scale in scales)
-    if is_scaled or not HIGH_VOLTAGE.search(label):
-        return []
-    text = (
-        f"{axis}: {label!r} may be the high voltage behind the amplifier. {DRIVE_VOLTAGE_NOTE} "
-        f"If so, its [[recording]] needs {amplifier_scale(lab, axis)}. If not, state output_min_V "
-        "and output_max_V of [amplifier]."
-    )
-    return [finding(MAY_BE_HIGH_VOLTAGE, text, axis=axis, place=label)]
 
 
 def command_range_V(lab: Lab, axis: str) -> Range_V | None:

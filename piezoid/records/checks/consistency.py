@@ -1,4 +1,6 @@
-"""Report recordings whose gain contradicts the others: another unit, monitor, polarity or stage.
+"""Report recordings of a stage that do not fit the others: gain, unit or range of the drive.
+
+A gain that contradicts the others has its cause in another unit, monitor, polarity or stage.
 
 The gain of each recording is estimated at the lowest frequencies of its drive, which hold a small
 share of the drive's power: a mode lies far above them in a sweep, and above tens of hertz in a
@@ -19,11 +21,9 @@ from piezoid.errors import RecordingError
 from piezoid.formatting import significant, with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.raw_counts import record_in_counts
-from piezoid.records.checks.drive_ranges import MIN_RANGE
 from piezoid.records.checks.feedback import held_span
 from piezoid.records.checks.gain import MIN_MOTION_NOISE
-from piezoid.records.checks.mixed_units import check_mixed_units
-from piezoid.records.recording import Recording, counted_in
+from piezoid.records.recording import Quantity, Recording, counted_in
 from piezoid.records.sample_statistics import noise_rms
 from piezoid.statement import Statement, finding
 
@@ -44,6 +44,8 @@ MONITORS = (5, 10, 15, 20, 25, 30, 40, 50, 100, 200)
 # size or speed differ more: by 1.17 between sweep and check of the bundled stage.
 MONITOR_TOLERANCE = 0.03
 LOOP_TOLERANCE = 0.25
+MIN_RANGE = 0.01  # of the widest drive; a smaller one shows nothing of the hysteresis
+_MAX_NAMES = 3  # in a message
 
 Range_V = tuple[float, float]
 
@@ -119,6 +121,49 @@ def is_moving(voltage_V: Array) -> NDArray[np.bool_]:
     range_V = maximum_filter1d(voltage_V, length) - minimum_filter1d(voltage_V, length)
     is_centre = range_V <= MIN_RANGE * float(np.ptp(voltage_V))
     return np.asarray(~maximum_filter1d(is_centre, length))
+
+
+def check_mixed_units(recordings: Sequence[Recording]) -> list[Statement]:
+    """Report each recording in counts of a quantity that others have in SI units."""
+    statements = []
+    for quantity in (Quantity.VOLTAGE, Quantity.DISPLACEMENT):
+        channels = [(r.name, c) for r in recordings for c in r.channels if c.quantity is quantity]
+        in_si = sorted({name for name, channel in channels if not channel.is_counted})
+        in_counts = dict.fromkeys(name for name, channel in channels if channel.is_counted)
+        kind, si = quantity.name.lower(), quantity.value
+        for name in in_counts if in_si else ():
+            text = (
+                f"The {kind} of {name} is in counts, that of {', '.join(in_si[:_MAX_NAMES])} in "
+                f"{si}: they cannot be compared. Write scale = {{ {kind} = ... }}, {si} per "
+                "count, into its [[recording]]."
+            )
+            statements.append(finding("mixed_units", text, recording=name))
+    return statements
+
+
+def check_drive_ranges(recordings: Sequence[Recording]) -> list[Statement]:
+    """Compare the drive of each recording with the widest one of its axis."""
+    statements = []
+    for axis in sorted({r.axis for r in recordings}):
+        drives = {r.name: r.voltage_V(axis) for r in recordings if axis in r.complete_axes}
+        if len(drives) < 2:
+            continue
+        widest = max(drives, key=lambda name: float(np.ptp(drives[name])))
+        widest_V = float(np.ptp(drives[widest]))
+        for name, drive in drives.items():
+            range_V = float(np.ptp(drive))
+            if range_V <= MIN_RANGE * widest_V:
+                text = (
+                    f"{name}: the drive of axis {axis} moves by {with_unit(range_V, 'V')}, less "
+                    f"than a hundredth of the {with_unit(widest_V, 'V')} of {widest}; it may show "
+                    "the dynamics, but not the hysteresis."
+                )
+                statements.append(
+                    finding(
+                        "drive_range", text, axis=axis, recording=name, value=range_V, unit="V"
+                    )
+                )
+    return statements
 
 
 def check_consistency(recordings: Sequence[Recording]) -> list[Statement]:

@@ -36,11 +36,8 @@ def real_and_imaginary_text(text: str) -> tuple[str, str] | None:
     pattern = _WITH_COMMAS if {";", "\t"} & set(head[-1]) else _WITH_POINTS
     if not all(map(pattern.search, head[1:] or head)):
         return None
-    return pattern.sub(r"\g<real>", text), pattern.sub(_imaginary, text)
-
-
-def _imaginary(cell: re.Match[str]) -> str:
-    return f"{cell['apart'] or cell['sign']}{cell['imaginary']}"
+    # Only one of the two groups for the sign takes part in a match.
+    return pattern.sub(r"\g<real>", text), pattern.sub(r"\g<apart>\g<sign>\g<imaginary>", text)
 
 
 def join_complex_columns(real: RawTable, imaginary: RawTable) -> RawTable:

@@ -2,6 +2,7 @@
 
 import math
 import zipfile
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -43,7 +44,11 @@ def read(source: Source) -> RawTable:
         sheets = pd.read_excel(
             stream, sheet_name=None, header=None, dtype=object, engine="openpyxl"
         )
-    texts = {str(name): _text(frame) for name, frame in sheets.items() if frame.size}
+    texts = {}
+    for name, frame in sheets.items():
+        if frame.size:
+            rows = frame.itertuples(index=False, name=None)
+            texts[str(name)] = "\n".join("\t".join(map(_cell, row)) for row in rows) + "\n"
     if not texts:
         raise unreadable(
             source.name,
@@ -51,7 +56,11 @@ def read(source: Source) -> RawTable:
             needed="a sheet with headings and rows of numbers",
             remedy="Save the workbook again, or export the recording as CSV.",
         )
-    with_rows = [name for name, text in texts.items() if _has_rows(source, text)]
+    with_rows = []
+    for name, text in texts.items():
+        with suppress(UnreadableFileError):
+            find_table(text.split("\n", HEAD_LINES)[:HEAD_LINES], source.name, source.text)
+            with_rows.append(name)
     sheet = next(iter(with_rows or texts))
     _refuse_formulas(source, sheet, sheets[sheet])
     table = read_text(source, texts[sheet])
@@ -84,19 +93,6 @@ def _refuse_formulas(source: Source, sheet: str, frame: "DataFrame") -> None:
             needed="numbers in the cells",
             remedy="Open the workbook in Excel or LibreOffice, save it, and read it again.",
         )
-
-
-def _has_rows(source: Source, text: str) -> bool:
-    try:
-        find_table(text.split("\n", HEAD_LINES)[:HEAD_LINES], source.name, source.text)
-    except UnreadableFileError:
-        return False
-    return True
-
-
-def _text(frame: "DataFrame") -> str:
-    rows = frame.itertuples(index=False, name=None)
-    return "\n".join("\t".join(map(_cell, row)) for row in rows) + "\n"
 
 
 def _cell(value: object) -> str:

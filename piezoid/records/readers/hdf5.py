@@ -89,7 +89,14 @@ def _units_of(datasets: Mapping[str, Any]) -> dict[str, str]:
 
 def check_trees(stream: BinaryIO) -> None:
     """Raise ``ValueError`` where the nodes of a search tree form a ring."""
-    base = _base(stream)
+    # Addresses count from the signature, which stands behind a user block.
+    size = stream.seek(0, 2)
+    base = 0
+    while base < size:
+        stream.seek(base)
+        if stream.read(len(SIGNATURE)) == SIGNATURE:
+            break
+        base = 2 * base or _FIRST_BASE
     stream.seek(base)
     head = stream.read(len(SIGNATURE) + 6)
     if len(head) < len(SIGNATURE) + 6:
@@ -99,18 +106,6 @@ def check_trees(stream: BinaryIO) -> None:
     ring = _ring(dict(_neighbours(stream, base, width)))
     if ring is not None:
         raise ValueError(f"the search tree at byte {base + ring} leads round in a ring")
-
-
-def _base(stream: BinaryIO) -> int:
-    """Return the offset of the file content, to which its addresses are relative."""
-    size = stream.seek(0, 2)
-    base = 0
-    while base < size:
-        stream.seek(base)
-        if stream.read(len(SIGNATURE)) == SIGNATURE:
-            return base
-        base = 2 * base or _FIRST_BASE
-    return size
 
 
 def _neighbours(stream: BinaryIO, base: int, width: int) -> Iterator[tuple[int, int]]:

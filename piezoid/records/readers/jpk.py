@@ -45,12 +45,19 @@ def read(source: Source) -> RawTable:
                 needed="one curve: each begins with a memory of its own",
                 remedy="Save the curves one by one from the JPK data processing.",
             )
-        segments = [_segment(file, number) for number in file.get_index_segment_numbers(0)]
+        numbers = file.get_index_segment_numbers(0)
+        durations_s = [float(file.get_metadata_jpk_primary(0, n)["duration"]) for n in numbers]
+        drives_V, heights_m = (
+            [_channel(file, n, column, slot=slot, unit=unit) for n in numbers]
+            for column, slot, unit in (
+                ("height (piezo)", "volts", "V"),
+                ("height (measured)", "nominal", "m"),
+            )
+        )
     except AFMFileFormatError as error:  # no Exception, by its class
         raise ValueError(str(error)) from error
     finally:
         ArchiveCache.open_archives.pop(source.path, None)
-    durations_s, drives_V, heights_m = zip(*segments, strict=True)
     begins_s = np.cumsum([0.0, *durations_s[:-1]])
     times_s = [
         begin_s + np.arange(len(drive_V)) * duration_s / len(drive_V)
@@ -59,16 +66,6 @@ def read(source: Source) -> RawTable:
     names = ("time", "drive, volts of the height", "measured height")
     arrays = dict(zip(names, map(np.concatenate, (times_s, drives_V, heights_m)), strict=True))
     return table_of(source, arrays, units=dict(zip(names, ("s", "V", "m"), strict=True)))
-
-
-def _segment(file: Any, number: int) -> tuple[float, Array, Array]:
-    """Return duration, drive and measured height of a segment: s, V, m."""
-    duration_s = float(file.get_metadata_jpk_primary(0, number)["duration"])
-    return (
-        duration_s,
-        _channel(file, number, "height (piezo)", slot="volts", unit="V"),
-        _channel(file, number, "height (measured)", slot="nominal", unit="m"),
-    )
 
 
 def _channel(file: Any, number: int, column: str, *, slot: str, unit: str) -> Array:

@@ -144,6 +144,8 @@ def _joined(name: str, header: dict[str, str], segments: Sequence[_Segment]) -> 
     if not starts and not has_clock and declared > 1 and first.rows % declared == 0:
         starts = list(range(declared, first.rows, declared))
     decimal = header.get("Decimal_Separator", ".")
+    numbers = (number_of(interval, decimal) for interval in intervals)
+    interval_s = next((n for n in numbers if n is not None and np.isfinite(n)), 0.0)
     truncated = [
         finding(
             "truncated",
@@ -155,7 +157,7 @@ def _joined(name: str, header: dict[str, str], segments: Sequence[_Segment]) -> 
     ]
     return RawTable(
         columns=_columns(segments),
-        sampling_rate_Hz=None if has_clock else rate_of(_first_number(intervals, decimal)),
+        sampling_rate_Hz=None if has_clock else rate_of(interval_s),
         segment_starts=tuple(starts),
         first_line=first.line if len(segments) == 1 else 0,
         metadata=header,
@@ -188,11 +190,6 @@ def _columns(segments: Sequence[_Segment]) -> tuple[Column, ...]:
             )
         )
     return tuple(columns)
-
-
-def _first_number(cells: Sequence[str], decimal: str) -> float:
-    numbers = [number_of(cell, decimal) for cell in cells if cell]
-    return next((n for n in numbers if n is not None and np.isfinite(n)), 0.0)
 
 
 READER = Reader(

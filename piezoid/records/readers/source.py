@@ -250,8 +250,11 @@ def check_columns(file: str, columns: int) -> None:
 
 def _unpack(path: Path, limit: int, *, in_memory: bool) -> bytes:
     try:
+        # Read in pieces until the limit is passed; one read would ignore the limit.
+        content = bytearray()
         with gzip.open(path, "rb") as stream:
-            content = _read_to(stream, limit)
+            while len(content) <= limit and (piece := stream.read(_PIECE)):
+                content += piece
     except (OSError, EOFError, zlib.error) as error:
         raise unreadable(
             path.name,
@@ -261,15 +264,7 @@ def _unpack(path: Path, limit: int, *, in_memory: bool) -> bytes:
         ) from error
     if in_memory:
         check_size(path.name, len(content), limit)
-    return content
-
-
-def _read_to(stream: io.BufferedIOBase, limit: int) -> bytes:
-    """Read in pieces until the limit is passed; one read would ignore the limit."""
-    content = io.BytesIO()
-    while content.tell() <= limit and (piece := stream.read(_PIECE)):
-        content.write(piece)
-    return content.getvalue()
+    return bytes(content)
 
 
 def text_of(source: Source) -> str:

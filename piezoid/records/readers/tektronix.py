@@ -34,7 +34,11 @@ def read(source: Source) -> RawTable:
         zip(starts, [*starts[1:], len(rows[0])], strict=True), start=1
     ):
         # The first two numbers behind key and value.
-        numbers = [k for k in range(start + 2, stop) if _is_number(rows[0][k])]
+        numbers = [
+            k
+            for k in range(start + 2, stop)
+            if rows[0][k] and number_of(rows[0][k], ".") is not None
+        ]
         if len(numbers) < 2:
             raise unreadable(
                 source.name,
@@ -73,10 +77,6 @@ def read(source: Source) -> RawTable:
         metadata=settings,
         statements=(*truncated, *table.statements),
     )
-
-
-def _is_number(cell: str) -> bool:
-    return bool(cell) and number_of(cell, ".") is not None
 
 
 def _settings(rows: list[list[str]], start: int) -> dict[str, str]:

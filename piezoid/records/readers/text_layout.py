@@ -195,9 +195,21 @@ def _widest(line: str) -> int:
 
 
 def _best_start(lines: list[str], share: float, declared: TextFormat) -> TableStart | None:
+    # Marks of thousands are tried last: numbers that can be read without them have none.
+    separators = _SEPARATORS if declared.separator is None else (declared.separator,)
+    decimals = (".", ",") if declared.decimal is None else (declared.decimal,)
+    layouts = [
+        Layout(separator=separator, decimal=decimal, fields=0, grouped=grouped)
+        for grouped in (False, True)
+        for separator in separators
+        for decimal in decimals
+    ]
+    # Comma and decimal comma go together where the numbers stand in quotes.
+    if declared.separator == declared.decimal == ",":
+        layouts = [Layout(separator=",", decimal=",", fields=0, paired=True)]
     best: TableStart | None = None
     best_score = (0, False)
-    for layout in _layouts(declared):
+    for layout in layouts:
         rows = _numeric_rows(lines, layout, share, declared.heading_row or 0)
         if not rows:
             continue
@@ -211,23 +223,6 @@ def _best_start(lines: list[str], share: float, declared: TextFormat) -> TableSt
         if score > best_score:
             best, best_score = start, score
     return best
-
-
-def _layouts(declared: TextFormat) -> list[Layout]:
-    """Return the layouts that are compatible with lab.toml.
-
-    Comma and decimal comma go together where the numbers stand in quotes. Marks of thousands are
-    tried last: where all numbers can be read without them, there are none.
-    """
-    separator, decimal = declared.separator, declared.decimal
-    if separator == decimal == ",":
-        return [Layout(separator=",", decimal=",", fields=0, paired=True)]
-    return [
-        Layout(separator=separator_tried, decimal=decimal_tried, fields=0, grouped=grouped)
-        for grouped in (False, True)
-        for separator_tried in (_SEPARATORS if separator is None else (separator,))
-        for decimal_tried in ((".", ",") if decimal is None else (decimal,))
-    ]
 
 
 def _numeric_rows(lines: list[str], layout: Layout, share: float, above: int) -> dict[int, int]:

@@ -88,7 +88,15 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
         line, first_row = start.row + 1, 0
         for text in _line_chunks(stream, rows, source):
             block, segment_starts, statements = parse_rows(text, start, source.name, line)
-            _refuse_dates(block, source.name, line)
+            if block.stamped:
+                raise unreadable(
+                    source.name,
+                    f"column {min(block.stamped) + 1} holds dates from line {line} on",
+                    needed="times in seconds, where a file is read in chunks",
+                    remedy="Write the time as seconds, or state sampling_rate_Hz for the file in "
+                    "lab.toml and name its other columns there.",
+                    line=line,
+                )
             if textual is None:
                 start, textual = _with_row_number_headings(start, block), block.textual
                 statements = (*statements, *_statements_of_file(start, block))
@@ -272,18 +280,6 @@ def _whole_lines(stream: io.TextIOWrapper, characters: int, source: Source) -> s
             remedy="Export the recording as CSV.",
         )
     return with_hyphens(text + end_of_line)
-
-
-def _refuse_dates(block: NumberTable, name: str, line: int) -> None:
-    if block.stamped:
-        raise unreadable(
-            name,
-            f"column {min(block.stamped) + 1} holds dates from line {line} on",
-            needed="times in seconds, where a file is read in chunks",
-            remedy="Write the time as seconds, or state sampling_rate_Hz for the file in lab.toml "
-            "and name its other columns there.",
-            line=line,
-        )
 
 
 def recognises(source: Source) -> bool:
