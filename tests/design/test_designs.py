@@ -200,8 +200,3 @@ def test_a_changed_design_file_is_refused(vertical):
     content = Design(axes=(vertical,), model_digest="sha256:abc").to_json()
     with pytest.raises(ParameterFileError, match="digest"):
         design_from_json(content.replace(b"sha256:abc", b"sha256:abd"))
-
-
-def test_members_of_a_family_keep_order_and_labels():
-    labels = [member.label for member in vertical_family().fractions]
-    assert labels == ["1 eV", "0.25 eV", "0.5 eV", "2 eV", "4 eV"]

@@ -7,14 +7,11 @@ import pytest
 
 from piezoid.design.family_grid import family_grid, judge, worst_place
 from piezoid.design.feasibility import noise_rms, unmet
-from piezoid.design.plant import PlantFamily, Section, plant_from_chain
-from piezoid.design.rst import closed_loop_target, place_poles
+from piezoid.design.plant import PlantFamily, plant_from_chain
 from piezoid.design.sensitivity import closed_loop_polynomial, margins, sensitivities
-from piezoid.design.templates import Template
 from piezoid.numerics.polynomial import spectral_radius
 from tests.design.rig import (
     LOOPS,
-    RATE_Hz,
     lateral_specification,
     loop,
     vertical_chain,
@@ -37,44 +34,6 @@ def test_the_searchs_grid_agrees_with_the_fine_check():
             assert seen.excess_dB > 20.0
 
 
-def test_rejection_is_that_of_the_worst_member_beside_a_straight_line():
-    family, asked = vertical_family(), vertical_specification(100.0)
-    R, S = loop(1e3, 0.9)
-    grid = family_grid(family, asked)
-    f = grid.frequency_Hz[grid.frequency_Hz <= asked.bandwidth_Hz]
-    relative = [
-        np.abs(sensitivities(m, R, S, f).Syp) * asked.bandwidth_Hz / f for m in family.members
-    ]
-    assert worst_place(grid, R, S).rejection == pytest.approx(np.max(relative))
-    # A loop that keeps every limit is told how much room is left, by both.
-    easy = replace(asked, bandwidth_Hz=1.0, modulus_margin=0.05, delay_margin_s=1e-7)
-    roomy = family_grid(family, easy)
-    assert judge(roomy, R, S).excess_dB == worst_place(roomy, R, S).excess_dB < 0.0
-
-
-def test_knots_of_templates_are_on_the_grid_as_far_as_it_goes():
-    """From a thirtieth of the bandwidth, or 1 Hz, to below half the rate."""
-    knots_Hz = np.array([0.1, 0.9, 7.7, 2222.2, 0.5 * RATE_Hz, 0.9 * RATE_Hz])
-    wide = Template(name="wide", function="Sup", frequency_Hz=knots_Hz, upper_dB=np.zeros(6))
-    for bandwidth_Hz, kept_Hz in ((100.0, knots_Hz[2:4]), (15.0, knots_Hz[1:4])):
-        asked = replace(vertical_specification(bandwidth_Hz), templates=(wide,))
-        f = family_grid(vertical_family(), asked, count=50).frequency_Hz
-        assert np.isin(knots_Hz, f).tolist() == np.isin(knots_Hz, kept_Hz).tolist()
-        assert f[0] == min(1.0, bandwidth_Hz / 30.0)
-        assert f[-1] < 0.5 * RATE_Hz
-
-
-def test_the_bandwidth_itself_belongs_to_the_band():
-    """Behind two integrators |Syp| rises faster than the line: the end of the band decides."""
-    plant, asked = plant_from_chain(vertical_chain()), vertical_specification(100.0)
-    dominant = Section(frequency_Hz=1e3, damping=0.9)
-    target = closed_loop_target(dominant, RATE_Hz, auxiliary_root=0.2, auxiliary_count=3)
-    c = place_poles(plant, target, H_S=[1.0, -2.0, 1.0])
-    seen = worst_place(family_grid(PlantFamily(members=(plant,)), asked), c.R, c.S)
-    at_end = sensitivities(plant, c.R, c.S, np.array([asked.bandwidth_Hz])).Syp
-    assert seen.rejection == pytest.approx(abs(at_end[0]))
-
-
 def test_the_grid_counts_unstable_members():
     family = vertical_family()
     grid = family_grid(family, vertical_specification(100.0))
@@ -89,19 +48,6 @@ def test_the_grid_counts_unstable_members():
         ]
         assert counts[-1] == any(unstable)
     assert counts == [False, True]
-
-
-@pytest.mark.parametrize("factor", [4.0, 8.0, 20.0])
-def test_where_no_limit_is_missed_unstable_poles_alone_decide(factor):
-    family = vertical_family()
-    easy = replace(vertical_specification(1.0), modulus_margin=1e-3, delay_margin_s=1e-7)
-    grid = family_grid(family, easy)
-    R, S = loop(1e3, 0.9)
-    closed = [closed_loop_polynomial(m, factor * R, S) for m in family.members]
-    outside = max(int((np.abs(np.roots(P)) > 1.0).sum()) for P in closed)
-    assert outside > 0
-    assert judge(grid, factor * R, S).excess_dB == 60.0 * outside
-    assert worst_place(grid, factor * R, S).excess_dB == 60.0 * outside
 
 
 def test_predicted_noise_is_the_simulated_noise(rng):

@@ -115,25 +115,6 @@ def test_the_sector_of_the_example_is_its_extreme_slopes():
     assert bounds.increment_gain == pytest.approx((1.02 - 0.72) / (1.02 + 0.72))
 
 
-def test_the_inverse_bound_covers_every_refit_it_was_made_from(rng):
-    model = hysteresis(zones=curved())
-    refits = [hysteresis(scale, curved()) for scale in np.linspace(0.95, 1.05, 11)]
-    bounds = inverse_bounds(
-        model, refits, REACH_V, gain_m_per_V=LATERAL_m_per_V, remainder_m=0.0, confidence=1.0
-    )
-    for refit in refits:
-        for _ in range(10):
-            u = np.cumsum(rng.normal(size=300))
-            u *= REACH_V / np.abs(u).max()
-            difference = (
-                refit.run(u, refit.virgin_memory())[0] - model.run(u, model.virgin_memory())[0]
-            )
-            assert np.abs(difference).max() <= bounds.error_m * ATTAINED
-    assert (
-        bounds.increment_gain < 0.4 * affine_bounds(model, REACH_V, remainder_m=0.0).increment_gain
-    )
-
-
 def test_the_sector_joins_the_family_as_gains():
     bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
     plant, _ = loop(bounds)

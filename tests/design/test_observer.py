@@ -177,13 +177,6 @@ def test_a_disturbance_is_a_constant_and_sines_of_as_many_volts_as_their_states(
     np.testing.assert_allclose(found, expected, atol=1e-10)
 
 
-def test_an_unknown_form_is_refused():
-    plant = plant_from_chain(lateral_chain())
-    feedback, observer = printed_observer_poles()
-    with pytest.raises(ValueError, match="expected one of"):
-        place_observer(plant, feedback_poles=feedback, observer_poles=observer, form="mpi")
-
-
 def test_the_four_published_tunings_have_their_published_margins():
     """Truth with a Butterworth filter that the model has not; Ms, |S(10 Hz)|, max |T_v|."""
     chain = lateral_chain()

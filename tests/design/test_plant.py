@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.varied_chains import varied
 from piezoid.design.plant import Chain, PlantFamily, Section, plant_from_chain
-from piezoid.numerics.frequency import response, state_space_response
+from piezoid.numerics.frequency import response
 from tests.design.placed import plant_from_fraction
 from tests.design.rig import (
     LATERAL_m_per_V,
@@ -52,21 +52,6 @@ def test_a_pole_that_float64_cannot_see_leaves_no_state():
     assert len(plant_from_chain(slower).A) == 2
     with pytest.raises(ValueError, match="no section is slow enough"):
         plant_from_chain(replace(slower, sections=(Section(frequency_Hz=120e3),)))
-
-
-def test_a_fraction_comes_back_as_the_same_plant(rng):
-    f = np.geomspace(1.0, 9.9e3, 50)
-    for _ in range(20):
-        plant = plant_from_chain(random_chain(rng))
-        again = plant_from_fraction(
-            "again", plant.B, plant.A, sampling_rate_Hz=RATE_Hz, output_unit="m"
-        )
-        np.testing.assert_allclose(
-            state_space_response(*again.realised(), f, RATE_Hz),
-            response(plant.B, plant.A, f, RATE_Hz),
-            rtol=1e-8,  # poles near one lose digits in polynomial form
-        )
-        assert len(again.realised()[0]) == max(len(plant.A), len(plant.B)) - 1
 
 
 def test_a_variation_says_what_it_changed_and_changes_the_slowest_section():

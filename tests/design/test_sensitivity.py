@@ -107,12 +107,6 @@ def test_below_the_delay_limit_the_delay_margin_is_kept(late):
     assert kept > 0
 
 
-def test_the_delay_limit_is_one_half_where_a_smaller_delay_turns_further():
-    f = np.array([0.5 * RATE_Hz])
-    assert delay_limit(f, 2.0 / RATE_Hz)[0] == pytest.approx(0.5)
-    assert delay_limit(f, 0.5 / RATE_Hz)[0] == pytest.approx(1 / abs(1 - np.exp(-0.5j * np.pi)))
-
-
 def test_a_template_is_linear_in_decibels_over_log_frequency_and_ends_at_its_knots():
     template = attenuation(100.0, -3.0)
     np.testing.assert_allclose(template.limit_dB([100.0, 10.0, 1.0]), [-3.0, -23.0, -43.0])

@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 
 from piezoid.design.feasibility import unmet
-from piezoid.design.plant import PlantFamily, Section
+from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import margins
-from piezoid.design.shaping import place_band_stops, shape
+from piezoid.design.shaping import shape
 from piezoid.design.templates import Template
 from piezoid.design.youla import optimise
-from tests.design.placed import plant_from_fraction
 from tests.design.rig import (
-    RATE_Hz,
-    lateral_specification,
     vertical_family,
     vertical_specification,
 )
@@ -44,24 +41,6 @@ def test_each_convex_step_keeps_every_member_stable_and_gains():
     assert c.S[0] == 1.0
     assert abs(c.S.sum()) <= 1e-12  # the integrator is a factor
     assert abs(c.R @ (-1.0) ** np.arange(len(c.R))) <= 1e-12 * abs(c.R).max()
-
-
-@pytest.mark.parametrize(
-    ("B", "A"),
-    [((0.0, 0.0, 0.1, 0.02), (1.0, -0.7)), ((0.0, 0.5), (1.0, -0.6, 0.07))],
-    ids=["S is the longer one", "R is the longer one"],
-)
-def test_a_convex_design_has_the_taps_its_start_needs_and_begins_with_it(B, A):
-    plant = plant_from_fraction("p", B, A, sampling_rate_Hz=RATE_Hz, output_unit="m")
-    start = place_band_stops(plant, Section(frequency_Hz=500.0, damping=0.9), 0.2)
-    family, asked = PlantFamily(members=(plant,)), lateral_specification()
-    for taps in (1, 20):
-        found = optimise(family, asked, start, taps=taps, most_iterations=0)
-        # One factor of each is fixed: integrator, and no gain at half the rate.
-        assert found.taps == max(taps, len(start.S) - 1, len(start.R) - 1)
-        assert len(found.history) == 1
-        np.testing.assert_array_equal(found.controller.R, start.R)
-        np.testing.assert_array_equal(found.controller.S, start.S)
 
 
 def test_what_a_convex_step_was_not_asked_it_meets_as_if_it_had_been():

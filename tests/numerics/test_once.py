@@ -34,7 +34,3 @@ def test_a_value_is_made_once_for_each_record() -> None:
 def test_two_records_make_their_values_at_the_same_time() -> None:
     with ThreadPoolExecutor(2) as threads:
         assert list(threads.map(lambda record: record.met, (Record(1), Record(2)))) == [1, 2]
-
-
-def test_on_the_class_it_is_what_says_how_it_is_made() -> None:
-    assert Record.made.__doc__ == "Return what is the same only if it is the same object."

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import lsq_linear, nnls
+from scipy.optimize import nnls
 
 from piezoid.errors import InfeasibleFitError
 from piezoid.numerics.arrays import Array
@@ -18,7 +18,6 @@ from piezoid.numerics.quadratic_program import (
 )
 from piezoid.numerics.triangle import empty_triangle, gather
 from piezoid.operators.play import play_columns
-from tests.calls import calls_of
 
 
 def play_problem(rng: np.random.Generator, plays: int) -> tuple[Array, Array]:
@@ -135,34 +134,6 @@ def test_a_step_towards_nothing_goes_as_far_as_the_bounds_ask() -> None:
         found = bounded_step(factor, np.zeros(2), asked, none) / unit
         np.testing.assert_allclose(found, [1.0, -1.0 / 1.01], rtol=1e-12)
         assert not bounded_step(factor, np.zeros(2), -abs(asked), none).any()
-
-
-@pytest.mark.parametrize("power", [-40, 0, 40])
-def test_what_the_gram_matrix_tells_is_not_asked_again(
-    rng: np.random.Generator, power: int
-) -> None:
-    """The second method is a hundred times slower, and steps are taken by the thousand."""
-    unit = 10.0**power
-    for _ in range(20):
-        columns = rng.normal(size=(80, 6))
-        lower, upper = unit * np.array([[-0.2], [0.2]]) * rng.uniform(0.1, 1.0, 6)
-        found = first_method(columns, columns @ (unit * rng.normal(size=6)), lower, upper)
-        assert ((found == lower) | (found == upper)).any()
-    # What only the bounds ask for, of columns in any unit.
-    columns, asked = unit * np.array([[1.0, 1.0], [0.0, 0.1]]), np.array([3.0, -9.0])
-    found = first_method(columns, np.zeros(2), asked, np.full(2, 9.0))
-    np.testing.assert_allclose(found, [3.0, -3.0 / 1.01], rtol=1e-12)
-    # On a bound that nothing pushes against, a step is as much at its end as inside.
-    for bounds in ((np.ones(3), np.full(3, 9.0)), (np.full(3, -9.0), np.ones(3))):
-        lower, upper = (unit * bound for bound in bounds)
-        found = first_method(np.eye(3), np.full(3, unit), lower, upper)
-        np.testing.assert_allclose(found, unit, rtol=1e-12)
-
-
-def first_method(rows: Array, target: Array, lower: Array, upper: Array) -> Array:
-    """Return the step, for which scipy's active-set method was not asked."""
-    assert calls_of(lsq_linear, lambda: bounded_step(rows, target, lower, upper)) == 0
-    return bounded_step(rows, target, lower, upper)
 
 
 def test_general_constraints_agree_with_an_active_set_solver(rng: np.random.Generator) -> None:

@@ -8,7 +8,6 @@ from piezoid.numerics.frequency import response, state_space_response
 from piezoid.numerics.zero_order_hold import fraction, hold_matrices, realised, sample
 
 PERIOD_s = 50e-6
-ROUNDING = 1e-13
 
 
 def oscillator(frequency_Hz: float, damping: float) -> tuple[Array, Array, Array]:
@@ -28,31 +27,6 @@ def simulated(A: Array, B: Array, C: Array, u: Array, delay_s: float, fine: int)
             y[k // fine] = C @ x
         x = step @ x + drive * pieces[k]
     return y
-
-
-@pytest.mark.parametrize(
-    ("frequency_Hz", "pole"),
-    [(630, 0.820435), (4e3, 0.284610), (8.5e3, 0.069228), (20e3, 0.00186744)],
-)
-def test_first_order_poles_are_the_exponentials(frequency_Hz, pole):
-    w = 2 * np.pi * frequency_Hz
-    system = sample(np.array([[-w]]), np.array([w]), np.ones(1), PERIOD_s)
-    assert system.A[0, 0] == pytest.approx(pole, abs=6e-7)
-    assert system.taps[0, 0] == pytest.approx(1 - system.A[0, 0], rel=ROUNDING)
-
-
-@pytest.mark.parametrize(
-    ("damping", "denominator", "numerator"),
-    [
-        (0.02, (1, -1.95322384, 0.99211444), (0, 0.01947099, 0.01941961)),
-        (0.05, (1, -1.94174164, 0.98040254), (0, 0.01939430, 0.01926660)),
-        (0.10, (1, -1.92290707, 0.96118915), (0, 0.01926748, 0.01901460)),
-    ],
-)
-def test_a_mode_at_630_hertz_has_the_printed_coefficients(damping, denominator, numerator):
-    B, A = fraction(sample(*oscillator(630.0, damping), PERIOD_s))
-    np.testing.assert_allclose(A, denominator, atol=6e-9)
-    np.testing.assert_allclose(B, numerator, atol=6e-9)
 
 
 @pytest.mark.parametrize("samples", [0.0, 0.25, 0.6, 1.0, 1.4, 3.2])
@@ -79,11 +53,3 @@ def test_fraction_and_state_space_are_the_same_plant(samples):
     )
     assert len(A) == 3
     assert (B[: 1 + int(samples)] == 0.0).all()
-
-
-def test_holding_twice_is_holding_once_for_twice_as_long():
-    A, B, _ = oscillator(630.0, 0.05)
-    once, drive = hold_matrices(A, B, PERIOD_s)
-    twice, both = hold_matrices(A, B, 2 * PERIOD_s)
-    np.testing.assert_allclose(once @ once, twice, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(once @ drive + drive, both, rtol=1e-12)

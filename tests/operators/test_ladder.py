@@ -38,7 +38,3 @@ def test_a_ladder_stands_still_where_its_signal_does() -> None:
 
 def test_a_ladder_without_rungs_holds_nothing_up() -> None:
     np.testing.assert_array_equal(ladder(np.arange(4.0), []), np.zeros(4))
-
-
-def test_nothing_goes_up_a_ladder() -> None:
-    assert ladder(np.zeros(0), RUNGS).shape == (0,)

@@ -121,16 +121,6 @@ def test_what_has_no_pole_passes_what_has_arrived(delay_samples: float) -> None:
     np.testing.assert_allclose(found[0], expected[:, :, 0], atol=ROUNDING)
 
 
-def test_the_fraction_has_the_response_of_the_sampled_system() -> None:
-    chain = cascade(first_order(4000), resonance(630, 0.05, 2e-5), butterworth(3, 15_000))
-    frequency_Hz = np.linspace(10, 9900, 50)
-    B, A = fraction(chain, RATE_HZ)
-    delay = np.exp(-2j * np.pi * frequency_Hz / RATE_HZ)
-    direct = np.polyval(B[::-1], delay) / np.polyval(A[::-1], delay)
-    sampled = sample(chain, RATE_HZ).response(frequency_Hz)[:, 0, 0]
-    np.testing.assert_allclose(direct, sampled, rtol=1e-8)
-
-
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 5])
 def test_a_butterworth_filter_is_flat_and_falls_to_half_the_power_at_its_corner(
     order: int,
@@ -171,14 +161,3 @@ def test_a_late_system_of_two_drives_is_one_fraction_for_each(drive: int) -> Non
     pulse[0] = 1.0
     answer = sample(late, RATE_HZ).impulse_response(40)[:, 0, drive]
     np.testing.assert_allclose(lfilter(B, A, pulse), answer, atol=ROUNDING)
-
-
-def _two_by_two(rng: np.random.Generator) -> DiscreteSystem:
-    A = rng.standard_normal((5, 5))
-    return DiscreteSystem(
-        A=0.95 * A / np.abs(np.linalg.eigvals(A)).max(),
-        B=rng.standard_normal((5, 2)),
-        C=rng.standard_normal((2, 5)),
-        D=rng.standard_normal((2, 2)),
-        interval_s=1 / RATE_HZ,
-    )

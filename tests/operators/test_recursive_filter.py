@@ -26,22 +26,6 @@ def test_what_comes_out_is_what_scipy_makes(fraction, samples, seed) -> None:
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-9 * scale)
 
 
-def test_nothing_is_filtered_to_nothing() -> None:
-    assert recursive_filter([1.0], [1.0, -0.5], np.zeros(0)).shape == (0,)
-
-
-def test_a_delay_of_two_samples_moves_a_signal_by_two_samples() -> None:
-    signal = np.arange(1.0, 7.0)
-    np.testing.assert_array_equal(
-        recursive_filter([0.0, 0.0, 1.0], 1.0, signal), [0, 0, 1, 2, 3, 4]
-    )
-
-
-def test_an_impulse_dies_out_with_the_pole() -> None:
-    impulse = np.eye(1, 12)[0]
-    np.testing.assert_allclose(recursive_filter(1.0, [1.0, -0.5], impulse), 0.5 ** np.arange(12))
-
-
 def test_a_signal_that_is_not_contiguous_is_filtered_as_its_copy() -> None:
     signal = np.arange(20.0)[::2]
     made = recursive_filter([0.3], [1.0, -0.7], signal)

@@ -59,14 +59,6 @@ def test_the_log_current_undoes_the_exponential_at_either_polarity(polarity: flo
     assert nepers == pytest.approx(-2e10 * gap_m, abs=1e-13)
 
 
-def test_extending_the_tip_raises_the_log_current() -> None:
-    extension_m = np.linspace(0.0, 0.1e-9, 5)
-    current_A = current_through_gap(
-        0.5e-9 - extension_m, decay_per_m=2e10, current_at_zero_gap_A=1e-5
-    )
-    assert (np.diff(log_current(current_A, set_point_A=1e-9, floor_A=1e-13)) > 0).all()
-
-
 def test_a_lost_tip_reads_as_the_floor() -> None:
     nepers = log_current(np.array([-1e-12, 0.0, 1e-16]), set_point_A=1e-9, floor_A=1e-13)
     assert nepers == pytest.approx(np.full(3, math.log(1e-4)), rel=EXACT)

@@ -1,7 +1,6 @@
 """Files read in chunks give the recording of a whole reading, gap for gap, or the same refusal."""
 
 import gzip
-import itertools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,9 +11,8 @@ from piezoid.errors import LabFileError, PiezoidError, RecordingError, Unreadabl
 from piezoid.operators.play import play_columns
 from piezoid.records.chunked_reader import read_thinned
 from piezoid.records.collection import collect
-from piezoid.records.lab import Lab, RecordingEntry
-from piezoid.records.readers import READERS, read_table, read_table_in_chunks
-from piezoid.records.readers.source import open_source
+from piezoid.records.lab import Lab
+from piezoid.records.readers import READERS
 from piezoid.records.recording import Recording
 from piezoid.records.thinning import Thinning
 from tests.records.formats import RATE_Hz
@@ -77,23 +75,6 @@ def test_every_format_reads_in_chunks_as_it_reads_whole(
     name: str, rows: int, write: Callable[[str], Path]
 ) -> None:
     assert_as_a_whole(write(name), rows)
-
-
-@pytest.mark.parametrize("rows", [2, 7, 199, 200])
-@pytest.mark.parametrize("name", IN_CHUNKS)
-def test_each_chunk_begins_with_the_last_row_of_the_one_before(
-    name: str, rows: int, write: Callable[[str], Path]
-) -> None:
-    whole, source = read_table(write(name)), open_source(write(name), in_memory=False)
-    chunks = list(read_table_in_chunks(source, rows))
-    assert chunks[0].first_row == 0
-    for before, after in itertools.pairwise(chunks):
-        assert after.first_row == before.first_row + before.rows - 1
-    for k, column in enumerate(whole.columns):
-        parts = [chunk.columns[k].values[1:] for chunk in chunks[1:]]
-        joined = np.concatenate([chunks[0].columns[k].values, *parts])
-        np.testing.assert_array_equal(joined, column.values)
-        assert chunks[-1].columns[k].place == column.place
 
 
 @pytest.mark.parametrize("name", ["run.h5", "run.parquet", "run.tdms"])
@@ -241,12 +222,6 @@ def test_two_axes_of_a_file_are_two_recordings(tmp_path: Path) -> None:
     x, y = read_thinned([path], chunk_rows=ROWS)
     assert (x.axis, y.axis, x.axes, y.axes) == ("x", "y", ("x",), ("y",))
     np.testing.assert_allclose(y.voltage_V(), VOLTAGE_V / 2, atol=1e-6)
-
-
-def test_a_part_of_an_axis_is_named_after_its_entry(tmp_path: Path) -> None:
-    path = table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, RESPONSE)
-    recording = read_one(path, Lab(recordings=(RecordingEntry(file="run.csv", axis="y"),)))
-    assert recording.axis == "y"
 
 
 def swelling_drive(cycles: int, rows_per_cycle: int) -> np.ndarray:

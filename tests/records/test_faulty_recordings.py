@@ -42,14 +42,6 @@ def test_a_blank_row_is_a_break(tmp_path: Path) -> None:
     assert collect([path])[0].breaks == (100,)
 
 
-def test_a_gap_in_time_is_a_break_with_its_line(tmp_path: Path) -> None:
-    kept = np.delete(np.arange(SAMPLES), slice(200, 250))
-    columns = (TIME_s[kept], VOLTAGE_V[kept], RESPONSE[kept])
-    recording = collect([table(tmp_path, "time [s],voltage [V],pos [um]", *columns)])[0]
-    assert recording.breaks == (200,)
-    assert [(p.quantity, p.place) for p in recording.statements] == [("gap", "line 202")]
-
-
 def test_samples_lost_one_at_a_time_are_put_between_their_neighbours(tmp_path: Path) -> None:
     kept = np.delete(np.arange(SAMPLES), [*range(100, 110), 200, 300])
     columns = (TIME_s[kept], VOLTAGE_V[kept], RESPONSE[kept])
@@ -65,15 +57,6 @@ def test_samples_lost_one_at_a_time_are_put_between_their_neighbours(tmp_path: P
     np.testing.assert_allclose(recording.voltage_V()[measured], VOLTAGE_V[whole], rtol=1e-8)
     part = collect([path], lab_with(start_s=0.15, stop_s=0.2))[0]
     assert (part.breaks, part.bridged) == ((), (40,))
-
-
-def test_a_row_without_a_number_beside_a_lost_one_is_no_bridge(tmp_path: Path) -> None:
-    kept = np.delete(np.arange(SAMPLES), 200)
-    holed = RESPONSE.copy()
-    holed[201] = np.nan
-    columns = (TIME_s[kept], VOLTAGE_V[kept], holed[kept])
-    recording = collect([table(tmp_path, "time [s],voltage [V],pos [um]", *columns)])[0]
-    assert (recording.breaks, recording.bridged) == ((200,), ())
 
 
 def test_empty_dead_clipped_and_equal_columns_are_told(tmp_path: Path) -> None:

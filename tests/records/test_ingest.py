@@ -2,7 +2,6 @@
 
 import json
 import re
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -79,16 +78,6 @@ def test_what_is_ambiguous_is_refused_with_the_lines_to_write(
     headings = headings.replace("time2", "elapsed")
     with pytest.raises(UnitError, match=reason):
         collect([table(tmp_path, headings, TIME_s, VOLTAGE_V, RESPONSE)])[0]
-
-
-def test_the_lines_of_a_refusal_are_valid_toml_for_that_file(tmp_path: Path) -> None:
-    path = table(tmp_path, "time [s],CH 1,CH 2", TIME_s, VOLTAGE_V, RESPONSE)
-    with pytest.raises(UnitError) as caught:
-        collect([path])[0]
-    block = caught.value.remedy.split("\n\n")[1]
-    (entry,) = tomllib.loads(block)["recording"]
-    assert entry["file"] == "run.csv"
-    assert entry["columns"]["time"] == "time [s]"
 
 
 def test_columns_and_units_of_the_laboratory_replace_the_headings(tmp_path: Path) -> None:
@@ -197,13 +186,6 @@ def test_the_digest_is_of_the_files_bytes(tmp_path: Path) -> None:
     before = collect([path])[0].digest
     path.write_text(path.read_text() + "\n")
     assert collect([path])[0].digest != before
-
-
-def test_the_same_file_gives_the_same_recording(tmp_path: Path) -> None:
-    path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, RESPONSE)
-    first, second = collect([path])[0], collect([path])[0]
-    np.testing.assert_array_equal(first.displacement_m(), second.displacement_m())
-    assert first.digest == second.digest
 
 
 @pytest.mark.parametrize(

@@ -51,13 +51,6 @@ def test_a_wave_of_a_microscope_takes_its_rate_from_the_note(tmp_path: Path) -> 
     np.testing.assert_allclose(recording.displacement_m(), HEIGHT_m)
 
 
-def test_a_wave_of_one_quantity_is_refused_with_the_way_out(tmp_path: Path) -> None:
-    write_ibw(tmp_path / "height.ibw", HEIGHT_m, unit="m", step=5e-4, step_unit="s")
-    with pytest.raises(UnreadableFileError, match="one quantity") as caught:
-        collect([tmp_path / "height.ibw"])[0]
-    assert "Concatenate" in caught.value.remedy
-
-
 def test_a_force_curve_gives_the_drive_in_volts_and_each_segment_its_clock(
     tmp_path: Path,
 ) -> None:

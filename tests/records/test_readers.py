@@ -118,12 +118,6 @@ def test_headings_are_found_however_they_are_written(
     assert table.first_line == first_line
 
 
-def test_a_decimal_comma_is_not_a_separator(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    path.write_text("time [s];U [V]\n0,001;1,5\n0,002;2,5\n0,003;3,5\n")
-    np.testing.assert_allclose(read_table(path).si("U"), [1.5, 2.5, 3.5])
-
-
 def test_preamble_lines_become_metadata(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("Operator: Ada\n# gain = 15\ntime [s],U [V]\n0,1\n1,2\n")
@@ -162,15 +156,6 @@ def test_names_and_units_may_stand_on_two_lines(tmp_path: Path) -> None:
         "V",
     ]
     assert meaning_of(table.columns[0].heading).role is Role.TIME
-
-
-def test_a_footer_of_words_is_no_row(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    rows = "".join(f"{k / 1000},{k % 7},{k % 5}\n" for k in range(50))
-    path.write_text("time [s],voltage [V],pos [um]\n" + rows + "\nend of data\n")
-    recording = collect([path])[0]
-    assert recording.samples == 50
-    assert not recording.breaks
 
 
 def test_columns_of_matlab_7_3_come_in_the_order_of_their_names(

@@ -4,14 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from piezoid.records.checks.command_range import DRIVE_VOLTAGE_NOTE, MAY_BE_HIGH_VOLTAGE
+from piezoid.records.checks.command_range import MAY_BE_HIGH_VOLTAGE
 from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
-from piezoid.records.lab_draft import draft_lab
 from piezoid.records.recording import Recording
 from tests.laws import triangles, write
 
-ROOT = Path(__file__).resolve().parents[2]
 GAIN = "[amplifier]\ngain_V_per_V = 15\n"
 CONVERTER = "[acquisition]\ninput_range_V = [-10, 10]\n"
 
@@ -57,14 +55,6 @@ def test_the_scale_it_names_makes_it_the_controllers_output(tmp_path: Path) -> N
     mended = recorded(tmp_path, lab + entry, most_V=120.0)
     assert told(mended) == []
     assert float(mended.channels[0].values.max()) == pytest.approx(8.0, rel=0.1)
-
-
-def test_the_same_sentence_stands_wherever_it_matters(tmp_path: Path) -> None:
-    place = write(tmp_path / "run.csv", triangles(5, 240, 0.15), triangles(5, 240, 0.15))
-    draft = draft_lab([place], tmp_path).text.replace("\n# ", " ")
-    assert DRIVE_VOLTAGE_NOTE in draft
-    for name in ("README.md", "docs/guide/lab_toml.md", "docs/tutorials/five_minutes.md"):
-        assert DRIVE_VOLTAGE_NOTE in (ROOT / name).read_text().replace("\n", " "), name
 
 
 @pytest.mark.parametrize(

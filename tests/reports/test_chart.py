@@ -1,27 +1,21 @@
 """Curves on paper: within their tolerance, with their spikes, on round ticks."""
 
-import itertools
 import re
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from piezoid.formatting import Scale
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import (
     FINE,
     HEIGHT,
     WIDTH,
-    Axis,
     Canvas,
     axis_over,
     envelope,
     thinned,
     whole_parts,
 )
-from piezoid_reports.quantities import MINUS
 
 
 def _points(path: str) -> list[Array]:
@@ -74,34 +68,6 @@ def test_noise_on_half_a_million_samples_is_drawn_within_what_is_told() -> None:
     assert _distance(x[some], y[some], x[kept], y[kept]) <= left
 
 
-def _one_by_one(x: Array, y: Array, tolerance: float, points: int) -> set[int]:
-    """Split the worst chord of all, as long as there is one: the definition."""
-    kept = [0, len(x) - 1]
-    while len(kept) < points:
-        found = []
-        for first, last in itertools.pairwise(kept):
-            dx, dy = x[last] - x[first], y[last] - y[first]
-            a, b = x[first : last + 1] - x[first], y[first : last + 1] - y[first]
-            t = np.clip((a * dx + b * dy) / max(dx * dx + dy * dy, 1e-300), 0, 1)
-            far = np.hypot(a - t * dx, b - t * dy)
-            found.append((float(far.max()), first + int(far.argmax())))
-        far, middle = max(found)
-        if far <= tolerance:
-            break
-        kept = sorted([*kept, middle])
-    return set(kept)
-
-
-@given(st.integers(0, 2**32), st.integers(2, 60), st.integers(2, 40))
-def test_the_worst_chord_is_split_first_whatever_is_looked_at_together(
-    seed: int, count: int, points: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    x, y = 10.0 * np.arange(count), rng.uniform(0, 300, count)
-    kept, _ = thinned(x, y, tolerance=3.0, points=points)
-    assert set(kept.tolist()) == _one_by_one(x, y, 3.0, points)
-
-
 def test_a_straight_line_needs_its_ends_only() -> None:
     x = np.linspace(0.0, 1000.0, 5001)
     kept, left = thinned(x, 2 * x, tolerance=3.0, points=100)
@@ -141,19 +107,6 @@ def test_a_curve_is_broken_where_the_model_says_nothing() -> None:
     assert whole_parts(y) == [slice(0, 2), slice(4, 6)]
     canvas = Canvas(x=axis_over("t", [np.arange(7.0)], "s"), y=axis_over("y", [y], "m"))
     assert len(_points(canvas.line("model", "model", np.arange(7.0), y).path)) == 2
-
-
-@given(st.floats(-1e3, 1e3), st.floats(1e-3, 1e3))
-def test_ticks_are_round_inside_the_axis_and_few(low: float, span: float) -> None:
-    axis = Axis(label="u", scale=Scale(factor=1.0, unit="V"), low=low, high=low + span)
-    ticks = axis.ticks
-    assert 2 <= len(ticks) <= 8
-    for share, label in ticks:
-        assert -1e-6 <= share <= 1 + 1e-6
-        # The label, read back, stands where it says.
-        assert float(label.replace(MINUS, "-")) == pytest.approx(
-            low + share * span, abs=1e-6 * span
-        )
 
 
 def test_an_axis_of_one_value_still_has_a_length() -> None:

@@ -10,7 +10,6 @@ import pytest
 from piezoid.errors import ParameterFileError
 from piezoid_reports.fleet.chapters import render_fleet
 from piezoid_reports.fleet.findings import FALSE_ALARMS, compare_stages
-from piezoid_reports.fleet.quantities import QUANTITIES
 from piezoid_reports.fleet.records import (
     FAILED,
     PASSED,
@@ -184,12 +183,6 @@ def test_a_record_comes_back_and_a_changed_bit_is_refused() -> None:
     assert made.serial == 7
     with pytest.raises(ParameterFileError):
         stage_from_json(content.replace(b"unit 007", b"unit 008"), "batch.json")
-
-
-def test_names_of_quantities_end_with_their_unit() -> None:
-    for quantity in QUANTITIES:
-        unit = {"%": "_percent", "m/V": "_m_per_V", "": ""}.get(quantity.unit, f"_{quantity.unit}")
-        assert quantity.name.endswith(unit)
 
 
 def test_a_page_of_very_many_stages_stays_small_and_shows_the_worst() -> None:

@@ -116,12 +116,3 @@ def test_intervals_that_the_held_out_error_contradicts_are_not_printed() -> None
     assert values["width of the full loop"] == "5.10 µm (no usable interval)"
     assert values["95 % of positions"] == "no usable interval"
     assert "± 7.2" not in page
-
-
-def test_sections_without_matter_are_not_on_the_page() -> None:
-    model, given = stage_model(axis_model()), (recording(),)
-    page = Page(model=model, recordings=given)
-    anchors = [section.anchor for render_it in SECTIONS if (section := render_it(page))]
-    assert anchors[0] == "summary"
-    without_matter = {"error-budget", "findings", "dynamics", "tunnelling", "verification"}
-    assert not without_matter & set(anchors)

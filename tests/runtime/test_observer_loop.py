@@ -78,10 +78,6 @@ def test_from_measurement_to_voltage_it_is_the_published_controller(rng):
     assert np.abs(left - right).max() < PRINTED * 20
 
 
-def test_the_reference_gain_is_the_published_one():
-    assert observer()["feedback_N_V_per_m"] == pytest.approx(0.8496259921, abs=PRINTED)
-
-
 def test_every_closed_loop_mode_is_a_root_of_the_published_polynomial():
     plant = LinearPlant()
     plant.x = np.array([0.3, -0.2, 0.5, 0.1])

@@ -57,12 +57,6 @@ def test_a_step_of_the_setpoint_obeys_the_published_closed_loop():
     assert y[-1] == pytest.approx(math.log(1.5), abs=1e-9)
 
 
-def test_the_published_polynomials_give_the_published_poles():
-    P = np.convolve(RST_A, RST_S) + np.convolve(RST_B, RST_R)
-    expected = [1, -1.8933146795, 1.2054094777, -0.2869660295, 0.0227233442, 0, 0]
-    assert np.abs(P - expected).max() < 2e-5  # R is printed with seven digits
-
-
 def test_the_surface_is_followed_without_a_lasting_error():
     y, _ = close_loop(started(), Gap(), np.full(400, REFERENCE_A), surface=0.8)
     assert abs(y[-1]) < 1e-9
