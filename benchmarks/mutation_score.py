@@ -66,10 +66,7 @@ PARTS = {
     ),
     "forward": Part(
         sources=("piezoid/identification/forward.py",),
-        tests=(
-            "tests/identification/test_forward.py",
-            "tests/identification/joint/test_tangents.py",
-        ),
+        tests=("tests/identification/test_forward.py",),
         loaded=(*LIGHT, *HEAVY),
     ),
     "identification": Part(

@@ -25,7 +25,7 @@ from piezoid.identification.hysteresis.physical import envelope_stretch, physica
 from piezoid.identification.hysteresis.pieces import Scales
 from piezoid.numerics.arrays import Array
 from piezoid.operators.chain import Following
-from piezoid.operators.dead_zone import LINEAR, from_slopes
+from piezoid.operators.dead_zone import from_slopes
 from piezoid.operators.play import is_admissible
 from tests.identification.extensions.samples import RATE_Hz, one_of_each, where
 from tests.identification.hysteresis.stages import play_sum, through
@@ -134,13 +134,6 @@ def test_an_amplifier_stands_in_front_of_all_extensions() -> None:
     drive_V = 5.2 + 5.0 * drive()
     expected = np.minimum(relaxed(drive_V, 1.0 / (2.0 * np.pi * 30.0)), 6.0)
     np.testing.assert_allclose(forward.driven_V(drive_V, RATE_Hz), expected, atol=ROUNDING)
-
-
-def test_a_drive_on_which_nothing_acts_is_handed_on_as_it_is() -> None:
-    asked = drive()
-    assert forward_of(Delay(delay_s=1e-3)).driven(asked, RATE_Hz) is asked
-    straight = replace(OPERATOR, envelope=LINEAR)
-    assert Forward(operator=straight).inner(asked) is asked
 
 
 @pytest.mark.parametrize("filters", FILTERS)

@@ -10,13 +10,9 @@ import pytest
 
 from piezoid.digests import seal
 from piezoid.identification.actuator_model import ActuatorModel
-from piezoid.identification.extensions.slew_limit import SlewLimit
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
-from piezoid.identification.loop_shape import history_of
-from piezoid.identification.loop_shape_columns import columns_of, pieces_of
 from piezoid.identification.loop_shape_fit import with_loop_shape
-from piezoid.identification.loop_shape_regression import first_estimate, regression_of
 from piezoid.identification.model import SCHEMA, AxisModel
 from piezoid.identification.prediction import compare
 from piezoid.identification.simulation import simulate_recording
@@ -211,31 +207,6 @@ def test_a_model_of_an_earlier_version_counts_its_plays_in_full() -> None:
     shape = read_model(seal(SCHEMA, earlier)).axes["x"].loop_shape
     assert shape is not None
     assert shape.plays_weight == 1.0
-
-
-def test_the_history_of_a_memory_leaves_the_plays_there() -> None:
-    _, _, axis = fitted("dahl")
-    shape = axis.loop_shape
-    assert shape is not None
-    walked_V = 4.0 * np.random.default_rng(2).uniform(-1.0, 1.0, 40)
-    memory_V = axis.memory_after(walked_V)
-    history = history_of(axis.hysteresis, memory_V, shape)
-    turns_V = np.append(shape.turns_V(history), walked_V[-1])
-    assert axis.memory_after(turns_V) == pytest.approx(memory_V, abs=1e-9)
-
-
-def test_the_derivative_by_a_limit_of_the_drive_does_not_depend_on_the_initial_state() -> None:
-    recordings, _, axis = fitted("dahl")
-    fastest_V = max(float(np.abs(np.diff(r.voltage_V("x"))).max()) for r in recordings)
-    limited = replace(axis, extensions=(SlewLimit(limit_V_per_s=0.95 * 400.0 * fastest_V),))
-    pieces = pieces_of(limited, recordings)
-    columns = columns_of(limited, pieces)
-    known = replace(first_estimate(limited, pieces, columns), model=limited, variance={"zero": 1})
-    other = replace(known, weights=tuple(0.5 + 0.0 * weight for weight in known.weights))
-    without, with_others = (
-        regression_of(estimate, pieces, columns).step for estimate in (known, other)
-    )
-    assert with_others == pytest.approx(without, rel=0.05)
 
 
 def test_loop_shape_is_fitted_once() -> None:

@@ -1,6 +1,5 @@
 """The parametric fit: modes, damping and delay come back, within what it says of them."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -100,13 +99,6 @@ def test_a_first_order_stage_is_found_as_a_lag(rng: np.random.Generator) -> None
     found = fit_dynamics(slow, Structure(modes=0, lags=1), Declaration(hold="band_limited"))
     np.testing.assert_allclose(found.lag_frequency_Hz, 630, rtol=1e-6)
     assert found.delay_s < 1e-9
-
-
-def test_the_record_survives_json(rng: np.random.Generator) -> None:
-    before = fit_dynamics(estimate_response(record(rng)), STRUCTURE, DECLARATION)
-    after = LinearDynamics.from_json(json.loads(json.dumps(before.to_json())))
-    for name, value in vars(before).items():
-        np.testing.assert_array_equal(getattr(after, name), value)
 
 
 def test_more_parameters_than_values_are_refused(rng: np.random.Generator) -> None:

@@ -7,10 +7,8 @@ import pytest
 from scipy.signal import chirp
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.dynamics import periodic_estimate
 from piezoid.identification.dynamics.behind_hysteresis import estimate_response_by_coherence
 from piezoid.identification.dynamics.periodic_estimate import estimate_response
-from piezoid.operators.linear import sample
 from tests.identification.dynamics.stage import PERIOD, RATE_HZ, all_paths, record, truth
 
 
@@ -114,29 +112,9 @@ def test_windows_count_by_the_power_with_which_they_drive(rng: np.random.Generat
     assert counted[1] / counted[0] == pytest.approx(expected, rel=0.02)
 
 
-@pytest.mark.parametrize("realisations", range(2, 40))
-def test_variances_rest_on_thirty_degrees_of_freedom_and_no_more_lines_than_that_takes(
-    realisations: int,
-) -> None:
-    freedom = realisations - 1
-    width = periodic_estimate._odd_width(freedom, 1000)
-    assert width % 2 == 1
-    assert width * freedom >= 30
-    assert width == 1 or (width - 2) * freedom < 30
-
-
 def test_one_realisation_of_one_period_is_refused(rng: np.random.Generator) -> None:
     with pytest.raises(ExcitationError, match="1 realisations of 1 periods for 1 inputs"):
         estimate_response(record(rng, realisations=1, periods=1))
-
-
-def test_sampling_faster_than_the_stage_leaves_the_continuous_response() -> None:
-    model = truth()
-    frequency_Hz = np.linspace(50, 3000, 40)
-    fast = sample(model.realised(), 2_000_000.0).response(frequency_Hz)[:, 0, 0]
-    hold = np.sinc(frequency_Hz / 2e6) * np.exp(-1j * np.pi * frequency_Hz / 2e6)
-    expected = model.response(frequency_Hz) * hold
-    np.testing.assert_allclose(fast, expected, rtol=1e-4)
 
 
 def _chirp_V() -> np.ndarray[tuple[int], np.dtype[np.float64]]:

@@ -8,10 +8,8 @@ import pytest
 from piezoid.identification.dynamics.behind_hysteresis import middle_slope_m_per_V
 from piezoid.identification.dynamics.joint_fit import JointResult, fit_jointly
 from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.records import JointFit
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
-from piezoid.record_json import from_json, to_json
 from tests.identification.dynamics.test_axis_dynamics import (
     DAMPING,
     MODE_Hz,
@@ -85,7 +83,3 @@ def test_the_joint_fit_leaves_less_than_two_separate_fits(
 def test_a_recording_without_a_known_memory_is_not_fitted_jointly() -> None:
     chirped = recorded(chirp(samples=SAMPLES), np.random.default_rng(41), "other.csv")
     assert fit_jointly(axis(), rough(axis()), chirped, [chirped]) is None
-
-
-def test_the_record_comes_back_number_for_number(together: JointResult) -> None:
-    assert from_json(JointFit, to_json(together.record)) == together.record

@@ -1,7 +1,5 @@
 """A measured response becomes modes, delay and creep slope; what does not belong is not used."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,6 @@ from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.operators.play import play_columns
-from piezoid.record_json import from_json, to_json
 from piezoid.records.frequency_response import FrequencyResponseRecord, ResponsePath
 from piezoid.records.recording import Channel, Quantity, Recording
 from tests.records.responses import noisy, response
@@ -184,12 +181,3 @@ def test_a_response_that_contradicts_a_recording_is_not_used(rng: np.random.Gene
     same = with_dynamics(axis, [recording, chirp_of(812.0, rng)], response=measured)
     assert same.response is not None
     assert "chirp.csv shows the same mode" in same.dynamics_remarks[0]
-
-
-def test_records_come_back_as_they_were_written(rng: np.random.Generator) -> None:
-    axis, recording = slow_axis(rng)
-    measured = record(noisy(rng, response(FREQUENCY_Hz), 0.003))
-    found = with_dynamics(axis, [recording], response=measured).response
-    assert found is not None
-    for one in (found, replace(found, slow=None)):
-        assert from_json(type(one), to_json(one)) == one

@@ -61,18 +61,6 @@ def test_limits_clip_on_their_side_only() -> None:
         AmplifierLimits()
 
 
-def test_a_gain_changes_from_its_instant_on_and_in_later_recordings() -> None:
-    change = GainChange(recording="b", instant_s=2.0, ratio=1.1, later=("c",))
-    moved_m = np.ones(4000)
-    first, during, after = (
-        change.response(moved_m, where(4000, recording)) for recording in "abc"
-    )
-    assert (first == 1.0).all()
-    assert (during[:2000] == 1.0).all()
-    np.testing.assert_allclose(during[2000:], 1.1)
-    np.testing.assert_allclose(after, 1.1)
-
-
 def test_another_axis_is_answered_with_its_own_hysteresis() -> None:
     here = where()
     linear = CrossAxis(axis="y", centre_V=5.0, gain_m_per_V=1e-8, curvature_m_per_V_per_V=0.0)

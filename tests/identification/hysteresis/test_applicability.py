@@ -1,17 +1,13 @@
 """Data this class of model cannot describe end in a verdict with its reason, not in a bad fit."""
 
 import itertools
-import re
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from piezoid.identification.fit import fit
-from piezoid.identification.hysteresis.applicability import loops_of, reason_in_loops
-from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
-from piezoid.numerics.arrays import Array
+from piezoid.identification.hysteresis.applicability import loops_of
 from tests.identification.hysteresis.stages import (
     RATE_Hz,
     decaying,
@@ -103,63 +99,6 @@ def test_ordinary_hysteresis_passes_every_check() -> None:
     drive = decaying(20)
     plays = play_sum(drive, np.array([0.0, 1, 2.5]), np.array([1.0, 0.2, 0.15]), np.zeros(3))
     assert fit([recording(drive, noisy(1e-6 * plays))])["x"].verdict.applies
-
-
-def reason_in(
-    rising: Callable[[Array], Array],
-    opening: Callable[[Array, int], Array],
-    *,
-    cycles: int,
-    noise_um: float = 0.0,
-) -> str:
-    """Return what the loops of a drive between -1 and 1 V say, of one way up and many down.
-
-    rising, opening  (drive) -> um, and (drive, number of the loop) -> um above that
-    """
-    up = np.linspace(-1.0, 1.0, 201)[:-1]
-    ways = [[rising(up), rising(-up) + opening(-up, k)] for k in range(cycles)]
-    moved_um = np.concatenate([*itertools.chain(*ways), rising(up)])
-    drive = np.concatenate([*[up, -up] * cycles, up])
-    noisy_um = moved_um + noise_um * np.random.default_rng(1).standard_normal(len(drive))
-    held = [recording(drive, 1e-6 * noisy_um)]
-    return reason_in_loops(pieces_of(held, "x", scales_of(held, "x"), Rig()))
-
-
-@pytest.mark.parametrize(("drop_um", "is_told"), [(0.41, True), (0.365, False)])
-def test_a_branch_turns_back_where_six_times_the_noise_says_so(
-    drop_um: float, is_told: bool
-) -> None:
-    """Beyond a twentieth of the range: 0.1 of 2 um, 0.21 of noise, and how loops differ."""
-    told = reason_in(
-        lambda drive: np.interp(drive, [-1.0, 0.5, 1.0], [-1.0, 1.0, 1.0 - drop_um]),
-        lambda drive, _: 0.2 * (1.0 - drive**2),
-        cycles=32,
-        noise_um=0.035,
-    )
-    assert ("the displacement turns back by" in told) is is_told
-    assert bool(told) is is_told
-
-
-@pytest.mark.parametrize(("scatter_um", "is_told"), [(0.145, True), (0.165, False)])
-def test_a_loop_crosses_where_three_standard_errors_say_so(
-    scatter_um: float, is_told: bool
-) -> None:
-    """Of eight loops four lie on either side of the middle one, which crosses by 0.2 um."""
-    told = crossing(scatter_um, 0.0)
-    assert bool(told) is is_told
-    numbers = r"opens the wrong way by 8\.\d\d % of the range \(widest opening 43\.\d\d %\)"
-    assert (re.search(numbers, told) is not None) is is_told
-    # and where eight times the noise are less
-    assert crossing(0.1, 0.02)
-    assert not crossing(0.1, 0.03)
-
-
-def crossing(scatter_um: float, noise_um: float) -> str:
-    def opening(drive: Array, loop: int) -> Array:
-        middle_um = np.interp(drive, [-1.0, -0.3, 0.6, 1.0], [0.0, 1.0, -0.2, 0.0])
-        return middle_um + scatter_um * (-1.0) ** loop
-
-    return reason_in(lambda drive: drive, opening, cycles=4, noise_um=noise_um)
 
 
 def test_a_reading_of_something_else_is_not_called_lag() -> None:

@@ -24,7 +24,6 @@ from tests.identification.hysteresis.stages import (
 
 pytestmark = pytest.mark.usefixtures("plays_alone")
 
-ORDERS = ((4, 0), (8, 2))
 THRESHOLD = np.array([0.0, 0.7, 1.5, 2.6, 3.9])
 WEIGHT = np.array([2.0, 0.5, 0.3, 0.2, 0.2]) * 1e-6
 NOISE_m = 3e-9
@@ -90,20 +89,6 @@ def test_certificate_is_not_smaller_than_the_error_to_the_truth() -> None:
     assert model.certificate.bound_m < 0.1 * model.quality.range_m
     assert (
         0 < model.certificate.found_m < model.certificate.plays_m + model.certificate.dead_zones_m
-    )
-
-
-def test_model_json_comes_back_with_every_bit() -> None:
-    rng = np.random.default_rng(5)
-    u = decaying(15)
-    model = fit([recording(u, stage(u, rng))])
-    content = write_model(model)
-    again = read_model(content)
-    assert write_model(again) == content
-    drive = wandering(rng, 10)
-    memory = model["x"].starts[0].memory_V
-    np.testing.assert_array_equal(
-        again["x"].simulate(drive, RATE_Hz, memory), model["x"].simulate(drive, RATE_Hz, memory)
     )
 
 

@@ -7,8 +7,7 @@ import pytest
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.order import Trial, attempt
 from piezoid.identification.hysteresis.pieces import Piece, Rig, pieces_of, scales_of
-from piezoid.identification.hysteresis.search import Settings, search
-from tests.calls import calls_of
+from piezoid.identification.hysteresis.search import Settings
 from tests.identification.hysteresis.stages import decaying, recording
 from tests.identification.hysteresis.test_parts import stage
 
@@ -43,12 +42,3 @@ def test_a_trial_within_its_limit_is_the_one_without_a_limit(count: int) -> None
 def test_a_trial_beyond_its_limit_is_none_however_little_it_misses(count: int) -> None:
     within = math.nextafter(whole(count).held_out_rms, 0.0)
     assert attempt(pieces(count), SHAPE, SETTINGS, within=within) is None
-
-
-def test_a_trial_that_is_hopeless_on_its_first_fold_asks_no_other() -> None:
-    held, limit = pieces(3), 0.5 * whole(3).held_out_rms
-    assert attempt(held, SHAPE, SETTINGS, within=limit) is None
-    for within, searches in ((limit, 1), (math.inf, 3)):
-        assert (
-            calls_of(search, lambda w=within: attempt(held, SHAPE, SETTINGS, within=w)) == searches
-        )

@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from piezoid.identification.hysteresis.coordinates import Coordinates, Shape
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.order import folds_of, is_untested
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
@@ -66,19 +65,6 @@ def test_the_choice_is_as_good_as_the_best_of_all_that_was_tried(law: str) -> No
     quality = law_fitted(law).quality
     least_m = min(order.held_out_rms_m for order in quality.orders)
     assert quality.held_out_rms_m < 1.15 * least_m
-
-
-@pytest.mark.parametrize("bends", [0, 2])
-def test_kinks_of_a_straight_operator_are_its_play_weights_alone(bends: int) -> None:
-    shape = Shape(plays=3, below=2, above=1, bends=bends)
-    coordinates = Coordinates(shape=shape, offsets=(1,))
-    theta = np.ones(coordinates.total)
-    theta[coordinates.slices["weight"]] = [0.7, 0.3, 0.2, 0.1]
-    matrix, constant = coordinates.kinks()
-    found = matrix @ theta + constant
-    np.testing.assert_allclose(found[:3], [0.3, 0.2, 0.1])
-    np.testing.assert_allclose(found[3:], 0.0, atol=1e-15)
-    assert len(found) == 3 + 2 + 1 + 2 * bends
 
 
 @pytest.mark.parametrize("small", [0.01, 0.1, 0.4])

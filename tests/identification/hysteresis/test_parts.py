@@ -5,30 +5,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.identification.forward import Forward
 from piezoid.identification.hysteresis.certificate import (
     adversarial_drives,
     distance_terms,
     reached_difference,
 )
-from piezoid.identification.hysteresis.coordinates import Coordinates, Shape, operator_of
+from piezoid.identification.hysteresis.coordinates import Shape, operator_of
 from piezoid.identification.hysteresis.gauss_newton import rms_of
-from piezoid.identification.hysteresis.jackknife import block_edges, jackknife, loop_width_m
-from piezoid.identification.hysteresis.physical import envelope_stretch, physical
+from piezoid.identification.hysteresis.jackknife import jackknife, loop_width_m
+from piezoid.identification.hysteresis.physical import physical
 from piezoid.identification.hysteresis.pieces import Rig, Scales, pieces_of, scales_of
-from piezoid.identification.hysteresis.rows import simulate
 from piezoid.identification.hysteresis.search import (
     Fitted,
     Settings,
     search,
     simplified,
-    transferred,
 )
-from piezoid.identification.hysteresis.start import gathered_thresholds, group_centres
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import LINEAR
-from tests.identification.hysteresis.stages import decaying, play_sum, recording, wandering
-from tests.identification.hysteresis.test_rows import drawn_piece, drawn_vector
+from tests.identification.hysteresis.stages import decaying, play_sum, recording
 
 THRESHOLD = np.array([0.0, 0.7, 1.5, 2.6])
 WEIGHT = np.array([2.0, 0.5, 0.3, 0.2]) * 1e-6
@@ -46,26 +41,6 @@ def fitted(seed: int = 0, noise_m: float = 2e-8) -> tuple[Fitted, Scales]:
     one = recording(drive, stage(drive, seed, noise_m))
     scales = scales_of([one], "x")
     return search(pieces_of([one], "x", scales, Rig()), SHAPE, SETTINGS), scales
-
-
-@pytest.mark.parametrize("bends", [0, 2])
-def test_volts_and_metres_describe_the_same_operator(rng: np.random.Generator, bends: int) -> None:
-    coordinates = Coordinates(
-        shape=Shape(plays=4, below=2, above=1, lag="none", bends=bends), offsets=(1,)
-    )
-    piece, theta = drawn_piece(rng), drawn_vector(rng, coordinates)
-    scales = Scales(voltage_V=40.0, voltage_offset_V=25.0, displacement_m=8e-6)
-    operator = operator_of(theta, coordinates)
-    model = physical(operator, scales)
-    low, high = model.envelope.run(np.array([-40.0, 40.0]))
-    assert high - low == pytest.approx(80.0)
-    slopes = theta[coordinates.memory_slice(0)]
-    memory = Forward(operator=operator).memory(piece.drive[0], slopes)
-    memory_V = memory * envelope_stretch(operator) * scales.voltage_V
-    output, _ = model.run(25.0 + 40.0 * piece.drive, memory_V)
-    zero = theta[coordinates.offset_slice(0)][0]
-    expected = simulate(theta, coordinates, 0, piece, None) - zero
-    np.testing.assert_allclose(output / 8e-6, expected, atol=1e-12)
 
 
 def test_loop_width_is_that_of_a_simulated_full_loop() -> None:
@@ -95,25 +70,6 @@ def test_intervals_have_the_size_of_the_scatter_over_new_noise() -> None:
     assert 0.5 * scatter < np.median(half_widths) < 4 * scatter
 
 
-def test_blocks_begin_where_the_drive_crosses_its_middle_upwards() -> None:
-    found, _ = fitted()
-    piece = found.task.pieces[0]
-    (edges,) = block_edges(found.task.pieces)
-    middle = np.median(piece.drive)
-    for edge in edges[1:-1]:
-        assert piece.drive[edge - 1] <= middle < piece.drive[edge]
-    assert (edges[0], edges[-1]) == (piece.first, piece.last)
-
-
-def test_transfer_moves_only_zero_and_memory() -> None:
-    found, scales = fitted()
-    drive = wandering(np.random.default_rng(2))
-    other = recording(drive, 1.05 * stage(drive, 3) + 4e-7)
-    moved = transferred(found, pieces_of([other], "x", scales, Rig()))
-    shared = slice(0, found.task.coordinates.shared)
-    np.testing.assert_array_equal(moved.minimum.theta[shared], found.minimum.theta[shared])
-
-
 def test_simplification_drops_parts_without_use_and_is_as_good() -> None:
     found, _ = fitted(noise_m=1e-10)
     theta = found.minimum.theta.copy()
@@ -125,25 +81,6 @@ def test_simplification_drops_parts_without_use_and_is_as_good() -> None:
     simple = simplified(idle, iterations=30)
     assert simple.shape.plays < found.shape.plays
     assert simple.minimum.rms <= 1.002 * idle.minimum.rms
-
-
-def test_a_fit_that_was_better_with_the_part_is_kept() -> None:
-    found, _ = fitted()
-    theta = found.minimum.theta.copy()
-    theta[found.task.coordinates.slices["weight"].stop - 1] = 0.0
-    better = replace(
-        found, minimum=replace(found.minimum, theta=theta, rms=found.minimum.rms / 1.1)
-    )
-    assert simplified(better, iterations=30) is better
-
-
-def test_thresholds_begin_where_the_loading_curve_bends() -> None:
-    drive = decaying(24, per_unit=40)
-    one = recording(drive, stage(drive, 0, 1e-9))
-    scales = scales_of([one], "x")
-    pieces = pieces_of([one], "x", scales, Rig())
-    found = gathered_thresholds(pieces, Shape(plays=3, below=1, above=1), 0.0)
-    np.testing.assert_allclose(found * scales.voltage_V, THRESHOLD, atol=0.15)
 
 
 def test_distance_of_two_models_bounds_what_any_drive_reaches(rng: np.random.Generator) -> None:
@@ -177,9 +114,3 @@ def test_without_dead_zones_the_bound_is_attained() -> None:
     reached_m = reached_difference(model, other, none, scales.voltage_V)
     assert zones_m == pytest.approx(0.0, abs=1e-18)
     assert reached_m == pytest.approx(plays_m, rel=1e-9)
-
-
-def test_groups_of_weights_are_the_best_partition() -> None:
-    place = np.array([0.1, 0.12, 0.5, 0.52, 0.9])
-    weight = np.array([1.0, 1.0, 2.0, 2.0, 0.5])
-    np.testing.assert_allclose(group_centres(place, weight, 3), [0.11, 0.51, 0.9], atol=1e-5)

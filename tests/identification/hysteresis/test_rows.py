@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from piezoid.identification.hysteresis.coordinates import Coordinates, Shape, operator_of
+from piezoid.identification.hysteresis.coordinates import Coordinates, Shape
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.rows import chain_of, column_places, rows_of, simulate
 from piezoid.numerics.arrays import Array
-from tests.identification.hysteresis.stages import RATE_Hz, first_order_lag, play_sum, wandering
+from tests.identification.hysteresis.stages import RATE_Hz, wandering
 
 STEP = 1e-6
 KINKS = 0.02  # share of samples that may sit on a kink of the model within a step
@@ -73,33 +73,6 @@ def test_a_declared_pole_quicker_than_half_a_sample_is_a_delay(
     delay = late + float(chain.share or 0.0)
     assert (chain.sensor is not None) is is_filter
     assert delay == pytest.approx(3.3 + (0.0 if is_filter else 1 / (2 * np.pi * share_of_rate)))
-
-
-@pytest.mark.parametrize("stride", [1, 5])
-def test_residual_is_simulation_minus_measurement(rng: np.random.Generator, stride: int) -> None:
-    coordinates = Coordinates(shape=Shape(plays=3, below=1, above=1), offsets=(2,))
-    piece, theta = drawn_piece(rng), drawn_vector(rng, coordinates)
-    output = simulate(theta, coordinates, 0, piece, None)
-    for part in rows_of(theta, coordinates, 0, piece, sensor_pole=None, stride=stride):
-        expected = output[part.sample] - piece.response[part.sample]
-        np.testing.assert_allclose(part.residual, expected, atol=1e-13)
-
-
-def test_simulation_equals_plays_by_definition_behind_a_lag(rng: np.random.Generator) -> None:
-    coordinates = Coordinates(
-        shape=Shape(plays=3, below=0, above=0, lag="first_order"), offsets=(1,)
-    )
-    piece, theta = drawn_piece(rng), drawn_vector(rng, coordinates)
-    theta[coordinates.slices["lag"]] = 0.02
-    operator = operator_of(theta, coordinates)
-    slopes = theta[coordinates.memory_slice(0)]
-    memory = piece.drive[0] + np.concatenate([[0.0], np.cumsum(operator.gap * slopes)])
-    threshold = np.concatenate([[0.0], operator.threshold])
-    static = play_sum(piece.drive, threshold, operator.weight, memory)
-    lagged = first_order_lag(static, 0.02, RATE_Hz)
-    zero = theta[coordinates.offset_slice(0)][0]
-    output = simulate(theta, coordinates, 0, piece, None)
-    np.testing.assert_allclose(output, lagged + zero, atol=2e-4)
 
 
 @pytest.mark.parametrize("lag", ["none", "delay", "first_order"])

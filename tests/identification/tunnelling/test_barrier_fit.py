@@ -7,7 +7,7 @@ from piezoid.identification.tunnelling.approach import Direction, read_approach
 from piezoid.identification.tunnelling.barrier_fit import fit_barrier
 from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.operators.tunnelling import barrier_of_decay
-from tests.identification.tunnelling.sweeps import DECAY_PER_M, OFFSET_A, correlated, sweep
+from tests.identification.tunnelling.sweeps import DECAY_PER_M, OFFSET_A, sweep
 
 
 def test_a_sweep_without_noise_gives_back_its_decay_and_offset(rng: np.random.Generator) -> None:
@@ -96,8 +96,3 @@ def test_the_uncertain_height_calibration_widens_the_interval(rng: np.random.Gen
     fit = fit_barrier([curve], height_relative_uncertainty=0.05)
     low, high = fit.decay_interval_per_m
     assert (high - low) / fit.decay_per_m == pytest.approx(2 * 1.96 * 0.05, rel=0.05)
-
-
-def test_the_helper_noise_has_the_correlation_it_promises(rng: np.random.Generator) -> None:
-    noise = correlated(rng, 20000, 0.7)
-    assert np.corrcoef(noise[:-1], noise[1:])[0, 1] == pytest.approx(0.7, abs=0.03)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.identification.tunnelling import loop_noise
 from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRig
@@ -47,16 +46,6 @@ def test_the_drift_rate_lies_in_its_interval() -> None:
     low, high = noise.drift_interval_m_per_s
     assert low < 60e-12 < high
     assert noise.drift_m_per_s == pytest.approx(60e-12, abs=10e-12)
-
-
-def test_the_interval_of_a_drift_is_students_of_its_blocks() -> None:
-    step_m = np.array([1.0, 3.0, 2.0, 2.0, 1.0, 3.0, 2.0, 2.0, 2.0]) * 1e-12
-    blocks_m = np.repeat(np.concatenate([[0.0], np.cumsum(step_m)]), 100)
-    rate_m_per_s, half_m_per_s = loop_noise._drift(np.append(blocks_m, 7.0), 1000.0)
-    assert rate_m_per_s == pytest.approx(20e-12, rel=1e-9, abs=0.0)
-    # nine differences of ten blocks of 0.1 s: t(0.975, 8) = 2.306
-    expected_m_per_s = 2.306 * 10.0 * step_m.std(ddof=1) / 3.0
-    assert half_m_per_s == pytest.approx(expected_m_per_s, rel=1e-3, abs=0.0)
 
 
 def test_the_hum_is_found_at_its_frequency_and_size() -> None:
@@ -124,18 +113,6 @@ def test_the_limiting_electronics_change_with_an_attenuator() -> None:
     assert whole.limiting_electronics == "drive_step"
     assert attenuated.limiting_electronics == "shot"
     assert whole.limiting_source == attenuated.limiting_source == "gap"
-
-
-@pytest.mark.parametrize(
-    ("samples", "rate_Hz", "spacing_Hz"), [(100_000, 1e3, 1.0), (2_048, 1e4, 1e4 / 512)]
-)
-def test_lines_of_a_density_are_a_hertz_apart_or_what_a_quarter_of_the_record_tells(
-    samples: int, rate_Hz: float, spacing_Hz: float
-) -> None:
-    frequency_Hz, density = power_density(np.sin(np.arange(samples)), rate_Hz)
-    assert np.diff(frequency_Hz) == pytest.approx(spacing_Hz)
-    assert len(density) == len(frequency_Hz)
-    assert frequency_Hz[-1] == pytest.approx(rate_Hz / 2)
 
 
 def test_the_power_density_integrates_to_the_variance(rng: np.random.Generator) -> None:

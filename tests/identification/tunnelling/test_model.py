@@ -9,7 +9,6 @@ import pytest
 
 from piezoid.identification.tunnelling.barrier_fit import fit_barrier
 from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit
-from piezoid.identification.tunnelling.instrument_fit import bounds_of_logs
 from piezoid.identification.tunnelling.junction import fit_junction
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig
@@ -167,9 +166,3 @@ def test_the_slowest_line_of_a_loop_counts_however_slow(rng: np.random.Generator
     )
     lines_Hz = spectra_of_all(record, highest_Hz=2.0).frequency_Hz
     np.testing.assert_allclose(lines_Hz, [0.5, 1.0, 1.5, 2.0])
-
-
-def test_a_pole_is_sought_from_a_hundred_hertz_to_half_the_sampling_rate() -> None:
-    lower, upper = bounds_of_logs(20e3)
-    assert np.exp([lower[1], upper[1]]) == pytest.approx([100.0, 10e3])
-    assert (lower[2], upper[2]) == (0.0, 8.0)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezoid.identification.tunnelling.approach import Direction, read_approach
+from piezoid.identification.tunnelling.approach import Direction
 from piezoid.identification.tunnelling.barrier_fit import BarrierFit, fit_barrier
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.sweep_pairs import compare_directions
@@ -51,37 +51,6 @@ def test_the_directions_differ_by_a_few_picometres(realdata: Path) -> None:
     low, high = shift.shift_interval_m
     assert -5e-12 < low < shift.shift_m < high < 0.0
     assert shift.is_one_decay
-
-
-def test_two_thirds_of_the_rows_missing_lower_the_confidence(
-    realdata: Path, rng: np.random.Generator
-) -> None:
-    table = real_table(realdata)
-    current_A = table.si("Current [00001] (A)").copy()
-    current_A[rng.permutation(200)[:134]] = np.nan
-    holed = read_approach(
-        table.si("Z rel (m)"), current_A, bias_V=-0.02, direction=Direction.FORWARD, label="holed"
-    )
-    fit = fit_barrier([holed])
-    assert fit.confidence is Confidence.LOW
-    assert fit.decay_interval_per_m[0] < 20.60e9 < fit.decay_interval_per_m[1]
-
-
-def test_the_part_below_700_femtoamperes_is_wide_and_says_why(realdata: Path) -> None:
-    table = real_table(realdata)
-    weak = np.abs(table.si("Current [00001] (A)")) < 0.7e-12
-    part = read_approach(
-        table.si("Z rel (m)")[weak],
-        table.si("Current [00001] (A)")[weak],
-        bias_V=-0.02,
-        direction=Direction.FORWARD,
-        label="weak part",
-    )
-    fit = fit_barrier([part])
-    whole = _fit(realdata, Direction.FORWARD, "00001")
-    assert fit.confidence is Confidence.LOW
-    assert np.ptp(fit.decay_interval_per_m) > 5.0 * np.ptp(whole.decay_interval_per_m)
-    assert "decades above three times its noise" in fit.reasons[0]
 
 
 def test_a_known_shift_between_directions_is_found(rng: np.random.Generator) -> None:
