@@ -9,9 +9,8 @@ from benchmarks import million_samples, ratios, streamed_fit
 from benchmarks.speed.campaign import made
 from benchmarks.speed.chain import Loop
 from benchmarks.speed.chain_rows import loop_growths, loop_row
-from benchmarks.speed.growth_figure import draw
-from benchmarks.speed.stopwatch import Growth, Stopwatch
-from benchmarks.speed.table import HEADINGS, Row, table
+from benchmarks.speed.stopwatch import Stopwatch
+from benchmarks.speed.table import HEADINGS
 from tests.verification.rig import lateral, lateral_parameters
 
 ONCE = Stopwatch(patience_s=0.0)
@@ -46,25 +45,6 @@ def test_the_closed_loop_of_a_benchmark_is_the_one_that_is_verified() -> None:
     assert min(row.loop, *row.bounds.values()) > 0.0
     by_samples, by_plays = loop_growths(ONCE, loop)
     assert (by_samples.size, by_plays.size) == ((25, 100, 400), (4, 8, 16, 32))
-
-
-def test_growth_is_the_power_of_the_size() -> None:
-    square = Growth(stage="a", what="plays", size=(2, 4, 16), time_s=(4e-3, 16e-3, 256e-3))
-    assert square.exponent == pytest.approx(2.0)
-    (*_, line) = table([Row(stage="a", loop=123.4, solvers={"nnls": 0.0456})], [square]).split(
-        "\n"
-    )
-    assert line == "| a | 120 |  | nnls 0.046 |  | -, 2.0, - |"
-
-
-def test_every_stage_that_grew_is_in_the_figure(tmp_path: Path) -> None:
-    growths = [
-        Growth(stage=f"stage {k}", what=what, size=(1, 2, 4), time_s=(1.0, 2.0, 3.0 + k))
-        for k, what in enumerate(("samples", "plays", "recordings"))
-    ]
-    svg, png = draw(growths, tmp_path)
-    assert all(f">{one.stage}<" in svg.read_text() for one in growths)
-    assert png.stat().st_size > 1000
 
 
 def test_a_longer_recording_has_the_same_loops() -> None:

@@ -1,6 +1,5 @@
 """The error budget: its parts add up, and whatever leaves the model above the noise has a name."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -86,22 +85,3 @@ def test_structure_that_the_model_lacks_is_part_of_the_final_error() -> None:
     assert parts["creep"].rms_m == pytest.approx(4e-8)
     assert parts["loop_shape"].rms_m == pytest.approx(np.sqrt(1.25) * 1e-8)
     assert power(found) == pytest.approx(found.baseline.rms_m**2)
-
-
-@pytest.mark.parametrize(("chirp_m", "words"), [(9e-8, "comes from chirp.csv"), (1e-8, "twice")])
-def test_an_error_of_one_recording_names_it(chirp_m: float, words: str) -> None:
-    recordings_m = {"sweep.csv": 4e-9, "chirp.csv": chirp_m, "check.csv": 5e-9}
-    errors = RemainingErrors(
-        explained_m=5e-9, wide_m=5e-9, scatter=0.01, recordings_m=recordings_m
-    )
-    found = with_budget(diagnosed(finding("creep", 0.4)), errors)
-    (part,) = (part for part in found.budget if part.part == "extrapolation")
-    assert words in part.text
-
-
-def test_a_model_at_the_noise_has_nothing_left_to_name() -> None:
-    known = diagnosed(finding("creep", 0.4))
-    quiet = with_budget(known, RemainingErrors(explained_m=3e-8, wide_m=3e-8, scatter=0.01))
-    assert quiet.largest_remaining is not None
-    silent = replace(quiet, noise_floor_rms_m=2.5e-8)
-    assert silent.largest_remaining is None

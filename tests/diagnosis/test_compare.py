@@ -1,7 +1,5 @@
 """Since a model was fitted: nothing, another sensitivity, or more than that."""
 
-import json
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -22,11 +20,12 @@ def test_a_model_that_still_holds_is_said_to_hold() -> None:
     assert value == pytest.approx(1.0, abs=1e-3)
 
 
-def test_another_sensitivity_is_measured_and_explains_the_error() -> None:
-    more = GainChange(recording="slow.csv", instant_s=0.0, ratio=1.03, later=("fast.csv",))
-    found = compare(known_model(), recordings_of(more))
-    assert found.gain_ratio[0] == pytest.approx(1.03, abs=2e-3)
-    assert re.search(r"moves (3\.0|2\.9)\d % .* more than", found.statement.text)
+@pytest.mark.parametrize(("ratio", "said"), [(1.03, "more than"), (0.88, "less than")])
+def test_another_sensitivity_is_measured_and_explains_the_error(ratio: float, said: str) -> None:
+    change = GainChange(recording="slow.csv", instant_s=0.0, ratio=ratio, later=("fast.csv",))
+    found = compare(known_model(), recordings_of(change))
+    assert found.gain_ratio[0] == pytest.approx(ratio, abs=2e-3)
+    assert said in found.statement.text
     assert found.unchanged_error_m > 5 * NOISE_m
     assert found.rescaled_error_m < 1.3 * NOISE_m
 
@@ -68,12 +67,6 @@ def test_a_model_of_another_stage_does_not_hold_and_the_figure_says_so() -> None
     assert not found.holds
     assert "does not hold" in found.statement.text
     assert "% of the motion" in found.statement.text
-
-
-def test_a_stage_that_moves_less_is_said_to_move_less() -> None:
-    less = GainChange(recording="slow.csv", instant_s=0.0, ratio=0.88, later=("fast.csv",))
-    found = compare(known_model(), recordings_of(less))
-    assert re.search(r"moves (12\.0|11\.9)\d % .* less than", found.statement.text)
 
 
 def test_no_sensitivity_is_told_where_the_search_ran_into_its_end() -> None:
@@ -118,11 +111,3 @@ def test_what_belonged_to_the_recordings_of_then_is_left_behind() -> None:
         compare(old, recordings_of()).to_json()
         == compare(known_model(), recordings_of()).to_json()
     )
-
-
-def test_the_record_is_json_with_the_sentence_in_it() -> None:
-    content = compare(known_model(), recordings_of(), digest="sha256:1").to_json()
-    again = json.loads(json.dumps(content, allow_nan=False))
-    assert again == content
-    assert again["model_digest"] == "sha256:1"
-    assert len(again["explanation"]) > 20

@@ -1,18 +1,14 @@
 """A drive at rest is a recording: drift, hum, other axes and noise are told of it."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.constant_drive import rest_columns
 from piezoid.diagnosis.diagnose import diagnose
-from piezoid.diagnosis.diagnosis import Diagnosis, Size
-from piezoid.diagnosis.effects import EFFECTS, effect_named
-from piezoid.diagnosis.rest_columns import waves
+from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.effects import EFFECTS
 from piezoid.numerics.arrays import Array
-from piezoid.raw_counts import texts_in_counts
 from piezoid.records.collection import collect
 from piezoid.records.frames import from_arrays
 from piezoid_datasets.virtual_lab.signals import coloured_noise
@@ -64,34 +60,9 @@ def test_what_moves_a_stage_at_rest_is_named_and_sized(
     }
 
 
-def test_an_effect_that_needs_no_drive_is_asked_while_it_rests() -> None:
-    """One that nobody has thought of yet: what it adds leaves nothing but noise."""
-    pump = replace(
-        effect_named("mains_interference"),
-        name="pump",
-        at_rest=lambda standing: waves(standing.time_s, [31.3]),
-    )
-    noise_um = NOISE_um * np.random.default_rng(6).standard_normal(SAMPLES)
-    reading_m = 1e-6 * (0.004 * np.sin(2.0 * np.pi * 31.3 * TIME_s) + noise_um)
-    recording = from_arrays(
-        time_s=TIME_s, voltage_V=np.full(SAMPLES, 20.0), displacement_m=reading_m
-    )
-    rest = rest_columns(recording, "x", np.arange(SAMPLES), [pump])
-    assert 1e6 * float(np.std(rest.residual(["pump"]))) == pytest.approx(NOISE_um, rel=0.03)
-    silent = replace(pump, at_rest=lambda _: "the pump is off")
-    without = rest_columns(recording, "x", np.arange(SAMPLES), [silent])
-    assert without.unseen == {"pump": "the pump is off"}
-    assert "pump" not in without.columns
-
-
-def test_drift_that_slows_down_is_not_told_from_creep(tmp_path: Path) -> None:
-    (finding,) = diagnosed(tmp_path, CREEP_um).findings
-    assert finding.not_separable_from == ("creep",)
-    assert "not separable" in finding.explanation
-
-
-def test_a_start_that_creeps_much_and_then_rests_is_seen(tmp_path: Path) -> None:
-    (finding,) = diagnosed(tmp_path, 0.3 * np.log10(1.0 + TIME_s / 0.3)).findings
+@pytest.mark.parametrize("moved_um", [CREEP_um, 0.3 * np.log10(1.0 + TIME_s / 0.3)])
+def test_drift_that_slows_down_is_not_told_from_creep(tmp_path: Path, moved_um: Array) -> None:
+    (finding,) = diagnosed(tmp_path, moved_um).findings
     assert finding.effect == "thermal_drift"
     assert finding.not_separable_from == ("creep",)
 
@@ -205,19 +176,3 @@ def test_a_small_jump_beside_drift_is_no_jump_and_a_larger_one_is() -> None:
             assert one.seen is not None
             assert one.seen.unit == "s"
             assert one.seen.fitted_m[-1] - one.seen.fitted_m[0] == pytest.approx(jump_m, rel=0.1)
-
-
-def test_sizes_of_a_reading_in_counts_are_counts() -> None:
-    """A count stands where a metre would: 4e-9 of them, not 4."""
-    found = at_rest(4e-9 * np.sin(2.0 * np.pi * 50.0 * TIME_s))
-    (told,), (size,) = (
-        [one.size for one in each.findings]
-        for each in (found, texts_in_counts(replace(found, counted=("displacement",))))
-    )
-    assert size.value == pytest.approx(1e-9 * told.value)
-    assert size.ci95 == pytest.approx((1e-9 * told.ci95[0], 1e-9 * told.ci95[1]))
-    assert "nm" not in size.unit
-    (finding,) = found.findings
-    slope = Size(value=3.0, unit="percent", ci95=(1.0, 5.0))
-    beside = replace(found, counted=("displacement",), findings=(replace(finding, size=slope),))
-    assert texts_in_counts(beside).findings[0].size == slope

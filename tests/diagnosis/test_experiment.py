@@ -1,6 +1,5 @@
 """A plan asks what was left open, stays inside the limits, and its promise comes true."""
 
-import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -132,11 +131,6 @@ def test_limits_are_those_of_lab_toml_inside_what_was_driven() -> None:
     assert (limits.voltage_min_V, limits.voltage_max_V, limits.slew_V_per_s) == (0.0, 8.0, 60.0)
 
 
-def test_a_drive_that_is_played_begins_and_ends_at_rest() -> None:
-    volts = _planned().drive.voltage_V[:, 0]
-    assert volts[0] == volts[-1] == 0.0
-
-
 def test_the_files_of_a_plan_are_read_back(tmp_path: Path) -> None:
     planned = _planned()
     files = plan_files(planned, model_digest="sha256:a", diagnosis_digest="sha256:b")
@@ -164,15 +158,6 @@ def test_without_any_rate_the_line_for_lab_toml_is_asked_for() -> None:
     case, diagnosis = _slow()
     with pytest.raises(LabFileError, match="sampling_rate_Hz"):
         plan(model_of(case), diagnosis)
-
-
-def test_a_diagnosis_comes_back_from_its_file_and_not_from_another() -> None:
-    _, diagnosis = _slow()
-    content = write_diagnosis(diagnosis)
-    assert read_diagnosis(content) == diagnosis
-    record = json.loads(content)
-    with pytest.raises(ParameterFileError):
-        read_diagnosis(json.dumps({**record, "axis": "y"}).encode())
 
 
 def test_a_sealed_diagnosis_of_an_effect_that_nobody_knows_is_refused() -> None:

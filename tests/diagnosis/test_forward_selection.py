@@ -3,13 +3,9 @@
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.forward_selection import select_forward
 from piezoid.diagnosis.initial_state_search import (
     shared_does_as_well,
-    with_own_initial_states,
-    with_shared_initial_state,
 )
-from piezoid.diagnosis.residual_view import with_free_memory, with_reversals
 from piezoid.diagnosis.selection import repaired
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.numerics.executor import SERIAL
@@ -25,23 +21,6 @@ from .played import (
     recordings_after,
     view_after,
 )
-
-
-def up(_: float) -> tuple[float]:
-    return (0.8,)
-
-
-def test_initial_states_that_are_known_are_taken_as_they_are_and_not_searched_again() -> None:
-    """Nothing but them has changed, so they are taken though a search would end a little off."""
-    view = view_after(cycled, up, cycled)
-    shared = with_shared_initial_state(view)
-    first, (*turns, last), third = with_own_initial_states(view, shared).nuisance.reversals
-    known = with_free_memory(with_reversals(view, (first, (*turns, last + 0.004), third)))
-    state = select_forward(view, {}, SERIAL, (shared, known))
-    assert state.clean.nuisance.free
-    assert state.clean.nuisance.reversals == known.nuisance.reversals
-    assert state.initial == (shared, known)
-    assert not state.selected
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
-from piezoid.diagnosis.segments import is_held, staircase_response
-from piezoid.identification.hysteresis.pieces import Rig
+from piezoid.diagnosis.segments import staircase_response
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
 from .bench import recorded, view_of_recordings
@@ -41,14 +40,6 @@ def test_two_equal_poles_answer_a_step_by_the_closed_form():
 def test_a_pole_that_is_not_declared_leaves_the_hold_of_one_sample():
     command = np.array([0.3, 1.0, -2.0, 4.0])
     assert staircase_response(command, (None, None), RATE_Hz).tolist() == [0.3, 0.3, 1.0, -2.0]
-
-
-def test_rows_are_held_only_at_the_declared_clock_and_with_a_declared_pole():
-    known = Rig(amplifier_bandwidth_Hz=4e3)
-    assert is_held(20e3, 20e3, known)
-    assert not is_held(10e3, 20e3, known)
-    assert not is_held(20e3, None, known)
-    assert not is_held(20e3, 20e3, Rig())
 
 
 def test_a_fast_chirp_of_a_healthy_stage_leaves_the_noise():

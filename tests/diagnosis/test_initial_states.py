@@ -12,7 +12,6 @@ from piezoid.diagnosis.initial_state_search import (
 )
 from piezoid.diagnosis.initial_states import (
     FREE,
-    hypotheses,
     memory_after,
     shared_hypotheses,
 )
@@ -31,7 +30,6 @@ HABITS = FREE + 2  # what a laboratory does on purpose, with the two that end at
 
 ZERO_VOLTS = -1.3  # in half ranges from the middle of the drive
 SELDOM = 6  # samples of a drive for one that is recorded
-AT_REST = 0.05  # of half the range: the smallest turns that a laboratory makes on purpose
 
 
 def left_by(way: Array, memory: Array) -> Array:
@@ -61,41 +59,6 @@ def test_turns_that_nothing_wiped_out_leave_the_memory_of_the_whole_drive(seed) 
         for k in (1, 2):
             memory = left_by(np.append(drives[k - 1], drives[k][0]), memory)
             np.testing.assert_array_equal(memory_after(drives[k], reversals[k]), memory)
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_turns_that_are_kept_alternate_and_close_in_on_the_last(seed) -> None:
-    for reversals in shared_hypotheses(random_drives(seed), ZERO_VOLTS)[HABITS:]:
-        for kept in reversals[1:]:
-            steps = np.diff(kept)
-            assert np.all(steps[1:] * steps[:-1] < 0.0)
-            assert np.all(np.diff(np.abs(steps)) < 0.0)
-
-
-def test_the_same_habit_before_every_drive_is_the_same_place_among_its_pasts() -> None:
-    drives = random_drives(1)
-    for place, alike in enumerate(shared_hypotheses(drives, ZERO_VOLTS)[:FREE]):
-        assert alike == tuple(hypotheses(drive)[place] for drive in drives)
-    cycled, other_way = shared_hypotheses(drives, ZERO_VOLTS)[:2]
-    assert [reversals[::-1] for reversals in cycled] == list(other_way)
-
-
-def test_a_stage_that_rests_after_it_was_cycled_lies_at_0_V() -> None:
-    drives = random_drives(1)
-    cycled, other_way, *_ = ways = shared_hypotheses(drives, ZERO_VOLTS)[:HABITS]
-    for before, at_rest in zip((cycled, other_way), ways[FREE:], strict=True):
-        assert at_rest == tuple((*reversals, ZERO_VOLTS) for reversals in before)
-
-
-@pytest.mark.parametrize("first", [-1.0, -0.37, 0.0, 0.8, 1.0])
-def test_a_decaying_past_leaves_every_play_near_the_first_value(first) -> None:
-    drive = np.array([first, 0.2])
-    cycled, other_way, _, decaying = (
-        np.abs(memory_after(drive, reversals) - first).max()
-        for reversals in hypotheses(drive)[:FREE]
-    )
-    assert decaying < AT_REST
-    assert max(cycled, other_way) > 0.4
 
 
 def after_turns(kind: str, turns: Sequence[float], part: float) -> Recording:
@@ -145,15 +108,3 @@ def test_a_drive_that_goes_round_and_round_may_have_run_before_its_recording(pha
     ]
     assert len(found) == 4 * HABITS
     assert min(np.abs(memory - met).max() for memory in found) < 2e-3
-
-
-@pytest.mark.parametrize("kind", ["sweep", "chirp", "growing", "walk"])
-def test_a_drive_that_does_not_go_round_and_round_began_with_its_recording(kind) -> None:
-    turn = np.linspace(0.0, 60.0, 3000)
-    drives = {
-        "sweep": np.linspace(-1.0, 1.0, 100),
-        "chirp": np.sin(0.2 * turn + turn**2 / 20.0),
-        "growing": turn / 60.0 * np.sin(turn),
-        "walk": np.repeat(np.random.default_rng(2).uniform(-1.0, 1.0, 60), 20),
-    }
-    assert len(shared_hypotheses([drives[kind]], ZERO_VOLTS)) == 2 * HABITS

@@ -1,25 +1,20 @@
 """No slip is longer than a tenth of its recording, whatever one that hardly moves tells."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effects import timestamp_fault
-from piezoid.diagnosis.effects.timestamp_fault import slip_evidence
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.sample_slips import (
-    Slip,
     delay_like_null,
     max_slip,
-    refine_slip,
     strongest_slips,
 )
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
-from .play_stage import NOISE_m, STROKE_m, clean, moved, recording, slipped, view_with
+from .play_stage import NOISE_m, STROKE_m, moved, recording
 
 SAMPLES = 9000
 
@@ -48,27 +43,3 @@ def test_a_recording_that_hardly_moves_promises_no_slip_longer_than_may_be(seed)
     for slip in slips:
         assert abs(slip.samples) <= max_slip(len(view.tracks[slip.track].drive))
     assert timestamp_fault.EFFECT.fault.find(view) is None
-
-
-def test_stretches_of_equal_speed_that_tell_of_too_long_a_slip_are_not_believed() -> None:
-    """What was placed at 683 samples would be one of 939 of 9000, clear by all other signs."""
-    view = view_of(recording("sweep"), wandering(154, 2.2, 0.03))
-    null = delay_like_null(view)
-    wanders = next(slip for slip in strongest_slips(view, null) if slip.track == 1)
-    judged = slip_evidence(view, null, refine_slip(view, wanders))
-    assert judged is not None
-    told = round(judged.step)
-    assert abs(judged.slip.samples) < max_slip(SAMPLES) < abs(told)
-    long = refine_slip(view, replace(wanders, samples=told), has_length=True)
-    asked = slip_evidence(view, null, long)
-    assert asked is not None
-    assert asked.is_significant
-    assert timestamp_fault.EFFECT.fault.find(view) is None
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_a_slip_is_not_made_longer_than_may_be_where_it_is_placed(sign) -> None:
-    view = view_with(walk=slipped(clean("walk")[2], 4100, sign * 960))
-    slip = Slip(track=1, instant=4100, samples=sign * 850.0, gain=0.5)
-    there = refine_slip(view, slip)
-    assert sign * there.samples == max_slip(SAMPLES)

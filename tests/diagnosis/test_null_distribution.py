@@ -12,7 +12,6 @@ from piezoid.diagnosis.null_distribution import (
     rank_p_value,
     smallest_structure_p_value,
     structure_p_value,
-    structure_score,
 )
 from piezoid_datasets.virtual_lab.truths import ZOO
 
@@ -37,16 +36,6 @@ def test_the_more_is_left_the_smaller_the_chance_and_it_is_never_none() -> None:
     assert chances == sorted(chances, reverse=True)
     assert chances[0] == 1.0
     assert 0.0 < chances[-1] <= 0.05
-
-
-def test_a_remainder_of_noise_scores_next_to_nothing_and_a_strong_curve_much() -> None:
-    assert structure_score(0.001, 1.0, 1.0) == pytest.approx(0.001, rel=0.002)
-    assert structure_score(0.9, 5.0, 1.0) == pytest.approx(22.5)
-    assert structure_score(-0.1, 5.0, 1.0) == 0.0
-
-
-def test_what_a_coordinate_explains_is_no_noise() -> None:
-    assert structure_score(0.99, 1.0, 1.0) == pytest.approx(99.0)
 
 
 @pytest.mark.parametrize("kind", ["scores", "strengths"])

@@ -1,6 +1,5 @@
 """A plan says where no drive answers, which limit forbids more, and never promises the absurd."""
 
-import json
 import re
 from dataclasses import replace
 from functools import cache
@@ -22,7 +21,7 @@ from piezoid.diagnosis.planning.open_questions import (
     left_open,
     questions_of,
 )
-from piezoid.diagnosis.planning.plan_file import plan_json, sentences
+from piezoid.diagnosis.planning.plan_file import sentences
 from piezoid.diagnosis.planning.plan_ranking import Table, table_of
 from piezoid.diagnosis.planning.separation import SeparationEstimate
 from piezoid.errors import ExcitationError
@@ -142,15 +141,6 @@ def test_what_shows_already_from_the_least_that_is_named_needs_no_recording() ->
 def test_a_diagnosis_that_leaves_nothing_open_asks_for_nothing() -> None:
     with pytest.raises(ExcitationError, match="nothing open"):
         _planned(_open())
-
-
-def test_what_is_said_stands_in_the_file_for_scripts() -> None:
-    planned = _too_slow()
-    content = json.loads(json.dumps(plan_json(planned)))
-    assert content["answers"] is False
-    assert content["forbids"] == planned.forbids
-    assert content["set_aside"] == []
-    assert "e-" not in content["why"]
 
 
 def test_two_that_stay_lost_in_their_errors_are_not_told_apart_however_unlike_they_are() -> None:

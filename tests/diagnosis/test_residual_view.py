@@ -11,12 +11,6 @@ def test_the_noise_of_a_healthy_stage_is_what_was_put_in() -> None:
     assert np.isclose(healthy().noise * healthy().half_stroke_m, NOISE_m, rtol=0.1)
 
 
-def test_zero_volts_are_known_in_half_ranges_from_the_middle_of_the_drive() -> None:
-    drive_V = 50.0 + 40.0 * np.concatenate([clean(kind)[1] for kind in ("sweep", "walk", "waves")])
-    middle_V, half_V = (drive_V.max() + drive_V.min()) / 2.0, np.ptp(drive_V) / 2.0
-    assert np.isclose(healthy().rest_drive, -middle_V / half_V, rtol=0.02)
-
-
 def test_a_hum_at_every_other_sample_is_no_more_noise_than_it_leaves() -> None:
     reading_m = clean("walk")[2]
     hum_m = HUM_m * (-1.0) ** np.arange(len(reading_m))

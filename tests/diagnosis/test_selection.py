@@ -9,7 +9,6 @@ import pytest
 import piezoid.diagnosis.diagnose as diagnose
 import piezoid.diagnosis.selection as search
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
-from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import (
     creep,
     cross_coupling,
@@ -136,11 +135,3 @@ def test_a_sure_cause_beside_structure_that_was_found_is_no_part_of_it() -> None
         assert one.held_out_rms_after_m < one.held_out_rms_before_m
         ratio = one.held_out_rms_after_m / one.held_out_rms_before_m
         assert one.held_out_gain == pytest.approx(1.0 - ratio)
-
-
-def test_twice_the_same_fault_keeps_what_it_was_not_told_from() -> None:
-    first = Fault(tracks=(), value=-2.0, spread=0.3, p_value=1e-9, alike=("lag",))
-    second = Fault(tracks=(), value=-1.0, spread=0.1, p_value=1e-3, alike=("delay", "lag"))
-    both = second.merged_with(first)
-    assert (both.value, both.spread, both.p_value) == (-2.0, 0.3, 1e-9)
-    assert both.alike == ("lag", "delay")

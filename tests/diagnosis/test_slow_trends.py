@@ -25,9 +25,9 @@ def lagged(moved_m: Array) -> Array:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("beside", ["nothing", "dropouts", "lag"])
+@pytest.mark.parametrize("beside", ["dropouts", "lag"])
 def test_a_loss_of_sensitivity_is_named_beside_dropouts_or_a_lag(
-    beside: Literal["nothing", "dropouts", "lag"],
+    beside: Literal["dropouts", "lag"],
 ) -> None:
     rng, field = np.random.default_rng(3), triangles(CYCLES + 3, SAMPLES)
     moved_m = 2e-5 * LAWS["bouc_wen"](field)[3 * SAMPLES :]

@@ -10,7 +10,7 @@ from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effect import EffectEstimate
 from piezoid.diagnosis.effects import resonance
 from piezoid.diagnosis.selection import Outcome, search
-from piezoid.diagnosis.step_responses import SETTLED, behind_jumps, modes_behind_jumps
+from piezoid.diagnosis.step_responses import behind_jumps, modes_behind_jumps
 from piezoid.identification.extensions import LAYOUT_OF_EXTENSIONS
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
@@ -109,20 +109,6 @@ def test_a_ring_that_drowns_in_the_noise_is_no_evidence() -> None:
     noise_m = np.random.default_rng(8).normal(0.0, NOISE_m, 9000)
     recordings = [recording("sweep"), recording("walk", STROKE_m * faint + noise_m, jumping())]
     assert modes_behind_jumps(view_on(recordings, axis="x", lab=Lab())) == ()
-
-
-def test_what_follows_a_jump_is_looked_at_from_where_it_has_settled() -> None:
-    recordings = [recording("sweep"), recording("walk", STROKE_m * static(), jumping())]
-    there = behind_jumps(view_on(recordings, axis="x", lab=Lab()))
-    (track,) = there.tracks
-    assert track.rows[0] == JUMP_AT + SETTLED
-    assert np.all(np.diff(track.rows) == 1)
-    assert len(np.unique(track.block)) > 10
-
-
-def test_drives_that_only_move_fast_have_no_jumps() -> None:
-    recordings = [recording("sweep"), recording("walk"), recording("waves")]
-    assert behind_jumps(view_on(recordings, axis="x", lab=Lab())) is None
 
 
 def test_a_jump_behind_which_the_drive_goes_on_as_fast_tells_nothing() -> None:

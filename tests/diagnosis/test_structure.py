@@ -15,7 +15,7 @@ from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.selection import search
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
-from .bench import healthy_view, recorded, view_of_recordings
+from .bench import recorded, view_of_recordings
 
 EVERY = 12  # rows: a search for the best of all Bouc-Wen states needs no more
 
@@ -59,17 +59,6 @@ def test_a_bouc_wen_ceramic_behind_a_bent_scale_is_followed_by_a_bent_state_only
     assert abs(bend) > 0.1
     assert bent.rms < 1.1 * bent.noise
     assert with_bouc_wen(bent, (*law, 0.0)).rms > 1.2 * bent.noise
-
-
-def test_columns_behind_the_others_and_products_that_are_known_change_nothing() -> None:
-    view = healthy_view()
-    columns, more = view.nuisance.columns, np.linspace(-1.0, 1.0, len(view.response))[:, None]
-    rest = {"response": view.response, "block": view.block}
-    made = Null(columns=np.hstack([columns, more]), **rest)
-    known = Null(columns=columns, extra=more, column_gram=view.nuisance.gram, **rest)
-    np.testing.assert_allclose(known.gram, made.gram, rtol=1e-12, atol=1e-9)
-    np.testing.assert_allclose(known.residual, made.residual, atol=1e-9)
-    assert known.rms == pytest.approx(made.rms, rel=1e-9)
 
 
 def test_a_part_that_no_bouc_wen_state_does_as_well_is_judged_without_one() -> None:

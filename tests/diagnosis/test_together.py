@@ -10,8 +10,6 @@ from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
 from .bench import recorded, view_of_recordings
 
-NOISE = 1.0
-
 
 def test_a_limit_and_the_lag_behind_it_are_found_together_and_not_one_after_the_other() -> None:
     sizes = {"slew_limit": 0.5, "lag": 0.3}

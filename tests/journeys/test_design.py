@@ -8,7 +8,7 @@ import typer
 from typer.testing import CliRunner
 
 from piezoid.design.design import design_from_json
-from piezoid.errors import DesignError, ParameterFileError, TemplateError
+from piezoid.errors import DesignError, TemplateError
 from piezoid.identification.dynamics.bandwidth import unmeasured
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.store import write_model
@@ -116,13 +116,6 @@ def test_where_one_of_two_axes_cannot_be_met_the_other_is_written(
     assert "axis y has no controller" in page
 
 
-def test_a_changed_model_is_refused(stage: Path) -> None:
-    content = (stage / "model.json").read_bytes()
-    (stage / "model.json").write_bytes(content.replace(b"4000.0", b"4001.0"))
-    _, _, error = run(stage)
-    assert isinstance(error, ParameterFileError)
-
-
 def test_the_rate_may_be_given_where_the_model_has_none(stage: Path) -> None:
     (stage / "model.json").write_bytes(write_model(replace(MODEL, controller_rate_Hz=None)))
     _, _, error = run(stage)
@@ -138,14 +131,3 @@ def test_a_rate_at_which_no_controller_runs_is_refused(stage: Path, rate: str) -
     _, _, error = run(stage, "--rate", rate)
     assert isinstance(error, DesignError)
     assert "Hz, which its code takes" in str(error)
-
-
-def test_a_report_without_controllers_says_why() -> None:
-    page = render(
-        Page(
-            model=stage_model(axis_model()),
-            recordings=[recording()],
-            undesigned="no pole is declared",
-        )
-    )
-    assert page.count("no pole is declared") == 1

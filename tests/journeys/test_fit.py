@@ -120,15 +120,6 @@ def test_a_missing_file_is_one_message_and_debug_brings_the_traceback(tmp_path: 
     assert "Traceback" in again.stderr
 
 
-def test_a_folder_with_results_is_kept_unless_forced(tmp_path: Path) -> None:
-    (tmp_path / "stage").mkdir()
-    (tmp_path / "stage" / "model.json").write_text("precious")
-    done = piezoid("fit", "sweep.csv", "--out", "stage", place=tmp_path)
-    assert done.returncode == 2
-    assert "--force" in done.stderr
-    assert (tmp_path / "stage" / "model.json").read_text() == "precious"
-
-
 def test_help_names_the_verbs_and_loads_nothing_heavy(tmp_path: Path) -> None:
     done = piezoid("--help", place=tmp_path)
     assert done.returncode == 0

@@ -86,10 +86,3 @@ def test_scripts_read_json(folder: Path) -> None:
     assert [column["si_unit"] for column in good["columns"]] == ["s", "V", "m", ""]
     assert good["refusal"] is None
     assert "lab.toml" in scope["refusal"]
-
-
-def test_scripts_read_the_format_of_real_files(realdata: Path) -> None:
-    _, text = run("--json", *sorted((realdata / "formats").iterdir()))
-    files = json.loads(text)["files"]
-    assert len(files) == 9
-    assert all(file["format"] for file in files)

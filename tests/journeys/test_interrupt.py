@@ -88,7 +88,7 @@ def test_interrupted_while_modules_load_the_status_is_130_and_the_message_one_li
     )
     words = ["simulate", "--recording", "sweep", "--out", "stage", "--quiet"]
     statuses = []
-    for k in range(16):
+    for k in range(8):
         process = subprocess.Popen(
             [sys.executable, "-c", code, *words],
             cwd=tmp_path,
@@ -97,7 +97,7 @@ def test_interrupted_while_modules_load_the_status_is_130_and_the_message_one_li
         )
         assert process.stdout is not None
         process.stdout.readline()
-        time.sleep(0.02 + 0.1 * k)
+        time.sleep(0.02 + 0.2 * k)
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=60)
         statuses.append(process.returncode)
@@ -106,7 +106,7 @@ def test_interrupted_while_modules_load_the_status_is_130_and_the_message_one_li
             break
         assert said == b"interrupted: nothing is left half written\n"
         assert not list(tmp_path.iterdir())
-    assert len(statuses) > 4
+    assert len(statuses) > 2
 
 
 def test_an_interruption_that_a_library_swallows_still_ends_the_command(tmp_path: Path) -> None:

@@ -139,8 +139,3 @@ def test_every_schema_number_is_in_the_list_of_schemas() -> None:
         for schema in re.findall(r'"(piezoid\.\w+/\d+)"', place.read_text(encoding="utf-8"))
     }
     assert written <= listed
-
-
-@pytest.mark.parametrize("name", [".github/workflows/ci.yml", ".pre-commit-config.yaml"])
-def test_files_for_other_machines_are_well_formed(name: str) -> None:
-    assert yaml.safe_load(text_of(name))

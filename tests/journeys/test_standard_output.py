@@ -18,13 +18,12 @@ def recording(tmp_path: Path) -> Path:
     return place
 
 
-@pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
-def test_characters_that_a_terminal_has_not_degrade(encoding: str, recording: Path) -> None:
+def test_characters_that_a_terminal_has_not_degrade(recording: Path) -> None:
     out = recording.with_name("lab.toml")
     for words in (("inspect", recording), ("init", recording, "--out", out)):
         done = subprocess.run(
             [*PIEZOID, *words],
-            env={**os.environ, "PYTHONIOENCODING": encoding},
+            env={**os.environ, "PYTHONIOENCODING": "ascii"},
             capture_output=True,
             check=False,
         )

@@ -4,7 +4,6 @@ import json
 import math
 import re
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +12,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from piezoid.errors import ExcitationError, LabFileError
+from piezoid.errors import LabFileError
 from piezoid.identification.store import read_model, write_model
-from piezoid.identification.tunnelling.closed_loop import identify_closed_loop
-from piezoid.identification.tunnelling.loop_files import loops_of, period_of, rig_of_loop
+from piezoid.identification.tunnelling.loop_files import loops_of, period_of
 from piezoid.identification.tunnelling.model import join_barriers
 from piezoid.records.collection import collect
 from piezoid.records.inspection import inspect_files
@@ -207,22 +205,6 @@ def test_what_lab_toml_lacks_or_has_wrong_is_refused_with_what_to_write(
         _read(made / "recordings" / "loop_1.csv", read_lab(place))
 
 
-def test_a_drive_of_the_wrong_sign_is_refused(made: Path) -> None:
-    folder = made / "recordings"
-    rig, (loop,) = _read(folder / "loop_1.csv", read_lab(folder / "lab.toml"))
-    with pytest.raises(ExcitationError, match="falls as the drive rises"):
-        identify_closed_loop(
-            replace(loop, drive_V=-loop.drive_V),
-            amplifier_pole_Hz=rig.amplifier_pole_Hz,
-            drive_gain_m_per_V=rig.drive_gain_m_per_V,
-        )
-
-
-def test_a_tip_whose_rig_nobody_declared_is_refused() -> None:
-    with pytest.raises(LabFileError, match="set_point_A"):
-        rig_of_loop(Lab(), "z")
-
-
 def test_a_period_is_found_and_only_where_there_is_one(rng: np.random.Generator) -> None:
     once = rng.standard_normal(250)
     assert period_of(np.round(np.tile(once, 4)[:930], 7)) == 250
@@ -240,12 +222,6 @@ def test_two_barriers_that_differ_are_not_averaged() -> None:
     assert other.decay_per_m is None
     assert other.decay_interval_per_m == (14.5e9, 20.9e9)
     assert other.ratio == pytest.approx(15.0 / 20.65, rel=1e-3)
-
-
-def test_an_unbounded_sweep_leaves_the_loop_alone() -> None:
-    joint = join_barriers((30e9, (0.0, math.inf)), (20.0e9, (19.0e9, 21.0e9)))
-    assert joint.agree
-    assert joint.decay_per_m == pytest.approx(20e9)
 
 
 def test_too_short_a_tip_is_a_usage_error(tmp_path: Path) -> None:

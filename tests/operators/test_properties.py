@@ -6,13 +6,12 @@ import pytest
 from piezoid.errors import NotInvertibleError
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones
-from piezoid.operators.modified_prandtl_ishlinskii import Converter, compensate
 from piezoid.operators.play import (
     is_admissible,
     play_columns,
 )
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from tests.operators.draws import draw_memory, draw_model, draw_plays, random_walk
+from tests.operators.draws import random_walk
 
 ROUNDING = 2e-13  # some hundred operations on numbers of order one
 
@@ -50,45 +49,6 @@ def test_a_map_that_is_flat_anywhere_has_no_inverse() -> None:
         zones = DeadZones(threshold=np.array([0.0, 1.0]), weight=np.array([1.0, last]))
         assert zones.is_invertible is invertible
         assert np.ptp(zones.run(np.array([1.0, 2.0]))) == pytest.approx(abs(1.0 + last))
-
-
-def test_synchronised_compensation_survives_clipping_and_rounding() -> None:
-    rng = np.random.default_rng(3)
-    model = draw_model(rng)
-    target, _ = model.run(4.5 * np.sin(np.arange(5000) / 90.0), model.virgin_memory())
-    converter = Converter(minimum_V=-3.5, maximum_V=3.5, lsb_V=0.05)
-    errors = {}
-    for synchronise in (True, False):
-        applied, _ = compensate(
-            model, target, model.virgin_memory(), converter, synchronise=synchronise
-        )
-        reached, _ = model.run(applied, model.virgin_memory())
-        free = np.abs(applied) < 3.4
-        errors[synchronise] = np.abs(reached - target)[free].max()
-        np.testing.assert_allclose(applied / 0.05, np.round(applied / 0.05), atol=1e-9)
-    half_step = 0.5 * 0.05 * model.slope_sector_m_per_V[1]
-    assert errors[True] <= half_step * (1 + 1e-9)
-    assert errors[False] > 5 * errors[True]
-
-
-def test_without_a_converter_compensation_is_the_inverse(rng: np.random.Generator) -> None:
-    model = draw_model(rng)
-    memory = draw_memory(rng, model)
-    y, _ = model.run(random_walk(rng, 400), memory)
-    applied, after = compensate(model, y, memory, Converter())
-    command, expected = model.inverse_run(y, memory)
-    np.testing.assert_allclose(applied, command, atol=ROUNDING)
-    np.testing.assert_allclose(after, expected, atol=ROUNDING)
-
-
-def test_branches_obey_masings_rule(rng: np.random.Generator) -> None:
-    plays = draw_plays(rng)
-    peak = 1.5 * plays.threshold[-1]
-    down = np.linspace(peak, -peak, 400)
-    y, _ = plays.run(np.concatenate([[-peak, peak], down]), plays.virgin_memory())
-    branch = y[2:]
-    expected = branch[0] - 2 * plays.loading_curve((peak - down) / 2)
-    np.testing.assert_allclose(branch, expected, atol=ROUNDING)
 
 
 def test_weights_without_an_inverse_are_refused_with_their_number() -> None:

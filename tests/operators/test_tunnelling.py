@@ -35,15 +35,6 @@ def test_barrier_and_decay_undo_each_other(rng: np.random.Generator) -> None:
         )
 
 
-def test_a_decade_of_current_is_225_picometres_at_one_electronvolt() -> None:
-    gap_m = np.array([0.0, math.log(10.0) / decay_of_barrier(1.0)])
-    current_A = current_through_gap(
-        gap_m, decay_per_m=decay_of_barrier(1.0), current_at_zero_gap_A=1e-9
-    )
-    assert gap_m[1] == pytest.approx(0.225e-9, abs=1e-12)
-    assert current_A[1] == pytest.approx(1e-10, rel=1e-13, abs=0.0)
-
-
 def test_the_textbook_ratio_of_currents_at_500_and_515_picometres() -> None:
     """exp(-2 beta L) with beta = 10 /nm gives 1.350."""
     gap_m = np.array([0.500e-9, 0.515e-9])

@@ -8,7 +8,6 @@ import pytest
 from piezoid.diagnosis.diagnosis import NotDetected
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
-from piezoid.formatting import words
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.model import Lag
@@ -84,23 +83,6 @@ def test_a_lag_the_model_carries_is_taken_out_to_be_seen() -> None:
     assert alike > 0.6
 
 
-def test_what_hides_best_stands_first_and_what_was_not_tested_last() -> None:
-    page = Anatomy(render_diagnosis(stage_model(axis_model()), [], diagnosed(finding("delay"))))
-    rows = [e.text for e in page.all("tr")]
-    where = {
-        name: k for k, row in enumerate(rows) for name in NAMES if row.startswith(words(name))
-    }
-    known = [
-        one
-        for one in diagnosed(finding("delay")).not_detected
-        if effect_named(one.effect).fault is None
-    ]
-    tested = sorted(known, key=lambda one: -(one.detection_limit_m or 0.0))
-    places = [where[one.effect] for one in tested]
-    assert places == sorted(places)
-    assert tested[-1].effect == "creep"
-
-
 def test_every_axis_has_its_part_and_an_effect_is_described_once() -> None:
     found = diagnosed(finding("delay"))
     other = replace(diagnosed(finding("delay"), finding("creep")), axis="y")
@@ -173,14 +155,6 @@ def test_creep_without_a_hold_is_drawn_over_time_and_says_so() -> None:
     assert effect_named("creep").shows.label in figure.text
 
 
-def test_a_note_on_the_pictures_stands_where_there_are_pictures() -> None:
-    found = diagnosed(finding("creep"))
-    drawn = render_diagnosis(stage_model(axis_model()), [recording()], found, note="Quick.")
-    bare = render_diagnosis(stage_model(axis_model()), [], found, note="Quick.")
-    assert [e.text for e in Anatomy(drawn).all("p")].count("Quick.") == 1
-    assert "Quick." not in bare
-
-
 def test_a_diagnosis_drawn_on_a_model_in_no_file_names_no_model_json() -> None:
     found = diagnosed(finding("creep"))
     written = write_diagnosis(found)
@@ -202,9 +176,3 @@ def test_a_drift_that_the_fit_follows_is_named_beside_the_bound_of_a_drift() -> 
     page = Page(model=stage_model(axis_model()), recordings=[recording()], diagnoses=(found,))
     cells = [e.text.replace("\u202f", " ") for e in Anatomy(render(page)).all("td")]
     assert "1.00 nm, 2.00 nm, beyond the drift that the fit follows" in cells
-
-
-def test_a_p_value_below_a_thousandth_is_printed_as_such() -> None:
-    found = diagnosed(replace(finding("creep"), p_value=8.4e-8))
-    page = Page(model=stage_model(axis_model()), recordings=[recording()], diagnoses=(found,))
-    assert "< 0.001" in [e.text for e in Anatomy(render(page)).all("td")]

@@ -1,6 +1,5 @@
 """The page of a batch: what was put into the fleet is named, and nothing else."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -107,23 +106,6 @@ def test_a_lag_that_is_known_and_off_stands_out_among_those_that_are_not_known()
     found = [_odd_lags(lags(seed, {20: 9e-5, 24: 9e-5})) for seed in range(20)]
     assert sum("unit 020" in names for names in found) >= 18
     assert sum("unit 024" in names for names in found) <= 1
-
-
-def test_a_value_that_stands_out_is_shown_with_its_own_interval() -> None:
-    page = render_fleet(lags(1, {20: 1.5e-4})).replace("\u202f", " ")
-    row = next(row.text for row in Anatomy(page).all("tr") if "sigma" in row.text)
-    assert "unit 020" in row
-    assert re.search(r"\(1\d\d\.\d ± 7\.8\) µs", row)
-
-
-def test_the_farthest_stage_leads_the_verdict_and_the_rest_are_counted() -> None:
-    rng = np.random.default_rng(3)
-    made = [stage(k, rng) for k in range(60)]
-    for k, noise_m in ((4, 2e-8), (17, 3e-8), (30, 8e-8), (51, 4e-8)):
-        made[k] = stage(k, rng, noise_rms_m=noise_m)
-    page = Anatomy(render_fleet(Fleet(name="night", stages=tuple(made))))
-    said = page.all("p", "prose")[0].text
-    assert "4 stand out from the others: unit 030, unit 051, unit 017 most, and 1 more." in said
 
 
 def test_a_drift_over_the_serial_numbers_is_seen_and_the_drifted_are_no_outliers() -> None:

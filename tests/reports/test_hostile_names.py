@@ -72,7 +72,3 @@ def test_characters_that_turn_or_break_a_line_are_shown_as_codes() -> None:
     assert printable("a\u202eb\x00c\n\ud800") == "a\\u202eb\\x00c\\n\\ud800"
     ours = "10\u202fnm µ \N{MINUS SIGN} שלום"
     assert printable(ours) == ours
-
-
-def test_numbers_and_finished_markup_pass_untouched() -> None:
-    assert printable(12) == 12

@@ -17,17 +17,6 @@ def test_a_recording_and_a_model_show_their_numbers_in_a_notebook() -> None:
     assert "does not apply: it turns back" in refused._repr_html_()
 
 
-def test_a_model_prints_a_short_table_with_units() -> None:
-    model = stage_model(axis_model())
-    title, headings, rule, row = str(model.summary()).splitlines()
-    assert title == f"Stage {model.stage}"
-    assert set(rule) == {"-"}
-    assert row.startswith("x ")
-    assert row.index("30.0 nm rms, 0.12 %") == headings.index("held-out error")
-    assert row.index("5.00 nm rms") == headings.index("noise")
-    assert repr(model) == repr(model.summary()) == str(model.summary())
-
-
 def test_no_name_in_a_shown_record_is_markup() -> None:
     held = replace(recording(), name="<script>alert(1)</script>.csv")
     assert "<script" not in held._repr_html_()

@@ -83,10 +83,6 @@ def test_the_terminal_prints_the_same_number(value: float) -> None:
     assert set_here == plain
 
 
-def test_microns_in_a_sentence_are_written_without_a_power_of_ten() -> None:
-    assert formatting.with_unit(6.06e-6, "m") == "6.06 µm"
-
-
 def test_a_value_that_may_be_anything_is_not_told():
     assert "1.45" not in with_interval(1.45, (0.0, math.inf), "eV")
     assert "1.45" in with_interval(1.45, (1.2, math.inf), "eV")

@@ -11,7 +11,6 @@ from piezoid_reports.page import Page
 from piezoid_reports.render import render
 from piezoid_reports.sections import SECTIONS
 from tests.reports.anatomy import Anatomy
-from tests.reports.known_diagnosis import diagnosed, finding
 from tests.reports.known_stage import axis_model, recording, stage_model
 
 
@@ -27,23 +26,6 @@ def test_a_model_without_its_recordings_still_makes_a_page() -> None:
     page = Anatomy(render(Page(model=stage_model(axis_model()))))
     assert [e.attributes["id"] for e in page.all("section")] == [
         "summary",
-        "parameters",
-        "limits",
-        "provenance",
-    ]
-
-
-def test_a_whole_page_has_its_sections_in_the_order_of_the_tuple() -> None:
-    found = diagnosed(finding("creep"))
-    page = Anatomy(
-        render(Page(model=stage_model(axis_model()), recordings=[recording()], diagnoses=(found,)))
-    )
-    assert [e.attributes["id"] for e in page.all("section")] == [
-        "summary",
-        "error-budget",
-        "loops",
-        "residuals",
-        "findings",
         "parameters",
         "limits",
         "provenance",

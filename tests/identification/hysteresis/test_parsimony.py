@@ -67,7 +67,7 @@ def test_the_choice_is_as_good_as_the_best_of_all_that_was_tried(law: str) -> No
     assert quality.held_out_rms_m < 1.15 * least_m
 
 
-@pytest.mark.parametrize("small", [0.01, 0.1, 0.4])
+@pytest.mark.parametrize("small", [0.01, 0.4])
 def test_a_recording_that_goes_further_than_all_others_cannot_blow_up(small: float) -> None:
     rng = np.random.default_rng(3)
     wide = np.tile(decaying(12), 2)
