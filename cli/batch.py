@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from piezoid_cli.batch_stage import StageTask
-    from piezoid_reports.fleet.records import Fleet, FleetStage, StagesOnDisk
+    from piezoid_reports.fleet.records import Fleet, StagesOnDisk
 
 ROW_GROUP = 5000  # stages whose rows are in memory at one time
 MAX_REASONS = 200  # stages that did not pass and are named in the terminal
@@ -227,19 +227,17 @@ def write_table(fleet: "Fleet", stream: BinaryIO) -> None:
     with pq.ParquetWriter(stream, schema, compression="zstd") as table:
         stages = iter(fleet.stages)
         while group := list(islice(stages, ROW_GROUP)):
-            rows = [row for stage in group for row in _rows(stage)]
+            rows: list[dict[str, Any]] = []
+            for stage in group:
+                about = {
+                    "stage": stage.name,
+                    "state": stage.state,
+                    "reason": stage.reason,
+                    "serial": stage.serial,
+                    "model_digest": stage.outputs.get("model.json"),
+                }
+                rows += [
+                    {**about, "axis": a.axis, "applies": a.applies, **a.values, **a.parameters}
+                    for a in stage.axes
+                ] or [about]
             table.write_table(pa.Table.from_pylist(rows, schema=schema))
-
-
-def _rows(stage: "FleetStage") -> list[dict[str, Any]]:
-    about = {
-        "stage": stage.name,
-        "state": stage.state,
-        "reason": stage.reason,
-        "serial": stage.serial,
-        "model_digest": stage.outputs.get("model.json"),
-    }
-    return [
-        {**about, "axis": a.axis, "applies": a.applies, **a.values, **a.parameters}
-        for a in stage.axes
-    ] or [about]

@@ -46,10 +46,23 @@ def find_stages(folder: Path, results: str, *, force: bool = False) -> tuple[Sta
     tasks = []
     root, current = os.path.realpath(folder), version("piezoid")
     for path, below, files in os.walk(root):
-        below[:] = sorted(name for name in below if not _is_result(Path(path, name), results))
+        # Folders that a fit or a batch wrote are no stages.
+        below[:] = sorted(
+            name
+            for name in below
+            if not lists_results(Path(path, name))
+            and os.path.realpath(Path(path, name)) != os.path.realpath(results)
+        )
         if LAB in files and os.path.isfile(os.path.join(path, LAB)):
             name = Path(os.path.relpath(path, root)).as_posix()
-            _check_name(name)
+            try:
+                name.encode()
+            except UnicodeEncodeError as error:
+                raise RecordingError(
+                    f"the folder {name!r} has a name that is no text in UTF-8",
+                    needed="names that can be written into the summary",
+                    remedy="Rename the folder.",
+                ) from error
             task = StageTask(name=name, folder=path, results=results, version=current, force=force)
             tasks.append(task)
     if not tasks:
@@ -62,22 +75,6 @@ def find_stages(folder: Path, results: str, *, force: bool = False) -> tuple[Sta
             remedy="Check its name, or write one: piezoid init FILES... --out STAGE/lab.toml",
         )
     return tuple(tasks)
-
-
-def _is_result(folder: Path, results: str) -> bool:
-    """Return whether a folder holds what a fit or a batch wrote."""
-    return lists_results(folder) or os.path.realpath(folder) == os.path.realpath(results)
-
-
-def _check_name(name: str) -> None:
-    try:
-        name.encode()
-    except UnicodeEncodeError as error:
-        raise RecordingError(
-            f"the folder {name!r} has a name that is no text in UTF-8",
-            needed="names that can be written into the summary",
-            remedy="Rename the folder.",
-        ) from error
 
 
 def pending_stages(tasks: Sequence[StageTask], finished: "StagesOnDisk") -> list[StageTask]:
@@ -174,6 +171,7 @@ def run_on_workers(
     workers died of it.
     """
     from distributed import as_completed
+    from distributed.scheduler import KilledWorker
 
     waiting, run = enumerate(tasks), token_hex(4)
     submitted = {}
@@ -189,20 +187,15 @@ def run_on_workers(
     submit(max(MIN_SUBMITTED, 2 * sum(client.nthreads().values())))
     for future, result in completed:
         task = submitted.pop(future)
+        error = result[1] if isinstance(result, tuple) else None
         if future.status == "finished":
             yield task, result, ""
+        elif error is None:
+            yield task, b"", "the scheduler gave the work up"
+        elif isinstance(error, KilledWorker):
+            reason = "every worker that took it died: it may need more memory than there is"
+            yield task, b"", reason
         else:
-            yield task, b"", _failure_reason(result)
+            yield task, b"", f"{type(error).__name__}: {error}"
         future.release()
         submit(1)
-
-
-def _failure_reason(failure: object) -> str:
-    from distributed.scheduler import KilledWorker
-
-    error = failure[1] if isinstance(failure, tuple) else None
-    if error is None:
-        return "the scheduler gave the work up"
-    if isinstance(error, KilledWorker):
-        return "every worker that took it died: it may need more memory than there is"
-    return f"{type(error).__name__}: {error}"

@@ -1,6 +1,6 @@
 """One stage of a batch: its files, its earlier result and its calibration, on any worker."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -79,26 +79,22 @@ def run_task(task: StageTask, calibrate: Calibrate | None = None) -> bytes:
 def inputs_of(task: StageTask) -> dict[str, str]:
     """Return the digest of every file of a stage by name, ``lab.toml`` among them."""
     from piezoid.digests import digest_of_file
-
-    folder = Path(task.folder)
-    return {name: digest_of_file(folder / name) for name in (LAB, *_recordings(folder))}
-
-
-def _recordings(folder: Path) -> Sequence[str]:
-    """Return the files a lab.toml names, or else every file beside it that may be one."""
     from piezoid.errors import PiezoidError
     from piezoid.records.lab import read_lab
 
+    folder = Path(task.folder)
     try:
         declared = [entry.file for entry in read_lab(folder / LAB).recordings]
     except PiezoidError:
         declared = []  # it is read again, and its refusal becomes the stage's reason
-    present = [name for name in dict.fromkeys(declared) if (folder / name).is_file()]
-    return present or sorted(
+    recordings = [name for name in dict.fromkeys(declared) if (folder / name).is_file()]
+    # Without entries every file beside lab.toml may be a recording.
+    recordings = recordings or sorted(
         file.name
         for file in folder.iterdir()
         if file.is_file() and file.suffix not in NO_RECORDING and file.name[0] != "."
     )
+    return {name: digest_of_file(folder / name) for name in (LAB, *recordings)}
 
 
 def _read_record(task: StageTask) -> FleetStage | None:
@@ -152,22 +148,9 @@ def broken(
 
 
 def _record(task: StageTask, inputs: Mapping[str, str], calibration: "Calibration") -> FleetStage:
+    """Return the record of a calibrated stage; its reason is everything that failed."""
     from json import loads
 
-    sealed = {name: text for name, text in calibration.files.items() if name.endswith(".json")}
-    return FleetStage(
-        name=task.name,
-        state=PASSED if calibration.passed else FAILED,
-        reason=_reason(calibration),
-        version=task.version,
-        inputs=inputs,
-        outputs={name: loads(text)["digest"] for name, text in sealed.items()},
-        axes=tuple(_axis(axis, calibration) for axis in calibration.model.axes.values()),
-    )
-
-
-def _reason(calibration: "Calibration") -> str:
-    """Return everything that failed; empty if nothing did."""
     from piezoid.verification.criteria import describe_failure
 
     reasons = [
@@ -184,7 +167,16 @@ def _reason(calibration: "Calibration") -> str:
         reasons += [f"axis {axis} does not ship: {text}" for axis, text in unshipped.items()]
         verdicts = () if verification is None else verification.verdicts
         reasons += [describe_failure(verdict) for verdict in verdicts if not verdict.passed]
-    return "; ".join(reasons)
+    sealed = {name: text for name, text in calibration.files.items() if name.endswith(".json")}
+    return FleetStage(
+        name=task.name,
+        state=PASSED if calibration.passed else FAILED,
+        reason="; ".join(reasons),
+        version=task.version,
+        inputs=inputs,
+        outputs={name: loads(text)["digest"] for name, text in sealed.items()},
+        axes=tuple(_axis(axis, calibration) for axis in calibration.model.axes.values()),
+    )
 
 
 def _axis(axis: "AxisModel", calibration: "Calibration") -> FleetAxis:
@@ -200,18 +192,8 @@ def _axis(axis: "AxisModel", calibration: "Calibration") -> FleetAxis:
     compared = [q for q in QUANTITIES if in_counts(q.unit, axis.counted) == q.unit]
     values = {q.name: q.of(axis, designs.get(axis.axis)) for q in compared}
     errors = {q.name: q.error(axis) for q in compared}
-    return FleetAxis(
-        axis=axis.axis,
-        applies=axis.verdict.applies,
-        values={name: value for name, value in values.items() if value is not None},
-        parameters={} if axis.counted else _parameters(axis),
-        errors={n: error for n, error in errors.items() if error is not None and isfinite(error)},
-    )
-
-
-def _parameters(axis: "AxisModel") -> dict[str, float | list[float]]:
     hysteresis = axis.hysteresis
-    return {
+    parameters: dict[str, float | list[float]] = {
         "play_threshold_V": hysteresis.plays.threshold.tolist(),
         "play_weight_m_per_V": hysteresis.plays.weight.tolist(),
         "dead_zone_threshold_m": hysteresis.dead_zones.threshold.tolist(),
@@ -224,3 +206,10 @@ def _parameters(axis: "AxisModel") -> dict[str, float | list[float]]:
         "voltage_high_V": axis.voltage_V[1],
         "polarity": float(axis.polarity),
     }
+    return FleetAxis(
+        axis=axis.axis,
+        applies=axis.verdict.applies,
+        values={name: value for name, value in values.items() if value is not None},
+        parameters={} if axis.counted else parameters,
+        errors={n: error for n, error in errors.items() if error is not None and isfinite(error)},
+    )

@@ -20,8 +20,6 @@ from piezoid_cli.terminal import (
 )
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from piezoid.diagnosis.compare import ModelComparison
     from piezoid.diagnosis.diagnosis import Diagnosis
     from piezoid.identification.actuator_model import ActuatorModel
@@ -175,14 +173,27 @@ def _show(diagnosis: "Diagnosis") -> None:
     """Print the effects, the errors with and without them, and what needs action."""
     from rich.console import Console
 
-    from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
-    from piezoid.formatting import with_unit
+    from piezoid.diagnosis.diagnosis_statements import diagnosis_statements, largest_first
+    from piezoid.formatting import significant, with_unit
     from piezoid.raw_counts import in_counts, record_in_counts
     from piezoid.statement import Level
 
     console, counted = Console(), diagnosis.counted
     if diagnosis.findings:
-        console.print(_table(diagnosis))
+        rows = [
+            (
+                finding.effect + (f" ({finding.coordinate})" if finding.coordinate else ""),
+                f"{100 * finding.held_out_gain:.1f} %",
+                f"{significant(finding.size.value)} {finding.size.unit}",
+                " .. ".join(significant(end) for end in finding.size.ci95),
+                ", ".join(finding.not_separable_from),
+            )
+            for finding in largest_first(diagnosis)
+        ]
+        headings = ("effect", "gain", "size", "95 %", "not separable from")
+        count = len(diagnosis.findings)
+        title = f"axis {diagnosis.axis}: {count} {'effect' if count == 1 else 'effects'} found"
+        console.print(table(title, headings, rows, n_words=5))
     baseline, final = (with_unit(e.rms_m, "m") for e in (diagnosis.baseline, diagnosis.final))
     line = (
         f"axis {diagnosis.axis}: held-out error {baseline} without the findings, {final} with "
@@ -195,23 +206,3 @@ def _show(diagnosis: "Diagnosis") -> None:
     if any(statement.quantity == "no_effect_tested" for statement in statements):
         minimum = min(minimum, Level.WARNING)
     show_statements(record_in_counts(statements, counted), minimum)
-
-
-def _table(diagnosis: "Diagnosis") -> "Table":
-    from piezoid.diagnosis.diagnosis_statements import largest_first
-    from piezoid.formatting import significant
-
-    rows = [
-        (
-            finding.effect + (f" ({finding.coordinate})" if finding.coordinate else ""),
-            f"{100 * finding.held_out_gain:.1f} %",
-            f"{significant(finding.size.value)} {finding.size.unit}",
-            " .. ".join(significant(end) for end in finding.size.ci95),
-            ", ".join(finding.not_separable_from),
-        )
-        for finding in largest_first(diagnosis)
-    ]
-    headings = ("effect", "gain", "size", "95 %", "not separable from")
-    count = len(diagnosis.findings)
-    title = f"axis {diagnosis.axis}: {count} {'effect' if count == 1 else 'effects'} found"
-    return table(title, headings, rows, n_words=5)

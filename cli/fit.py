@@ -23,9 +23,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from piezoid.calibration.calibrate import Calibration, Progress
-    from piezoid.design.design import LoopDesign
     from piezoid.identification.coupled.coupled_stage import CoupledStage
-    from piezoid.identification.model import AxisModel
     from piezoid.identification.tunnelling.model import TunnellingModel
 
 WRITTEN = (
@@ -177,62 +175,38 @@ def show(calibration: "Calibration") -> None:
 
 def _table(calibration: "Calibration") -> "Table":
     """Return a row for each axis: error, noise, their ratio, loop and verdict."""
-    model, design = calibration.model, calibration.controllers.design
-    loops = {} if design is None else {axis.axis: axis.recommended for axis in design.axes}
-    names = list(dict.fromkeys([*model.axes, *loops]))
-    headings = ("axis", "error", "noise", "closure", "bandwidth", "guaranteed", "verdict")
-    rows = [
-        (
-            name,
-            *_fit_cells(model.axes.get(name)),
-            *_loop_cells(calibration, name, loops.get(name)),
-        )
-        for name in names
-    ]
-    return table(f"stage {model.stage}", headings, rows)
-
-
-def _fit_cells(axis: "AxisModel | None") -> tuple[str, str, str]:
-    """Return held-out error, sensor noise and their ratio."""
-    from piezoid.formatting import significant, with_unit
-    from piezoid.raw_counts import in_counts
-
-    if axis is None:
-        return "", "", ""
-    quality = axis.quality
-    error = in_counts(with_unit(quality.held_out_rms_m, "m"), axis.counted)
-    noise = in_counts(with_unit(quality.noise_rms_m, "m"), axis.counted)
-    ratio = quality.held_out_rms_m / quality.noise_rms_m if quality.noise_rms_m else 0.0
-    return (
-        error if quality.is_tested else f"{error} in sample",
-        f"{quality.noise_bound}{noise}",
-        significant(ratio, 2) if ratio else "",
-    )
-
-
-def _loop_cells(
-    calibration: "Calibration", name: str, loop: "LoopDesign | None"
-) -> tuple[str, str, str]:
-    """Return bandwidth, guaranteed error and verdict."""
     from piezoid.design.design_statements import guaranteed_error_m
-    from piezoid.formatting import with_unit
+    from piezoid.formatting import significant, with_unit
     from piezoid.identification.fit_statements import grade_of
     from piezoid.raw_counts import in_counts
 
-    axis, ships = calibration.model.axes.get(name), name in calibration.controllers.shipped
-    grade = "" if axis is None else f"{grade_of(axis).value}; "
-    if loop is None:
-        return "", "", f"{grade}no controller"
-    bound = ""
-    if axis is not None:
-        bound_m = guaranteed_error_m(loop.certificate, axis, is_verified=ships)
-        text = bound_m if isinstance(bound_m, str) else with_unit(bound_m, "m")
-        bound = in_counts(text, axis.counted)
-    return (
-        with_unit(loop.bandwidth_Hz, "Hz"),
-        bound,
-        f"{grade}{'ships' if ships else 'does not ship'}",
-    )
+    model, design = calibration.model, calibration.controllers.design
+    loops = {} if design is None else {axis.axis: axis.recommended for axis in design.axes}
+    rows = []
+    for name in dict.fromkeys([*model.axes, *loops]):
+        axis, loop = model.axes.get(name), loops.get(name)
+        ships = name in calibration.controllers.shipped
+        error = noise = closure = bound = grade = ""
+        if axis is not None:
+            quality = axis.quality
+            error = in_counts(with_unit(quality.held_out_rms_m, "m"), axis.counted)
+            error = error if quality.is_tested else f"{error} in sample"
+            noise_rms = in_counts(with_unit(quality.noise_rms_m, "m"), axis.counted)
+            noise = f"{quality.noise_bound}{noise_rms}"
+            ratio = quality.held_out_rms_m / quality.noise_rms_m if quality.noise_rms_m else 0.0
+            closure = significant(ratio, 2) if ratio else ""
+            grade = f"{grade_of(axis).value}; "
+        if axis is not None and loop is not None:
+            bound_m = guaranteed_error_m(loop.certificate, axis, is_verified=ships)
+            text = bound_m if isinstance(bound_m, str) else with_unit(bound_m, "m")
+            bound = in_counts(text, axis.counted)
+        bandwidth, verdict = "", "no controller"
+        if loop is not None:
+            bandwidth = with_unit(loop.bandwidth_Hz, "Hz")
+            verdict = "ships" if ships else "does not ship"
+        rows.append((name, error, noise, closure, bandwidth, bound, f"{grade}{verdict}"))
+    headings = ("axis", "error", "noise", "closure", "bandwidth", "guaranteed", "verdict")
+    return table(f"stage {model.stage}", headings, rows)
 
 
 def _tip(tip: "TunnellingModel | None") -> list[str]:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from piezoid.records.inspection import ColumnSummary, Inspection
-    from piezoid.records.response_summary import Coupling, PathSummary, Peak
+    from piezoid.records.response_summary import PathSummary
     from piezoid.statement import Statement
 
 
@@ -157,9 +157,22 @@ def _table(
 
 def _cells(column: "ColumnSummary", *, has_noise: bool) -> tuple[str, ...]:
     is_clock = column.meaning == "time"  # whose noise and steps are the line below the table
-    noise = _quantity(_noise(column), column.si_unit)
-    if has_noise and column.noise_rms is None and column.minimum is not None:
-        noise = "unknown"  # too few samples, or a signal too fast
+    noise, low, high = column.noise_rms, column.minimum, column.maximum
+    if noise is not None and low is not None and high is not None:
+        # Of a computed ramp it is but rounding.
+        noise = noise if noise > ROUNDING * (high - low) else None
+    noise_rms = _quantity(noise, column.si_unit)
+    if has_noise and column.noise_rms is None and low is not None:
+        noise_rms = "unknown"  # too few samples, or a signal too fast
+    states = []
+    if low is None:
+        states.append("empty")
+    elif column.missing:
+        states.append(f"{column.missing} missing")
+    if column.is_dead:
+        states.append("dead")
+    if column.clipped:
+        states.append(f"{100 * column.clipped:.2g} % clipped")
     return tuple(
         _cut(cell)
         for cell in (
@@ -167,21 +180,13 @@ def _cells(column: "ColumnSummary", *, has_noise: bool) -> tuple[str, ...]:
             column.label,
             column.meaning,
             column.unit,
-            _quantity(column.minimum, column.si_unit),
-            _quantity(column.maximum, column.si_unit),
-            "" if is_clock else noise,
+            _quantity(low, column.si_unit),
+            _quantity(high, column.si_unit),
+            "" if is_clock else noise_rms,
             "" if is_clock else _quantity(column.step or None, column.si_unit),
-            _state(column),
+            ", ".join(states),
         )
     )
-
-
-def _noise(column: "ColumnSummary") -> float | None:
-    """Return the noise of a column; None where it is but rounding, of a computed ramp say."""
-    noise, low, high = column.noise_rms, column.minimum, column.maximum
-    if noise is None or low is None or high is None:
-        return noise
-    return noise if noise > ROUNDING * (high - low) else None
 
 
 def _cut(text: str) -> str:
@@ -198,22 +203,9 @@ def _quantity(value: float | None, unit: str) -> str:
     return number(value, unit, 4).replace(NARROW, " ")
 
 
-def _state(column: "ColumnSummary") -> str:
-    states = []
-    if column.minimum is None:
-        states.append("empty")
-    elif column.missing:
-        states.append(f"{column.missing} missing")
-    if column.is_dead:
-        states.append("dead")
-    if column.clipped:
-        states.append(f"{100 * column.clipped:.2g} % clipped")
-    return ", ".join(states)
-
-
 def response_lines(inspection: "Inspection") -> list[str]:
     """Return band, included poles, gain and peaks of each axis, and coupling."""
-    from piezoid.formatting import with_unit
+    from piezoid.formatting import significant, with_unit
 
     response = inspection.response
     if response is None:
@@ -229,42 +221,31 @@ def response_lines(inspection: "Inspection") -> list[str]:
     lines += [_path(path, response.lines) for path in response.paths if path.output == path.drive]
     if not inspection.axis_is_named:
         lines.append("  axis not named in the file, taken as x")
-    lines += [_coupling(coupling) for coupling in response.couplings]
+    for coupling in response.couplings:
+        low, drive = significant(100.0 * coupling.low, 2), coupling.drive
+        line = f"  {coupling.output} moves by {low} % of {drive} when {drive} is driven, at low "
+        line += "frequency"
+        if coupling.at_mode is not None:
+            at_mode = significant(100.0 * coupling.at_mode, 2)
+            line += f", and {at_mode} % at the mode of {drive}"
+        lines.append(line)
     if response.couplings:
         lines.append("  each axis has its own response; coupling is reported, not controlled")
     return lines
 
 
 def _path(path: "PathSummary", lines: int) -> str:
-    from piezoid.formatting import with_unit
+    from piezoid.formatting import significant, with_unit
 
     coherent = (
         f"{path.coherent} of {lines} lines coherent" if path.has_coherence else "no coherence"
     )
-    if path.peaks:
-        peaks = "possible resonances at " + ", ".join(map(_peak, path.peaks[:MAX_PEAKS]))
-        peaks += f" and {len(path.peaks) - MAX_PEAKS} more" * (len(path.peaks) > MAX_PEAKS)
-    else:
-        peaks = "no peak"
+    resonances = []
+    for peak in path.peaks[:MAX_PEAKS]:
+        quality = "" if peak.quality is None else f" (Q about {significant(peak.quality, 2)})"
+        resonances.append(f"{with_unit(peak.frequency_Hz, 'Hz')}{quality}")
+    peaks = f"possible resonances at {', '.join(resonances)}" if resonances else "no peak"
+    if len(path.peaks) > MAX_PEAKS:
+        peaks += f" and {len(path.peaks) - MAX_PEAKS} more"
     gain = f"{with_unit(path.gain_m_per_V, 'm')}/V at low frequency"
     return f"  axis {path.output}: {gain}, {coherent}, {peaks}"
-
-
-def _peak(peak: "Peak") -> str:
-    from piezoid.formatting import significant, with_unit
-
-    quality = "" if peak.quality is None else f" (Q about {significant(peak.quality, 2)})"
-    return f"{with_unit(peak.frequency_Hz, 'Hz')}{quality}"
-
-
-def _coupling(coupling: "Coupling") -> str:
-    from piezoid.formatting import significant
-
-    low, drive = significant(100.0 * coupling.low, 2), coupling.drive
-    text = (
-        f"  {coupling.output} moves by {low} % of {drive} when {drive} is driven, at low frequency"
-    )
-    if coupling.at_mode is not None:
-        at_mode = significant(100.0 * coupling.at_mode, 2)
-        text += f", and {at_mode} % at the mode of {coupling.drive}"
-    return text

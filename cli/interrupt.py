@@ -54,7 +54,8 @@ def interruptible() -> Iterator[None]:
             raise
     _stop_raising()
     if _State.is_interrupted:
-        _end()
+        sys.stderr.write(_LINE)
+        sys.exit(INTERRUPTED)
 
 
 @contextmanager
@@ -97,8 +98,3 @@ def _stop_raising() -> None:
     _State.is_postponed = True
     if signal.getsignal(signal.SIGINT) is _handle:  # Python drops the handler before it unloads
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _end() -> None:
-    sys.stderr.write(_LINE)
-    sys.exit(INTERRUPTED)

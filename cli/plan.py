@@ -8,8 +8,6 @@ import typer
 from piezoid_cli.terminal import Force, JsonFile, Quiet, plain, print_raw, table
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from piezoid.diagnosis.experiment import Plan
     from piezoid.identification.model import AxisModel
 
@@ -113,25 +111,20 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
         console.print(plain(text, style="bold"))
     for sentence in sentences(planned):
         console.print(plain(sentence))
-    console.print(_table(planned))
-    console.print(plain(f"drive: {drive}"))
-
-
-def _table(planned: "Plan") -> "Table":
-    """Return the drives that were simulated; separability only where two effects compete."""
+    # The drives that were simulated; separability only where two effects compete.
     is_single = planned.question.kind != "separate"
     headings = ("drive", "duration", *(() if is_single else ("separability",)))
     rows: list[tuple[Any, ...]] = []
-    for drive in planned.alternatives:
-        estimate = drive.estimate
+    for candidate in planned.alternatives:
+        name, estimate = candidate.name, candidate.estimate
         if estimate is None:
-            rows.append((drive.name, *[""] * (len(headings) - 1), drive.refusal))
+            rows.append((name, *[""] * (len(headings) - 1), candidate.refusal))
             continue
         error = estimate.errors[0] if is_single else estimate.worst
         rows.append(
             (
-                plain(drive.name, style="bold" if drive.name == planned.drive.name else ""),
-                f"{drive.duration_s:.0f} s",
+                plain(name, style="bold" if name == planned.drive.name else ""),
+                f"{candidate.duration_s:.0f} s",
                 *(() if is_single else (f"{estimate.separability:.2g}",)),
                 f"{100 * error:.2g} %" if error < 10.0 else "not shown",
             )
@@ -139,4 +132,5 @@ def _table(planned: "Plan") -> "Table":
     title = f"axis {planned.axis}: {' against '.join(planned.question.effects)}"
     source = "with the recordings" if planned.recorded is not None else "from the drive alone"
     last_heading = f"standard error of the effect's size, {source}"
-    return table(title, (*headings, last_heading), rows, n_words=1)
+    console.print(table(title, (*headings, last_heading), rows, n_words=1))
+    console.print(plain(f"drive: {drive}"))

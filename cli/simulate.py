@@ -1,14 +1,11 @@
 """`piezoid simulate`: recordings of a virtual stage whose faults are known."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from piezoid_cli.terminal import Force, Json, Quiet, print_record, say
-
-if TYPE_CHECKING:
-    from piezoid_datasets.virtual_lab.campaign import Campaign
 
 
 def simulate(
@@ -78,7 +75,18 @@ def simulate(
                 campaign = draw_campaign(
                     seed, effects=sizes, truth=truth, plans=recording, careless=careless
                 )
-                files, lines = campaign_files(campaign), _lines(campaign, out)
+                files = campaign_files(campaign)
+                lines = [
+                    f"{out / 'recordings' / rows.run.name}.csv: {len(rows.time_s)} rows at "
+                    f"{rows.run.sampling_rate_Hz:g} Hz"
+                    for rows in campaign.recordings
+                ]
+                answer = campaign.answer
+                hidden = ", ".join(effect.name for effect in answer.effects) or "nothing"
+                lines.append(
+                    f"{out / 'truth' / 'truth.json'}: {answer.truth} ceramic, hidden effects: "
+                    f"{hidden}"
+                )
             else:
                 files = junction_files(draw_junction_campaign(seed, seconds=junction))
                 lines = [str(out / name) for name in files]
@@ -104,14 +112,3 @@ def _sized(text: str) -> tuple[str, float | None]:
             f"--effect {text}: {percent!r} is not a number; write the size in percent of the "
             f"stroke, as in {name}=0.8"
         ) from None
-
-
-def _lines(campaign: "Campaign", out: Path) -> list[str]:
-    lines = [
-        f"{out / 'recordings' / rows.run.name}.csv: {len(rows.time_s)} rows at "
-        f"{rows.run.sampling_rate_Hz:g} Hz"
-        for rows in campaign.recordings
-    ]
-    hidden = ", ".join(effect.name for effect in campaign.answer.effects) or "nothing"
-    truth = f"{campaign.answer.truth} ceramic, hidden effects: {hidden}"
-    return [*lines, f"{out / 'truth' / 'truth.json'}: {truth}"]

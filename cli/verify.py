@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from piezoid.design.design import Design
     from piezoid.export.parameter_file import ParameterFile
     from piezoid.verification.rebuild import Proof
-    from piezoid.verification.verification import ErrorBound, Verification
+    from piezoid.verification.verification import Verification
     from piezoid_cli.stage_files import StageFolder
 
 CORE_Hz = 168e6  # a usual Cortex-M4F, to compare instructions with
@@ -152,13 +152,24 @@ def show(verification: "Verification", file: "ParameterFile") -> None:
     """Print the comparison, the proofs, and the verdicts that failed."""
     from rich.console import Console
 
+    from piezoid.formatting import with_unit
     from piezoid.verification.criteria import describe_failure
 
     console = Console()
     if verification.comparison:
         console.print(_comparison(verification))
     for row in verification.bounds:
-        console.print(plain(_bound_line(row)))
+        bounded = "none" if row.bound_m is None else with_unit(row.bound_m, "m")
+        if row.is_exceeded:
+            bounded += " (exceeded on stages that are farther from the model's class)"
+        probable_m, share = with_unit(row.probable_m, "m"), 100.0 * row.probability
+        line = (
+            f"axis {row.axis}, references up to {with_unit(row.slew_m_per_s, 'm/s')}: proven "
+            f"bound {bounded}; with {share:g} % probability below {probable_m}; worst run of a "
+            f"search {with_unit(row.worst_found_m, 'm')}; median run "
+            f"{with_unit(row.simulated_m, 'm')}"
+        )
+        console.print(plain(line))
     for proof in verification.proofs:
         console.print(plain(_proof_line(proof, file), style="" if proof.passed else "bold red"))
     for claim in verification.limit_proofs:
@@ -192,21 +203,6 @@ def _comparison(verification: "Verification") -> "Table":
     radius = with_unit(verification.radius_m, "m")
     title = f"spirals of radius {radius}: simulated rms error by frequency"
     return table(title, ("method", *(with_unit(rate, "Hz") for rate in rates_Hz)), rows, n_words=1)
-
-
-def _bound_line(row: "ErrorBound") -> str:
-    from piezoid.formatting import with_unit
-
-    bounded = "none" if row.bound_m is None else with_unit(row.bound_m, "m")
-    if row.is_exceeded:
-        bounded += " (exceeded on stages that are farther from the model's class)"
-    limit = with_unit(row.probable_m, "m")
-    probable = f"with {100.0 * row.probability:g} % probability below {limit}"
-    return (
-        f"axis {row.axis}, references up to {with_unit(row.slew_m_per_s, 'm/s')}: proven bound "
-        f"{bounded}; {probable}; worst run of a search {with_unit(row.worst_found_m, 'm')}; "
-        f"median run {with_unit(row.simulated_m, 'm')}"
-    )
 
 
 def _proof_line(proof: "Proof", file: "ParameterFile") -> str:
