@@ -210,8 +210,7 @@ def _table(calibration: "Calibration") -> "Table":
 
 
 def _tip(tip: "TunnellingModel | None") -> list[str]:
-    from piezoid_reports.sections.tunnelling import barrier_sentence
-    from piezoid_reports.tunnelling_loop import joint_sentence, loop_sentence
+    from piezoid_reports.sections.tunnelling import barrier_sentence, joint_sentence, loop_sentence
 
     if tip is None:
         return []

@@ -192,7 +192,11 @@ def even_ticks(low: float, high: float) -> Ticks:
     """Return round numbers from low to high."""
     step = round_step((high - low) / MAX_INTERVALS)
     first, stop = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    return tuple((k * step, _written(k * step, step)) for k in range(first, stop + 1))
+    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+    return tuple(
+        (k * step, f"{k * step + 0.0:.{decimals}f}".replace("-", MINUS))
+        for k in range(first, stop + 1)
+    )
 
 
 def decade_ticks(low: float, high: float) -> Ticks:
@@ -220,11 +224,6 @@ def round_step(size: float) -> float:
     return 10.0 * power
 
 
-def _written(value: float, step: float) -> str:
-    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
-    return f"{value + 0.0:.{decimals}f}".replace("-", MINUS)
-
-
 def _power(mantissa: int, power: int) -> str:
     if 0 <= power < 6:
         return str(mantissa * 10**power)
@@ -244,7 +243,15 @@ def thinned(x: Array, y: Array, *, tolerance: float, points: int) -> tuple[Indic
     points     the largest number of points
     returned   (points,) indices, and the largest distance of a sample from the polyline
     """
-    samples, cell = _cell_entries(x, y, 0.5 * tolerance)
+    # Samples at which the curve enters another cell; cells grow until these can be split singly.
+    cell = 0.5 * tolerance
+    while True:
+        number = np.floor(np.stack([x, y]) / cell)
+        enters = np.any(np.diff(number, axis=1) != 0.0, axis=0)
+        if enters.sum() <= MAX_SPLIT:
+            break
+        cell *= 2.0
+    samples = np.unique(np.concatenate([[0], 1 + np.flatnonzero(enters), [len(x) - 1]]))
     x, y = x[samples], y[samples]
     selected, chords = {0, len(x) - 1}, [_farthest(x, y, 0, len(x) - 1)]
     while -chords[0][0] > tolerance and len(selected) < points:
@@ -253,19 +260,6 @@ def thinned(x: Array, y: Array, *, tolerance: float, points: int) -> tuple[Indic
         heapq.heappush(chords, _farthest(x, y, first, middle))
         heapq.heappush(chords, _farthest(x, y, middle, stop))
     return samples[sorted(selected)], float(-chords[0][0] + math.sqrt(2.0) * cell)
-
-
-def _cell_entries(x: Array, y: Array, cell: float) -> tuple[Indices, float]:
-    """Return the samples at which the curve enters another cell, and the size of the cells.
-
-    Cells grow until few enough samples remain to be split one by one.
-    """
-    while True:
-        number = np.floor(np.stack([x, y]) / cell)
-        enters = np.any(np.diff(number, axis=1) != 0.0, axis=0)
-        if enters.sum() <= MAX_SPLIT:
-            return np.unique(np.concatenate([[0], 1 + np.flatnonzero(enters), [len(x) - 1]])), cell
-        cell *= 2.0
 
 
 def _farthest(x: Array, y: Array, first: int, stop: int) -> tuple[float, int, int, int]:

@@ -63,12 +63,19 @@ def compare_effects(
         f for f in effects if effect_named(f.effect).without(axis, worst[0].recording) is None
     ]
     fitted = _linearised(axis, worst, missing, diagnosis.stroke_m)
-    return {
-        finding.effect: _aligned(
-            [_simulation(axis, finding, trace, fitted[k]) for k, trace in enumerate(worst)]
+    comparisons = {}
+    for finding in effects:
+        pictures = [_simulation(axis, finding, trace, fitted[k]) for k, trace in enumerate(worst)]
+        # The look-alike gets the sign of the effect.
+        likeness = 0.0
+        for picture in pictures:
+            lookalike_m = picture.lookalike_m - picture.lookalike_m.mean()
+            likeness += float(np.nansum((picture.without_m - picture.with_m) * lookalike_m))
+        sign = -1.0 if likeness < 0.0 else 1.0
+        comparisons[finding.effect] = tuple(
+            replace(picture, lookalike_m=sign * picture.lookalike_m) for picture in pictures
         )
-        for finding in effects
-    }
+    return comparisons
 
 
 def _simulation(
@@ -93,16 +100,6 @@ def _simulation(
         with_m=with_m,
         lookalike_m=_lookalike(finding.effect, axis, trace, rms(part_m))[rows],
     )
-
-
-def _aligned(pictures: Sequence[EffectSimulation]) -> tuple[EffectSimulation, ...]:
-    """Return the simulations with look-alikes of the sign of the effect."""
-    likeness = 0.0
-    for picture in pictures:
-        lookalike_m = picture.lookalike_m - picture.lookalike_m.mean()
-        likeness += float(np.nansum((picture.without_m - picture.with_m) * lookalike_m))
-    sign = -1.0 if likeness < 0.0 else 1.0
-    return tuple(replace(picture, lookalike_m=sign * picture.lookalike_m) for picture in pictures)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -223,9 +223,14 @@ def unnamed_figure(finding: Finding) -> Figure | None:
     else:
         x = axis_over(label, [coordinate], classes.unit)
     canvas = Canvas(x=x, y=axis_over("residual", [low, high, fitted], "m"), height=HEIGHT)
+    explained = f"{percent(finding.share)} of the stroke"
+    if finding.size.unit.startswith("nm"):
+        explained = f"{number(finding.size.value * 1e-9, 'm')} rms, {explained}"
+    else:
+        explained += ", rms"
     return Figure(
         title=f"{words(finding.effect).capitalize()}: residual against {_against(finding)}",
-        caption=f"The curve explains {_explained(finding)}; p {p_value(finding.p_value)}.",
+        caption=f"The curve explains {explained}; p {p_value(finding.p_value)}.",
         guide="Residual in classes of the coordinate, median and middle half. Where the curve, "
         "fitted to other parts of the recordings, follows the median, the residual depends on "
         "the coordinate.",
@@ -247,10 +252,3 @@ def _against(finding: Finding) -> str:
         quantity, _, unit = name.rpartition("_")
         return f"the {PHASES} ({quantity} {number(value, unit)})"
     return words(finding.coordinate)
-
-
-def _explained(finding: Finding) -> str:
-    share = f"{percent(finding.share)} of the stroke"
-    if not finding.size.unit.startswith("nm"):
-        return f"{share}, rms"
-    return f"{number(finding.size.value * 1e-9, 'm')} rms, {share}"

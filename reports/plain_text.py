@@ -14,10 +14,9 @@ def printable(value: object) -> object:
     """Return a text with codes for its unprintable characters; other values unchanged."""
     if not isinstance(value, str) or hasattr(value, "__html__") or value.isprintable():
         return value
-    return "".join(_printable(character) for character in value)
-
-
-def _printable(character: str) -> str:
-    if character in _OURS or unicodedata.category(character) not in _SHOWN_AS_CODE:
-        return character
-    return character.encode("unicode_escape").decode("ascii")
+    return "".join(
+        c
+        if c in _OURS or unicodedata.category(c) not in _SHOWN_AS_CODE
+        else c.encode("unicode_escape").decode("ascii")
+        for c in value
+    )

@@ -140,20 +140,29 @@ def html(
     alarm     what must be known before anything is read, and why
     counted   what was recorded in counts: no metre, or no volt, is then on the page
     """
+
+    def escaped(value: object) -> object:
+        is_text = isinstance(value, str) and not hasattr(value, "__html__")
+        return printable(in_counts(str(value), counted) if is_text else value)
+
+    environment = Environment(
+        loader=FunctionLoader(_text),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=escaped,
+    )
     style, script = _text("style.css"), _text("figures.js")
-    return (
-        _environment(counted)
-        .get_template("page.html.j2")
-        .render(
-            title=title,
-            alarm=alarm,
-            sections=sections,
-            style=Markup(style),
-            script=Markup(script),
-            policy=policy_for(style, script),
-            good_percent=GOOD_PERCENT,
-            near_noise=NEAR_NOISE,
-        )
+    return environment.get_template("page.html.j2").render(
+        title=title,
+        alarm=alarm,
+        sections=sections,
+        style=Markup(style),
+        script=Markup(script),
+        policy=policy_for(style, script),
+        good_percent=GOOD_PERCENT,
+        near_noise=NEAR_NOISE,
     )
 
 
@@ -171,21 +180,6 @@ def _hash(text: str) -> str:
 
 def _text(name: str) -> str:
     return (files_of("piezoid_reports") / "templates" / name).read_text(encoding="utf-8")
-
-
-def _environment(counted: Sequence[str]) -> Environment:
-    def escaped(value: object) -> object:
-        is_text = isinstance(value, str) and not hasattr(value, "__html__")
-        return printable(in_counts(str(value), counted) if is_text else value)
-
-    return Environment(
-        loader=FunctionLoader(_text),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        finalize=escaped,
-    )
 
 
 def report_of(

@@ -30,6 +30,7 @@ KINDS = {  # the axis' label, the figure's height, and what good and bad look li
     ),
 }
 FLOOR = 0.1  # of the noise: below, an amplitude is drawn as that
+RUNNING_LINES = 9  # of the median of the noise
 
 
 def response_parts(
@@ -143,10 +144,10 @@ def coherence_figure(
 
 def distortion_parts(page: Page, axis: AxisModel) -> list[Part]:
     """Return a figure for every multisine with detection lines that drives this axis."""
-    return [_figure(axis, lines) for lines in distortion_of(page.recordings, axis.axis)]
+    return [_distortion_figure(axis, lines) for lines in distortion_of(page.recordings, axis.axis)]
 
 
-def _figure(axis: AxisModel, lines: DetectionLines) -> Figure:
+def _distortion_figure(axis: AxisModel, lines: DetectionLines) -> Figure:
     is_even = lines.is_even
     decades, silent = np.log10(lines.driven_Hz), np.log10(lines.frequency_Hz)
     floor_m = FLOOR * float(lines.noise_level_m()[0])
@@ -157,27 +158,25 @@ def _figure(axis: AxisModel, lines: DetectionLines) -> Figure:
     x = decades_over("frequency", [decades, silent], "Hz")
     y = axis_over("amplitude [dB of 1 m]", [driven_dB, silent_dB, noise_dB], "")
     canvas = Canvas(x=x, y=y)
+    # A running median: a line for the noise instead of a cloud.
+    padded_dB = np.pad(noise_dB, RUNNING_LINES // 2, mode="edge")
+    windows_dB = np.lib.stride_tricks.sliding_window_view(padded_dB, RUNNING_LINES)
+    driven_m = float(lines.driven_level_m()[0])
     return Figure(
         title=f"Axis {axis.axis}: driven and silent lines of {', '.join(lines.recordings)}",
-        caption=_numbers(lines),
+        caption=f"At {number(float(lines.drive_rms_V[0]), 'V')} rms, {lines.realisations} "
+        f"realisations of {lines.periods} periods; rms amplitude of one line: driven "
+        f"{number(driven_m, 'm')}; {_level(lines, driven_m, even=False)}; "
+        f"{_level(lines, driven_m, even=True)}; "
+        f"noise {number(float(lines.noise_level_m()[0]), 'm')} after averaging.",
         guide=GUIDE,
         canvas=canvas,
         layers=(
             canvas.line("model", "driven lines", decades, driven_dB),
-            canvas.line("zero", "noise", silent, _running(noise_dB)),
+            canvas.line("zero", "noise", silent, np.median(windows_dB, axis=1)),
             canvas.dots("dots", "even lines, silent", silent[is_even], silent_dB[is_even]),
             canvas.dots("odd", "odd lines, silent", silent[~is_even], silent_dB[~is_even]),
         ),
-    )
-
-
-def _numbers(lines: DetectionLines) -> str:
-    driven_m = float(lines.driven_level_m()[0])
-    return (
-        f"At {number(float(lines.drive_rms_V[0]), 'V')} rms, {lines.realisations} realisations of "
-        f"{lines.periods} periods; rms amplitude of one line: driven {number(driven_m, 'm')}; "
-        f"{_level(lines, driven_m, even=False)}; {_level(lines, driven_m, even=True)}; "
-        f"noise {number(float(lines.noise_level_m()[0]), 'm')} after averaging."
     )
 
 
@@ -190,9 +189,3 @@ def _level(lines: DetectionLines, driven_m: float, *, even: bool) -> str:
         most_m = float(np.hypot(level_m, limit_m))
         return f"{name} below {number(most_m, 'm')}, covered by noise"
     return f"{name} {number(level_m, 'm')}, {percent(level_m / driven_m)} of that"
-
-
-def _running(level_dB: Array, width: int = 9) -> Array:
-    """Return the running median: a line for the noise instead of a cloud."""
-    padded = np.pad(level_dB, width // 2, mode="edge")
-    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1))

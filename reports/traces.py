@@ -74,26 +74,22 @@ def traces_of(axis_model: AxisModel, recordings: Sequence[Recording]) -> tuple[T
     covariance = sum(float(np.sum((u - u.mean()) * (y - y.mean()))) for u, y in compared)
     variance = sum(float(np.sum((u - u.mean()) ** 2)) for u, _ in compared)
     slope = covariance / variance if variance > 0.0 else 0.0
-    traces = [
-        _trace(recording, axis, model_m, slope)
-        for recording, model_m in zip(fitted, modelled, strict=True)
-    ]
+    traces = []
+    for recording, modelled_m in zip(fitted, modelled, strict=True):
+        voltage_V, measured_m = recording.voltage_V(axis), recording.displacement_m(axis).copy()
+        measured_m[list(recording.bridged)] = np.nan
+        is_modelled = np.isfinite(modelled_m)
+        zero_m = float(np.nanmean((measured_m - slope * voltage_V)[is_modelled]))
+        traces.append(
+            Trace(
+                recording=replace(recording, axis=axis),
+                time_s=np.arange(recording.samples) / recording.sampling_rate_Hz,
+                voltage_V=voltage_V,
+                measured_m=measured_m,
+                modelled_m=modelled_m,
+                line_m=np.where(is_modelled, zero_m + slope * voltage_V, np.nan),
+            )
+        )
     ranges_V = {id(trace): float(np.ptp(trace.voltage_V)) for trace in traces}
     least_V = WIDE_SHARE * max(ranges_V.values(), default=0.0)
     return tuple(sorted(traces, key=lambda t: (ranges_V[id(t)] < least_V, -rms(t.residual_m))))
-
-
-def _trace(recording: Recording, axis: str, modelled_m: Array, slope_m_per_V: float) -> Trace:
-    voltage_V, measured_m = recording.voltage_V(axis), recording.displacement_m(axis).copy()
-    measured_m[list(recording.bridged)] = np.nan
-    counts = np.isfinite(modelled_m)
-    zero_m = float(np.nanmean((measured_m - slope_m_per_V * voltage_V)[counts]))
-    line_m = np.where(counts, zero_m + slope_m_per_V * voltage_V, np.nan)
-    return Trace(
-        recording=replace(recording, axis=axis),
-        time_s=np.arange(recording.samples) / recording.sampling_rate_Hz,
-        voltage_V=voltage_V,
-        measured_m=measured_m,
-        modelled_m=modelled_m,
-        line_m=np.asarray(line_m),
-    )

@@ -7,7 +7,7 @@ from urllib.parse import quote
 import numpy as np
 
 from piezoid.formatting import Scale
-from piezoid_reports.chart import Axis, Canvas, Layer, axis_over
+from piezoid_reports.chart import Axis, Canvas, axis_over
 from piezoid_reports.fleet.findings import (
     FALSE_ALARMS,
     FEWEST,
@@ -133,22 +133,26 @@ def outliers(distributions: tuple[Distribution, ...]) -> Section:
         "quantities with a long tail), beyond the interval of the value. In a batch without "
         f"faults chance names {FALSE_ALARMS:g} stages at most."
     )
-    table = Table(
-        caption="Measured against the middle of all stages, or against the drift."
-        + _beyond(len(rows)),
-        columns=("stage", "axis", "quantity", "value", "middle", "away", "may be"),
-        rows=tuple(
+    cells = []
+    for row, k in rows[:WORST]:
+        unit, value = row.quantity.unit, float(row.values[k])
+        half = HALF_95 * float(row.errors[k])
+        cells.append(
             (
                 row.stages[k],
                 row.axis,
                 row.quantity.label,
-                _value(row, k),
-                number(row.spread.median, row.quantity.unit),
+                with_half_width(value, half, unit) if half > 0.0 else number(value, unit),
+                number(row.spread.median, unit),
                 f"{significant(float(row.away[k]), 2)} sigma",
                 row.quantity.means,
             )
-            for row, k in rows[:WORST]
-        ),
+        )
+    table = Table(
+        caption="Measured against the middle of all stages, or against the drift."
+        + _beyond(len(rows)),
+        columns=("stage", "axis", "quantity", "value", "middle", "away", "may be"),
+        rows=tuple(cells),
         links=tuple(_report_link(row.stages[k]) for row, k in rows[:WORST]),
         is_open=True,
     )
@@ -161,13 +165,6 @@ def outliers(distributions: tuple[Distribution, ...]) -> Section:
         lead=lead if distributions else "",
         parts=(table if rows else none,),
     )
-
-
-def _value(row: Distribution, k: int) -> str:
-    """Return a value with its own 95 % interval, where it is known."""
-    if not row.errors[k] > 0.0:
-        return number(float(row.values[k]), row.quantity.unit)
-    return with_half_width(float(row.values[k]), HALF_95 * float(row.errors[k]), row.quantity.unit)
 
 
 def stages(fleet: Fleet) -> Section:
@@ -248,7 +245,24 @@ def spread(distributions: tuple[Distribution, ...]) -> Section | None:
     parts: list[Part] = []
     for axis in dict.fromkeys(row.axis for row in distributions):
         rows = [row for row in distributions if row.axis == axis]
-        parts += [Heading(text=f"Axis {axis}"), _table(axis, rows)]
+        table = Table(
+            caption=f"Axis {axis}: spread over the stages, and drift over 100 serial numbers. "
+            f"Significance level of a drift: {100 * TREND_P:g} % for all quantities together.",
+            columns=("quantity", "stages", "median", "5 % to 95 %", "drift (95 %)", "p"),
+            rows=tuple(
+                (
+                    row.quantity.label,
+                    str(row.spread.count),
+                    number(row.spread.median, row.quantity.unit),
+                    f"{number(row.spread.low, row.quantity.unit)} to "
+                    f"{number(row.spread.high, row.quantity.unit)}",
+                    _drift(row),
+                    "" if row.trend is None else significant(row.trend_p, 2),
+                )
+                for row in rows
+            ),
+        )
+        parts += [Heading(text=f"Axis {axis}"), table]
         for row in rows:
             if np.ptp(row.values) > 0.0:
                 parts.append(_histogram(row))
@@ -259,26 +273,6 @@ def spread(distributions: tuple[Distribution, ...]) -> Section | None:
         title="Distribution and drift of the parameters",
         lead="Every stage to which the model applies, whether it passed or not.",
         parts=tuple(parts),
-    )
-
-
-def _table(axis: str, rows: list[Distribution]) -> Table:
-    return Table(
-        caption=f"Axis {axis}: spread over the stages, and drift over 100 serial numbers. "
-        f"Significance level of a drift: {100 * TREND_P:g} % for all quantities together.",
-        columns=("quantity", "stages", "median", "5 % to 95 %", "drift (95 %)", "p"),
-        rows=tuple(
-            (
-                row.quantity.label,
-                str(row.spread.count),
-                number(row.spread.median, row.quantity.unit),
-                f"{number(row.spread.low, row.quantity.unit)} to "
-                f"{number(row.spread.high, row.quantity.unit)}",
-                _drift(row),
-                "" if row.trend is None else significant(row.trend_p, 2),
-            )
-            for row in rows
-        ),
     )
 
 
@@ -308,22 +302,19 @@ def _histogram(row: Distribution) -> Figure:
     for level in inside:
         height = np.array([0.0, y.high])
         layers.append(canvas.line("limit", "limit for most stages", np.full(2, level), height))
+    outside = f"{len(row.outliers)} beyond {row.limit:.1f} of them"
+    outside += ", counted in the logarithm" if row.quantity.ratio else ""
+    outside += ", each value's own interval counted in" if row.errors.any() else ""
     return Figure(
         title=f"{row.quantity.label}, axis {row.axis}: distribution",
         caption=f"{row.spread.count} stages, median "
         f"{number(row.spread.median, row.quantity.unit)}, "
         f"robust standard deviation {number(row.spread.sigma, row.quantity.unit)}; "
-        f"{_outside(row)}.",
+        f"{outside}.",
         guide=LOOK_SPREAD,
         canvas=canvas,
         layers=tuple(layers),
     )
-
-
-def _outside(row: Distribution) -> str:
-    count = f"{len(row.outliers)} beyond {row.limit:.1f} of them"
-    clause = ", each value's own interval counted in" if row.errors.any() else ""
-    return f"{count}{', counted in the logarithm' if row.quantity.ratio else ''}{clause}"
 
 
 def _course(row: Distribution) -> Figure:
@@ -336,12 +327,15 @@ def _course(row: Distribution) -> Figure:
     )
     is_outlier = np.zeros(len(row.values), dtype=bool)
     is_outlier[list(row.outliers[:DOTS])] = True
-    layers = [
-        _many(canvas, row)
-        if np.isfinite(row.serials).sum() > DOTS
-        else canvas.dots("dots", "stages", row.serials[~is_outlier], row.values[~is_outlier]),
-        canvas.line("trend", "median trend", serials, line),
-    ]
+    layer = canvas.dots("dots", "stages", row.serials[~is_outlier], row.values[~is_outlier])
+    numbered = np.flatnonzero(np.isfinite(row.serials))
+    if len(numbered) > DOTS:  # the range of 90 % of the stages instead
+        order = numbered[np.argsort(row.serials[numbered], kind="stable")]
+        stretches = np.array_split(order, STRETCHES)
+        middle = np.array([np.median(row.serials[part]) for part in stretches])
+        low, high = np.array([np.quantile(row.values[p], (0.05, 0.95)) for p in stretches]).T
+        layer = canvas.band("count", "9 of 10 stages", middle, low, high)
+    layers = [layer, canvas.line("trend", "median trend", serials, line)]
     if (is_outlier & np.isfinite(row.serials)).any():
         layers.append(
             canvas.dots("odd", "standing out", row.serials[is_outlier], row.values[is_outlier])
@@ -354,13 +348,3 @@ def _course(row: Distribution) -> Figure:
         canvas=canvas,
         layers=tuple(layers),
     )
-
-
-def _many(canvas: Canvas, row: Distribution) -> Layer:
-    """Draw the range of 90 % of the stages over the serial numbers."""
-    numbered = np.flatnonzero(np.isfinite(row.serials))
-    order = numbered[np.argsort(row.serials[numbered], kind="stable")]
-    parts = np.array_split(order, STRETCHES)
-    middle = np.array([np.median(row.serials[part]) for part in parts])
-    low, high = np.array([np.quantile(row.values[part], (0.05, 0.95)) for part in parts]).T
-    return canvas.band("count", "9 of 10 stages", middle, low, high)

@@ -1,7 +1,5 @@
 """The controllers: margins, sensitivities over the plant family, and guaranteed errors."""
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from piezoid.design.damping import describe_mode
@@ -56,18 +54,8 @@ def render(page: Page) -> Section | None:
         mode = describe_mode(loop)
         parts += [Prose(text=mode)] if mode else []
         parts += _proven(page, axis)
-    conditions = tuple(dict.fromkeys(_conditions(page)))
-    parts += folded("Conditions", [Listing(items=conditions)] if conditions else [])
-    return Section(
-        anchor="controllers",
-        title="Controllers",
-        lead="Margins and bounds hold for every plant of the family that the recordings allow.",
-        parts=tuple(parts),
-    )
-
-
-def _conditions(page: Page) -> Iterator[str]:
-    """Yield the assumptions of the guaranteed errors and of the plant families."""
+    # Assumptions of the guaranteed errors and of the plant families.
+    conditions: list[str] = []
     for axis in page.axis_designs:
         model = page.model.axes.get(axis.axis)
         if model is None:
@@ -75,8 +63,16 @@ def _conditions(page: Page) -> Iterator[str]:
         certificate = axis.recommended.certificate
         if page.ships(axis.axis) and useful_bound_m(certificate, model) is not None:
             assert certificate is not None
-            yield from certificate.conditions
-        yield from assumptions_of(model)
+            conditions += certificate.conditions
+        conditions += assumptions_of(model)
+    items = tuple(dict.fromkeys(conditions))
+    parts += folded("Conditions", [Listing(items=items)] if items else [])
+    return Section(
+        anchor="controllers",
+        title="Controllers",
+        lead="Margins and bounds hold for every plant of the family that the recordings allow.",
+        parts=tuple(parts),
+    )
 
 
 def _loops(page: Page) -> Table:

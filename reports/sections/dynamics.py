@@ -1,13 +1,13 @@
-"""Linear dynamics behind the hysteresis: response with its band, coherence, poles."""
+"""Linear dynamics behind the hysteresis: response with its band, poles, coupling of the axes."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.formatting import UNKNOWN
+from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid.identification.dynamics.behind_hysteresis import measure_behind_hysteresis
 from piezoid.identification.dynamics.excitation import excites_dynamics
 from piezoid.identification.dynamics.fit_dynamics import resolved_modes
-from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.records import JointFit
 from piezoid.identification.fit_statements import DYNAMICS
@@ -15,10 +15,10 @@ from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.frequency import decibel
 from piezoid.numerics.robust import NORMAL_95
-from piezoid_reports.coupling_figures import coupling_parts
+from piezoid_reports.chart import Canvas, Layer, axis_over
 from piezoid_reports.page import Page
-from piezoid_reports.parts import Figure, Part, Prose, Section, Table, axis_heading
-from piezoid_reports.quantities import number, significant
+from piezoid_reports.parts import Figure, Heading, Part, Prose, Section, Table, axis_heading
+from piezoid_reports.quantities import MINUS, number, percent, significant
 from piezoid_reports.response_figures import (
     coherence_figure,
     distortion_parts,
@@ -27,13 +27,22 @@ from piezoid_reports.response_figures import (
 )
 
 WIDEST = 100.0  # an interval over more than two decades says that the number is not known
+GAINS_Hz = 3  # frequencies at which the change of the gain is reported
+LARGEST = 0.42  # of a cell: half the side of the square of the largest entry
 
 
 def render(page: Page) -> Section | None:
     """Return response and poles of every axis whose dynamics were excited."""
     parts: list[Part] = []
     for axis in page.axes:
-        of_axis = _of_axis(page, axis)
+        of_axis: list[Part] = []
+        if axis.dynamics is not None:
+            of_axis += _response_of(page, axis, axis.dynamics)
+            of_axis.append(_poles(axis, axis.dynamics))
+        notes = [fact for fact in page.statements if fact.quantity == DYNAMICS]
+        of_axis += [Prose(text=fact.text) for fact in notes if fact.axis == axis.axis]
+        of_axis += [] if axis.joint is None else _joint(axis.joint)
+        of_axis += distortion_parts(page, axis)
         parts += [axis_heading(axis), *of_axis] if of_axis else []
     if page.model.coupled is not None:
         parts += coupling_parts(page, page.model.coupled)
@@ -47,78 +56,55 @@ def render(page: Page) -> Section | None:
     )
 
 
-def _of_axis(page: Page, axis: AxisModel) -> list[Part]:
-    parts: list[Part] = []
-    if axis.dynamics is not None and axis.response is not None:
-        parts += [*response_parts(page, axis, axis.dynamics, axis.response)]
-        parts.append(_poles(axis, axis.dynamics))
-    elif axis.dynamics is not None:
-        parts += [*_figures(page, axis, axis.dynamics), _poles(axis, axis.dynamics)]
-    notes = [fact for fact in page.statements if fact.quantity == DYNAMICS]
-    parts += [Prose(text=fact.text) for fact in notes if fact.axis == axis.axis]
-    parts += [] if axis.joint is None else [*_joint(axis.joint)]
-    return parts + distortion_parts(page, axis)
-
-
-def _figures(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[Part]:
+def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[Part]:
+    """Return gain, phase and coherence of the response that the dynamics were fitted to."""
+    if axis.response is not None:
+        return response_parts(page, axis, dynamics, axis.response)
     excited = sorted(excites_dynamics(page.recordings, axis.axis), key=lambda pair: -pair[1])
     if not excited:
         return []
     measured = measure_behind_hysteresis(axis, excited[0][0])
     lines = np.flatnonzero(measured.frequency_Hz <= 2.0 * dynamics.band_Hz[1])
     measured = measured.at_lines(lines)
-    return [
-        _gain(axis, dynamics, measured),
-        _phase(axis, dynamics, measured),
-        coherence_figure(
-            f"Axis {axis.axis}: coherence",
-            f"{int((~measured.is_rejected).sum())} of {len(measured.frequency_Hz)} lines lie "
-            f"above {significant(measured.least_coherence, 2)}, the least that is used.",
-            np.log10(measured.frequency_Hz),
-            measured.coherence[:, 0],
-            measured.least_coherence,
-        ),
-    ]
-
-
-def _gain(axis: AxisModel, dynamics: LinearDynamics, measured: FrequencyResponse) -> Figure:
-    level = np.abs(measured.response[:, 0, 0])
-    half = NORMAL_95 * np.sqrt(measured.variance[:, 0, 0] / 2.0)
-    floor = 1e-3 * float(level[~measured.is_rejected[:, 0]].max())
+    decades, response = np.log10(measured.frequency_Hz), measured.response[:, 0, 0]
+    is_used = ~measured.is_rejected[:, 0]
+    modelled = dynamics.response_as_measured(measured.frequency_Hz)
+    level, half = np.abs(response), NORMAL_95 * np.sqrt(measured.variance[:, 0, 0] / 2.0)
+    floor = 1e-3 * float(level[is_used].max())
     low_dB, high_dB, mid_dB = (
         decibel(np.maximum(values, floor)) for values in (level - half, level + half, level)
     )
     low_Hz, high_Hz = dynamics.band_Hz
-    return response_figure(
-        "gain",
-        f"Axis {axis.axis}: gain from the hysteresis' output to the displacement",
-        f"Fitted to coherent lines from {number(low_Hz, 'Hz')} to {number(high_Hz, 'Hz')}; "
-        f"the cost is {significant(dynamics.cost_ratio)} times what noise alone would leave. The "
-        "band is the measurement's 95 % interval.",
-        np.log10(measured.frequency_Hz),
-        (mid_dB, decibel(np.abs(_modelled(dynamics, measured)))),
-        band=(low_dB, high_dB),
-    )
-
-
-def _phase(axis: AxisModel, dynamics: LinearDynamics, measured: FrequencyResponse) -> Figure:
-    is_used = ~measured.is_rejected[:, 0]
-    everywhere = np.ones(len(is_used), dtype=np.bool_)
-    return response_figure(
-        "phase",
-        f"Axis {axis.axis}: phase",
-        "Lines that are not coherent are left out.",
-        np.log10(measured.frequency_Hz),
-        (
-            _degrees(measured.response[:, 0, 0], axis.polarity, is_used),
-            _degrees(_modelled(dynamics, measured), axis.polarity, everywhere),
+    return [
+        response_figure(
+            "gain",
+            f"Axis {axis.axis}: gain from the hysteresis' output to the displacement",
+            f"Fitted to coherent lines from {number(low_Hz, 'Hz')} to {number(high_Hz, 'Hz')}; "
+            f"the cost is {significant(dynamics.cost_ratio)} times what noise alone would leave. "
+            "The band is the measurement's 95 % interval.",
+            decades,
+            (mid_dB, decibel(np.abs(modelled))),
+            band=(low_dB, high_dB),
         ),
-    )
-
-
-def _modelled(dynamics: LinearDynamics, measured: FrequencyResponse) -> ComplexArray:
-    response: ComplexArray = dynamics.response_as_measured(measured.frequency_Hz)
-    return response
+        response_figure(
+            "phase",
+            f"Axis {axis.axis}: phase",
+            "Lines that are not coherent are left out.",
+            decades,
+            (
+                _degrees(response, axis.polarity, is_used),
+                _degrees(modelled, axis.polarity, np.ones(len(is_used), dtype=np.bool_)),
+            ),
+        ),
+        coherence_figure(
+            f"Axis {axis.axis}: coherence",
+            f"{int((~measured.is_rejected).sum())} of {len(measured.frequency_Hz)} lines lie "
+            f"above {significant(measured.least_coherence, 2)}, the least that is used.",
+            decades,
+            measured.coherence[:, 0],
+            measured.least_coherence,
+        ),
+    ]
 
 
 def _degrees(response: ComplexArray, polarity: int, is_kept: NDArray[np.bool_]) -> Array:
@@ -187,3 +173,167 @@ def _with_interval(value: float, interval: Array, unit: str) -> tuple[str, str]:
         return number(float(value), unit), UNKNOWN
     low, high = (number(float(end), unit) for end in interval)
     return number(float(value), unit), f"{low}, {high}"
+
+
+def coupling_parts(page: Page, coupled: CoupledStage) -> list[Part]:
+    """Return the parts of the dynamics section about coupled axes."""
+    parts: list[Part] = [
+        Heading(text="Coupled axes"),
+        Prose(
+            text="Every drive moves every displacement; behind the inverse of the matrix each "
+            "axis answers to its own drive. The other sections show decoupled displacements."
+        ),
+        _picture(coupled),
+        _matrix(coupled),
+        _errors(coupled),
+        _modes(coupled),
+    ]
+    if len(coupled.levels_V) > 1:
+        first_Hz = float(coupled.mode_frequency_Hz(float(coupled.levels_V[0])).min())
+        f = np.geomspace(coupled.band_Hz[0], 0.5 * first_Hz, GAINS_Hz)
+        changes = [
+            f"by {_signed(change)} at {number(float(frequency_Hz), 'Hz')}"
+            for frequency_Hz, change in zip(f, coupled.gain_change(f), strict=True)
+        ]
+        text = f"From the lowest level to the highest the gain changes {', '.join(changes)}."
+        parts.append(Prose(text=text))
+    if page.verification is not None and (rows := page.verification.coupling):
+        parts.append(
+            Table(
+                caption=f"Compiled controllers, {number(rows[0].frequency_Hz, 'Hz')}. One axis is "
+                "moved, the other is to rest; amplitude of the other over that of the motion.",
+                columns=("moved", "to rest", "with the matrix", "without it"),
+                rows=tuple(
+                    (
+                        row.moved,
+                        row.answers,
+                        f"{significant(row.percent)} %",
+                        "does not settle"
+                        if row.without_percent is None
+                        else f"{significant(row.without_percent)} %",
+                    )
+                    for row in rows
+                ),
+            )
+        )
+    return parts
+
+
+def _picture(coupled: CoupledStage) -> Figure:
+    """Draw the matrix as squares with areas proportional to its entries [Hinton diagram]."""
+    gain = coupled.coupling_m_per_V
+    x, y = (
+        axis_over(label, [np.array([0.5, count + 0.5])], "")
+        for label, count in (("drive", gain.shape[1]), ("displacement", gain.shape[0]))
+    )
+    canvas = Canvas(x=x, y=y)
+    squares = {"model": "", "before": ""}
+    for i, k in np.ndindex(*gain.shape):
+        half = LARGEST * float(np.sqrt(abs(gain[i, k]) / np.abs(gain).max()))
+        across, up = np.array([k + 1 - half, k + 1 + half]), np.full(2, float(i + 1))
+        role = "model" if gain[i, k] >= 0.0 else "before"
+        squares[role] += canvas.band(role, "", across, up - half, up + half).path
+    names = {"model": "in the sense of the drive", "before": "against it"}
+    layers = tuple(
+        Layer(role=role, name=names[role], path=path, kind="area")
+        for role, path in squares.items()
+        if path
+    )
+    largest = number(float(np.abs(gain).max()), "m/V")
+    return Figure(
+        title="Which drive moves which displacement",
+        caption=f"Columns are the drives {', '.join(coupled.inputs)}, rows from the bottom the "
+        f"displacements {', '.join(coupled.outputs)}. The area of a square is the size of an "
+        f"entry, the largest {largest}.",
+        guide="Good: large squares along the rising diagonal. Bad: a large one beside it, which "
+        "the decoupling must take away, or a small one on it.",
+        canvas=canvas,
+        layers=layers,
+    )
+
+
+def _matrix(coupled: CoupledStage) -> Table:
+    return Table(
+        caption="Displacement for each volt of a drive, and the matrix that decouples. It "
+        "multiplies references and readings in front of the controllers.",
+        columns=(
+            "displacement",
+            *(f"per volt of {name}" for name in coupled.inputs),
+            *(f"of {name}" for name in coupled.outputs),
+        ),
+        rows=tuple(
+            (
+                name,
+                *(number(float(v), "m/V") for v in gain),
+                *(significant(float(v), 4) for v in row),
+            )
+            for name, gain, row in zip(
+                coupled.outputs, coupled.coupling_m_per_V, coupled.decoupling, strict=True
+            )
+        ),
+    )
+
+
+def _errors(coupled: CoupledStage) -> Table:
+    kind = (
+        "each realisation left out of the fit once"
+        if coupled.error_is_left_out
+        else "in sample, for there are too few realisations to leave one out"
+    )
+    rows = [
+        (
+            number(float(level), "V"),
+            name,
+            percent(float(coupled.error_rms_m[k, i] / coupled.moved_rms_m[k, i])),
+            number(float(coupled.error_rms_m[k, i]), "m"),
+            percent(float(coupled.noise_rms_m[k, i] / coupled.moved_rms_m[k, i])),
+        )
+        for k, level in enumerate(coupled.levels_V)
+        for i, name in enumerate(coupled.outputs)
+    ]
+    return Table(
+        caption=f"Error of the model at each level of the drive, {kind}. Means of the periods, "
+        "simulated from the drives alone; the noise is that of one period.",
+        columns=("level, rms", "displacement", "error", "rms", "noise"),
+        rows=tuple(rows),
+    )
+
+
+def _modes(coupled: CoupledStage) -> Table:
+    low, high = float(coupled.levels_V[0]), float(coupled.levels_V[-1])
+    rows = [
+        (
+            number(float(low_Hz), "Hz", 4),
+            number(float(high_Hz), "Hz", 4),
+            ", ".join(number(float(end), "Hz", 4) for end in interval)
+            if np.isfinite(interval).all()
+            else "",
+            significant(float(low_damping)),
+            significant(float(high_damping)),
+            _signed(change[0]),
+            ", ".join(map(_signed, change[1:])) if np.isfinite(change).all() else "",
+        )
+        for low_Hz, high_Hz, interval, low_damping, high_damping, change in zip(
+            coupled.mode_frequency_Hz(low),
+            coupled.mode_frequency_Hz(high),
+            coupled.mode_frequency_interval_Hz(high),
+            coupled.mode_damping(low),
+            coupled.mode_damping(high),
+            coupled.frequency_change(),
+            strict=True,
+        )
+    ]
+    return Table(
+        caption=f"Modes at {number(low, 'V')} and {number(high, 'V')} rms, with 95 % intervals.",
+        columns=(
+            *("at the lowest level", "at the highest", "from, to", "damping", "damping"),
+            *("change", "from, to"),
+        ),
+        rows=tuple(rows),
+    )
+
+
+def _signed(share: float) -> str:
+    """Return a change in percent with its sign."""
+    sign = "+" if share >= 0.0 else MINUS
+    return f"{sign}{significant(abs(100.0 * float(share)), 2)} %"

@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 
 from piezoid.diagnosis.coordinate_descriptions import CONTROL_ADVICE
-from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding, NotDetected
+from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, NotDetected
 from piezoid.diagnosis.diagnosis_statements import largest_first
 from piezoid.diagnosis.effects import effect_named, thermal_drift
 from piezoid.formatting import p_value, words
 from piezoid.identification.fit_statements import ZERO_DRIFT
-from piezoid_reports.effect_comparison import EffectSimulation, compare_effects
+from piezoid_reports.effect_comparison import compare_effects
 from piezoid_reports.effect_figures import figure_of, unnamed_figure
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Heading, Part, Prose, Section, Table
@@ -51,9 +51,23 @@ def _axis_parts(
     elif diagnosis.findings and page.note:
         parts.append(Prose(text=page.note))
     for finding in largest_first(diagnosis):
-        parts += _picture(diagnosis.axis, finding, pictures.get(finding.effect, ()))
-        is_proposed = any(finding.next_experiment in fact.text for fact in page.statements)
-        parts += _meaning(finding, described.get(finding.effect, ""), is_proposed=is_proposed)
+        effect, of_effect = finding.effect, pictures.get(finding.effect, ())
+        parts.append(Heading(text=f"Axis {diagnosis.axis}: {words(effect)}"))
+        is_unnamed = effect == SOMETHING_ELSE
+        figure = unnamed_figure(finding) if is_unnamed else figure_of(finding, of_effect)
+        if figure is not None:
+            parts.append(figure)
+        elif of_effect:
+            parts.append(Prose(text=NO_PICTURE))
+        if is_unnamed:  # its explanation and experiment are among the statements
+            parts += [] if effect in described else [Prose(text=f"For control: {CONTROL_ADVICE}")]
+        elif effect in described:
+            parts.append(Prose(text=f"Described under axis {described[effect]}."))
+        else:
+            control = effect_named(effect).control
+            parts.append(Prose(text=f"{finding.explanation} For control: {control}"))
+            if not any(finding.next_experiment in fact.text for fact in page.statements):
+                parts.append(Prose(text=f"To confirm: {finding.next_experiment}"))
     return tuple(parts)
 
 
@@ -81,34 +95,6 @@ def _table(diagnoses: Sequence[Diagnosis]) -> Part:
         rows=rows,
         is_open=True,
     )
-
-
-def _picture(axis: str, finding: Finding, pictures: tuple[EffectSimulation, ...]) -> list[Part]:
-    heading = Heading(text=f"Axis {axis}: {words(finding.effect)}")
-    is_unnamed = finding.effect == SOMETHING_ELSE
-    figure = unnamed_figure(finding) if is_unnamed else figure_of(finding, pictures)
-    if figure is None:
-        return [heading, Prose(text=NO_PICTURE)] if pictures else [heading]
-    return [heading, figure]
-
-
-def _meaning(finding: Finding, described: str, *, is_proposed: bool) -> list[Part]:
-    """Return the explanation of a finding, its meaning for control and its confirmation.
-
-    Args:
-        finding: of one axis.
-        described: the axis under which its effect is described already, or empty.
-        is_proposed: whether a statement proposes its experiment already.
-    """
-    if finding.effect == SOMETHING_ELSE:  # its explanation and experiment are among the statements
-        return [] if described else [Prose(text=f"For control: {CONTROL_ADVICE}")]
-    if described:
-        return [Prose(text=f"Described under axis {described}.")]
-    control = effect_named(finding.effect).control
-    parts: list[Part] = [Prose(text=f"{finding.explanation} For control: {control}")]
-    if not is_proposed:
-        parts.append(Prose(text=f"To confirm: {finding.next_experiment}"))
-    return parts
 
 
 def _not_detected_tables(page: Page) -> list[Part]:

@@ -26,7 +26,24 @@ def render(page: Page) -> Section | None:
         further = [without_line(page, axis, trace) for trace in traces[1:]]
         parts += [axis_heading(axis), without_line(page, axis, traces[0])]
         parts += folded(f"More loops: {count_of(len(further), 'figure')}", further)
-        parts.append(_table(page, axis))
+        parts.append(
+            Table(
+                caption=f"Axis {axis.axis}: residual of each recording, rms.",
+                columns=("recording", "drive", "range", "left out", "straight line", "model"),
+                rows=tuple(
+                    (
+                        trace.recording.name,
+                        f"{number(float(trace.voltage_V.min()), 'V')} to "
+                        f"{number(float(trace.voltage_V.max()), 'V')}",
+                        number(trace.range_m, "m"),
+                        f"{len(trace.time_s) - trace.counted} of {len(trace.time_s)}",
+                        number(rms(trace.line_residual_m), "m"),
+                        number(rms(trace.residual_m), "m"),
+                    )
+                    for trace in page.traces[axis.axis]
+                ),
+            )
+        )
     if not parts:
         return None
     return Section(
@@ -62,23 +79,4 @@ def without_line(
         ),
         flicker=() if is_small else tuple(curves),
         is_small=is_small,
-    )
-
-
-def _table(page: Page, axis: AxisModel) -> Table:
-    return Table(
-        caption=f"Axis {axis.axis}: residual of each recording, rms.",
-        columns=("recording", "drive", "range", "left out", "straight line", "model"),
-        rows=tuple(
-            (
-                trace.recording.name,
-                f"{number(float(trace.voltage_V.min()), 'V')} to "
-                f"{number(float(trace.voltage_V.max()), 'V')}",
-                number(trace.range_m, "m"),
-                f"{len(trace.time_s) - trace.counted} of {len(trace.time_s)}",
-                number(rms(trace.line_residual_m), "m"),
-                number(rms(trace.residual_m), "m"),
-            )
-            for trace in page.traces[axis.axis]
-        ),
     )

@@ -1,6 +1,5 @@
 """Comparison of an earlier model with the new recordings: does it still hold."""
 
-from piezoid.diagnosis.compare import ModelComparison
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Prose, Section, Table
 from piezoid_reports.quantities import number, percent, significant
@@ -11,6 +10,16 @@ def render(page: Page) -> Section | None:
     comparison = page.comparison
     if comparison is None:
         return None
+    ratio, low, high = (significant(value, 4) for value in comparison.gain_ratio)
+    errors = {
+        "unchanged": comparison.unchanged_error_m,
+        f"new sensitivity: {ratio} ({low} to {high}) times the old": comparison.rescaled_error_m,
+        "refitted": comparison.refitted_error_m,
+    }
+    rows = [
+        (name, number(error_m, "m"), percent(error_m / comparison.motion_m))
+        for name, error_m in errors.items()
+    ]
     return Section(
         anchor="model-comparison",
         title="Comparison with the earlier model",
@@ -20,22 +29,7 @@ def render(page: Page) -> Section | None:
             Table(
                 caption="The earlier model, unchanged and refitted.",
                 columns=("model", "error, rms", "of the motion"),
-                rows=_rows(comparison),
+                rows=(("at the fit", number(comparison.fitted_error_m, "m"), ""), *rows),
             ),
         ),
     )
-
-
-def _rows(comparison: ModelComparison) -> tuple[tuple[str, ...], ...]:
-    ratio, low, high = comparison.gain_ratio
-    rescaled = f"new sensitivity: {significant(ratio, 4)} ({significant(low, 4)} to "
-    errors = {
-        "unchanged": comparison.unchanged_error_m,
-        f"{rescaled}{significant(high, 4)}) times the old": comparison.rescaled_error_m,
-        "refitted": comparison.refitted_error_m,
-    }
-    rows = [
-        (name, number(error_m, "m"), percent(error_m / comparison.motion_m))
-        for name, error_m in errors.items()
-    ]
-    return (("at the fit", number(comparison.fitted_error_m, "m"), ""), *rows)

@@ -13,8 +13,7 @@ from piezoid.identification.quality import Uncertainty
 from piezoid.numerics.robust import student_quantile
 from piezoid.numerics.uncertainty_budget import Contribution
 from piezoid_reports.chart import Canvas, axis_over
-from piezoid_reports.loop_errors import TRACKED_Hz, guaranteed_limit, tracking_error
-from piezoid_reports.page import Page
+from piezoid_reports.page import Page, TRACKED_Hz, guaranteed_limit, tracking_error
 from piezoid_reports.parts import (
     Figure,
     Heading,
@@ -110,12 +109,16 @@ def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Part]:
         positions = f"±{expanded} (k = {factor})"
         if not has_usable_intervals(axis):
             positions = largest = "no usable interval"
+        bound = "no useful bound"
+        if axis.quality.is_tested and axis.certificate.bound_m <= axis.quality.range_m:
+            bound = number(axis.certificate.bound_m, "m")
+            bound += " at the speed of the recordings" if axis.quality.lag_is_open else ""
         values = {
             "held-out error, rms": held_out,
             f"{TRACKED_Hz:g} Hz spiral with feedback, simulated, rms": tracked,
             "95 % of positions": positions,
             f"largest of {expected.positions} positions": largest,
-            "bound of the hysteresis model alone, 95 %": _bound(axis),
+            "bound of the hysteresis model alone, 95 %": bound,
             "guaranteed error with feedback": guaranteed_limit(page, axis),
         }
         for name, value in values.items():
@@ -160,15 +163,6 @@ def _contributions(budgets: Sequence[DisplacementBudget]) -> list[Part]:
             rows=tuple(row for row in rows if any(row[1:])),
         )
     ]
-
-
-def _bound(axis: AxisModel) -> str:
-    """Return the bound of the model without feedback, or that none is of use."""
-    certificate, range_m = axis.certificate, axis.quality.range_m
-    if not axis.quality.is_tested or certificate.bound_m > range_m:
-        return "no useful bound"
-    speed = " at the speed of the recordings" if axis.quality.lag_is_open else ""
-    return f"{number(certificate.bound_m, 'm')}{speed}"
 
 
 def known_of(uncertainty: Uncertainty) -> Known:
@@ -251,9 +245,13 @@ def _quantities(page: Page) -> Table:
     rows: dict[str, list[str]] = {}
     for axis in page.axes:
         low_V, high_V = axis.voltage_V
+        lag_s = known_of(axis.uncertainty).get("lag_s", (axis.lag.time_s, math.nan))
+        lag = with_half_width(*lag_s, "s")
+        if axis.quality.lag_is_open and axis.lag.kind != "none":
+            lag = "not identified: the rate was never varied"
         values = {
             "width of the full loop": _loop_width(axis),
-            "lag": _lag(axis),
+            "lag": lag,
             "voltage offset": number(axis.hysteresis.voltage_offset_V, "V", 4),
             "displacement offset": number(axis.hysteresis.displacement_offset_m, "m", 4),
             "valid drive": f"{number(low_V, 'V')} to {number(high_V, 'V')}",
@@ -272,10 +270,3 @@ def _quantities(page: Page) -> Table:
 
 def _declared(bandwidth_Hz: float | None) -> str:
     return "" if bandwidth_Hz is None else number(bandwidth_Hz, "Hz")
-
-
-def _lag(axis: AxisModel) -> str:
-    if axis.quality.lag_is_open and axis.lag.kind != "none":
-        return "not identified: the rate was never varied"
-    value_s, half_s = known_of(axis.uncertainty).get("lag_s", (axis.lag.time_s, math.nan))
-    return with_half_width(value_s, half_s, "s")

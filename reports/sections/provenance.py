@@ -6,24 +6,13 @@ from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
 from piezoid_reports.page import Page
-from piezoid_reports.parts import Part, Section, Table
+from piezoid_reports.parts import Section, Table, with_rows
 from piezoid_reports.quantities import number
 
 
 def render(page: Page) -> Section:
     """Return the recordings and the chain of digests."""
-    parts: list[Part] = [_recordings(page)] if page.recordings else []
-    parts += [_sweeps(page)] if page.sweeps else []
-    return Section(
-        anchor="provenance",
-        title="Provenance",
-        lead="The same recordings and version give the same files, byte for byte.",
-        parts=(*parts, _chain(page)),
-    )
-
-
-def _recordings(page: Page) -> Table:
-    return Table(
+    recordings = Table(
         caption="Recordings.",
         columns=("recording", "axes", "samples", "rate", "duration", "in the model", "digest"),
         rows=tuple(
@@ -40,10 +29,7 @@ def _recordings(page: Page) -> Table:
         ),
         digests=(6,),
     )
-
-
-def _sweeps(page: Page) -> Table:
-    return Table(
+    sweeps = Table(
         caption="Tables over a height.",
         columns=("file", "over", "rows", "in the model", "digest"),
         rows=tuple(
@@ -51,6 +37,12 @@ def _sweeps(page: Page) -> Table:
             for t in page.sweeps
         ),
         digests=(4,),
+    )
+    return Section(
+        anchor="provenance",
+        title="Provenance",
+        lead="The same recordings and version give the same files, byte for byte.",
+        parts=(*with_rows(recordings, sweeps), _chain(page)),
     )
 
 
@@ -84,30 +76,22 @@ def _chain(page: Page) -> Table:
             made_from += f", {_of('design.json', sources.get('design', ''), design)}"
         made_from += _lab(page, sources.get("lab", ""))
         rows.append(("params.json", _sealed(page, "params.json"), made_from))
-    rows += _verified(page)
+    verification = page.verification
+    if verification is not None:
+        runtime = ("runtime source, as shipped", verification.runtime_digest)
+        rows.append((*runtime, "piezoid_runtime.h and .c"))
+        if "verification.json" in page.files and "params.json" in page.files:
+            digest = _sealed(page, "params.json")
+            made_from = _of("params.json", verification.parameters_digest, digest)
+            made_from += ", this runtime source, model.json"
+            made_from += _lab(page, verification.lab_digest)
+            rows.append(("verification.json", _sealed(page, "verification.json"), made_from))
     return Table(
         caption="Digests of the files, and what each was made from.",
         columns=("record", "digest", "made from"),
         rows=tuple(rows),
         digests=(1,),
     )
-
-
-def _verified(page: Page) -> list[tuple[str, str, str]]:
-    verification = page.verification
-    if verification is None:
-        return []
-    runtime = (
-        "runtime source, as shipped",
-        verification.runtime_digest,
-        "piezoid_runtime.h and .c",
-    )
-    if "verification.json" not in page.files or "params.json" not in page.files:
-        return [runtime]
-    ran = _of("params.json", verification.parameters_digest, _sealed(page, "params.json"))
-    digest = _sealed(page, "verification.json")
-    made_from = f"{ran}, this runtime source, model.json{_lab(page, verification.lab_digest)}"
-    return [runtime, ("verification.json", digest, made_from)]
 
 
 def _lab(page: Page, digest: str) -> str:

@@ -88,7 +88,10 @@ def _over_drive(axis: AxisModel, traces: tuple[Trace, ...]) -> Figure:
     x = axis_over("drive", [voltage_V], "V")
     curves = [rising[:, 1:].ravel(), falling[:, 1:].ravel()]
     canvas = Canvas(x=x, y=axis_over("residual", curves, "m", even=True))
-    largest = [number(_largest_median(bins), "m") for bins in (rising, falling)]
+    largest = [
+        number(float(np.abs(bins[:, 2]).max()) if len(bins) else np.nan, "m")
+        for bins in (rising, falling)
+    ]
     return Figure(
         title=f"Axis {axis.axis}: residual against drive",
         caption=f"Largest median {largest[0]} rising, {largest[1]} falling; bands hold 90 %.",
@@ -127,10 +130,6 @@ def _bands(canvas: Canvas, role: str, bins: Array) -> tuple[Layer, ...]:
     middle, low, median, high = bins.T
     line = canvas.line(role, f"{role}: median", middle, median)
     return canvas.band(f"{role}-band", f"{role}: 90 %", middle, low, high), line
-
-
-def _largest_median(bins: Array) -> float:
-    return float(np.abs(bins[:, 2]).max()) if len(bins) else float("nan")
 
 
 def _marks(canvas: Canvas, trace: Trace) -> tuple[Layer, ...]:

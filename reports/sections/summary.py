@@ -2,14 +2,12 @@
 
 from dataclasses import replace
 
-from piezoid.design.design import LoopDesign
 from piezoid.formatting import words
 from piezoid.identification.fit_statements import Grade, grade_of
 from piezoid.identification.model import AxisModel
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.statement import Level
-from piezoid_reports.loop_errors import TRACKED_Hz, guarantee, tracking_error
-from piezoid_reports.page import Page
+from piezoid_reports.page import Page, TRACKED_Hz, guarantee, tracking_error
 from piezoid_reports.parts import Card, Cards, Figure, Headline, Section, count_of, worst_tone
 from piezoid_reports.quantities import number, percent, significant, with_interval
 from piezoid_reports.sections import loops, residuals, tunnelling
@@ -103,29 +101,25 @@ def _accuracy(page: Page) -> tuple[tuple[str, str], ...]:
 
 
 def _card(page: Page, axis: AxisModel) -> Card:
-    grade = grade_of(axis)
+    grade, traces = grade_of(axis), page.drawn(axis)
+    figures: tuple[Figure, ...] = ()
+    if traces:
+        # Loop and residual of the recording with the largest residual are linked in time.
+        name = traces[0].recording.name
+        link = f"axis-{list(page.model.axes).index(axis.axis)}"
+        residual = residuals.over_time(traces[0], axis, size=RESIDUAL_SIZE)
+        span = float(traces[0].time_s[-1]) / residual.canvas.x.scale.factor
+        loop = loops.without_line(page, axis, traces[0], size=LOOP_SIZE)
+        figures = (
+            replace(loop, link=link, seen_as=f"{name}: loop"),
+            replace(residual, link=link, span=span, seen_as=f"{name}: residual"),
+        )
     return Card(
         title=f"Axis {axis.axis}",
         tone=TONES[grade],
         word=grade.value,
-        figures=_figures(page, axis),
+        figures=figures,
         facts=_facts(page, axis),
-    )
-
-
-def _figures(page: Page, axis: AxisModel) -> tuple[Figure, ...]:
-    """Return loop and residual of the recording with the largest residual, linked in time."""
-    traces = page.drawn(axis)
-    if not traces:
-        return ()
-    name = traces[0].recording.name
-    link = f"axis-{list(page.model.axes).index(axis.axis)}"
-    residual = residuals.over_time(traces[0], axis, size=RESIDUAL_SIZE)
-    span = float(traces[0].time_s[-1]) / residual.canvas.x.scale.factor
-    loop = loops.without_line(page, axis, traces[0], size=LOOP_SIZE)
-    return (
-        replace(loop, link=link, seen_as=f"{name}: loop"),
-        replace(residual, link=link, span=span, seen_as=f"{name}: residual"),
     )
 
 
@@ -133,6 +127,13 @@ def _facts(page: Page, axis: AxisModel) -> tuple[tuple[str, str], ...]:
     quality, loop = axis.quality, page.loop_of(axis.axis)
     noise_m = quality.noise_rms_m
     closure = f"{significant(quality.held_out_rms_m / noise_m, 2)} times noise" if noise_m else ""
+    speed = ("Bandwidth", "none")
+    if loop is not None:
+        bandwidth, error = number(loop.bandwidth_Hz, "Hz"), tracking_error(page, axis.axis)
+        speed = ("Bandwidth of the feedback", bandwidth)
+        if error:  # on the spiral, if the verification ran one
+            label = f"Bandwidth of the feedback; simulated error at {TRACKED_Hz:g} Hz"
+            speed = (label, f"{bandwidth}; {error} rms")
     return (
         (
             "Held-out error" if quality.is_tested else "Error in sample",
@@ -143,22 +144,10 @@ def _facts(page: Page, axis: AxisModel) -> tuple[tuple[str, str], ...]:
             "Sensor noise; closure",
             f"{quality.noise_bound}{number(noise_m, 'm')} rms; {closure}",
         ),
-        _speed(page, axis.axis, loop),
+        speed,
         ("Guaranteed error", guarantee(page, axis)),
         ("Ships", ships(page, axis.axis)),
     )
-
-
-def _speed(page: Page, axis: str, loop: LoopDesign | None) -> tuple[str, str]:
-    """Return the bandwidth, with the error on the spiral if the verification ran one."""
-    if loop is None:
-        return "Bandwidth", "none"
-    bandwidth = number(loop.bandwidth_Hz, "Hz")
-    error = tracking_error(page, axis)
-    if not error:
-        return "Bandwidth of the feedback", bandwidth
-    label = f"Bandwidth of the feedback; simulated error at {TRACKED_Hz:g} Hz"
-    return label, f"{bandwidth}; {error} rms"
 
 
 def ships(page: Page, axis: str) -> str:

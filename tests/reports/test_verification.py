@@ -21,8 +21,14 @@ from piezoid_reports.parts import Section
 from piezoid_reports.quantities import number
 from piezoid_reports.render import render
 from piezoid_reports.sections import verification
-from piezoid_reports.sections.verification import MAX_VERDICTS
-from piezoid_reports.spirals import SHADES, STEPS, errors_in_time, motions, spiral
+from piezoid_reports.sections.verification import (
+    MAX_VERDICTS,
+    SHADES,
+    STEPS,
+    errors_in_time,
+    motions,
+    spiral,
+)
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, recording, stage_model
 from tests.verification.rig import PLANTS, stage
