@@ -36,7 +36,6 @@ class Page:
         design: controllers, if they were designed.
         undesigned: why they were not, or empty.
         diagnoses: of the axes that have one.
-        note: on the pictures of the diagnosis, or empty.
         undiagnosed: why other axes have no diagnosis, whole sentences.
         verification: of what ships.
         unshipped: by axis, why its controller does not ship.
@@ -55,7 +54,6 @@ class Page:
     design: Design | None = None
     undesigned: str = ""
     diagnoses: Sequence[Diagnosis] = ()
-    note: str = ""
     undiagnosed: Sequence[str] = ()
     verification: Verification | None = None
     unshipped: Mapping[str, str] = field(default_factory=dict)

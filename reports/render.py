@@ -81,14 +81,12 @@ def render_diagnosis(
     recordings: Sequence[Recording],
     diagnosis: Diagnosis,
     *,
-    note: str = "",
     comparison: ModelComparison | None = None,
     written: bytes = b"",
 ) -> str:
     """Return diagnosis.html: causes in recordings, against a model that was fitted to them.
 
     model    to draw on; it is in no file
-    note     on the figures
     comparison  of an earlier model with these recordings
     written  diagnosis.json
     """
@@ -96,7 +94,6 @@ def render_diagnosis(
         model=model,
         recordings=recordings,
         diagnoses=(diagnosis,),
-        note=note,
         comparison=comparison,
         files={"diagnosis.json": written} if written else {},
         statements=select(diagnosis_statements(diagnosis)),

@@ -93,7 +93,6 @@ def response_figure(
     *,
     is_used: NDArray[np.bool_] | None = None,
     band: tuple[Array, Array] | None = None,
-    guide: str = "",
 ) -> Figure:
     """Draw a measured response and the model over decades of frequency.
 
@@ -101,9 +100,8 @@ def response_figure(
     curves   measured and modelled, (lines,) each
     is_used  lines that are fitted, None: all; the others are grey dots
     band     95 % interval of the measurement
-    guide    text on how to read the figure; empty: the usual text
     """
-    label, height, usual = KINDS[kind]
+    label, height, guide = KINDS[kind]
     measured, model = curves
     x = decades_over("frequency", [decades], "Hz")
     canvas = Canvas(x=x, y=axis_over(label, [*(band or curves[:1]), model], ""), height=height)
@@ -118,7 +116,7 @@ def response_figure(
     return Figure(
         title=title,
         caption=numbers,
-        guide=guide or usual,
+        guide=guide,
         canvas=canvas,
         layers=tuple(layers),
     )

@@ -33,14 +33,12 @@ def nested_loops(rate_Hz: float, slope_per_s: float, levels: tuple[float, ...]) 
     return np.concatenate(parts)
 
 
-def random_levels(
-    rate_Hz: float, move_s: float, moves: int, rng: np.random.Generator, *, reach: float = 0.95
-) -> Array:
+def random_levels(rate_Hz: float, move_s: float, moves: int, rng: np.random.Generator) -> Array:
     """Glide up and down in turn between random levels, resting nowhere.
 
     Each move goes a random part of the way to the edge: minor loops of every span at every bias.
     """
-    parts, here, edge = [np.array([-1.0])], -1.0, reach
+    parts, here, edge = [np.array([-1.0])], -1.0, 0.95
     for _ in range(moves):
         there = here + (edge - here) * float(rng.uniform(0.2, 1.0))
         parts.append(glide(rate_Hz, here, there, move_s * float(rng.uniform(0.7, 1.3))))

@@ -141,7 +141,15 @@ def run_job(job: AxisJob | TipJob, progress: Progress) -> JobResult:
 
     Raises what fitting raises; an error of the diagnosis or the design is part of the result.
     """
-    return _run_axis(job, progress) if isinstance(job, AxisJob) else _run_tip(job, progress)
+    if isinstance(job, AxisJob):
+        return _run_axis(job, progress)
+    progress("fitting the tunnelling current")
+    tunnelling = fit_junction(job.sweeps, job.recordings, job.lab or Lab())
+    if tunnelling is None or axis_of(tunnelling) in job.axes:
+        return JobResult(tunnelling=tunnelling)
+    stage = replace(job.stage, tunnelling=tunnelling)
+    outcomes, fault = try_design(stage, job.lab, progress)
+    return JobResult(tunnelling=tunnelling, outcomes=outcomes, fault=fault)
 
 
 def _run_axis(job: AxisJob, progress: Progress) -> JobResult:
@@ -187,16 +195,6 @@ def _run_axis(job: AxisJob, progress: Progress) -> JobResult:
         fault=fault,
         stumbled=stumbled,
     )
-
-
-def _run_tip(job: TipJob, progress: Progress) -> JobResult:
-    progress("fitting the tunnelling current")
-    tunnelling = fit_junction(job.sweeps, job.recordings, job.lab or Lab())
-    if tunnelling is None or axis_of(tunnelling) in job.axes:
-        return JobResult(tunnelling=tunnelling)
-    stage = replace(job.stage, tunnelling=tunnelling)
-    outcomes, fault = try_design(stage, job.lab, progress)
-    return JobResult(tunnelling=tunnelling, outcomes=outcomes, fault=fault)
 
 
 def try_design(

@@ -67,22 +67,18 @@ def learned_files(
         ).encode()
     elif converter_V is not None and bits is not None:
         table = quantise(table, converter_V, bits)
-        _refuse_beyond(table, converter_V)
+        low_V, high_V = float(table.voltage_V.min()), float(table.voltage_V.max())
+        if low_V < converter_V[0] or high_V > converter_V[1] - table.step_V:
+            raise ParameterFileError(
+                f"axis {table.axis}: the period takes {low_V:.4g} V to {high_V:.4g} V",
+                needed=f"all of it within the {converter_V[0]:g} V to "
+                f"{converter_V[1] - table.step_V:.6g} V of the converter's codes",
+                remedy="Scale or move the reference.",
+            )
         assert table.code is not None
         files[f"{learned.axis}_int16.bin"] = table.code.astype("<i2").tobytes()
     files[f"{learned.axis}.csv"] = waveform_csv(table).encode()
     return files
-
-
-def _refuse_beyond(table: Waveform, converter_V: tuple[float, float]) -> None:
-    low_V, high_V = float(table.voltage_V.min()), float(table.voltage_V.max())
-    if low_V < converter_V[0] or high_V > converter_V[1] - table.step_V:
-        raise ParameterFileError(
-            f"axis {table.axis}: the period takes {low_V:.4g} V to {high_V:.4g} V",
-            needed=f"all of it within the {converter_V[0]:g} V to "
-            f"{converter_V[1] - table.step_V:.6g} V of the converter's codes",
-            remedy="Scale or move the reference.",
-        )
 
 
 def read_reference(path: Path, sampling_rate_Hz: float) -> Array:

@@ -149,7 +149,16 @@ def first_table(
         sampling_rate_Hz=plant.sampling_rate_Hz,
         gain=gain,
     )
-    _refuse_unlearnable(model.axis, learner, wanted_m)
+    share = learner.share_learnt(wanted_m)
+    if share < _MIN_LEARNT_POWER:
+        raise DesignError(
+            f"axis {model.axis}: learning contracts up to "
+            f"{with_unit(learner.learns_to_Hz, 'Hz')} only, where {100 * share:.3g} % of the "
+            "motion's power lies",
+            needed=f"at least {100 * _MIN_LEARNT_POWER:g} %",
+            remedy="Record a chirp or multisine so that more of the response is known and fit "
+            "again, or scan slower.",
+        )
     table_V = inverse_V(plant, wanted_m) if values is None else np.zeros(len(wanted_m))
     best_V, smallest_m = table_V, np.inf
     for _ in range(_ROUNDS):
@@ -312,19 +321,6 @@ def _checked(
             remedy="Move slower or less far, and let the period end where it begins.",
         )
     return wanted_m
-
-
-def _refuse_unlearnable(axis: str, learner: LearningFilter, wanted_m: Array) -> None:
-    """Refuse a motion whose power lies mostly at harmonics that are not learnt."""
-    share = learner.share_learnt(wanted_m)
-    if share < _MIN_LEARNT_POWER:
-        raise DesignError(
-            f"axis {axis}: learning contracts up to {with_unit(learner.learns_to_Hz, 'Hz')} only, "
-            f"where {100 * share:.3g} % of the motion's power lies",
-            needed=f"at least {100 * _MIN_LEARNT_POWER:g} %",
-            remedy="Record a chirp or multisine so that more of the response is known and fit "
-            "again, or scan slower.",
-        )
 
 
 def _reach_m(model: AxisModel) -> tuple[float, float]:

@@ -52,7 +52,6 @@ class Clock:
     """Sampling rate and faults of the time stamps.
 
     sampling_rate_Hz  of the samples between gaps
-    jitter_rms_s      of the stamps about uniform ones, faults left out; 0 within their print
     breaks            first sample after each longer gap or step backwards
     bridged           first sample after each gap of one sample
     statements        ``jitter``, ``gap``, ``duplicate_time``, ``time_reversed``,
@@ -60,7 +59,6 @@ class Clock:
     """
 
     sampling_rate_Hz: float
-    jitter_rms_s: float
     breaks: tuple[int, ...] = ()
     bridged: tuple[int, ...] = ()
     statements: tuple[Statement, ...] = ()
@@ -87,7 +85,7 @@ def read_clock(time_s: Array, name: str, location: PlaceOf) -> Clock:
     is_line = uniform_s > 0 and np.abs(time_s - _fitted_line(time_s)).max() <= tolerance_s
     if is_line and not _has_rare_jumps(time_s, resolution_s):
         uncertainty = 2 * tolerance_s / (time_s[-1] - time_s[0])
-        return Clock(sampling_rate_Hz=plain_rate_Hz(1 / uniform_s, uncertainty), jitter_rms_s=0.0)
+        return Clock(sampling_rate_Hz=plain_rate_Hz(1 / uniform_s, uncertainty))
     return _faulty_clock(time_s, resolution_s, name, location)
 
 
@@ -99,7 +97,7 @@ def stated_clock(rate_Hz: float, name: str) -> Clock:
             needed=f"one from {1 / MAX_INTERVAL_s:.0e} to {1 / MIN_INTERVAL_s:.0e} Hz",
             remedy="Correct it where it is stated, in the file's header or in lab.toml.",
         )
-    return Clock(sampling_rate_Hz=plain_rate_Hz(rate_Hz), jitter_rms_s=0.0)
+    return Clock(sampling_rate_Hz=plain_rate_Hz(rate_Hz))
 
 
 def plain_rate_Hz(rate_Hz: float, uncertainty: float = 0.0) -> float:
@@ -223,7 +221,6 @@ def _faulty_clock(time_s: Array, resolution_s: float, name: str, location: Place
     bridged = f"; {single} of single samples, bridged by straight lines" if single else ""
     return Clock(
         sampling_rate_Hz=plain_rate_Hz(1 / interval_s, (resolution_s + jitter_s) / np.ptp(time_s)),
-        jitter_rms_s=jitter_s,
         breaks=tuple(sorted({*gaps[missing > 1].tolist(), *backward.tolist()})),
         bridged=tuple(gaps[missing == 1].tolist()),
         statements=(

@@ -48,8 +48,6 @@ def _axis_parts(
     parts: list[Part] = []
     if diagnosis.findings and not pictures:
         parts.append(Prose(text=NO_PICTURES))
-    elif diagnosis.findings and page.note:
-        parts.append(Prose(text=page.note))
     for finding in largest_first(diagnosis):
         effect, of_effect = finding.effect, pictures.get(finding.effect, ())
         parts.append(Heading(text=f"Axis {diagnosis.axis}: {words(effect)}"))

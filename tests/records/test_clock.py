@@ -44,7 +44,7 @@ def test_jitter_is_found_with_its_size(share: float, rng: np.random.Generator) -
     clock = clock_of(TIME_s + rng.normal(0, share / RATE_Hz, len(TIME_s)))
     assert kinds(clock) == {"jitter"}
     assert not clock.breaks
-    assert clock.jitter_rms_s == pytest.approx(share / RATE_Hz, rel=0.1)
+    assert clock.statements[0].value == pytest.approx(share / RATE_Hz, rel=0.1)
     assert clock.sampling_rate_Hz == pytest.approx(RATE_Hz, rel=1e-4)
 
 
