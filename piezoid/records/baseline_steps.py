@@ -19,7 +19,7 @@ from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.records.constant_drive import is_at_rest
 from piezoid.records.recording import Recording
-from piezoid.records.sample_statistics import step_size
+from piezoid.records.sample_statistics import robust_sigma, step_size
 from piezoid.statement import finding
 
 # In 294 healthy recordings, and in those of 60 stages of two other simulators, nothing passes both
@@ -203,13 +203,10 @@ def _step_between_cycles(reading: Array, drive: Array) -> tuple[BaselineStep, ..
         return ()
     in_period = np.zeros(len(difference), dtype=bool)
     in_period[start : start + period] = True
-    if _spread(difference[in_period]) > MAX_SCATTER_RATIO * _spread(difference[~in_period]):
+    other_scatter = robust_sigma(difference[~in_period])
+    if robust_sigma(difference[in_period]) > MAX_SCATTER_RATIO * other_scatter:
         return ()
     return (BaselineStep(first=instant - 1, last=instant, size=size),)
-
-
-def _spread(values: Array) -> float:
-    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
 def _period(drive: Array) -> int:

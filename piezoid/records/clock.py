@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array
+from piezoid.records.sample_statistics import robust_sigma
 from piezoid.statement import Statement, finding
 
 Stamps = NDArray[np.int_]
@@ -193,7 +194,7 @@ def _faulty_clock(time_s: Array, resolution_s: float, name: str, location: Place
     """Return a clock with the faults of its stamps; refuse stamps without a common interval."""
     steps = np.diff(time_s)
     interval_s = _interval_s(time_s)
-    spread_s = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
+    spread_s = robust_sigma(steps)
     if not interval_s > 0 or spread_s > MAX_SPREAD * interval_s + resolution_s:
         raise _no_clock(
             name,

@@ -35,7 +35,7 @@ def noise_rms(values: Array) -> float:
     """
     if len(values) < 5:
         return 0.0
-    spread = _spread(np.diff(values, 2))
+    spread = robust_sigma(np.diff(values, 2))
     return spread / math.sqrt(6.0) if spread > 0 else step_size(values) / math.sqrt(12.0)
 
 
@@ -47,7 +47,7 @@ def is_noise_hidden(values: Array) -> bool:
     by the third as by the second one. A signal that is fast in one part of the record only, as a
     chirp through a resonance, has a noise there that is many times that of another part.
     """
-    second, third = (_spread(np.diff(values, order)) for order in (2, 3))
+    second, third = (robust_sigma(np.diff(values, order)) for order in (2, 3))
     is_noticeable = second / math.sqrt(6.0) > _NOTICEABLE * float(np.ptp(values))
     if not is_noticeable:
         return False
@@ -55,13 +55,13 @@ def is_noise_hidden(values: Array) -> bool:
         return True
     if len(values) < _BLOCKS * _MIN_BLOCK:
         return False
-    blocks = [_spread(np.diff(block, 2)) for block in np.array_split(values, _BLOCKS)]
+    blocks = [robust_sigma(np.diff(block, 2)) for block in np.array_split(values, _BLOCKS)]
     positive = [spread for spread in blocks if spread > 0.0]  # a frozen reading has no noise
     quietest = min(positive, default=0.0)
     return max(blocks) > _MAX_UNEVEN * max(quietest, step_size(values))
 
 
-def _spread(values: Array) -> float:
+def robust_sigma(values: Array) -> float:
     """Return the standard deviation of a normal distribution with the median deviation."""
     return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 

@@ -77,6 +77,25 @@ def render(page: Page) -> Section | None:
 
 def _loops(page: Page) -> Table:
     """Return every loop of every axis with its worst margins; the first of an axis is chosen."""
+    rows = []
+    for axis in page.axis_designs:
+        model = page.model.axes.get(axis.axis)
+        is_verified = page.ships(axis.axis) or page.verification is None
+        for loop in axis.loops:
+            delay_s = loop.worst_delay_margin_s
+            bound_m: float | str = "none"
+            if model is not None:
+                bound_m = guaranteed_error_m(loop.certificate, model, is_verified=is_verified)
+            rows.append(
+                (
+                    axis.axis,
+                    METHOD_NAMES[loop.method],
+                    number(loop.bandwidth_Hz, "Hz"),
+                    significant(loop.worst_modulus_margin),
+                    "any" if delay_s is None else number(delay_s, "s"),
+                    bound_m if isinstance(bound_m, str) else number(bound_m, "m"),
+                )
+            )
     return Table(
         caption="The first loop of an axis is recommended. Bandwidth: of the feedback, which "
         "rejects disturbances; the feedforward follows references faster.",
@@ -88,31 +107,9 @@ def _loops(page: Page) -> Table:
             "delay margin",
             "guaranteed error",
         ),
-        rows=tuple(
-            (
-                axis.axis,
-                METHOD_NAMES[loop.method],
-                number(loop.bandwidth_Hz, "Hz"),
-                significant(loop.worst_modulus_margin),
-                "any"
-                if loop.worst_delay_margin_s is None
-                else number(loop.worst_delay_margin_s, "s"),
-                _bound(page, axis, loop),
-            )
-            for axis in page.axis_designs
-            for loop in axis.loops
-        ),
+        rows=tuple(rows),
         is_open=True,
     )
-
-
-def _bound(page: Page, axis: AxisDesign, loop: LoopDesign) -> str:
-    model, is_verified = page.model.axes.get(axis.axis), page.ships(axis.axis)
-    if model is None:
-        return "none"
-    is_verified = is_verified or page.verification is None
-    bound_m = guaranteed_error_m(loop.certificate, model, is_verified=is_verified)
-    return bound_m if isinstance(bound_m, str) else number(bound_m, "m")
 
 
 def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:

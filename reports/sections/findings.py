@@ -11,7 +11,7 @@ from piezoid.identification.fit_statements import ZERO_DRIFT
 from piezoid_reports.effect_comparison import compare_effects
 from piezoid_reports.effect_figures import figure_of, unnamed_figure
 from piezoid_reports.page import Page
-from piezoid_reports.parts import Heading, Part, Prose, Section, Table
+from piezoid_reports.parts import Heading, Part, Prose, Section, Table, with_rows
 from piezoid_reports.quantities import number, percent, size_of
 
 MIN_GAIN = 1e-3  # of the held-out error: below, refitting alone moves it as much
@@ -118,31 +118,20 @@ def _not_detected_tables(page: Page) -> list[Part]:
         ),
         (faults, "Data faults not detected. Detection limit, height of a spike or step."),
     )
-    return [
-        Table(
-            caption=caption,
-            columns=("effect", *(f"axis {axis}" for axis in axes)),
-            rows=tuple(
-                (
-                    words(name),
-                    *(
-                        f"{_limits_of(by_name.get((name, axis)))}{_beyond_zero(page, name, axis)}"
-                        for axis in axes
-                    ),
-                )
-                for name in names_of_table
-            ),
-        )
-        for names_of_table, caption in tables
-        if names_of_table
-    ]
-
-
-def _beyond_zero(page: Page, effect: str, axis: str) -> str:
-    """Return that the limits of a drift hold beyond a drift of the zero that the fit follows."""
-    drifts = {fact.axis for fact in page.statements if fact.quantity == ZERO_DRIFT}
-    is_beyond = effect == thermal_drift.EFFECT.name and axis in drifts
-    return ", beyond the drift that the fit follows" if is_beyond else ""
+    # On these axes the fit follows a drift of the zero, beyond which the limits of a drift hold.
+    drifting = {fact.axis for fact in page.statements if fact.quantity == ZERO_DRIFT}
+    parts: list[Part] = []
+    for names_of_table, caption in tables:
+        rows = []
+        for name in names_of_table:
+            cells = {axis: _limits_of(by_name.get((name, axis))) for axis in axes}
+            if name == thermal_drift.EFFECT.name:
+                for axis in drifting & cells.keys():
+                    cells[axis] += ", beyond the drift that the fit follows"
+            rows.append((words(name), *cells.values()))
+        columns = ("effect", *(f"axis {axis}" for axis in axes))
+        parts += with_rows(Table(caption=caption, columns=columns, rows=tuple(rows)))
+    return parts
 
 
 def _limits_of(absence: NotDetected | None) -> str:

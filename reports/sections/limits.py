@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from piezoid.identification.fit_statements import DYNAMICS
-from piezoid.identification.model import AxisModel
 from piezoid.statement import Level, Statement
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Listing, Part, Prose, Section, Table, folded
@@ -24,7 +23,15 @@ def render(page: Page) -> Section:
         for fact in page.statements
         if fact.level is Level.NOTE and fact.quantity != DYNAMICS
     )
-    untested = tuple(_untested(page, axis) for axis in page.axes)
+    untested = []
+    for axis in page.axes:
+        low_V, high_V = axis.voltage_V
+        slew = number(axis.certificate.slew_V_per_s, "V/s")
+        name = f"Axis {axis.axis}: " if len(page.axes) > 1 else ""
+        untested.append(
+            f"{name}drive below {number(low_V, 'V')} or above {number(high_V, 'V')}, or faster "
+            f"than {slew}; other temperature and load."
+        )
     has_action = any(fact.level is Level.ACTION for fact in open_facts)
     parts: list[Part] = []
     if open_facts:
@@ -41,7 +48,7 @@ def render(page: Page) -> Section:
         parts.append(Prose(text="No limit was found that needs action.", tone="good"))
     for summary, items in (
         (f"Notes: {len(notes)}", notes),
-        ("Conditions that were not tested", untested),
+        ("Conditions that were not tested", tuple(untested)),
     ):
         parts += folded(summary, [Listing(items=items)] if items else [])
     return Section(
@@ -65,13 +72,3 @@ def _rows(page: Page, facts: Sequence[Statement]) -> tuple[tuple[str, ...], ...]
             text = f"Axes {', '.join(names)}: {fact.text}"
         rows.append((LABELS[fact.level], label_of(fact.quantity), text))
     return tuple(rows)
-
-
-def _untested(page: Page, axis: AxisModel) -> str:
-    low_V, high_V = axis.voltage_V
-    name = f"Axis {axis.axis}: " if len(page.axes) > 1 else ""
-    slew = number(axis.certificate.slew_V_per_s, "V/s")
-    return (
-        f"{name}drive below {number(low_V, 'V')} or above {number(high_V, 'V')}, or faster than "
-        f"{slew}; other temperature and load."
-    )

@@ -34,15 +34,31 @@ def render(page: Page) -> Section:
 def sentences(page: Page) -> tuple[tuple[str, str], ...]:
     """Return the sentences on top, each with the word in front of it."""
     labels = {Level.ACTION: "Next", Level.WARNING: "Limits"}
-    word, grade = "Tip", ""
+    word, accuracy = "Tip", []
+    verdict = "No axis with drive and displacement was recorded, only a tunnelling junction"
     if page.axes:
-        worst = max((grade_of(axis) for axis in page.axes), key=list(Grade).index)
-        word = {Grade.REJECTED: "Bad", Grade.LIMITED: "Care"}.get(worst, words(worst).capitalize())
-        if _fails(page) and worst is not Grade.REJECTED:
-            word, grade = "Fails", f" (model {worst})"
+        fitted = [axis.axis for axis in page.axes if axis.verdict.applies]
+        rejected = [axis.axis for axis in page.axes if not axis.verdict.applies]
+        if rejected:
+            verdict = f"The hysteresis model does not apply to {_names(rejected)}"
+            verdict += f", but it does to {_names(fitted)}" if fitted else ""
+        else:
+            verdict = f"The hysteresis model applies to {_names(fitted)}"
+        grade = max((grade_of(axis) for axis in page.axes), key=list(Grade).index)
+        word = {Grade.REJECTED: "Bad", Grade.LIMITED: "Care"}.get(grade, words(grade).capitalize())
+        if _fails(page) and grade is not Grade.REJECTED:
+            word, verdict = "Fails", f"{verdict} (model {grade})"
+        worst = max(page.axes, key=lambda axis: axis.quality.held_out_rms_percent)
+        quality = worst.quality
+        kind = "Held-out error" if quality.is_tested else "Error on the data of the fit"
+        where = f" on axis {worst.axis} (the worst axis)" if len(page.axes) > 1 else ""
+        error = number(quality.held_out_rms_m, "m")
+        share = number(quality.held_out_rms_percent, "%")
+        text = f"{kind}: {error} rms{where}, {share} of the {number(quality.range_m, 'm')} range."
+        accuracy.append(("Error", text))
     return (
-        (word, f"{_verdict(page)}{grade}{_verified(page)}."),
-        *_accuracy(page),
+        (word, f"{verdict}{_verified(page)}."),
+        *accuracy,
         *((labels[fact.level], page.text_of(fact)) for fact in reversed(page.headline)),
     )
 
@@ -51,17 +67,6 @@ def _fails(page: Page) -> bool:
     """Return whether a controller that was designed does not ship."""
     verification = page.verification
     return bool(page.unshipped) or (verification is not None and not verification.passed)
-
-
-def _verdict(page: Page) -> str:
-    if not page.axes:
-        return "No axis with drive and displacement was recorded, only a tunnelling junction"
-    fitted = [axis.axis for axis in page.axes if axis.verdict.applies]
-    rejected = [axis.axis for axis in page.axes if not axis.verdict.applies]
-    if not rejected:
-        return f"The hysteresis model applies to {_names(fitted)}"
-    exception = f", but it does to {_names(fitted)}" if fitted else ""
-    return f"The hysteresis model does not apply to {_names(rejected)}{exception}"
 
 
 def _verified(page: Page) -> str:
@@ -84,20 +89,6 @@ def _names(axes: list[str]) -> str:
     if len(axes) == 1:
         return f"axis {axes[0]}"
     return f"axes {', '.join(axes[:-1])} and {axes[-1]}"
-
-
-def _accuracy(page: Page) -> tuple[tuple[str, str], ...]:
-    """Return the error of the worst axis."""
-    if not page.axes:
-        return ()
-    worst = max(page.axes, key=lambda axis: axis.quality.held_out_rms_percent)
-    quality = worst.quality
-    kind = "Held-out error" if quality.is_tested else "Error on the data of the fit"
-    where = f" on axis {worst.axis} (the worst axis)" if len(page.axes) > 1 else ""
-    error = number(quality.held_out_rms_m, "m")
-    share = number(quality.held_out_rms_percent, "%")
-    text = f"{kind}: {error} rms{where}, {share} of the {number(quality.range_m, 'm')} range."
-    return (("Error", text),)
 
 
 def _card(page: Page, axis: AxisModel) -> Card:

@@ -9,7 +9,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.verification.criteria import SHAPE_ERROR, SHAPE_RATIO, Limits, Verdict
 from piezoid.verification.limit_proof import LimitProof
-from piezoid.verification.plotted_paths import UNCOMPENSATED, Motion, SpiralTrace, rms_from
+from piezoid.verification.plotted_paths import UNCOMPENSATED, SpiralTrace, rms_from
 from piezoid.verification.rebuild import Proof
 from piezoid.verification.scenarios import spiral_speed_m_per_s
 from piezoid.verification.verification import ComparisonRow, Verification
@@ -44,7 +44,8 @@ def render(page: Page) -> Section | None:
     ]
     details = [*spirals, *motions(verification)]
     figures: list[Part] = [_shape_figure(verification)] if verification.comparison else []
-    figures += errors_in_time(verification)[-1:]
+    rates_Hz = list(dict.fromkeys(trace.frequency_Hz for trace in verification.traces))
+    figures += [error_in_time(rate_Hz, verification) for rate_Hz in rates_Hz[-1:]]
     figures += folded(f"Steps and spiral: {count_of(len(details), 'figure')}", details)
     figures += [_table(page, verification)] if verification.comparison else []
     return Section(
@@ -280,13 +281,8 @@ def spiral(trace: SpiralTrace, verification: Verification) -> Figure:
     )
 
 
-def errors_in_time(verification: Verification) -> list[Figure]:
-    """Draw the shape error along each spiral: the shipped controller, and in grey no control."""
-    rates = dict.fromkeys(trace.frequency_Hz for trace in verification.traces)
-    return [_error_in_time(rate, verification) for rate in rates]
-
-
-def _error_in_time(frequency_Hz: float, verification: Verification) -> Figure:
+def error_in_time(frequency_Hz: float, verification: Verification) -> Figure:
+    """Draw the shape error along a spiral: the shipped controller, and in grey no control."""
     traces = [trace for trace in verification.traces if trace.frequency_Hz == frequency_Hz]
     shipped = set(verification.methods.values())
     traces.sort(key=lambda trace: trace.method in shipped)  # what ships is drawn on top
@@ -311,9 +307,17 @@ def _error_in_time(frequency_Hz: float, verification: Verification) -> Figure:
     )
     sizes = f"{sizes[:1].upper()}{sizes[1:]}"
     baseline = "the dashed line" if limits else METHOD_NAMES[UNCOMPENSATED]
+    limit_clause = "no limit at this rate"
+    for verdict in verification.verdicts:
+        if (verdict.name, verdict.scenario) == (SHAPE_RATIO, f"spiral, {frequency_Hz:g} Hz"):
+            ratio, allowed = significant(verdict.value), significant(verdict.limit)
+            limit_clause = f"ratio {ratio}, allowed {allowed}; no limit in metres at this rate"
+            break
+    if limit_m is not None:
+        limit_clause = f"limit {number(limit_m, 'm')} rms"
     return Figure(
         title=f"Shape error along the spiral of {number(frequency_Hz, 'Hz')}",
-        caption=f"{sizes}; {_limit_clause(verification, frequency_Hz)}.",
+        caption=f"{sizes}; {limit_clause}.",
         guide=f"Good: far below {baseline}. Bad: rising outwards, or a spike every turn.",
         canvas=canvas,
         layers=(
@@ -335,19 +339,6 @@ def _shape_limit_m(verification: Verification, frequency_Hz: float) -> float | N
     return percent[0] / 100.0 * 2.0 * verification.radius_m if percent else None
 
 
-def _limit_clause(verification: Verification, frequency_Hz: float) -> str:
-    """Return the limit of the shape error at a rate: a length, or a ratio to no compensation."""
-    limit_m = _shape_limit_m(verification, frequency_Hz)
-    if limit_m is not None:
-        return f"limit {number(limit_m, 'm')} rms"
-    scenario = f"spiral, {frequency_Hz:g} Hz"
-    for verdict in verification.verdicts:
-        if (verdict.name, verdict.scenario) == (SHAPE_RATIO, scenario):
-            ratio, limit = significant(verdict.value), significant(verdict.limit)
-            return f"ratio {ratio}, allowed {limit}; no limit in metres at this rate"
-    return "no limit at this rate"
-
-
 def _shaded(canvas: Canvas, x_m: Array, y_m: Array, error_m: Array, limit_m: float) -> list[Layer]:
     """Draw a curve in shades, by the parts of the limit its error reaches."""
     edges_m = [limit_m * share if np.isfinite(share) else np.inf for share in SHADES.values()]
@@ -366,38 +357,39 @@ def _shaded(canvas: Canvas, x_m: Array, y_m: Array, error_m: Array, limit_m: flo
 
 def motions(verification: Verification) -> tuple[Figure, ...]:
     """Draw the error against time after steps, which shows settling; spirals show the rest."""
-    return tuple(
-        _error(motion, verification) for motion in verification.motions if motion.scenario == STEPS
-    )
-
-
-def _error(motion: Motion, verification: Verification) -> Figure:
-    reference_m = np.array(motion.reference_m)
-    starts = np.arange(0, len(reference_m), AVERAGED, dtype=np.intp)
-    time_s = np.linspace(0.0, motion.duration_s, len(reference_m), endpoint=False)[starts]
-    # The shipped controller comes last, because it is drawn on top.
-    runs = [("model", verification.methods[motion.axis], motion.shipped_m)]
-    if motion.uncompensated_m:
-        runs.insert(0, ("grey", "none", motion.uncompensated_m))
-    errors = [
-        (role, name, rms_from(starts, np.array(moved_m) - reference_m))
-        for role, name, moved_m in runs
-    ]
-    logs = [np.log10(np.maximum(error_m, SMALLEST_m) / NANO) for _, _, error_m in errors]
-    x = axis_over("time", [time_s], "s")
-    y = decades_over("distance from the reference", logs, "nm")
-    canvas = Canvas(x=x, y=y)
-    medians = "; ".join(
-        f"{METHOD_NAMES[name]}: {number(float(np.median(error_m)), 'm')}"
-        for _, name, error_m in reversed(errors)
-    )
-    return Figure(
-        title=f"Axis {motion.axis}, {motion.scenario}: tracking error",
-        caption=f"Median: {medians}.",
-        guide=GUIDE_ERROR,
-        canvas=canvas,
-        layers=tuple(
-            canvas.line(role, METHOD_NAMES[name], time_s, log)
-            for (role, name, _), log in zip(errors, logs, strict=True)
-        ),
-    )
+    figures = []
+    for motion in verification.motions:
+        if motion.scenario != STEPS:
+            continue
+        reference_m = np.array(motion.reference_m)
+        starts = np.arange(0, len(reference_m), AVERAGED, dtype=np.intp)
+        time_s = np.linspace(0.0, motion.duration_s, len(reference_m), endpoint=False)[starts]
+        # The shipped controller comes last, because it is drawn on top.
+        runs = [("model", verification.methods[motion.axis], motion.shipped_m)]
+        if motion.uncompensated_m:
+            runs.insert(0, ("grey", "none", motion.uncompensated_m))
+        errors = [
+            (role, name, rms_from(starts, np.array(moved_m) - reference_m))
+            for role, name, moved_m in runs
+        ]
+        logs = [np.log10(np.maximum(error_m, SMALLEST_m) / NANO) for _, _, error_m in errors]
+        x = axis_over("time", [time_s], "s")
+        y = decades_over("distance from the reference", logs, "nm")
+        canvas = Canvas(x=x, y=y)
+        medians = "; ".join(
+            f"{METHOD_NAMES[name]}: {number(float(np.median(error_m)), 'm')}"
+            for _, name, error_m in reversed(errors)
+        )
+        figures.append(
+            Figure(
+                title=f"Axis {motion.axis}, {motion.scenario}: tracking error",
+                caption=f"Median: {medians}.",
+                guide=GUIDE_ERROR,
+                canvas=canvas,
+                layers=tuple(
+                    canvas.line(role, METHOD_NAMES[name], time_s, log)
+                    for (role, name, _), log in zip(errors, logs, strict=True)
+                ),
+            )
+        )
+    return tuple(figures)

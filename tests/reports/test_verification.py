@@ -25,7 +25,7 @@ from piezoid_reports.sections.verification import (
     MAX_VERDICTS,
     SHADES,
     STEPS,
-    errors_in_time,
+    error_in_time,
     motions,
     spiral,
 )
@@ -162,7 +162,7 @@ def test_a_limit_is_drawn_only_beside_the_spiral_that_it_was_the_limit_of(
     found: Verification,
 ) -> None:
     """At 100 Hz a spiral is compared with no compensation; its error may exceed that of 10 Hz."""
-    (at_10_Hz,) = errors_in_time(found)
+    at_10_Hz = error_in_time(10.0, found)
     assert at_10_Hz.layers[-1].role == "limit"
     assert "limit" in at_10_Hz.caption
     faster = replace(
@@ -172,7 +172,7 @@ def test_a_limit_is_drawn_only_beside_the_spiral_that_it_was_the_limit_of(
         verdicts=tuple(replace(v, scenario="spiral, 100 Hz") for v in found.verdicts),
     )
     faster = replace(faster, verdicts=tuple(v for v in faster.verdicts if v.name != SHAPE_ERROR))
-    (at_100_Hz,) = errors_in_time(faster)
+    at_100_Hz = error_in_time(100.0, faster)
     assert "limit" not in {layer.role for layer in at_100_Hz.layers}
     assert "dashed" not in at_100_Hz.guide
     assert "allowed 1.00" in at_100_Hz.caption
