@@ -5,14 +5,17 @@ whenever a new step begins.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from piezoid.calibration.controllers import export_and_verify
 from piezoid.design.design import Design
 from piezoid.design.design_stage import SpecificationText, controller_rate_Hz, design_stage
 from piezoid.errors import ParameterFileError, RecordingError
-from piezoid.export.parameter_file import ParameterFile
+from piezoid.export.export_stage import export_stage
+from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.learning.learn import Learned, first_table, next_table, refuse_changed
 from piezoid.numerics.executor import on_one_thread
@@ -20,13 +23,7 @@ from piezoid.raw_counts import refuse_counts
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.sealed_files import Place, digest_of, lab_of, path_of
-from piezoid.verification.axis_simulation import (
-    Controller,
-    axis_parameters,
-    parameters_of,
-    simulate_axis,
-)
-from piezoid.verification.closed_loop import LoopRecord
+from piezoid.verification.closed_loop import LoopRecord, run_axis
 from piezoid.verification.criteria import limits_from_toml
 from piezoid.verification.plant import lateral_plant
 from piezoid.verification.release import Shipping
@@ -34,6 +31,7 @@ from piezoid.verification.verification import Verification
 from piezoid.verification.verify_stage import plant_of, verify_stage
 
 Progress = Callable[[str], None] | None
+Controller = Design | Shipping | ParameterFile
 
 
 @on_one_thread
@@ -135,7 +133,7 @@ def verify(
     """
     path = None if limits is None else path_of(limits)
     return verify_stage(
-        parameters_of(parameters, model, lab_of(lab)),
+        _parameters_of(parameters, model, lab_of(lab)),
         model,
         lab=lab_of(lab),
         limits=None
@@ -162,17 +160,34 @@ def simulate_loop(
     reference_m  (samples,)  m in the coordinates of the sensor, at the sampling rate of the
                  controller; ``zero_m`` of an axis is near the middle of its range
     controller   ``Design``, result of ``export``, or ``ParameterFile``
+    axis         default: the only one there is; a tunnelling axis follows a current, A
     lab          of the design
     seed         of the sensor noise
 
-    A reference beyond the range of the controller is limited; ``status`` then reports it.
+    A reference beyond the range of the controller is limited; ``status`` then reports it. Raises
+    ``ParameterFileError`` for an axis without a controller.
 
     >>> reference_m = model["x"].zero_m + 1e-6 * np.sin(2e-3 * np.arange(8000))
     >>> loop = piezoid.simulate_loop(model, reference_m, design, lab="lab.toml")
     >>> loop.after(2000).rms_error < 50e-9
     True
     """
-    return simulate_axis(model, controller, reference_m, axis=axis, lab=lab_of(lab), seed=seed)
+    declared = lab_of(lab)
+    parameters = _axis_parameters(controller, model, declared, axis)
+    reference = np.asarray(reference_m, dtype=np.float64)
+    if reference.ndim != 1 or not len(reference) or not np.isfinite(reference).all():
+        raise ParameterFileError(
+            f"axis {parameters.axis}: a reference of shape {reference.shape}, "
+            f"{int(np.sum(~np.isfinite(reference)))} of its numbers not finite",
+            needed="one finite number for each sample, shape (samples,)",
+            remedy="Pass the reference of one axis, in metres.",
+        )
+    return run_axis(
+        plant_of(parameters, model, declared or Lab()),
+        replace(parameters, alternatives=()),
+        reference,
+        rng=np.random.default_rng(seed),
+    )
 
 
 @on_one_thread
@@ -213,7 +228,9 @@ def learn(
     (True, True)
     """
     declared = lab_of(lab)
-    parameters = None if controller is None else axis_parameters(controller, model, declared, axis)
+    parameters = (
+        None if controller is None else _axis_parameters(controller, model, declared, axis)
+    )
     axis_model = model[axis or (next(iter(model.axes)) if parameters is None else parameters.axis)]
     refuse_counts(axis_model.axis, axis_model.counted)
     sources = {"model": digest_of(model)}
@@ -234,3 +251,39 @@ def learn(
         )
     refuse_changed(before, reference_m, sources=sources, closed_loop=parameters is not None)
     return next_table(before, axis_model, plant, period, parameters=parameters)
+
+
+def _axis_parameters(
+    controller: Controller, model: ActuatorModel, lab: Lab | None, axis: str | None
+) -> AxisParameters:
+    """Return the runtime parameters of one axis; None: the only one."""
+    file = _parameters_of(controller, model, lab)
+    if axis is None and len(file.axes) > 1:
+        raise ParameterFileError(
+            f"no axis named, there are controllers of {', '.join(a.axis for a in file.axes)}",
+            needed="one axis",
+            remedy="Name it, as in axis='x'.",
+        )
+    return file.axes[0] if axis is None else file.axis(axis)
+
+
+def _parameters_of(controller: Controller, model: ActuatorModel, lab: Lab | None) -> ParameterFile:
+    """Return the runtime parameters of a stage, or of a design even if it may not ship."""
+    if isinstance(controller, ParameterFile):
+        return controller
+    if isinstance(controller, Shipping):
+        if controller.parameters is None:
+            reasons = "; ".join(f"axis {a}: {why}" for a, why in controller.reasons.items())
+            raise ParameterFileError(
+                f"nothing ships: {reasons}",
+                needed="a controller that passed its verification",
+                remedy="Read the reasons, or take .refused for study.",
+            )
+        return controller.parameters
+    if not isinstance(controller, Design):
+        raise ParameterFileError(
+            f"a controller of type {type(controller).__name__}",
+            needed="a Design, what export returned, or a ParameterFile",
+            remedy="Pass the result of piezoid.design(model).",
+        )
+    return export_stage(model, controller, design_digest=digest_of(controller), lab=lab)

@@ -11,10 +11,9 @@ from piezoid.numerics.frequency import Response
 from piezoid.records.recording import Recording
 from piezoid.runtime.controller import Controller, Status
 from piezoid.runtime.library import Values
-from piezoid.verification.closed_loop import run_law
+from piezoid.verification.closed_loop import approach_path, run_law
 from piezoid.verification.loop_plant import rest_position
 from piezoid.verification.plant import AxisPlant
-from piezoid.verification.start_position import approach_path
 
 _SETTLED_s = 0.1  # before what is kept: ten time constants of a loop of 16 Hz
 LIMITED = Status.VOLTAGE_LIMITED | Status.VOLTAGE_STEP | Status.REFERENCE_LIMITED

@@ -22,9 +22,8 @@ from piezoid.targets.target_inputs import (
     exported_position_m,
     worst_errors,
 )
-from piezoid.verification.closed_loop import run_law
+from piezoid.verification.closed_loop import approach_path, reference_range, run_law
 from piezoid.verification.scenarios import constant_angular_velocity
-from piezoid.verification.start_position import approach_path, reference_range
 
 _SPIRAL_Hz, _TURNS = 10.0, 5.0
 _NOTCHES = ("no notch", "one notch", "two notches")

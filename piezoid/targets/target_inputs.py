@@ -11,9 +11,8 @@ from piezoid.formatting import with_unit
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.targets.controller_hardware import ControllerHardware
-from piezoid.verification.closed_loop import run_axis
+from piezoid.verification.closed_loop import approach_path, run_axis
 from piezoid.verification.plant import AxisPlant
-from piezoid.verification.start_position import approach_path
 
 SEED = 0  # of the sensor noise in every comparison
 

@@ -29,10 +29,9 @@ from piezoid.targets.target_inputs import (
     exported_position_m,
     worst_errors,
 )
-from piezoid.verification.closed_loop import run_law
+from piezoid.verification.closed_loop import reference_range, run_law
 from piezoid.verification.plant import AxisPlant, Hysteresis
 from piezoid.verification.scenarios import raster
-from piezoid.verification.start_position import reference_range
 
 _PERIODS = 3  # the last is looked at: plays have closed their loops after the first
 # Rounds of correction. After eight the identified plants of the bundled stage erred by 0.21 and

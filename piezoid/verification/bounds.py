@@ -37,9 +37,8 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
 from piezoid.numerics.polynomial import product
 from piezoid.runtime.controller import Status
-from piezoid.verification.closed_loop import run_axis
+from piezoid.verification.closed_loop import approach_path, reference_range, run_axis
 from piezoid.verification.plant import AxisPlant, Hysteresis, Junction, varied_plant
-from piezoid.verification.start_position import approach_path, reference_range
 from piezoid.verification.verification import ErrorBound
 
 PROBABILITY, DRAWN = 0.95, 59  # runs at each speed: the third largest of them bounds the next
@@ -183,8 +182,11 @@ class _LateralTask:
         if discrepancy is not None:
             scaled = min(float(np.exp(SPREAD * size)), MOST) * discrepancy.weight_m
             discrepancy = replace(discrepancy, weight_m=scaled)
-        past_V = _past_V(rng, *self._model.voltage_V)
-        response = replace(response, discrepancy=discrepancy, history_V=past_V)
+        # random turning points in the range, possibly after an end of the range
+        ends_V = self._model.voltage_V
+        first_V = tuple(ends_V)[: int(rng.integers(3))]
+        turns_V = tuple(rng.uniform(*ends_V, int(rng.integers(_TURNS))).tolist())
+        response = replace(response, discrepancy=discrepancy, history_V=first_V + turns_V)
         return replace(plant, label="drawn", response=response)
 
     def error(self, plant: AxisPlant, path: Array, rng: np.random.Generator) -> float | None:
@@ -261,13 +263,6 @@ class _TipTask:
 
 
 _Task = _LateralTask | _TipTask
-
-
-def _past_V(rng: np.random.Generator, low_V: float, high_V: float) -> tuple[float, ...]:
-    """Return random turning points in the range, possibly after an end of the range."""
-    first = [low_V, high_V][: int(rng.integers(3))]
-    turns = rng.uniform(low_V, high_V, int(rng.integers(_TURNS)))
-    return tuple(first) + tuple(turns.tolist())
 
 
 def _path(rng: np.random.Generator, slew: float, reach_m: float, rate_Hz: float) -> Array:

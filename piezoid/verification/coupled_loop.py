@@ -11,9 +11,8 @@ import numpy as np
 
 from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid.numerics.arrays import Array, ComplexArray
-from piezoid.verification.closed_loop import run_axis
+from piezoid.verification.closed_loop import approach_path, run_axis
 from piezoid.verification.scenario_runner import ScenarioRunner
-from piezoid.verification.start_position import approach_path
 from piezoid.verification.verification import CouplingRow
 
 _PERIODS = 4  # of the motion; the first does not count
@@ -77,9 +76,20 @@ def _amplitudes(
     )
     coupled_m = np.zeros_like(reference_m)
     for _ in range(_MAX_ITERATIONS):
-        driven_m = np.stack(
-            [_driven(runner, a, reference_m[i], coupled_m[i]) for i, a in enumerate(axes)]
-        )
+        # the motion of each axis by its drive while the others move as well
+        driven_m = np.empty_like(reference_m)
+        for i, axis in enumerate(axes):
+            plant = runner.plants[axis]
+            approach = approach_path(plant, float(reference_m[i, 0]))
+            record = run_axis(
+                plant,
+                runner.file.axis(axis),
+                np.concatenate([approach, reference_m[i]]),
+                rng=np.random.default_rng(runner.seed),
+                added_m=np.concatenate([np.full(len(approach), coupled_m[i, 0]), coupled_m[i]]),
+            )
+            position_m = record.after(len(approach)).position
+            driven_m[i] = position_m - coupled_m[i] - runner.centre_m[axis]
         lines = np.fft.rfft(driven_m, 2 * samples, axis=1)
         passed = np.fft.irfft(np.einsum("fij,jf->if", T, lines), 2 * samples, axis=1)[:, :samples]
         change_m = float(np.abs(passed - coupled_m).max())
@@ -93,17 +103,3 @@ def _amplitudes(
     sensed_m = np.linalg.solve(D, driven_m + coupled_m)[:, samples // _PERIODS :]
     deviation_m = (sensed_m - sensed_m.mean(axis=1)[:, None]).std(axis=1)
     return np.asarray(100.0 * np.sqrt(2.0) * deviation_m / amplitude_m)
-
-
-def _driven(runner: ScenarioRunner, axis: str, reference_m: Array, coupled_m: Array) -> Array:
-    """Return the motion of an axis by its drive while the others move as well."""
-    plant = runner.plants[axis]
-    approach = approach_path(plant, float(reference_m[0]))
-    record = run_axis(
-        plant,
-        runner.file.axis(axis),
-        np.concatenate([approach, reference_m]),
-        rng=np.random.default_rng(runner.seed),
-        added_m=np.concatenate([np.full(len(approach), coupled_m[0]), coupled_m]),
-    )
-    return np.asarray(record.after(len(approach)).position - coupled_m - runner.centre_m[axis])

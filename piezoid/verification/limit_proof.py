@@ -128,7 +128,8 @@ def prove_axis(
         (folder / "harness.c").write_text("\n".join(lines) + "\n", encoding="utf-8")
         flags = f"-DAXIS={index} {PRECISIONS[precision]}".strip()
         alarms, why_not = _analysed(folder, flags, lines, limit_s)
-        seconds = _duration_s(folder / "time.txt")
+        times = folder / "time.txt"  # absent where the tool was stopped before it could write it
+        words = times.read_text(encoding="utf-8").split() if times.is_file() else []
         version = run(
             (TOOL, "-version"), cwd=folder, capture_output=True, text=True, timeout=60, check=False
         )
@@ -139,7 +140,7 @@ def prove_axis(
             claims=("no operation of the C fails", *claims),
             alarms=alarms,
             why_not=why_not,
-            seconds=seconds,
+            seconds=round(float(words[-1])) if words else 0,
         )
 
 
@@ -171,11 +172,7 @@ def _analysed(
         return (), f"no body of {', '.join(unread)}"
     if "done for function main" not in completed.stdout:
         return (), "the analysis did not come to its end"
-    return _alarms(table, harness)
-
-
-def _alarms(table: Path, harness: Sequence[str]) -> tuple[tuple[str, ...], str]:
-    """Read the table of all properties; every claim must stand in it, and be reached."""
+    # Every claim must stand in the table of all properties, and be reached.
     with table.open(encoding="utf-8", newline="") as opened:
         rows = list(csv.DictReader(opened, delimiter="\t", quoting=csv.QUOTE_NONE))
     stated = {str(k) for k, line in enumerate(harness, start=1) if "//@ check" in line}
@@ -191,12 +188,6 @@ def _alarms(table: Path, harness: Sequence[str]) -> tuple[tuple[str, ...], str]:
         lines = ", ".join(f"harness.c:{line}" for line in (*silent, *dead))
         return (), f"never reached: {lines}"
     return alarms, ""
-
-
-def _duration_s(times: Path) -> int:
-    """Return the duration that the tool reports; 0 where it was stopped before it could."""
-    words = times.read_text(encoding="utf-8").split() if times.is_file() else []
-    return round(float(words[-1])) if words else 0
 
 
 def _harness(claims: Mapping[str, str]) -> list[str]:
@@ -246,38 +237,31 @@ def _claims(axis: AxisParameters) -> dict[str, str]:
         "the mode is one of three": "0 <= state.mode <= 2",
         "the last reading kept is finite": "\\is_finite(state.measured)",
     }
+    values = axis.values
+    ends_V = [float(values[f"voltage_{end}_V"]) for end in ("minimum", "maximum")]
     if axis.method == "rst":
-        return {**common, **_tip_claims(axis)}
+        within = "p->current_floor_A <= state.reference_m <= p->current_ceiling_A"
+        widest = f"{_ROUNDED * (ends_V[1] - ends_V[0])!r}"
+        return {
+            **common,
+            "the reference stays between floor and ceiling": within,
+            "the gain ratio stays inside the schedule's limit": "\\is_finite(state.gain_ratio) && "
+            "1 / p->schedule_limit <= state.gain_ratio <= p->schedule_limit",
+            "no remembered change of voltage is larger than the window": " && ".join(
+                f"-{widest} <= state.rst_change_V[{k}] <= {widest}"
+                for k in range(int(values["rst_S_count"]))
+            ),
+        }
     within = "p->reference_minimum_m <= state.reference_m <= p->reference_maximum_m"
     limited = {"the reference stays in its range": f"\\is_finite(state.reference_m) && {within}"}
-    return {**common, **limited, **(_play_claims(axis) if axis.method.startswith("mpi") else {})}
-
-
-def _tip_claims(axis: AxisParameters) -> dict[str, str]:
-    within = "p->current_floor_A <= state.reference_m <= p->current_ceiling_A"
-    taps = range(int(axis.values["rst_S_count"]))
-    ends_V = [float(axis.values[f"voltage_{end}_V"]) for end in ("minimum", "maximum")]
-    widest = f"{_ROUNDED * (ends_V[1] - ends_V[0])!r}"
-    return {
-        "the reference stays between floor and ceiling": within,
-        "the gain ratio stays inside the schedule's limit": "\\is_finite(state.gain_ratio) && "
-        "1 / p->schedule_limit <= state.gain_ratio <= p->schedule_limit",
-        "no remembered change of voltage is larger than the window": " && ".join(
-            f"-{widest} <= state.rst_change_V[{k}] <= {widest}" for k in taps
-        ),
-    }
-
-
-def _play_claims(axis: AxisParameters) -> dict[str, str]:
-    """Return a bound of every play: |z_i| <= max |gamma(u)| + r_i, gamma at most as steep as
-    the sum of its weights' magnitudes."""
-    value = axis.values
-    count = int(value["play_count"])
-    threshold_V = np.asarray(value["play_threshold_V"], dtype=float)[:count]
-    weight = np.asarray(value["envelope_weight"], dtype=float)[: int(value["envelope_count"])]
+    if not axis.method.startswith("mpi"):
+        return {**common, **limited}
+    # A bound of every play: |z_i| <= max |gamma(u)| + r_i, gamma at most as steep as the sum of
+    # its weights' magnitudes.
+    threshold_V = np.asarray(values["play_threshold_V"], dtype=float)[: int(values["play_count"])]
+    weight = np.asarray(values["envelope_weight"], dtype=float)[: int(values["envelope_count"])]
     steepest = float(np.abs(weight).sum()) if weight.size else 1.0
-    ends_V = [float(value[f"voltage_{end}_V"]) for end in ("minimum", "maximum")]
-    largest_V = max(abs(end - float(value["voltage_offset_V"])) for end in ends_V)
+    largest_V = max(abs(end - float(values["voltage_offset_V"])) for end in ends_V)
     bound_V = _ROUNDED * (steepest * largest_V + threshold_V)
     plays = (f"{-b!r} <= state.play_V[{k}] <= {b!r}" for k, b in enumerate(map(float, bound_V)))
-    return {"the memory of every play is bounded": " && ".join(plays)}
+    return {**common, **limited, "the memory of every play is bounded": " && ".join(plays)}

@@ -245,31 +245,27 @@ def _after_hysteresis(plant: AxisPlant, rate_Hz: float) -> _Sampled:
 
     x[k+1] = e^(A h) x[k] + G_1 w[k] + G_2 (w[k+1] - w[k])
     """
-    A, B, C, D = _behind(plant)
-    states = len(A)
-    line = np.zeros((states + 2, states + 2))
-    line[:states, :states], line[:states, states] = A / rate_Hz, B / rate_Hz
-    line[states, states + 1] = 1.0
-    transition = expm(line)[:states]
-    constant, ramp = transition[:, states], transition[:, states + 1]
-    return transition[:, :states], constant - ramp, ramp, C, D
-
-
-def _behind(plant: AxisPlant) -> tuple[Array, Array, Array, tuple[float, float]]:
-    """Return A and B behind the response, and the rows C, D of position and sensed position."""
+    # A and B behind the response, and the rows C, D of position and sensed position
     if plant.measured is not None:
         scale = plant.measured_gain / rest_gain(plant.measured)
         sensor = [first_order(section.frequency_Hz) for section in plant.sensor]
         chain = in_series(plant.measured, *sensor)
         inner = len(chain.A) - len(plant.measured.A)
         row = np.concatenate([plant.measured.C[0], np.zeros(inner)])
-        direct = (scale * float(plant.measured.D[0, 0]), scale * float(chain.D[0, 0]))
-        return chain.A, chain.B[:, 0], scale * np.stack([row, chain.C[0]]), direct
-    A, B, outputs = cascade((*plant.mechanics, *plant.sensor))
-    C, D = np.zeros((2, len(A))), [0.0, 0.0]
-    for row_of, sections in enumerate((len(plant.mechanics), len(outputs))):
-        if sections:
-            C[row_of, outputs[sections - 1]] = 1.0
-        else:
-            D[row_of] = 1.0
-    return A, B, C, (D[0], D[1])
+        A, B, C = chain.A, chain.B[:, 0], scale * np.stack([row, chain.C[0]])
+        D = [scale * float(plant.measured.D[0, 0]), scale * float(chain.D[0, 0])]
+    else:
+        A, B, outputs = cascade((*plant.mechanics, *plant.sensor))
+        C, D = np.zeros((2, len(A))), [0.0, 0.0]
+        for index, sections in enumerate((len(plant.mechanics), len(outputs))):
+            if sections:
+                C[index, outputs[sections - 1]] = 1.0
+            else:
+                D[index] = 1.0
+    states = len(A)
+    line = np.zeros((states + 2, states + 2))
+    line[:states, :states], line[:states, states] = A / rate_Hz, B / rate_Hz
+    line[states, states + 1] = 1.0
+    transition = expm(line)[:states]
+    constant, ramp = transition[:, states], transition[:, states + 1]
+    return transition[:, :states], constant - ramp, ramp, C, (D[0], D[1])

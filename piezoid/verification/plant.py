@@ -198,7 +198,12 @@ def lateral_plant(model: AxisModel, *, sampling_rate_Hz: float) -> AxisPlant:
     front_Hz = _poles_Hz(loop.front)
     low_V, high_V = loop.drive_range_V
     time_s, strain_m = loop.activation
-    pasts_V = _pasts_V(model)
+    # Two histories over the full range: one with a last turn a quarter below its upper end, and
+    # one that comes to rest straight from there. A controller can infer one extreme from its first
+    # reading, and not turns within turns; on a stage that starts from the state of the inverse the
+    # error would be too small.
+    least_V, most_V = model.voltage_V
+    pasts_V = ((most_V, least_V, most_V - 0.25 * (most_V - least_V)), (least_V, most_V))
     readings = [e for e in model.extensions if isinstance(e, PeriodicError)]
     return AxisPlant(
         axis=model.axis,
@@ -308,18 +313,6 @@ def with_histories(plant: AxisPlant) -> tuple[AxisPlant, ...]:
     return tuple(
         replace(plant, response=replace(response, history_V=past_V)) for past_V in response.pasts_V
     )
-
-
-def _pasts_V(model: AxisModel) -> tuple[tuple[float, ...], ...]:
-    """Return two histories over the full range: one with a last turn a quarter below its upper
-    end, and one that comes to rest straight from the upper end.
-
-    A controller can infer one extreme from its first reading, and not turns within turns. On a
-    stage that starts from the state of the inverse the error would be too small.
-    """
-    low_V, high_V = model.voltage_V
-    quarter_V = 0.25 * (high_V - low_V)
-    return (high_V, low_V, high_V - quarter_V), (low_V, high_V)
 
 
 def _poles_Hz(declared: ContinuousSystem) -> tuple[float, ...]:

@@ -193,7 +193,16 @@ def rebuild(file: ParameterFile, contents: Mapping[str, bytes] | None = None) ->
     if compiler is None:
         reason = f"host: none of {', '.join(_HOST)} is on this machine"
         return (Proof(build=reason, is_built=False),)
-    return tuple(_on_host(file, bundle_files, compiler, real) for real in ("double", "float"))
+    proofs = []
+    for real, precision_flags in (("double", ()), ("float", ("-DPZ_REAL_FLOAT",))):
+        with TemporaryDirectory(prefix="piezoid-") as name:
+            folder = Path(name)
+            write_build_files(folder, bundle_files, file, real)
+            sources = ("replay.c", "piezoid_runtime.c", "-o", "replay")
+            run_program((compiler, *_FLAGS, *precision_flags, *sources), folder)
+            build = f"{Path(compiler).name} {' '.join(_FLAGS)}, this machine, {real}"
+            proofs.append(compare(folder, (str(folder / "replay"),), file, real, build=build))
+    return tuple(proofs)
 
 
 def emulate(file: ParameterFile, contents: Mapping[str, bytes] | None = None) -> Proof:
@@ -224,21 +233,6 @@ def build_for_cortex_m4(folder: Path, contents: Mapping[str, bytes], file: Param
     sources = ("replay.c", "board.c", "piezoid_runtime.c")
     script = ("-T", "board.ld", "-o", "replay.elf")
     run_program((_TARGET, *_FLAGS, *_TARGET_FLAGS, *sources, *script), folder)
-
-
-def _on_host(
-    file: ParameterFile, bundle_files: Mapping[str, bytes], compiler: str, real: str
-) -> Proof:
-    precision_flags = ("-DPZ_REAL_FLOAT",) if real == "float" else ()
-    with TemporaryDirectory(prefix="piezoid-") as name:
-        folder = Path(name)
-        write_build_files(folder, bundle_files, file, real)
-        run_program(
-            (compiler, *_FLAGS, *precision_flags, "replay.c", "piezoid_runtime.c", "-o", "replay"),
-            folder,
-        )
-        build = f"{Path(compiler).name} {' '.join(_FLAGS)}, this machine, {real}"
-        return compare(folder, (str(folder / "replay"),), file, real, build=build)
 
 
 def check_bundle(file: ParameterFile, contents: Mapping[str, bytes] | None) -> Mapping[str, bytes]:

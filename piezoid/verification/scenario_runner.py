@@ -9,12 +9,11 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
-from piezoid.verification.closed_loop import LoopRecord, run_axis
+from piezoid.verification.closed_loop import LoopRecord, approach_path, reference_range, run_axis
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.plant import AxisPlant, Junction, with_histories
 from piezoid.verification.plotted_paths import SpiralTrace
 from piezoid.verification.scenarios import Path, Scenario
-from piezoid.verification.start_position import approach_path, reference_range
 from piezoid.verification.tracking import Tracking, track
 from piezoid.verification.verification import ComparisonRow, CurrentRow, SpiralRow
 

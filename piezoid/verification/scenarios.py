@@ -73,21 +73,16 @@ def raster(rate_Hz: float, frequency_Hz: float, lines: float) -> Path:
     """
     count = round(lines * rate_Hz / frequency_Hz)
     phase = np.arange(count) * frequency_Hz / rate_Hz
-    x = _rounded_triangle(np.asarray(phase))
-    y = np.linspace(0.0, 1.0, count)
-    return Path(x=x, y=np.where(y < 0.25, -4.0 * y, (8.0 * y - 5.0) / 3.0))
-
-
-def _rounded_triangle(phase: Array) -> Array:
-    """Return a triangle of period 1 from 0 upwards, its corners parabolas, its peaks at 1."""
+    # a triangle of period 1 from 0 upwards, its corners parabolas, its peaks at 1
     folded = np.abs((phase + 0.25) % 1.0 - 0.5)  # 1/4 at the start, 0 at the upper corner
     width = 0.5 * _ROUNDED
     corner_distance = np.minimum(folded, 0.5 - folded)
     straight = np.sign(0.25 - folded) * (0.25 - corner_distance)
     cut = np.maximum(width - corner_distance, 0.0) ** 2 / (2.0 * width)
     bent = np.sign(0.25 - folded) * (0.25 - corner_distance - cut)
-    wave = np.where(corner_distance < width, bent, straight)
-    return np.asarray(wave / (0.25 - 0.5 * width))
+    x = np.where(corner_distance < width, bent, straight) / (0.25 - 0.5 * width)
+    y = np.linspace(0.0, 1.0, count)
+    return Path(x=x, y=np.where(y < 0.25, -4.0 * y, (8.0 * y - 5.0) / 3.0))
 
 
 def steps(rate_Hz: float, hold_s: float) -> Path:

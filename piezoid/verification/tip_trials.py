@@ -190,13 +190,17 @@ def _trial_verdicts(
     recovers_from_s = ends_s if reset_s is None else reset_s
     duration_s = recovers_from_s + (1.5 * _LATCHED_AFTER_s if trial.cause else 1.1 * allowed_s)
     samples = round(duration_s * rate_Hz)
+    fault = np.zeros(samples)
+    start = round((_EVENT_s + (_SEEN_s if any(trial.steps_m) else 0.0)) * rate_Hz)
+    lasts = samples if math.isinf(trial.fault_s) else round(trial.fault_s * rate_Hz)
+    fault[start : start + lasts] = trial.fault
     height_m = _height(axis, junction, trial, step_m, np.arange(samples) / rate_Hz)
     run = AxisRun(
         axis=axis,
         plant=plant,
         reference=np.full(samples, junction.current_A),
         disturbance=-junction.decay_per_m * height_m,
-        fault=_fault(trial, samples, rate_Hz),
+        fault=fault,
         reset_at=None if reset_s is None else round(reset_s * rate_Hz),
     )
     record = runner.run([run])[name]
@@ -256,14 +260,6 @@ def _height(
         range_m = (high_V - low_V) * junction.gain_nepers_per_V / junction.decay_per_m
         height_m -= min(trial.away_m, _MAX_APPROACH * range_m)
     return height_m
-
-
-def _fault(trial: TipTrial, samples: int, rate_Hz: float) -> Array:
-    fault = np.zeros(samples)
-    start = round((_EVENT_s + (_SEEN_s if any(trial.steps_m) else 0.0)) * rate_Hz)
-    lasts = samples if math.isinf(trial.fault_s) else round(trial.fault_s * rate_Hz)
-    fault[start : start + lasts] = trial.fault
-    return fault
 
 
 def _junction(plant: AxisPlant) -> Junction:

@@ -76,10 +76,15 @@ def align(
     longest_s            bound of the delay; both ends of the record are left out by as much, down
                          to two samples
     """
+    from scipy.interpolate import CubicSpline
+
     samples = reference.shape[1]
     longest = min(longest_s * sampling_rate_Hz, (samples - 2) // 2)
     out = int(np.ceil(longest))
-    inner, pieces = position[:, out : samples - out], _cubic_pieces(reference)
+    inner = position[:, out : samples - out]
+    # (power, axes, samples - 1): powers of the share of an interval, the highest first
+    spline = CubicSpline(np.arange(samples), reference, axis=1)
+    pieces = np.ascontiguousarray(np.swapaxes(spline.c, 1, 2))
     delay = 0.0  # in samples
     for _ in range(_ITERATIONS):
         delayed, rate = _earlier(pieces, out, inner.shape[1], delay)
@@ -93,17 +98,6 @@ def align(
     delayed, _ = _earlier(pieces, out, inner.shape[1], delay)
     rms = float(np.sqrt(np.sum((inner - delayed) ** 2) / inner.shape[1]))
     return rms, delay / sampling_rate_Hz
-
-
-def _cubic_pieces(signal: Array) -> Array:
-    """Return the cubic spline through evenly spaced samples, (power, axes, samples - 1).
-
-    Powers of the share of an interval, the highest first.
-    """
-    from scipy.interpolate import CubicSpline
-
-    spline = CubicSpline(np.arange(signal.shape[1]), signal, axis=1)
-    return np.ascontiguousarray(np.swapaxes(spline.c, 1, 2))
 
 
 def _earlier(pieces: Array, first: int, count: int, delay: float) -> tuple[Array, Array]:

@@ -45,7 +45,6 @@ def verify_stage(
     limits: Limits | None = None,
     proofs: Sequence[Proof] = (),
     limit_proofs: Sequence[LimitProof] = (),
-    draws: int = DRAWS,
     seed: int = 0,
     threads: int = 1,
     design: Design | None = None,
@@ -56,7 +55,6 @@ def verify_stage(
     lab      whose converters round the readings, and which barriers occur; without it readings
              are not rounded
     limits   by default those of ``[verification]`` in lab.toml, else those of ``Limits``
-    draws    how many other stages the recordings allow are run as well
     threads  so many axes of a path run at once; what is found does not depend on it
     design   that the file was exported from; needed for bounds
     bounds   bound the largest errors as well
@@ -65,7 +63,7 @@ def verify_stage(
     where lab.toml declares other guards or another rig than those that ship.
     """
     declared = lab or Lab()
-    plants, variations = stage_plants(file, model, declared, draws=draws, seed=seed)
+    plants, variations = stage_plants(file, model, declared, seed=seed)
     exported = file.sources.get("control")
     if exported is not None and exported != declared.control_digest:
         raise ParameterFileError(
@@ -101,6 +99,8 @@ def stage_plants(
 ) -> tuple[list[AxisPlant], list[tuple[AxisPlant, ...]]]:
     """Return the identified plant of every axis of a file, and others the recordings allow.
 
+    draws  how many others of every axis
+
     Raises ``ParameterFileError`` for a tunnelling axis where the model has no plant of it.
     """
     rng = np.random.default_rng([seed, draws])
@@ -110,7 +110,14 @@ def stage_plants(
         plants.append(plant_of(axis, model, lab))
         if axis.method == "rst":
             loop = _loop_of(axis, model.tunnelling)
-            variations.append(_family(plants[-1], loop, lab, draws))
+            # the plants a controller has to hold, those of the extreme gains first
+            nominal = loop.plant.gain_nepers_per_V
+            ratios = [plant.gain_nepers_per_V / nominal for plant in junction_family(loop, lab)]
+            extreme = sorted(ratios, key=lambda ratio: -abs(np.log(ratio)))
+            repeated = [extreme[k % len(extreme)] for k in range(draws)]
+            variations.append(
+                tuple(with_gain(plants[-1], ratio, f"gain x{ratio:.3g}") for ratio in repeated)
+            )
         else:
             variations.append(varied_plants(plants[-1], model[axis.axis], count=draws, rng=rng))
     return plants, variations
@@ -171,15 +178,6 @@ def _tip(axis: AxisParameters, loop: LoopPlant, lab: Lab) -> AxisPlant:
         reading_step=converters.reading_step_V / resistor_ohm,
         reading_range=reading_range_A(lab, axis.axis) or plant.reading_range,
     )
-
-
-def _family(plant: AxisPlant, loop: LoopPlant, lab: Lab, count: int) -> tuple[AxisPlant, ...]:
-    """Return the plants a controller has to hold, those of the extreme gains first."""
-    nominal = loop.plant.gain_nepers_per_V
-    ratios = [member.gain_nepers_per_V / nominal for member in junction_family(loop, lab)]
-    extreme = sorted(ratios, key=lambda ratio: -abs(np.log(ratio)))
-    repeated = [extreme[k % len(extreme)] for k in range(count)]
-    return tuple(with_gain(plant, ratio, f"gain x{ratio:.3g}") for ratio in repeated)
 
 
 def varied_plants(

@@ -19,9 +19,9 @@ from piezoid.learning.learn import (
 from piezoid.learning.period import learning_shares, play
 from piezoid.numerics.frequency import unit_circle
 from piezoid.records.frames import from_arrays
+from piezoid.verification.closed_loop import reference_range
 from piezoid.verification.plant import CustomResponse, lateral_plant
 from piezoid.verification.scenarios import raster
-from piezoid.verification.start_position import reference_range
 from tests.targets.known_inputs import chain, exported
 from tests.verification.known_fit import fitted
 from tests.verification.rig import GAIN_m_per_V, RATE_Hz, lateral, lateral_parameters
