@@ -376,7 +376,7 @@ def _unbounded(name: str, why: str) -> RuntimeLibraryError:
 
 def bounds_of(file: ParameterFile) -> dict[str, Bound]:
     """Return by axis the longest path of a step in the binary that ``verify`` emulates."""
-    contents = bundle(file).files
+    contents = bundle(file)
     with TemporaryDirectory() as name:
         folder = Path(name)
         build_for_cortex_m4(folder, contents, file)

@@ -142,7 +142,7 @@ def broken(source: str, slip: Slip) -> str:
 def trial(file: ParameterFile, source: str, slip: Slip | None, place: int) -> LimitProof:
     """Prove one axis in double precision with a slip in the source, or with none."""
     made = source if slip is None else broken(source, slip)
-    contents = {**bundle(file).files, SOURCE: made.encode()}
+    contents = {**bundle(file), SOURCE: made.encode()}
     return prove_axis(contents, file.axes[place], place, "double", limit_s=300.0)
 
 

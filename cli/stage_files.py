@@ -147,7 +147,7 @@ def changed_in_bundle(stage: Path, file: "ParameterFile") -> tuple[str, ...]:
 
     return tuple(
         name
-        for name, content in bundle(file).files.items()
+        for name, content in bundle(file).items()
         if not (path := stage / "bundle" / name).is_file() or content_of(path) != content
     )
 

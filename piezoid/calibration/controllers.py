@@ -180,7 +180,7 @@ def shipping_files(shipping: Shipping) -> dict[str, bytes]:
     files = {}
     if shipping.parameters is not None:
         files["params.json"] = to_json(shipping.parameters)
-        contents = bundle(shipping.parameters).files
+        contents = bundle(shipping.parameters)
         files |= {f"bundle/{name}": content for name, content in contents.items()}
     files["verification.json"] = shipping.verification.to_json()
     if shipping.refused is not None and shipping.refused_verification is not None:

@@ -6,7 +6,6 @@ must reproduce them before it drives a stage.
 
 from collections.abc import Mapping
 from ctypes import sizeof
-from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.resources import files
 from textwrap import fill
@@ -142,18 +141,6 @@ While no limit acts, margins stay with narrower `voltage_minimum_V`, `voltage_ma
 """
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Bundle:
-    """The files by name, as they are written.
-
-    files          name to bytes
-    source_digest  of piezoid_runtime.h and .c, one after the other
-    """
-
-    files: Mapping[str, bytes]
-    source_digest: str
-
-
 def runtime_source(name: str) -> bytes:
     """Return a file of the runtime as it was installed, byte for byte."""
     return files("piezoid.runtime").joinpath(name).read_bytes()
@@ -166,9 +153,28 @@ def source_digest() -> str:
     )
 
 
-def bundle(file: ParameterFile) -> Bundle:
-    """Return everything firmware needs for this parameter file; the same input, the same bytes."""
+def bundle(file: ParameterFile) -> Mapping[str, bytes]:
+    """Return the files that firmware needs by name; the same input, the same bytes."""
     digest = digest_of(file)
+    states = [f"{library(name).state_size} ({name})" for name in ("float", "double")]
+    sizes = [str(sizeof(library(name).parameters)) for name in ("float", "double")]
+    memory = f"{' or '.join(states)} bytes of state and {' or '.join(sizes)} of parameters"
+    voltage = (
+        f"- {DRIVE_VOLTAGE_NOTE} Outputs stay within the drive of the recordings, and within the "
+        "converter and amplifier of lab.toml."
+    )
+    decoupled = ""
+    if file.decoupled is not None:
+        names = [plain_ascii(axis) for axis in file.decoupled.axes]
+        decoupled = _DECOUPLED.format(
+            names=", ".join(names),
+            heads=" | ".join(names),
+            rules=" | ".join("---" for _ in names),
+            rows="\n".join(
+                f"| {name} | {' | '.join(f'{value:.6g}' for value in row)} |"
+                for name, row in zip(names, file.decoupled.matrix, strict=True)
+            ),
+        )
     texts = {
         "piezo_params.h": c_header(file, digest),
         "golden.csv": golden_csv(file),
@@ -176,17 +182,17 @@ def bundle(file: ParameterFile) -> Bundle:
             name=plain_ascii(file.name),
             samples=SAMPLES,
             axes="\n".join(_row(index, axis) for index, axis in enumerate(file.axes)),
-            memory=_memory(),
+            memory=memory,
             guard_names=" | ".join(name for name, _, _ in _GUARDS),
             guard_rules=" | ".join("---" for _ in _GUARDS),
             guards="\n".join(map(_guard_row, file.axes)),
             first=file.axes[0].axis.upper(),
-            which_voltage=fill(f"- {_VOLTAGE}", 98, subsequent_indent="  "),
+            which_voltage=fill(voltage, 98, subsequent_indent="  "),
             unshipped="".join(
                 f"\nAxis {plain_ascii(axis)} is not included: {plain_ascii(reason, length=600)}\n"
                 for axis, reason in file.unshipped.items()
             ),
-            decoupled=_decoupled(file),
+            decoupled=decoupled,
             version=version("piezoid"),
             digest=digest,
             source=source_digest(),
@@ -194,14 +200,8 @@ def bundle(file: ParameterFile) -> Bundle:
     }
     content = {name: runtime_source(name) for name in SHIPPED}
     content.update({name: text.encode() for name, text in texts.items()})
-    return Bundle(files=MappingProxyType(content), source_digest=source_digest())
+    return MappingProxyType(content)
 
-
-_PRECISIONS = ("float", "double")
-_VOLTAGE = (
-    f"{DRIVE_VOLTAGE_NOTE} Outputs stay within the drive of the recordings, and within the "
-    "converter and amplifier of lab.toml."
-)
 
 _DECOUPLED = """
 The drives of the axes {names} act on all of their displacements. Before `pz_step`, multiply their
@@ -214,23 +214,6 @@ alone is not enough, because feedback would control the coupled readings. `golde
 | --- | {rules} |
 {rows}
 """
-
-
-def _decoupled(file: ParameterFile) -> str:
-    """Return the paragraph on the decoupling matrix; empty if no axes are coupled."""
-    decoupled = file.decoupled
-    if decoupled is None:
-        return ""
-    names = [plain_ascii(axis) for axis in decoupled.axes]
-    return _DECOUPLED.format(
-        names=", ".join(names),
-        heads=" | ".join(names),
-        rules=" | ".join("---" for _ in names),
-        rows="\n".join(
-            f"| {name} | {' | '.join(f'{value:.6g}' for value in row)} |"
-            for name, row in zip(names, decoupled.matrix, strict=True)
-        ),
-    )
 
 
 def _row(index: int, axis: AxisParameters) -> str:
@@ -287,13 +270,6 @@ _GUARDS: tuple[tuple[str, str, bool | None], ...] = (
 _OUTPUT = ("voltage_minimum", "voltage_maximum", "lsb")
 _RANGE_m = ("reference_minimum_m", "reference_maximum_m", "m")
 _RANGE_A = ("current_floor_A", "current_ceiling_A", "A")
-
-
-def _memory() -> str:
-    """Return the bytes of state and parameters in both precisions."""
-    states = [f"{library(precision).state_size} ({precision})" for precision in _PRECISIONS]
-    parameters = [str(sizeof(library(precision).parameters)) for precision in _PRECISIONS]
-    return f"{' or '.join(states)} bytes of state and {' or '.join(parameters)} of parameters"
 
 
 def golden_csv(file: ParameterFile) -> str:

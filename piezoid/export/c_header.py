@@ -15,7 +15,7 @@ import numpy as np
 
 from piezoid.export.parameter_file import AxisParameters, ParameterFile, used_values
 from piezoid.runtime.library import PRECISIONS, SEALED, library
-from piezoid.runtime.schema import PARAMETERS, VERSION, Parameter
+from piezoid.runtime.schema import PARAMETERS, VERSION
 
 _HARMLESS = re.compile(r"[^A-Za-z0-9 .,:;()+=_-]")
 
@@ -77,6 +77,21 @@ def c_header(file: ParameterFile, digest: str) -> str:
     file    what ships
     digest  of the ``params.json`` it is written to, ``sha256:`` and 64 hexadecimal digits
     """
+    sealed = {}
+    for precision in PRECISIONS:
+        opened = library(precision)
+        lines = [f"#define PIEZO_PARAMS_SIZE {ctypes.sizeof(opened.parameters)}"]
+        for axis in file.axes:
+            checksum: int = opened.pack(axis.values).checksum
+            lines.append(f"#define PIEZO_CHECKSUM_{axis.axis.upper()} 0x{checksum:08x}u")
+        sealed[f"sealed_{precision}"] = "\n".join(lines)
+    decoupling = ""
+    if file.decoupled is not None:
+        decoupling = _DECOUPLING.format(
+            axes=", ".join(map(plain_ascii, file.decoupled.axes)),
+            count=len(file.decoupled.axes),
+            rows="\n".join(f"    {_literal(row)}," for row in file.decoupled.matrix),
+        )
     top = _TOP.format(
         name=plain_ascii(file.name),
         digest=digest,
@@ -86,29 +101,10 @@ def c_header(file: ParameterFile, digest: str) -> str:
             f"PIEZO_AXIS_{axis.axis.upper()} = {index}" for index, axis in enumerate(file.axes)
         ),
         tip_axes=sum(1 << i for i, axis in enumerate(file.axes) if axis.method == "rst"),
-        **{f"sealed_{precision}": _sealed(file, precision) for precision in PRECISIONS},
+        **sealed,
     )
-    bottom = _BOTTOM.format(decoupling=_decoupling(file))
-    return top + "".join(_axis(axis) for axis in file.axes) + bottom
-
-
-def _decoupling(file: ParameterFile) -> str:
-    if file.decoupled is None:
-        return ""
-    return _DECOUPLING.format(
-        axes=", ".join(map(plain_ascii, file.decoupled.axes)),
-        count=len(file.decoupled.axes),
-        rows="\n".join(f"    {_literal(row)}," for row in file.decoupled.matrix),
-    )
-
-
-def _sealed(file: ParameterFile, precision: str) -> str:
-    opened = library(precision)
-    lines = [f"#define PIEZO_PARAMS_SIZE {ctypes.sizeof(opened.parameters)}"]
-    for axis in file.axes:
-        checksum: int = opened.pack(axis.values).checksum
-        lines.append(f"#define PIEZO_CHECKSUM_{axis.axis.upper()} 0x{checksum:08x}u")
-    return "\n".join(lines)
+    axes = "".join(_axis(axis) for axis in file.axes)
+    return top + axes + _BOTTOM.format(decoupling=decoupling)
 
 
 def _axis(axis: AxisParameters) -> str:
@@ -116,26 +112,23 @@ def _axis(axis: AxisParameters) -> str:
     constants = ("PZ_SCHEMA_VERSION", "PIEZO_PARAMS_SIZE", f"PIEZO_CHECKSUM_{name}")
     symbols = dict(zip(SEALED, constants, strict=True))
     symbols["method"] = f"PZ_METHOD_{axis.method.upper()}"
-    lines = [_member(p, symbols.get(p.name) or _value(p, axis)) for p in PARAMETERS]
+    lines = []
+    for parameter in PARAMETERS:
+        value = symbols.get(parameter.name)
+        if value is None:
+            used = used_values(parameter, axis.values[parameter.name])
+            value = str(int(used)) if parameter.kind == "integer" else _literal(used)
+        unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
+        lines.append(f"        /* {parameter.meaning}{unit} */")
+        lines += textwrap.wrap(
+            f".{parameter.name} = {value},",
+            width=99,
+            initial_indent=" " * 8,
+            subsequent_indent=" " * 12,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
     return f"    [PIEZO_AXIS_{name}] = {{\n" + "\n".join(lines) + "\n    },\n"
-
-
-def _member(parameter: Parameter, value: str) -> str:
-    unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
-    wrapped = textwrap.wrap(
-        f".{parameter.name} = {value},",
-        width=99,
-        initial_indent=" " * 8,
-        subsequent_indent=" " * 12,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-    return "\n".join([f"        /* {parameter.meaning}{unit} */", *wrapped])
-
-
-def _value(parameter: Parameter, axis: AxisParameters) -> str:
-    value = used_values(parameter, axis.values[parameter.name])
-    return str(int(value)) if parameter.kind == "integer" else _literal(value)
 
 
 def _literal(value: Any) -> str:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from piezoid.digests import digest_of_bytes
 from piezoid.export.bundle import SAMPLES, runtime_source
 from piezoid.export.c_header import c_header, plain_ascii
-from piezoid.export.parameter_file import AxisParameters, ParameterFile, digest_of
+from piezoid.export.parameter_file import ParameterFile, digest_of
 from piezoid.export.shared_library import LINUX, shared_library
 
 _RUNTIME_SOURCES = ("piezoid_runtime.h", "piezoid_runtime.c", "fmu_controller.h")
@@ -148,7 +148,14 @@ def _zipped_unit(unit: Unit) -> tuple[bytes, bool]:
         binary = shared_library(sources, _MAIN, LINUX, "-DFMI2_OVERRIDE_FUNCTION_PREFIX")
     if binary is not None:
         contents[f"binaries/linux64/{unit.identifier}.so"] = binary
-    return _zipped(contents), binary is not None
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name in sorted(contents):
+            entry = zipfile.ZipInfo(name, _EARLIEST_DATE)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, contents[name], compresslevel=6)
+    return stream.getvalue(), binary is not None
 
 
 def _axis_header(unit: Unit, token: str) -> str:
@@ -187,48 +194,36 @@ def _description(unit: Unit, token: str) -> str:
     )
 
 
-def _zipped(contents: Mapping[str, bytes]) -> bytes:
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w") as archive:
-        for name in sorted(contents):
-            entry = zipfile.ZipInfo(name, _EARLIEST_DATE)
-            entry.compress_type = zipfile.ZIP_DEFLATED
-            entry.external_attr = 0o644 << 16
-            archive.writestr(entry, contents[name], compresslevel=6)
-    return stream.getvalue()
-
-
 def controller_units(file: ParameterFile) -> Mapping[str, Unit]:
     """Return the controller units of all axes by the stem of their file names."""
     sources = {name: runtime_source(name) for name in _RUNTIME_SOURCES}
     sources["piezo_params.h"] = c_header(file, digest_of(file)).encode()
-    return {f"{axis.axis}_controller": _controller(file, axis, sources) for axis in file.axes}
-
-
-def _controller(file: ParameterFile, axis: AxisParameters, sources: Mapping[str, bytes]) -> Unit:
-    is_current = axis.method == "rst"
-    unit = "A" if is_current else "m"
-    start = float(axis.values["current_reference_A"]) if is_current else 0.0
     reference = "Reference; NaN keeps the previous value."
     reading = "Sensor reading; NaN if there is none."
     voltage = "Command; always finite and inside the limits."
     status = "0, or the bits PZ_STATUS_... of sources/piezoid_runtime.h."
     start_voltage = "Output of the converter before the first sample."
-    return Unit(
-        identifier=f"piezoid_{axis.axis}_controller",
-        description=f"Controller of axis {axis.axis}, method {axis.method}, "
-        f"of the stage {plain_ascii(file.name)}",
-        header="fmu_controller.h",
-        macros=f"#define FMU_AXIS PIEZO_AXIS_{axis.axis.upper()}\n"
-        f"#define FMU_INPUT_AT_START {start!r}\n",
-        variables=variables(
-            (f"reference_{unit}", "input", unit, start, reference),
-            (f"measured_{unit}", "input", unit, start, reading),
-            ("voltage_V", "output", "V", None, voltage),
-            ("status", "output", None, None, status),
-            ("start_voltage_V", "parameter", "V", 0.0, start_voltage),
-        ),
-        sources=sources,
-        period_s=1.0 / float(axis.values["sampling_rate_Hz"]),
-        samples=SAMPLES,
-    )
+    units = {}
+    for axis in file.axes:
+        unit, start = "m", 0.0
+        if axis.method == "rst":
+            unit, start = "A", float(axis.values["current_reference_A"])
+        units[f"{axis.axis}_controller"] = Unit(
+            identifier=f"piezoid_{axis.axis}_controller",
+            description=f"Controller of axis {axis.axis}, method {axis.method}, "
+            f"of the stage {plain_ascii(file.name)}",
+            header="fmu_controller.h",
+            macros=f"#define FMU_AXIS PIEZO_AXIS_{axis.axis.upper()}\n"
+            f"#define FMU_INPUT_AT_START {start!r}\n",
+            variables=variables(
+                (f"reference_{unit}", "input", unit, start, reference),
+                (f"measured_{unit}", "input", unit, start, reading),
+                ("voltage_V", "output", "V", None, voltage),
+                ("status", "output", None, None, status),
+                ("start_voltage_V", "parameter", "V", 0.0, start_voltage),
+            ),
+            sources=sources,
+            period_s=1.0 / float(axis.values["sampling_rate_Hz"]),
+            samples=SAMPLES,
+        )
+    return units

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from piezoid.design.design import AxisDesign, LoopDesign
 from piezoid.design.feedforward import ReferencePath, filter_sections
 from piezoid.design.observer import DisturbanceObserver, with_oscillators_as_states
-from piezoid.design.plant import Fraction
 from piezoid.design.rst import LIGHT
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters
@@ -77,29 +76,19 @@ def lateral_axis(
     )
 
 
-def tunnelling_axis(
-    design: AxisDesign,
-    guards: Mapping[str, ArrayLike | str],
-    further: Mapping[str, ArrayLike | str] | None = None,
-) -> AxisParameters:
+def tunnelling_axis(design: AxisDesign, guards: Mapping[str, ArrayLike | str]) -> AxisParameters:
     """Return Z with its recommended loop and its guards.
 
-    guards   of ``tip_guards``
-    further  runtime parameters that are not part of the design: ``voltage_step_V``, ...
+    guards  of ``tip_guards``
     """
     loop = design.recommended
-    return AxisParameters(
-        axis=design.axis,
-        values=complete(
-            {
-                **_limits(design),
-                **guards,
-                **rst_values(loop.R, loop.S, loop.T, loop.A_0),
-                **reference_values(loop.reference),
-                **(further or {}),
-            }
-        ),
-    )
+    values = {
+        **_limits(design),
+        **guards,
+        **rst_values(loop.R, loop.S, loop.T, loop.A_0),
+        **reference_values(loop.reference),
+    }
+    return AxisParameters(axis=design.axis, values=complete(values))
 
 
 def _loop_values(loop: LoopDesign) -> Values:
@@ -146,7 +135,14 @@ def _range(model: AxisModel, design: AxisDesign) -> Values:
     low, high = float(reached.min()), float(reached.max())
     margin = _MEASUREMENT_MARGIN * (high - low)
     rate_Hz = design.recommended.members[0].sampling_rate_Hz
-    fastest_m_per_s = (high - low) / _ramp_s(design.recommended.members[0])
+    # the shortest time in which a reference may cross the range of this plant
+    s = np.log(roots_of(design.recommended.members[0].A)) * rate_Hz
+    light = s[-s.real < LIGHT * np.abs(s)]
+    ramp_s = _MIN_RANGE_s
+    if light.size:
+        needed_s = _RINGING / float(np.abs(light).min())
+        ramp_s = float(np.clip(needed_s, _MIN_RANGE_s, _MAX_RANGE_s))
+    fastest_m_per_s = (high - low) / ramp_s
     if specification.voltage_slew_V_per_s is not None:
         followed_m_per_s = (
             (high - low) * specification.voltage_slew_V_per_s / float(np.ptp(extremes_V))
@@ -161,22 +157,13 @@ def _range(model: AxisModel, design: AxisDesign) -> Values:
     }
 
 
-def _ramp_s(member: Fraction) -> float:
-    """Return the shortest time in which a reference may cross the range of this plant."""
-    s = np.log(roots_of(member.A)) * member.sampling_rate_Hz
-    light = s[-s.real < LIGHT * np.abs(s)]
-    if not light.size:
-        return _MIN_RANGE_s
-    needed_s = _RINGING / float(np.abs(light).min())
-    return float(np.clip(needed_s, _MIN_RANGE_s, _MAX_RANGE_s))
-
-
 def hysteresis_values(model: AxisModel) -> Values:
     """Return the model's operator under the runtime's names, in the de-poled state."""
     operator = model.operator
     if isinstance(operator, PreisachPlays):
         return {"polarity": model.polarity, **function_values(operator)}
-    values: Values = {
+    zones, envelope = operator.dead_zones, operator.envelope
+    return {
         "polarity": model.polarity,
         "voltage_offset_V": operator.voltage_offset_V,
         "displacement_offset_m": operator.displacement_offset_m,
@@ -185,18 +172,13 @@ def hysteresis_values(model: AxisModel) -> Values:
         "play_weight_m_per_V": operator.plays.weight,
         "play_memory_V": operator.virgin_memory(),
         "edge_count": 0,
+        "knot_count": len(zones.threshold),
+        "knot_m": zones.threshold,
+        "knot_weight": zones.weight,
+        "envelope_count": len(envelope.threshold),
+        "envelope_knot_V": envelope.threshold,
+        "envelope_weight": envelope.weight,
     }
-    for name, unit, zones in (
-        ("knot", "m", operator.dead_zones),
-        ("envelope", "V", operator.envelope),
-    ):
-        stem = "knot" if name == "knot" else "envelope_knot"
-        values |= {
-            f"{name}_count": len(zones.threshold),
-            f"{stem}_{unit}": zones.threshold,
-            f"{name}_weight": zones.weight,
-        }
-    return values
 
 
 def function_values(operator: PreisachPlays) -> Values:

@@ -74,7 +74,12 @@ def tip_guards(
         loop.gain_interval[1], *(m.gain_nepers_per_V for m in junction_family(loop, lab))
     )
     m_per_V = extension_m_per_V(loop)
-    bound_V = _MARGIN * room / _reaction_samples(loop, rate_Hz) / steepest
+    # N, the largest number of samples before the loop answers an approach
+    sensor_Hz = min(loop.plant.sensor_pole_Hz, loop.sensor_pole_interval_Hz[0])
+    delay_s = max(loop.plant.delay_s, loop.delay_interval_s[1])
+    poles_s = (1.0 / loop.plant.amplifier_pole_Hz + 1.0 / sensor_Hz) / (2.0 * math.pi)
+    reaction_samples = (delay_s + poles_s) * rate_Hz + 2.0
+    bound_V = _MARGIN * room / reaction_samples / steepest
     step_V = _approach_step_V(lab, bound_V, m_per_V * rate_Hz)
     longest_s = declared.retract_s * 2.0 ** min(declared.retract_limit, _MAX_DOUBLED)
     distance_m = declared.retract_m + declared.search_m
@@ -101,14 +106,6 @@ def tip_guards(
         "stuck_current_A": stuck_current_A,
         "stuck_voltage_V": _CONTACT * room / loop.plant.gain_nepers_per_V,
     }
-
-
-def _reaction_samples(loop: LoopPlant, rate_Hz: float) -> float:
-    """Return N, the largest number of samples before the loop answers an approach."""
-    sensor_Hz = min(loop.plant.sensor_pole_Hz, loop.sensor_pole_interval_Hz[0])
-    delay_s = max(loop.plant.delay_s, loop.delay_interval_s[1])
-    poles_s = (1.0 / loop.plant.amplifier_pole_Hz + 1.0 / sensor_Hz) / (2.0 * math.pi)
-    return (delay_s + poles_s) * rate_Hz + 2.0
 
 
 def extension_m_per_V(loop: LoopPlant) -> float:

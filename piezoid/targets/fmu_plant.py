@@ -38,39 +38,39 @@ def plant_units(name: str, plants: Sequence[AxisPlant]) -> Mapping[str, Unit]:
 
     name  of the stage
     """
-    return {f"{plant.axis}_plant": _unit(name, plant) for plant in plants}
-
-
-def _unit(name: str, plant: AxisPlant) -> Unit:
-    is_tip = isinstance(plant.response, Junction)
-    unit = "A" if is_tip else "m"
     package = files("piezoid.verification")
     sources = {source: package.joinpath(source).read_bytes() for source in _SOURCES}
-    sources["plant_of_axis.h"] = plant_header(plant).encode()
-    input_name, what = "disturbance_m", "What moves the stage beside its drive"
-    if is_tip:
-        input_name, what = "withdrawn_m", "How far the surface is below where it was at rest"
-    path = f"{what}, at the end of the period; reached in a straight line."
     reading = "What the sensor shows at the sampling instant, noise and rounding in it."
+    position = "In front of the sensor at that instant."
     noise = "Of the identified noise and lines in the reading; 0: none."
-    return Unit(
-        identifier=f"piezoid_{plant.axis}_plant",
-        description=f"Identified plant of axis {plant.axis} of the stage {plain_ascii(name)}, "
-        f"at rest at {plant.rest_voltage_V!r} V",
-        header="fmu_plant.h",
-        macros="",
-        variables=variables(
-            ("voltage_V", "input", "V", plant.rest_voltage_V, "The command, held for a period."),
-            (input_name, "input", "m", 0.0, path),
-            (f"measured_{unit}", "output", unit, None, reading),
-            (f"position_{unit}", "output", unit, None, "In front of the sensor at that instant."),
-            ("noise_factor", "parameter", "1", 1.0, noise),
-            ("noise_seed", "parameter", None, 0, "Of the noise: the same seed, the same noise."),
-        ),
-        sources=sources,
-        period_s=1.0 / plant.sampling_rate_Hz,
-        samples=SAMPLES,
-    )
+    seed = "Of the noise: the same seed, the same noise."
+    units = {}
+    for plant in plants:
+        rest_V = plant.rest_voltage_V
+        unit, input_name, what = "m", "disturbance_m", "What moves the stage beside its drive"
+        if isinstance(plant.response, Junction):
+            unit, input_name = "A", "withdrawn_m"
+            what = "How far the surface is below where it was at rest"
+        path = f"{what}, at the end of the period; reached in a straight line."
+        units[f"{plant.axis}_plant"] = Unit(
+            identifier=f"piezoid_{plant.axis}_plant",
+            description=f"Identified plant of axis {plant.axis} of the stage {plain_ascii(name)}, "
+            f"at rest at {rest_V!r} V",
+            header="fmu_plant.h",
+            macros="",
+            variables=variables(
+                ("voltage_V", "input", "V", rest_V, "The command, held for a period."),
+                (input_name, "input", "m", 0.0, path),
+                (f"measured_{unit}", "output", unit, None, reading),
+                (f"position_{unit}", "output", unit, None, position),
+                ("noise_factor", "parameter", "1", 1.0, noise),
+                ("noise_seed", "parameter", None, 0, seed),
+            ),
+            sources={**sources, "plant_of_axis.h": plant_header(plant).encode()},
+            period_s=1.0 / plant.sampling_rate_Hz,
+            samples=SAMPLES,
+        )
+    return units
 
 
 def plant_header(plant: AxisPlant) -> str:

@@ -12,8 +12,7 @@ from piezoid.export.c_header import plain_ascii
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
-from piezoid.targets.pid import Pid, PidController
-from piezoid.targets.pid_search import TunedPid, tuned_pid
+from piezoid.targets.pid import Pid, PidController, TunedPid, tuned_pid
 from piezoid.targets.target_inputs import (
     SEED,
     Errors,

@@ -23,7 +23,6 @@ from piezoid.numerics.frequency import polynomial_response, unit_circle
 from piezoid.targets.controller_hardware import ControllerHardware
 from piezoid.targets.target_inputs import (
     SEED,
-    Errors,
     TargetInputs,
     error_rows,
     exported_position_m,
@@ -44,9 +43,8 @@ _MIN_POINTS = 32  # points of a period: neighbours are up to a tenth of the scan
 # the drive jumped from end to end.
 _BAND = 0.1
 
-_FITTING_SHARE = (
-    0.85  # of a scan that would fit: a smaller loop of a hysteresis takes more V per m
-)
+# of a scan that would fit: a smaller loop of a hysteresis takes more V per m
+_FITTING_SHARE = 0.85
 
 _NO_RANGE = (
     "the voltage range of the converter is not known, and codes mean nothing without it; write "
@@ -129,7 +127,17 @@ def waveform_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str
             f"{worst['straight']}, the exported controller by {worst['exported']}; worst of "
             f"{len(errors_m)} plants"
         )
-        sections.append(_section(waveform, errors_m))
+        wanted_m = waveform.wanted_m
+        sections.append(
+            _AXIS.format(
+                axis=waveform.axis,
+                half=with_unit(0.5 * float(np.ptp(wanted_m)), "m"),
+                centre=with_unit(0.5 * float(wanted_m.max() + wanted_m.min()), "m"),
+                low=float(waveform.voltage_V.min()),
+                high=float(waveform.voltage_V.max()),
+                rows=error_rows(errors_m),
+            )
+        )
     if waveforms:
         first = waveforms[0]
         files["README.md"] = _README.format(
@@ -329,14 +337,3 @@ def waveform_csv(waveform: Waveform) -> str:
         code = "" if waveform.code is None else f",{int(waveform.code[k])}"
         lines.append(f"{k},{k / waveform.rate_Hz!r},{voltage_V!r},{wanted_m:.6e}{code}")
     return "\n".join([*lines, ""])
-
-
-def _section(waveform: Waveform, errors_m: Errors) -> str:
-    return _AXIS.format(
-        axis=waveform.axis,
-        half=with_unit(0.5 * float(np.ptp(waveform.wanted_m)), "m"),
-        centre=with_unit(0.5 * float(waveform.wanted_m.max() + waveform.wanted_m.min()), "m"),
-        low=float(waveform.voltage_V.min()),
-        high=float(waveform.voltage_V.max()),
-        rows=error_rows(errors_m),
-    )

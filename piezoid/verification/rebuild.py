@@ -237,7 +237,7 @@ def build_for_cortex_m4(folder: Path, contents: Mapping[str, bytes], file: Param
 
 def check_bundle(file: ParameterFile, contents: Mapping[str, bytes] | None) -> Mapping[str, bytes]:
     """Compare the files of a bundle with those made from this file, and return them."""
-    expected = bundle(file).files
+    expected = bundle(file)
     for name, content in expected.items():
         if contents is not None and contents.get(name) != content:
             raise ParameterFileError(

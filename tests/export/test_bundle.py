@@ -33,7 +33,7 @@ int main(void) {
 
 
 def written(folder, made=None):
-    for name, content in (made or bundle(stage())).files.items():
+    for name, content in (made or bundle(stage())).items():
         (folder / name).write_bytes(content)
     return folder
 
@@ -110,13 +110,13 @@ def test_every_bit_of_the_header_is_that_of_the_packed_parameters(precision, tmp
 
 
 def test_the_shipped_files_are_the_installed_ones_byte_for_byte():
-    files = bundle(stage()).files
+    files = bundle(stage())
     assert set(files) == {*SHIPPED, "piezo_params.h", "golden.csv", "README.md"}
     assert all(files[name] == runtime_source(name) for name in SHIPPED)
 
 
 def test_the_same_parameters_give_the_same_bytes():
-    assert dict(bundle(stage()).files) == dict(bundle(stage()).files)
+    assert dict(bundle(stage())) == dict(bundle(stage()))
 
 
 def test_a_runtime_of_another_schema_does_not_compile(tmp_path):
@@ -152,10 +152,10 @@ HOSTILE = (
 
 @pytest.mark.parametrize("text", HOSTILE, ids=ascii)
 def test_no_text_of_a_stage_becomes_a_token_of_the_header_or_a_line_of_the_readme(text):
-    tame = bundle(replace(stage("tame"), unshipped={"w": "tame"})).files
+    tame = bundle(replace(stage("tame"), unshipped={"w": "tame"}))
     held = bundle(
         replace(stage(text), sources={text: text}, unshipped={text: text}),
-    ).files
+    )
     assert held.keys() == tame.keys()
     assert tokens(held["piezo_params.h"]) == tokens(tame["piezo_params.h"])
     for name in ("piezo_params.h", "README.md"):
@@ -213,7 +213,7 @@ def test_the_header_explains_every_parameter_in_full():
 def test_the_header_names_the_digest_of_the_parameter_file():
     digest = digest_of(stage())
     assert f'#define PIEZO_PARAMS_DIGEST "{digest}"' in c_header(stage(), digest)
-    assert digest in bundle(stage()).files["README.md"].decode()
+    assert digest in bundle(stage())["README.md"].decode()
 
 
 def test_the_golden_table_visits_faults_and_stays_inside_the_limits():
@@ -229,7 +229,7 @@ def test_the_golden_table_visits_faults_and_stays_inside_the_limits():
 
 
 def readme() -> str:
-    return bundle(stage()).files["README.md"].decode()
+    return bundle(stage())["README.md"].decode()
 
 
 def code_block(section):
@@ -263,10 +263,10 @@ def test_the_readme_states_limits_codes_and_bytes():
             {"voltage_minimum_V": -0.0004, "voltage_maximum_V": 9.79156, "lsb_V": 20 / 65536}
         )
     )
-    text = bundle(replace(stage(), axes=(axis,))).files["README.md"].decode()
+    text = bundle(replace(stage(), axes=(axis,)))["README.md"].decode()
     assert "| -0.0003051758 to 9.79126 | 0.00030517578125 | -1 to 32084 |" in text
     unrounded = replace(stage(), axes=(axis.with_values({"lsb_V": 0.0}),))
-    assert "| -0.0004 to 9.79156 | 0 |  |" in bundle(unrounded).files["README.md"].decode()
+    assert "| -0.0004 to 9.79156 | 0 |  |" in bundle(unrounded)["README.md"].decode()
     for precision in ("float", "double"):
         assert f"{library(precision).state_size} ({precision})" in text
     assert ctypes.sizeof(ctypes.c_float) == library("float").code.pz_size_of_real()
@@ -283,14 +283,14 @@ def test_the_digests_of_the_readme_are_found_by_its_recipes():
 
 def test_header_and_readme_state_the_version():
     for name in ("piezo_params.h", "README.md"):
-        text = bundle(stage()).files[name].decode()
+        text = bundle(stage())[name].decode()
         assert f"Written by piezoid {piezoid.__version__}. " in text
 
 
 def test_the_readme_states_the_guards_of_every_axis_and_the_set_point_of_a_tip():
     x, _, z = stage().axes
     x = x.with_values({"stuck_samples": 20, "stuck_voltage_V": 0.2, "blind_samples": 2000})
-    text = bundle(replace(stage(), axes=(x, z))).files["README.md"].decode()
+    text = bundle(replace(stage(), axes=(x, z)))["README.md"].decode()
     assert "| x | 20 | 0.2 | 2000 (0.1 s) | -4e-05 to 4e-05 |  |  |  |  |" in text
     assert "| z | 0 | 0 |  |  | 5 | 0 | 0 | -9 |" in text
     assert "| 1e-11 to 2e-08 A, set point 1e-09 |" in text

@@ -41,7 +41,7 @@ def test_a_matrix_of_another_shape_is_refused() -> None:
 
 
 def test_the_header_holds_it_as_it_is(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    for name, content in bundle(FILE).files.items():
+    for name, content in bundle(FILE).items():
         (tmp_path / name).write_bytes(content)
     (tmp_path / "dump.c").write_text(MAIN)
     compiler = found("cc", "gcc", "clang")
@@ -52,7 +52,7 @@ def test_the_header_holds_it_as_it_is(tmp_path) -> None:  # type: ignore[no-unty
 
 
 def test_the_readme_says_what_to_do_with_it_and_is_silent_without() -> None:
-    told = bundle(FILE).files["README.md"].decode()
+    told = bundle(FILE)["README.md"].decode()
     assert "references and their readings by the matrix" in told
     assert "| x | 1 | -0.125 | 0.333333 |" in told
-    assert "piezo_decoupling" not in bundle(stage()).files["README.md"].decode()
+    assert "piezo_decoupling" not in bundle(stage())["README.md"].decode()

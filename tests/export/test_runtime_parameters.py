@@ -246,10 +246,9 @@ def test_a_design_for_the_other_direction_is_refused():
 def test_the_tip_axis_carries_its_guards_and_its_polynomials():
     loop = loop_design("rst", RST_R, RST_S, RST_R.sum(keepdims=True))
     vertical = axis_design(loop, axis="z", voltage_V=(-10.0, 10.0))
-    axis = tunnelling_axis(vertical, GUARDS, {"voltage_step_V": 0.01})
+    axis = tunnelling_axis(vertical, GUARDS)
     assert axis.method == "rst"
     assert axis.values["current_ceiling_A"] == 1e-8
-    assert axis.values["voltage_step_V"] == 0.01
     assert axis.values["reference_section_count"] == 2
     for letter, polynomial in (("R", RST_R), ("T", RST_R.sum(keepdims=True))):
         count = int(axis.values[f"rst_{letter}_count"])

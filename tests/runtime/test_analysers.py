@@ -36,7 +36,7 @@ ASKED = [(name, "double") for name in SHIPPED] + [(name, "float") for name in li
 @pytest.fixture(scope="module")
 def sources(tmp_path_factory):
     folder = tmp_path_factory.mktemp("shipped")
-    made = dict(bundle(stage("x")).files)
+    made = dict(bundle(stage("x")))
     exported = TargetInputs(file=stage("x"), plants=(PLANTS[0],))
     for place, content in target_files(exported, ["fmu", "library"]).files.items():
         if place.startswith("library/"):

@@ -44,7 +44,7 @@ extern Stream Serial;
 @pytest.fixture
 def folder(tmp_path):
     (tmp_path / "bundle").mkdir()
-    for name, content in bundle(stage("x")).files.items():
+    for name, content in bundle(stage("x")).items():
         (tmp_path / "bundle" / name).write_bytes(content)
     return tmp_path
 
@@ -92,7 +92,7 @@ def test_the_program_for_the_chip_builds_without_a_warning_and_fits(folder):
     ],
 )
 def test_the_examples_refuse_the_axis_of_a_tip(example, language, axis, tmp_path):
-    for name, content in bundle(three_axes()).files.items():
+    for name, content in bundle(three_axes()).items():
         (tmp_path / name).write_bytes(content)
     (tmp_path / "Arduino.h").write_text(ARDUINO)
     compiler = found("c++", "g++") if language == "c++" else found("cc", "gcc", "clang")

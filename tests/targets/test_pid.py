@@ -15,9 +15,8 @@ from piezoid.design.templates import Template
 from piezoid.errors import DesignError
 from piezoid.formatting import with_unit
 from piezoid.targets.controller_hardware import ControllerHardware
-from piezoid.targets.pid import Notch, PidController
+from piezoid.targets.pid import Notch, PidController, tuned_pid
 from piezoid.targets.pid_files import pid_files, pid_of
-from piezoid.targets.pid_search import tuned_pid
 from piezoid.verification.closed_loop import run_law
 from piezoid.verification.plant import CustomResponse
 from tests.targets.known_inputs import BLANK, chain, exported, family

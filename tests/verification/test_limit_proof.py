@@ -31,7 +31,7 @@ def tool():
 @pytest.mark.usefixtures("tool")
 def test_the_tip_is_proved_and_a_limit_left_out_is_refused_with_its_place():
     file = stage("z")
-    held = bundle(file).files
+    held = bundle(file)
     whole = prove_axis(held, file.axes[0], 0, "float")
     assert (whole.verdict, whole.alarms) == ("proved", ())
     assert whole.tool.startswith("Frama-C")
@@ -52,7 +52,7 @@ def test_an_axis_of_plays_behind_functions_is_proved():
     values = dict(file.axes[0].values) | {"knot_count": 0, "envelope_count": 0}
     values |= function_values(straight.with_rises(rise_m)) | {"play_memory_V": np.zeros(6)}
     axis = replace(file.axes[0], values=values)
-    held = bundle(replace(file, axes=(axis, *file.axes[1:]))).files
+    held = bundle(replace(file, axes=(axis, *file.axes[1:])))
     found = prove_axis(held, axis, 0, "float")
     assert (found.verdict, found.alarms) == ("proved", ())
 
@@ -69,7 +69,7 @@ def test_an_axis_of_plays_behind_functions_is_proved():
 def test_what_is_not_analysed_to_its_end_is_never_proved(old, new, said):
     file = stage("z")
     source = runtime_source(SOURCE).decode().replace(old, new)
-    found = prove_axis({**bundle(file).files, SOURCE: source.encode()}, file.axes[0], 0, "double")
+    found = prove_axis({**bundle(file), SOURCE: source.encode()}, file.axes[0], 0, "double")
     assert not found.is_proved
     assert not found.passed
     assert said in found.verdict
@@ -78,7 +78,7 @@ def test_what_is_not_analysed_to_its_end_is_never_proved(old, new, said):
 @pytest.mark.usefixtures("tool")
 def test_a_proof_that_takes_too_long_says_so():
     file = stage("z")
-    found = prove_axis(bundle(file).files, file.axes[0], 0, "double", limit_s=0.01)
+    found = prove_axis(bundle(file), file.axes[0], 0, "double", limit_s=0.01)
     assert found.verdict == "not proved: stopped after 0.01 s"
     assert not found.passed
 

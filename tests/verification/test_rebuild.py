@@ -64,7 +64,7 @@ def test_missing_answers_are_refused(tmp_path):
 
 
 def test_an_edited_bundle_is_refused_by_name():
-    held = dict(bundle(stage("x")).files)
+    held = dict(bundle(stage("x")))
     held["piezoid_runtime.c"] += b"\n"
     with pytest.raises(ParameterFileError, match=r"bundle/piezoid_runtime\.c"):
         rebuild(stage("x"), held)
