@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.quadratic_program import bounded_minimum, bounded_step
+from piezoid.numerics.quadratic_program import bounded_minimum, bounded_step, column_norms
 
 LEAST_DAMPING = 1e-9  # keeps normal equations definite where rounding would not
 CRAWL = 5  # accepted steps looked at together
@@ -72,7 +72,7 @@ class Rows:
         numbers = np.arange(len(lower)) if self.numbers is None else self.numbers
         step = np.zeros_like(lower)
         step[numbers] = bounded_step(
-            np.vstack([self.factor, np.sqrt(damping) * np.diag(_norms(self.factor))]),
+            np.vstack([self.factor, np.sqrt(damping) * np.diag(column_norms(self.factor))]),
             np.concatenate([-self.residual, np.zeros(len(numbers))]),
             lower[numbers],
             upper[numbers],
@@ -81,7 +81,7 @@ class Rows:
 
     def gradient(self, lower: Array, upper: Array) -> float:
         """Return the largest derivative not blocked by a bound, columns and r scaled to norm 1."""
-        slope = self.factor.T @ self.residual / _norms(self.factor)
+        slope = self.factor.T @ self.residual / column_norms(self.factor)
         if self.numbers is not None:
             lower, upper = lower[self.numbers], upper[self.numbers]
         size = max(float(np.linalg.norm(self.residual)), 1e-300)
@@ -119,12 +119,6 @@ class NormalEquations:
         scale = np.sqrt(np.maximum(np.diag(self.gram), 0.0))
         scale[scale == 0.0] = 1.0
         return np.asarray(scale)
-
-
-def _norms(factor: Array) -> Array:
-    scale = np.linalg.norm(factor, axis=0)
-    scale[scale == 0.0] = 1.0
-    return np.asarray(scale)
 
 
 def _steepest(slope: Array, lower: Array, upper: Array) -> float:
@@ -270,7 +264,7 @@ def eliminated(columns: Array, target: Array) -> Eliminated:
 
     Raises ``numpy.linalg.LinAlgError`` for columns that are dependent to rounding.
     """
-    size = _norms(columns)
+    size = column_norms(columns)
     Q, R = np.linalg.qr(columns / size)
     pivot = np.abs(np.diag(R))
     if len(R) < R.shape[1] or not pivot.min(initial=np.inf) > 1e-13 * pivot.max(initial=0.0):

@@ -56,16 +56,20 @@ def constrained_least_squares(
     """
     import osqp
 
-    scale = _column_norms(triangle)
+    scale = column_norms(triangle)
     factor, height = triangle / scale, float(np.linalg.norm(target)) or 1.0
     rows, unknowns = factor.shape
     sides = constraint / scale * height
-    length = _column_norms(sides.T)
+    length = column_norms(sides.T)
+    # the rows R x - e = c and A x, for the unknowns x and then the residual e
+    residual = sparse.hstack([sparse.csc_matrix(factor), -sparse.eye(rows)])
+    nothing = sparse.csc_matrix((len(sides), rows))
+    limited = sparse.hstack([sparse.csc_matrix(sides / length[:, None]), nothing])
     solver: Any = osqp.OSQP()
     solver.setup(
         P=sparse.csc_matrix(sparse.diags(np.repeat([0.0, 1.0], [unknowns, rows]))),
         q=np.zeros(unknowns + rows),
-        A=_equations(factor, sides / length[:, None]),
+        A=sparse.csc_matrix(sparse.vstack([residual, limited])),
         l=np.concatenate([target / height, lower / length]),
         u=np.concatenate([target / height, upper / length]),
         eps_abs=_TOLERANCE,
@@ -89,19 +93,11 @@ def constrained_least_squares(
     )
 
 
-def _column_norms(triangle: Array) -> Array:
-    scale = np.linalg.norm(triangle, axis=0)
+def column_norms(columns: Array) -> Array:
+    """Return the norms of columns, 1 for columns of zeros, (columns,)."""
+    scale = np.linalg.norm(columns, axis=0)
     scale[scale == 0.0] = 1.0
     return np.asarray(scale)
-
-
-def _equations(factor: Array, constraint: Array) -> sparse.csc_matrix:
-    """Return the rows R x - e = c and A x, for the unknowns x and then the residual e."""
-    nothing = sparse.csc_matrix((len(constraint), len(factor)))
-    residual = sparse.hstack([sparse.csc_matrix(factor), -sparse.eye(len(factor))])
-    return sparse.csc_matrix(
-        sparse.vstack([residual, sparse.hstack([sparse.csc_matrix(constraint), nothing])])
-    )
 
 
 def stationarity(
@@ -111,7 +107,7 @@ def stationarity(
 
     As in ``constrained_least_squares``, the columns scaled to norm 1; 0 at an exact optimum.
     """
-    scale = _column_norms(triangle)
+    scale = column_norms(triangle)
     gradient = triangle.T @ (triangle @ x - target) / scale
     value = constraint @ x
     # Rounding of a constraint whose terms are all as large as the largest.
@@ -180,7 +176,7 @@ def bounded_step(triangle: Array, target: Array, lower: Array, upper: Array) -> 
     then solved from R itself. If the Karush-Kuhn-Tucker conditions do not hold to rounding, an
     active-set method on R is used instead. The result does not depend on units.
     """
-    scale = _column_norms(triangle)
+    scale = column_norms(triangle)
     nearest = np.linalg.norm(np.clip(np.zeros_like(scale), lower, upper) * scale)
     height = float(max(np.linalg.norm(target), nearest)) or 1.0
     factor, right = triangle / scale, target / height
@@ -203,17 +199,13 @@ def _from_normal_equations(
     free = (x > lower) & (x < upper)
     if free.any():
         x[free] = 0.0
-        x[free] = _least_squares(factor[:, free], target - factor @ x)
+        _, solution, _ = lapack.dgels(factor[:, free], target - factor @ x)
+        x[free] = solution[: int(free.sum())]
     slope = factor.T @ (factor @ x - target)
     is_stationary = np.where(x <= lower, slope >= -ROUNDING, np.abs(slope) <= ROUNDING)
     is_stationary |= (x >= upper) & (slope <= ROUNDING)
     is_feasible = (x >= lower - ROUNDING) & (x <= upper + ROUNDING)
     return x if bool((is_stationary & is_feasible).all()) else None
-
-
-def _least_squares(rows: Array, target: Array) -> Array:
-    _, solution, _ = lapack.dgels(rows, target)
-    return np.asarray(solution[: rows.shape[1]])
 
 
 def _by_active_set(factor: Array, target: Array, lower: Array, upper: Array) -> Array:

@@ -188,15 +188,12 @@ def _errors(
         return np.abs(shared), np.abs(shared)
     single = np.abs(shared + sum(_drawn(contribution, len(shared), rng) for contribution in local))
     standard = math.sqrt(sum(contribution.standard**2 for contribution in local))
-    tail = min(_tail(contribution) for contribution in local)
+    tails = [contribution.tail for contribution in local if contribution.shape == HEAVY]
+    tail = min(tails, default=math.inf)
     top = rng.uniform(size=len(shared)) ** (1.0 / positions)
     low = top * -np.expm1(np.log(rng.uniform(size=len(shared))) / (positions - 1))
     extremes = (shared + standard * _unit_quantile(p, tail) for p in (top, low))
     return single, np.maximum(*(np.abs(end) for end in extremes))
-
-
-def _tail(contribution: Contribution) -> float:
-    return contribution.tail if contribution.shape == HEAVY else math.inf
 
 
 def _unit_quantile(probability: Array, tail: float) -> Array:

@@ -141,7 +141,11 @@ def _run_blocks(system: DiscreteSystem, u: Array, x: Array) -> tuple[Array, Arra
         powers.append(system.A @ powers[-1])
     observe = np.concatenate([system.C @ power for power in powers[:length]])
     reach = np.concatenate([power @ system.B for power in powers[length - 1 :: -1]], axis=1)
-    forced = _block_toeplitz(system.impulse_response(length))
+    impulse = system.impulse_response(length)
+    triangle = np.zeros((length, outputs, length, inputs))  # of blocks impulse[row - column]
+    for column in range(length):
+        triangle[column:, :, column, :] = impulse[: length - column]
+    forced = triangle.reshape(length * outputs, length * inputs)
     block_count = len(u) // length
     blocks = u[: block_count * length].reshape(block_count, length * inputs)
     starts = np.empty((block_count, len(x)))
@@ -156,15 +160,6 @@ def _run_blocks(system: DiscreteSystem, u: Array, x: Array) -> tuple[Array, Arra
     return np.concatenate([block_outputs, remaining_outputs]), x
 
 
-def _block_toeplitz(impulse: Array) -> Array:
-    """The lower triangular matrix of blocks ``impulse[row - column]``."""
-    length, outputs, inputs = impulse.shape
-    matrix = np.zeros((length, outputs, length, inputs))
-    for column in range(length):
-        matrix[column:, :, column, :] = impulse[: length - column]
-    return matrix.reshape(length * outputs, length * inputs)
-
-
 def sample(system: ContinuousSystem, sampling_rate_Hz: float) -> DiscreteSystem:
     """Sample a system behind a zero-order hold exactly, whatever its delay.
 
@@ -175,10 +170,28 @@ def sample(system: ContinuousSystem, sampling_rate_Hz: float) -> DiscreteSystem:
     term sees the input that has arrived: u[k-d] for e = 0, else u[k-d-1].
     """
     interval_s = 1.0 / sampling_rate_Hz
-    delay_samples, transition, taps, direct = _sampled_delay(system, interval_s)
-    taps = [np.zeros_like(system.B)] * delay_samples + taps
-    direct = [np.zeros_like(system.D)] * delay_samples + direct
-    return _with_delayed_inputs(transition, taps, system.C, direct, interval_s)
+    delay_samples, rest_s = _split_delay(system.delay_s, interval_s)
+    transition, newest = _hold_matrices(system, interval_s - rest_s)
+    # input matrices of states and outputs, for the newest input first
+    taps = [np.zeros_like(system.B)] * delay_samples + [newest]
+    direct = [np.zeros_like(system.D)] * delay_samples + [system.D]
+    if rest_s > 0.0:
+        remainder, oldest = _hold_matrices(system, rest_s)
+        taps.append(transition @ oldest)
+        direct.insert(delay_samples, np.zeros_like(system.D))
+        transition = transition @ remainder
+    (states, inputs), outputs = system.B.shape, len(system.C)
+    delayed_inputs = (len(taps) - 1) * inputs
+    shift = np.eye(delayed_inputs, k=-inputs)
+    return DiscreteSystem(
+        A=np.block([[transition, *taps[1:]], [np.zeros((delayed_inputs, states)), shift]])
+        if delayed_inputs
+        else transition,
+        B=np.concatenate([taps[0], np.eye(delayed_inputs, inputs)]),
+        C=np.concatenate([system.C, *direct[1:]], axis=1) if delayed_inputs else system.C,
+        D=direct[0].reshape(outputs, inputs),
+        interval_s=interval_s,
+    )
 
 
 def sampled_fractions(
@@ -223,19 +236,6 @@ def sampled_fractions(
     return np.asarray(response * behind[:, :, None])
 
 
-def _sampled_delay(
-    system: ContinuousSystem, interval_s: float
-) -> tuple[int, Array, list[Array], list[Array]]:
-    """Return whole samples of delay, A(T), and the input matrices of states and outputs."""
-    delay_samples, rest_s = _split_delay(system.delay_s, interval_s)
-    transition, newest = _hold_matrices(system, interval_s - rest_s)
-    if rest_s <= 0.0:
-        return delay_samples, transition, [newest], [system.D]
-    remainder, oldest = _hold_matrices(system, rest_s)
-    direct = [np.zeros_like(system.D), system.D]
-    return delay_samples, transition @ remainder, [newest, transition @ oldest], direct
-
-
 def _split_delay(delay_s: float, interval_s: float) -> tuple[int, float]:
     """Return whole samples and the remaining seconds, 0 below rounding."""
     delay_samples = int(np.floor(delay_s / interval_s + 1e-9))
@@ -250,25 +250,6 @@ def _hold_matrices(system: ContinuousSystem, duration_s: float) -> tuple[Array, 
     block[:states, :states], block[:states, states:] = system.A, system.B
     exponential = expm(block * duration_s)
     return exponential[:states, :states], exponential[:states, states:]
-
-
-def _with_delayed_inputs(
-    A: Array, taps: list[Array], C: Array, direct: list[Array], interval_s: float
-) -> DiscreteSystem:
-    """Append the delayed inputs to the state."""
-    (states, inputs), outputs = taps[0].shape, len(C)
-    delayed_inputs = (len(taps) - 1) * inputs
-    shift = np.eye(delayed_inputs, k=-inputs)
-    first = np.eye(delayed_inputs, inputs)
-    return DiscreteSystem(
-        A=np.block([[A, *taps[1:]], [np.zeros((delayed_inputs, states)), shift]])
-        if delayed_inputs
-        else A,
-        B=np.concatenate([taps[0], first]),
-        C=np.concatenate([C, *direct[1:]], axis=1) if delayed_inputs else C,
-        D=direct[0].reshape(outputs, inputs),
-        interval_s=interval_s,
-    )
 
 
 def fraction(

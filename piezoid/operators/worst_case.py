@@ -44,7 +44,13 @@ def worst_case(first: PrandtlIshlinskii, second: PrandtlIshlinskii, reach: float
     """
     edges, difference = slope_difference(first, second, reach)
     bound = float((np.abs(difference) * np.diff(edges)).sum())
-    sign = _filled(np.sign(difference))
+    sign = np.sign(difference)
+    nonzero = np.flatnonzero(sign)
+    if nonzero.size:  # no corner is needed where operators agree: a neighbour's sign replaces 0
+        nearest = np.searchsorted(nonzero, np.arange(len(sign)))
+        sign = sign[nonzero[np.clip(nearest, 0, len(nonzero) - 1)]]
+    else:
+        sign = np.ones_like(sign)
     extrema: list[float] = []
     corner = 0.0
     upper = len(sign)
@@ -62,12 +68,3 @@ def worst_case(first: PrandtlIshlinskii, second: PrandtlIshlinskii, reach: float
 def _slope_at(operator: PrandtlIshlinskii, r: Array) -> Array:
     """Return W(r): the slope of the last play whose threshold is at most r."""
     return np.asarray(operator.slope[np.searchsorted(operator.threshold, r, side="right") - 1])
-
-
-def _filled(sign: Array) -> Array:
-    """Replace zero signs by that of a neighbour: no corner is needed where operators agree."""
-    nonzero = np.flatnonzero(sign)
-    if nonzero.size == 0:
-        return np.ones_like(sign)
-    nearest = nonzero[np.clip(np.searchsorted(nonzero, np.arange(len(sign))), 0, len(nonzero) - 1)]
-    return np.asarray(sign[nearest])

@@ -95,7 +95,12 @@ def measure_loop_noise(record: LoopRecord, plant: JunctionPlant, rig: LoopRig) -
         adc_step_A=step_size(record.current_A),
     )
     motion_m = gap_motion(record, plant, decay_per_m)
-    drift, half = _drift(motion_m, rate_Hz)
+    # The drift from the steps between block means: a walk has no trend line.
+    length = len(motion_m) // _DRIFT_BLOCKS
+    means = motion_m[: length * _DRIFT_BLOCKS].reshape(_DRIFT_BLOCKS, length).mean(axis=1)
+    rates = np.diff(means) * rate_Hz / length
+    drift, standard = float(np.mean(rates)), np.std(rates, ddof=1) / np.sqrt(len(rates))
+    half = float(student_quantile(0.975, len(rates) - 1) * standard)
     level_m = np.asarray(detrend(motion_m))  # drift would leak over every frequency
     frequency_Hz, density = power_density(level_m, rate_Hz)
     bandwidth_Hz = float(chain.bandwidth_Hz or 0.0)
@@ -167,16 +172,6 @@ def power_density(signal: Array, sampling_rate_Hz: float) -> tuple[Array, Array]
     length = min(int(2 ** np.floor(np.log2(len(signal) / 4))), int(sampling_rate_Hz))
     frequency_Hz, density = welch(signal, sampling_rate_Hz, nperseg=length, detrend=False)
     return np.asarray(frequency_Hz), np.asarray(density)
-
-
-def _drift(motion_m: Array, sampling_rate_Hz: float) -> tuple[float, float]:
-    """Rate and half its interval, from the steps between block means: a walk has no trend line."""
-    length = len(motion_m) // _DRIFT_BLOCKS
-    means = motion_m[: length * _DRIFT_BLOCKS].reshape(_DRIFT_BLOCKS, length).mean(axis=1)
-    rates = np.diff(means) * sampling_rate_Hz / length
-    standard = np.std(rates, ddof=1) / np.sqrt(len(rates))
-    half = student_quantile(0.975, len(rates) - 1) * standard
-    return float(np.mean(rates)), float(half)
 
 
 def _mains_lines(level_m: Array, sampling_rate_Hz: float) -> tuple[MainsLine, ...]:

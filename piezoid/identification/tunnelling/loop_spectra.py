@@ -70,7 +70,10 @@ def spectra_of_dither(
     """
     if record.period_samples is None:
         length = _block_length(record)
-        spectra = _cut(record, length, length, _tapered(length), through)
+        taper = length // 20  # a twentieth of the length as cosine taper at either end
+        window = np.ones(length)
+        window[:taper] = 0.5 - 0.5 * np.cos(np.pi * (np.arange(taper) + 0.5) / max(taper, 1))
+        window[length - taper :] = window[:taper][::-1]
     else:
         length, periods = record.period_samples, (record.samples - 1) // record.period_samples
         if periods < FEWEST_BLOCKS:
@@ -80,7 +83,8 @@ def spectra_of_dither(
                 needed=f"at least {FEWEST_BLOCKS} periods, to separate the dither from the noise",
                 remedy="Record longer, or shorten the dither's period.",
             )
-        spectra = _cut(record, length, length, np.ones(length), through)
+        window = np.ones(length)
+    spectra = _cut(record, length, length, window, through)
     inside = (spectra.frequency_Hz > 0.0) & (spectra.frequency_Hz <= highest_Hz)
     difference = 2.0 * np.sin(np.pi * spectra.frequency_Hz / record.sampling_rate_Hz)
     power = np.sum(np.abs(spectra.reference) ** 2, axis=0)
@@ -115,15 +119,6 @@ def _is_mains(frequency_Hz: Array, resolution_Hz: float) -> NDArray[np.bool_]:
 def _block_length(record: LoopRecord) -> int:
     """A power of two that leaves at least thirty-two blocks without overlap."""
     return max(int(2 ** np.floor(np.log2(record.samples / 33))), 16)
-
-
-def _tapered(length: int) -> Array:
-    """A window with a twentieth of its length as cosine taper at either end."""
-    taper = length // 20
-    window = np.ones(length)
-    window[:taper] = 0.5 - 0.5 * np.cos(np.pi * (np.arange(taper) + 0.5) / max(taper, 1))
-    window[length - taper :] = window[:taper][::-1]
-    return window
 
 
 def _cut(

@@ -139,7 +139,15 @@ def common_law(curves: Sequence[ApproachCurve], fits: Mapping[Direction, Barrier
     Every pair is one estimate, and so is every sweep that has no way back, with the drift it may
     have had in its variance.
     """
-    estimates = [_estimate(pair) for pair in _by_pair(curves)]
+    pairs: dict[str, list[ApproachCurve]] = {}
+    singles = []
+    for curve in curves:
+        partners = pairs.setdefault(curve.pair, []) if curve.pair else []
+        if curve.pair and all(partner.direction is not curve.direction for partner in partners):
+            partners.append(curve)
+        else:
+            singles.append([curve])
+    estimates = [_estimate(group) for group in (*pairs.values(), *singles)]
     decay, interval = _combine(estimates)
     laws = tuple(fits.values())
     peak_A = min(fit.evidence.peak_A for fit in laws)
@@ -167,19 +175,6 @@ def common_law(curves: Sequence[ApproachCurve], fits: Mapping[Direction, Barrier
         confidence=confidence,
         reasons=reasons,
     )
-
-
-def _by_pair(curves: Sequence[ApproachCurve]) -> list[list[ApproachCurve]]:
-    """Group forward and backward sweeps of one pair; every other sweep is a group of its own."""
-    pairs: dict[str, list[ApproachCurve]] = {}
-    singles = []
-    for curve in curves:
-        partners = pairs.setdefault(curve.pair, []) if curve.pair else []
-        if curve.pair and all(partner.direction is not curve.direction for partner in partners):
-            partners.append(curve)
-        else:
-            singles.append([curve])
-    return [*pairs.values(), *singles]
 
 
 def _estimate(curves: Sequence[ApproachCurve]) -> DecayEstimate:
