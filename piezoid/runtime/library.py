@@ -49,7 +49,11 @@ class Library:
         """
         packed = self.parameters()
         for parameter in PARAMETERS:
-            _write(packed, parameter, values[parameter.name])
+            name, value = parameter.name, values[parameter.name]
+            if parameter.shape:
+                np.ctypeslib.as_array(getattr(packed, name))[...] = value
+            else:
+                setattr(packed, name, int(value) if parameter.kind == "integer" else float(value))
         self.seal(packed)
         number = self.code.pz_check(ctypes.byref(packed))
         if number:
@@ -75,26 +79,6 @@ class Library:
         return float(self.code.pz_log(x))
 
 
-def _write(packed: ctypes.Structure, parameter: Parameter, value: Array) -> None:
-    if parameter.shape:
-        np.ctypeslib.as_array(getattr(packed, parameter.name))[...] = value
-    else:
-        number = float(value)
-        setattr(packed, parameter.name, int(number) if parameter.kind == "integer" else number)
-
-
-def _field(real: Any) -> type[ctypes.Structure]:
-    members = [
-        ("name", ctypes.c_char_p),
-        ("offset_bytes", ctypes.c_size_t),
-        ("count", ctypes.c_size_t),
-        ("is_real", ctypes.c_int32),
-        ("lower", real),
-        ("upper", real),
-    ]
-    return type("Field", (ctypes.Structure,), {"_fields_": members})
-
-
 @cache
 def library(precision: str = "double") -> Library:
     """Open the runtime of this precision and check its layout.
@@ -102,7 +86,31 @@ def library(precision: str = "double") -> Library:
     precision  ``double`` or ``float``
     """
     name, real = PRECISIONS[precision]
-    code = opened(name, _signatures(real))
+    pointer, size, number = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int32
+    members = [
+        ("name", ctypes.c_char_p),
+        ("offset_bytes", size),
+        ("count", size),
+        ("is_real", number),
+        ("lower", real),
+        ("upper", real),
+    ]
+    entry = type("Field", (ctypes.Structure,), {"_fields_": members})
+    signatures: Signatures = {
+        "pz_size_of_state": (size, ()),
+        "pz_size_of_real": (size, ()),
+        "pz_describe": (ctypes.POINTER(entry), (number,)),
+        "pz_checksum": (ctypes.c_uint32, (pointer,)),
+        "pz_check": (number, (pointer,)),
+        "pz_start": (number, (pointer, pointer, real, real)),
+        "pz_schedule": (None, (pointer, pointer, real)),
+        "pz_reset": (None, (pointer,)),
+        "pz_step": (real, (pointer, pointer, real, real)),
+        "pz_step_feedforward": (real, (pointer, pointer, real, real, real)),
+        "pz_log": (real, (real,)),
+        "pz_run_many": (None, (pointer, pointer, size, *[pointer] * 4)),
+    }
+    code = opened(name, signatures)
     runtime = Library(
         precision=precision,
         code=code,
@@ -114,62 +122,33 @@ def library(precision: str = "double") -> Library:
     return runtime
 
 
-def _signatures(real: Any) -> Signatures:
-    pointer, size = ctypes.c_void_p, ctypes.c_size_t
-    return {
-        "pz_size_of_state": (size, ()),
-        "pz_size_of_real": (size, ()),
-        "pz_describe": (ctypes.POINTER(_field(real)), (ctypes.c_int32,)),
-        "pz_checksum": (ctypes.c_uint32, (pointer,)),
-        "pz_check": (ctypes.c_int32, (pointer,)),
-        "pz_start": (ctypes.c_int32, (pointer, pointer, real, real)),
-        "pz_schedule": (None, (pointer, pointer, real)),
-        "pz_reset": (None, (pointer,)),
-        "pz_step": (real, (pointer, pointer, real, real)),
-        "pz_step_feedforward": (real, (pointer, pointer, real, real, real)),
-        "pz_log": (real, (real,)),
-        "pz_run_many": (None, (pointer, pointer, size, *[pointer] * 4)),
-    }
-
-
 def compare_layout(opened: Library) -> None:
     """Raise ``RuntimeLibraryError`` unless the parameter table of the library is the schema."""
     real_size = opened.code.pz_size_of_real()
     if real_size != ctypes.sizeof(opened.real):
         raise _other_layout("size of pz_real", real_size, ctypes.sizeof(opened.real))
     for index, parameter in enumerate(PARAMETERS, start=1):
-        entry = opened.code.pz_describe(index)
-        actual = _of_library(entry.contents) if entry else None
-        expected = _of_schema(opened, parameter.name, index)
+        actual = None
+        if pointer := opened.code.pz_describe(index):
+            entry = pointer.contents
+            actual = (
+                *(entry.name.decode(), entry.offset_bytes, entry.count, bool(entry.is_real)),
+                *(entry.lower, entry.upper),
+            )
+        lower, upper = parameter.lower, parameter.upper
+        if parameter.name == "size_bytes":
+            lower = upper = ctypes.sizeof(opened.parameters)
+        expected = (
+            parameter.name,
+            getattr(opened.parameters, parameter.name).offset,
+            parameter.count,
+            parameter.kind == "real",
+            *(opened.real(lower).value, opened.real(upper).value),
+        )
         if actual != expected:
             raise _other_layout(f"line {index} of the parameter table", actual, expected)
     if opened.code.pz_describe(len(PARAMETERS) + 1):
         raise _other_layout("length of the parameter table", "longer", len(PARAMETERS))
-
-
-def _of_library(entry: Any) -> tuple[object, ...]:
-    return (
-        entry.name.decode(),
-        entry.offset_bytes,
-        entry.count,
-        bool(entry.is_real),
-        entry.lower,
-        entry.upper,
-    )
-
-
-def _of_schema(opened: Library, name: str, index: int) -> tuple[object, ...]:
-    parameter = PARAMETERS[index - 1]
-    size = ctypes.sizeof(opened.parameters)
-    lower, upper = (size, size) if name == "size_bytes" else (parameter.lower, parameter.upper)
-    return (
-        name,
-        getattr(opened.parameters, name).offset,
-        parameter.count,
-        parameter.kind == "real",
-        opened.real(lower).value,
-        opened.real(upper).value,
-    )
 
 
 def _other_layout(what: str, actual: object, expected: object) -> RuntimeLibraryError:
@@ -217,20 +196,16 @@ def _padded(parameter: Parameter, value: ArrayLike | str) -> Array:
         )
     else:
         padded[tuple(slice(n) for n in numbers.shape)] = numbers
-    _within_bounds(parameter, padded)
-    padded += 0.0  # turn -0.0 into 0.0, the value of elements that are not written
-    padded.setflags(write=False)
-    return padded
-
-
-def _within_bounds(parameter: Parameter, values: Array) -> None:
-    is_within = (values >= parameter.lower) & (values <= parameter.upper)
+    is_within = (padded >= parameter.lower) & (padded <= parameter.upper)
     if parameter.kind == "integer":
-        is_within &= values == np.floor(values)
+        is_within &= padded == np.floor(padded)
     if not is_within.all():
-        worst = values.ravel()[int(np.flatnonzero(~is_within.ravel())[0])]
+        worst = padded.ravel()[int(np.flatnonzero(~is_within.ravel())[0])]
         raise ParameterFileError(
             f"{parameter.name} is {worst:.9g} {parameter.unit} ({parameter.meaning})",
             needed=f"{parameter.kind} numbers from {parameter.lower:.9g} to {parameter.upper:.9g}",
             remedy="Check its unit: everything is in SI units.",
         )
+    padded += 0.0  # turn -0.0 into 0.0, the value of elements that are not written
+    padded.setflags(write=False)
+    return padded

@@ -65,7 +65,9 @@ def fit_coupled(
     is_left_out = intervals and count > len(data[0].inputs) + 1
     fits = [(shape, residues)] * count
     if is_left_out:
-        fits = [fit_modal_sum(_without(problem, r), shape, JACKKNIFE_RULE) for r in range(count)]
+        for r in range(count):
+            remaining = tuple(level.without(r) for level in problem.levels)
+            fits[r] = fit_modal_sum(replace(problem, levels=remaining), shape, JACKKNIFE_RULE)
     errors_m = []
     for level in problem.levels:
         power = [
@@ -73,6 +75,11 @@ def fit_coupled(
             for r, fit in enumerate(fits)
         ]
         errors_m.append(np.sqrt(2.0 * np.mean(power, axis=0)) / level.samples)
+    noise_m = []
+    for level_data in data:  # of a period about the mean of its realisation
+        moved_m, periods = level_data.displacement_m, level_data.displacement_m.shape[3]
+        deviation_m = _rms(moved_m - moved_m.mean(axis=3, keepdims=True))
+        noise_m.append(deviation_m * float(np.sqrt(periods / max(periods - 1, 1))))
     f = problem.levels[0].frequency_Hz
     return CoupledStage(
         inputs=data[0].inputs,
@@ -91,7 +98,7 @@ def fit_coupled(
         moved_rms_m=np.stack(
             [_rms(level.displacement_m - level.displacement_m.mean(axis=0)) for level in data]
         ),
-        noise_rms_m=np.stack([_period_noise(level) for level in data]),
+        noise_rms_m=np.stack(noise_m),
         error_rms_m=np.stack(errors_m),
         error_is_left_out=is_left_out,
     )
@@ -125,7 +132,13 @@ def _fit_all_levels(
 ) -> tuple[ModalProblem, ModalShape, Array]:
     """Fit the largest level, then the smallest from there, then all of them, reweighted."""
     levels = tuple(LevelSpectra.of(level) for level in data)
-    poles = _start_shape(levels, modes)
+    # A weak mode beside a strong one may be visible at one level only.
+    poles = _start_of_level(levels[-1], modes)
+    for level in levels[-2::-1]:
+        new_modes = _start_of_level(level, modes)
+        distance = np.abs(new_modes[0][:, None] - poles[0]).min(axis=1)
+        poles = np.concatenate([poles, new_modes[:, distance > DISTINCT]], axis=1)
+    poles = poles[:, np.argsort(poles[0])]
     count, low_Hz = poles.shape[1], float(levels[-1].frequency_Hz[0])
     first_Hz = float(np.exp(poles[0].min()))
     lags = max(1, round(LAGS_PER_DECADE * np.log10(max(first_Hz / low_Hz, 1.01))))
@@ -167,19 +180,6 @@ def _line(low: Array, high: Array) -> Array:
     return np.stack([high - difference / 2, difference / 2])
 
 
-def _start_shape(levels: Sequence[LevelSpectra], modes: int) -> Array:
-    """Return log frequencies and dampings of the modes of all levels, (2, modes).
-
-    A weak mode beside a strong one may be visible at one level only.
-    """
-    shape = _start_of_level(levels[-1], modes)
-    for level in levels[-2::-1]:
-        new_modes = _start_of_level(level, modes)
-        distance = np.abs(new_modes[0][:, None] - shape[0]).min(axis=1)
-        shape = np.concatenate([shape, new_modes[:, distance > DISTINCT]], axis=1)
-    return shape[:, np.argsort(shape[0])]
-
-
 def _start_of_level(level: LevelSpectra, modes: int) -> Array:
     """Return log frequencies and dampings of the modes of a smoothed response, (2, modes)."""
     U, Y = level.drive, level.displacement
@@ -211,19 +211,6 @@ def _start_of_level(level: LevelSpectra, modes: int) -> Array:
     return np.asarray(np.log(np.stack([frequency_Hz[is_mode], damping[is_mode]])))
 
 
-def _without(problem: ModalProblem, realisation: int) -> ModalProblem:
-    return replace(problem, levels=tuple(level.without(realisation) for level in problem.levels))
-
-
 def _rms(moved_m: Array) -> Array:
     """Return the rms of each output, (outputs,), of (samples, outputs, ...)."""
     return np.asarray(np.sqrt((moved_m**2).mean(axis=(0, *range(2, moved_m.ndim)))))
-
-
-def _period_noise(data: PeriodicData) -> Array:
-    """Return the rms of a period about the mean of its realisation, (outputs,), m."""
-    periods = data.displacement_m.shape[3]
-    if periods < 2:
-        return np.zeros(len(data.outputs))
-    deviation = data.displacement_m - data.displacement_m.mean(axis=3, keepdims=True)
-    return _rms(deviation) * float(np.sqrt(periods / (periods - 1)))

@@ -104,7 +104,33 @@ def decoupled(recordings: Sequence[Recording], coupled: CoupledStage) -> tuple[R
 
     Raises ``RecordingError`` where several axes are driven and a displacement is missing.
     """
-    return tuple(_decoupled(recording, coupled) for recording in recordings)
+    axes, results = coupled.outputs, []
+    for recording in recordings:
+        channels = {axis: recording.find(Quantity.DISPLACEMENT, axis) for axis in axes}
+        present = {axis: channel for axis, channel in channels.items() if channel is not None}
+        if len(present) < len(axes):
+            missing = ", ".join(axis for axis in axes if axis not in present)
+            moving = driven_axes(recording, axes)
+            if present and len(moving) > 1:
+                raise RecordingError(
+                    f"{recording.name}: the axes {', '.join(moving)} are driven, and the "
+                    f"displacement of {missing} is not there",
+                    needed=f"the displacements of all coupled axes, {', '.join(axes)}",
+                    remedy="Record them together, or drive one axis while the others rest.",
+                )
+            results.append(recording)
+            continue
+        values = coupled.decoupling @ np.stack([channel.values for channel in present.values()])
+        turned = {
+            axis: replace(channel, values=row, label=f"{channel.label}, decoupled")
+            for (axis, channel), row in zip(present.items(), values, strict=True)
+        }
+        decoupled_channels = tuple(
+            turned[c.axis] if c.quantity is Quantity.DISPLACEMENT and c.axis in turned else c
+            for c in recording.channels
+        )
+        results.append(replace(recording, channels=decoupled_channels))
+    return tuple(results)
 
 
 def as_single_axes(
@@ -134,33 +160,6 @@ def single_axis_recordings(
 ) -> tuple[Recording, ...]:
     """Return the recordings without those of the coupling, in which all axes are driven."""
     return tuple(r for r in recordings if r.name not in coupled.recordings)
-
-
-def _decoupled(recording: Recording, coupled: CoupledStage) -> Recording:
-    axes = coupled.outputs
-    channels = [recording.find(Quantity.DISPLACEMENT, axis) for axis in axes]
-    present = [channel for channel in channels if channel is not None]
-    if len(present) < len(axes):
-        missing = [a for a, channel in zip(axes, channels, strict=True) if channel is None]
-        moving = driven_axes(recording, axes)
-        if present and len(moving) > 1:
-            raise RecordingError(
-                f"{recording.name}: the axes {', '.join(moving)} are driven, and the displacement "
-                f"of {', '.join(missing)} is not there",
-                needed=f"the displacements of all coupled axes, {', '.join(axes)}",
-                remedy="Record them together, or drive one axis while the others rest.",
-            )
-        return recording
-    values = coupled.decoupling @ np.stack([channel.values for channel in present])
-    turned = {
-        axis: replace(channel, values=row, label=f"{channel.label}, decoupled")
-        for axis, channel, row in zip(axes, present, values, strict=True)
-    }
-    decoupled_channels = tuple(
-        turned[c.axis] if c.quantity is Quantity.DISPLACEMENT and c.axis in turned else c
-        for c in recording.channels
-    )
-    return replace(recording, channels=decoupled_channels)
 
 
 def driven_axes(recording: Recording, axes: Sequence[str]) -> list[str]:

@@ -101,11 +101,15 @@ def distortion_of(recordings: Sequence[Recording], axis: str) -> tuple[Detection
 
     recordings  any; those that are no such multisine are passed over
     """
-    return tuple(
-        replace(detect_distortion(data), recordings=names)
-        for names, data in periodic_recordings(recordings, axis)
-        if _detects(data.excited_lines())
-    )
+    detected = []
+    for names, data in periodic_recordings(recordings, axis):
+        excited = data.excited_lines()
+        if len(excited) < FEWEST_DRIVEN or (excited % 2 == 0).any():
+            continue
+        silent_odd = (excited[-1] - excited[0]) // 2 + 1 - len(excited)
+        if silent_odd >= FEWEST_SILENT:
+            detected.append(replace(detect_distortion(data), recordings=names))
+    return tuple(detected)
 
 
 def detect_distortion(data: PeriodicData) -> DetectionLines:
@@ -147,13 +151,6 @@ def detect_distortion(data: PeriodicData) -> DetectionLines:
 
 def _rms_over_realisations(amplitude: NDArray[np.complex128]) -> Array:
     return np.asarray(np.sqrt((np.abs(amplitude.mean(axis=3)) ** 2).mean(axis=2)))
-
-
-def _detects(excited: NDArray[np.int64]) -> bool:
-    """Whether all driven lines are odd, and some odd lines among them are left out."""
-    if len(excited) < FEWEST_DRIVEN or (excited % 2 == 0).any():
-        return False
-    return bool((excited[-1] - excited[0]) // 2 + 1 - len(excited) >= FEWEST_SILENT)
 
 
 def periodic_recordings(

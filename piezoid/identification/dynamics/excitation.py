@@ -58,20 +58,16 @@ def _highest_Hz(voltage_V: Array, sampling_rate_Hz: float) -> float:
     high_Hz = float(edges[stop])
     if high_Hz >= HIGHEST_Hz and high_Hz >= 10.0**BROAD_DECADES * edges[first]:
         return high_Hz
-    return _highest_level_Hz(edges, power, density)
-
-
-def _highest_level_Hz(edges: Array, power: Array, density: Array) -> float:
-    """Return the upper end of the widest flat band with enough power; 0 if there is none."""
+    # The drive is not broad: look for the widest flat band with enough power.
     widest, high_Hz = 0.0, 0.0
-    for first in range(len(density)):
+    for first in range(count):
         lowest = np.minimum.accumulate(density[first:])
         highest = np.maximum.accumulate(density[first:])
         stop = first + int((lowest > 10.0 ** (LEVEL_dB / 10.0) * highest).sum())
-        decades = float(np.log10(edges[stop] / edges[first]))
+        width = float(np.log10(edges[stop] / edges[first]))
         share = power[first:stop].sum() / power.sum()
-        is_level = decades >= LEVEL_DECADES and share >= NARROW_SHARE
-        is_level = is_level or (decades >= BROAD_DECADES and share >= BROAD_SHARE)
-        if is_level and decades > widest:
-            widest, high_Hz = decades, float(edges[stop])
+        is_level = width >= LEVEL_DECADES and share >= NARROW_SHARE
+        is_level = is_level or (width >= BROAD_DECADES and share >= BROAD_SHARE)
+        if is_level and width > widest:
+            widest, high_Hz = width, float(edges[stop])
     return high_Hz

@@ -51,7 +51,16 @@ def fit_dynamics(
 
     Raises ``IdentificationError`` for too few lines or a singular structure.
     """
-    _refuse_few_lines(measured, structure)
+    if measured.response.shape[1:] != (1, 1):
+        raise ValueError(f"a response of shape {measured.response.shape}; expected one path")
+    values = 2 * int((measured.weights() > 0).sum())
+    unknowns = structure.columns + structure.shapes
+    if values < 2 * unknowns:
+        raise IdentificationError(
+            f"{values} usable real values, {unknowns} parameters",
+            needed="at least twice as many values as parameters",
+            remedy="Measure more lines, or take fewer modes.",
+        )
     basis = ModalBasis(
         structure=structure,
         frequency_Hz=measured.frequency_Hz,
@@ -109,27 +118,6 @@ def resolved_modes(dynamics: LinearDynamics) -> NDArray[np.bool_]:
     damping = dynamics.mode_damping_interval()
     is_known = (frequency[:, 1] < 1.1 * frequency[:, 0]) & (damping[:, 1] < 3 * damping[:, 0])
     return np.asarray(is_known & (dynamics.mode_damping < 1.0), dtype=np.bool_)
-
-
-def _refuse_few_lines(measured: FrequencyResponse, structure: Structure) -> None:
-    if measured.response.shape[1:] != (1, 1):
-        raise ValueError(f"a response of shape {measured.response.shape}; expected one path")
-    values = 2 * int((measured.weights() > 0).sum())
-    unknowns = structure.columns + structure.shapes
-    if values < 2 * unknowns:
-        raise IdentificationError(
-            f"{values} usable real values, {unknowns} parameters",
-            needed="at least twice as many values as parameters",
-            remedy="Measure more lines, or take fewer modes.",
-        )
-
-
-def _expected_cost(measured: FrequencyResponse, basis: ModalBasis) -> float:
-    """Values less half the real unknowns, times the mean of one over an estimated variance."""
-    unknowns = basis.structure.columns + basis.shapes
-    freedom = measured.variance_freedom
-    inflation = freedom / (freedom - 1.0) if freedom > 2.0 else 2.0
-    return float((int((measured.weights() > 0).sum()) - unknowns / 2) * inflation)
 
 
 def _start_shape(
@@ -264,6 +252,10 @@ def _linear_dynamics(measured: FrequencyResponse, fit: _Point) -> tuple[LinearDy
     basis, structure, gains = fit.basis, fit.basis.structure, fit.path.coefficients
     covariance, static_std = _covariances(fit)
     n = structure.shapes
+    # Values less half the real unknowns, times the mean of one over an estimated variance.
+    freedom = measured.variance_freedom
+    inflation = freedom / (freedom - 1.0) if freedom > 2.0 else 2.0
+    spare = int((measured.weights() > 0).sum()) - (structure.columns + basis.shapes) / 2
     dynamics = LinearDynamics(
         axis=measured.outputs[0],
         **sorted_terms(structure, fit.shape[:n], gains, covariance[:n, :n]),
@@ -275,7 +267,7 @@ def _linear_dynamics(measured: FrequencyResponse, fit: _Point) -> tuple[LinearDy
         band_Hz=(float(measured.frequency_Hz[0]), float(measured.frequency_Hz[-1])),
         drive_rms_V=float(measured.drive_rms_V[0]),
         cost=fit.cost,
-        expected_cost=_expected_cost(measured, basis),
+        expected_cost=float(spare * inflation),
     )
     return dynamics, covariance
 

@@ -83,10 +83,12 @@ def segments_of(
     structure    modes and lags of the basis
     """
     rate_Hz, operator = recording.sampling_rate_Hz, axis.hysteresis
-    ring = (
-        int(np.ceil((RINGING * _longest_time_constant_s(dynamics) + dynamics.delay_s) * rate_Hz))
-        + 1
-    )
+    # The longest time constant; an overdamped mode has its slow pole at w / (2 zeta).
+    w, zeta = 2.0 * np.pi * dynamics.mode_frequency_Hz, dynamics.mode_damping
+    modes_s = np.maximum(1.0 / (zeta * w), np.where(zeta > 1.0, 2.0 * zeta / w, 0.0))
+    lags_s = 1.0 / (2.0 * np.pi * dynamics.lag_frequency_Hz)
+    longest_s = float(max([*modes_s, *lags_s], default=0.0))
+    ring = int(np.ceil((RINGING * longest_s + dynamics.delay_s) * rate_Hz)) + 1
     starts = [start for start in axis.starts if start.recording == recording.name]
     pieces = [p for p in recording.pieces if p.stop - p.start >= MINIMUM_SAMPLES]
     segments = []
@@ -122,14 +124,6 @@ def segments_of(
             )
         )
     return segments
-
-
-def _longest_time_constant_s(dynamics: LinearDynamics) -> float:
-    """Return the longest time constant; an overdamped mode has its slow pole at w / (2 zeta)."""
-    w, zeta = 2.0 * np.pi * dynamics.mode_frequency_Hz, dynamics.mode_damping
-    modes = np.maximum(1.0 / (zeta * w), np.where(zeta > 1.0, 2.0 * zeta / w, 0.0))
-    lags = 1.0 / (2.0 * np.pi * dynamics.lag_frequency_Hz)
-    return float(max(*modes, *lags, 0.0, 0.0))
 
 
 def _drive_at_operator(

@@ -166,38 +166,29 @@ def _output_variances(
     if noise_freedom:
         noise = residual.var(axis=3, ddof=1).mean(axis=2) / periods
     freedom = realisations - inputs
-    width = _odd_width(freedom or noise_freedom, len(residual))
+    draws = freedom or noise_freedom
+    odd_lines = (len(residual) - 1) // 2 * 2 + 1
+    width = max(1, min(int(np.ceil(WANTED_FREEDOM / draws)) // 2 * 2 + 1, odd_lines))
     total = noise
     if freedom:
         total = (np.abs(residual.mean(axis=3)) ** 2).sum(axis=2) / freedom
     power = (np.abs(np.einsum("koi,kirp->korp", G, drive)) ** 2).mean(axis=(2, 3))
-    is_interference = _standing_out(total, power, freedom or noise_freedom)
+    # Lines far above their neighbours: mains, its harmonics, drift. They must stand out both as
+    # they are and as a share of the output's power: distortion at a sharp resonance does the
+    # first, noise between resonances the second.
+    limit = gammainccinv(draws, FALSE_ALARMS / total.size) / gammainccinv(draws, 0.5)
+    level_lines = min(LEVEL_LINES, odd_lines)
+    is_interference = np.ones(total.shape, dtype=np.bool_)
+    for quantity in (total, total / np.maximum(power, np.finfo(float).tiny)):
+        level = median_filter(quantity, (level_lines, 1), mode="mirror")
+        is_interference &= quantity > limit * level
     is_usable = ~is_interference
     share = smoothed(is_usable * (total - noise), width) / np.maximum(
         smoothed(is_usable * power, width), np.finfo(float).tiny
     )
     noise = smoothed(noise, width)
     variance = noise + np.maximum(share, 0.0) * power
-    return variance, noise, float(width * (freedom or noise_freedom)), is_interference
-
-
-def _standing_out(variance: Array, power: Array, freedom: int) -> NDArray[np.bool_]:
-    """Find lines far above their neighbours: mains, its harmonics, drift.
-
-    They must stand out both as they are and as a share of the output's power: distortion at a
-    sharp resonance does the first, noise between resonances the second.
-    """
-    width = min(LEVEL_LINES, (len(variance) - 1) // 2 * 2 + 1)
-    limit = gammainccinv(freedom, FALSE_ALARMS / variance.size) / gammainccinv(freedom, 0.5)
-    stands_out = np.ones(variance.shape, dtype=np.bool_)
-    for quantity in (variance, variance / np.maximum(power, np.finfo(float).tiny)):
-        stands_out &= quantity > limit * median_filter(quantity, (width, 1), mode="mirror")
-    return stands_out
-
-
-def _odd_width(freedom: int, lines: int) -> int:
-    width = int(np.ceil(WANTED_FREEDOM / freedom)) // 2 * 2 + 1
-    return max(1, min(width, (lines - 1) // 2 * 2 + 1))
+    return variance, noise, float(width * draws), is_interference
 
 
 def smoothed(variance: Array, width: int) -> Array:

@@ -141,7 +141,12 @@ def fit_response(
         coherence = None if path.coherence is None else path.coherence[is_used]
         variance[is_used] = _variance(fast[is_used], residual[is_used], coherence)
         if not is_outlier.any():
-            is_outlier[is_coherent] = _outliers(residual[is_coherent], variance[is_coherent])
+            # single lines that deviate from the model and from both neighbours
+            size = np.abs(residual[is_coherent]) / np.sqrt(variance[is_coherent])
+            size = size / max(float(np.median(size)) / np.sqrt(np.log(2.0)), TINY)
+            padded = np.pad(size, 1, mode="reflect")
+            is_alone = (padded[:-2] < NEIGHBOUR) & (padded[2:] < NEIGHBOUR)
+            is_outlier[is_coherent] = (size > OUTLIER) & is_alone
     lines = _lines(record, axis, fast, variance, is_outlier)
     dynamics = _best_fit(lines, declared)
     if slow is not None and slow.is_taken:
@@ -228,7 +233,13 @@ def _best_fit(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearD
         except IdentificationError as error:
             refusal = error
             continue
-        if _leaves_noise(usable, fit) and resolved_modes(fit).all():
+        # A residual is noise if it differs from line to line as much as it is large
+        # [von Neumann 1941].
+        residual = usable.response[:, 0, 0] - fit.response(usable.frequency_Hz)
+        residual = residual / np.sqrt(usable.variance[:, 0, 0])
+        difference = 0.5 * float(np.mean(np.abs(np.diff(residual)) ** 2))
+        is_noise = float(np.mean(np.abs(residual) ** 2)) <= EQUAL_COST * difference
+        if is_noise and resolved_modes(fit).all():
             return fit
         fits.append(fit)
     if not fits:
@@ -240,14 +251,6 @@ def _best_fit(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearD
     fits = [fit for fit in fits if resolved_modes(fit).all()] or fits
     lowest_cost = min(fit.cost for fit in fits)
     return next(fit for fit in fits if fit.cost <= EQUAL_COST * lowest_cost)
-
-
-def _leaves_noise(lines: FrequencyResponse, fit: LinearDynamics) -> bool:
-    """Whether the residual differs from line to line as much as it is large [von Neumann 1941]."""
-    residual = lines.response[:, 0, 0] - fit.response(lines.frequency_Hz)
-    residual = residual / np.sqrt(lines.variance[:, 0, 0])
-    difference = 0.5 * float(np.mean(np.abs(np.diff(residual)) ** 2))
-    return float(np.mean(np.abs(residual) ** 2)) <= EQUAL_COST * difference
 
 
 def slow_part(frequency_Hz: Array, response: ComplexArray, path: ResponsePath) -> SlowPart | None:
@@ -315,12 +318,3 @@ def _variance(response: ComplexArray, residual: ComplexArray, coherence: Array |
         shapes = [*(ratio * level + power for ratio in NOISE_RATIOS), np.full(len(power), level)]
     best = min(shapes, key=minus_log_likelihood)
     return np.asarray(best * scale(best))
-
-
-def _outliers(residual: ComplexArray, variance: Array) -> NDArray[np.bool_]:
-    """Return single lines that deviate from the model and from both neighbours."""
-    size = np.abs(residual) / np.sqrt(variance)
-    size = size / max(float(np.median(size)) / np.sqrt(np.log(2.0)), TINY)
-    padded = np.pad(size, 1, mode="reflect")
-    is_alone = (padded[:-2] < NEIGHBOUR) & (padded[2:] < NEIGHBOUR)
-    return np.asarray((size > OUTLIER) & is_alone)

@@ -77,25 +77,22 @@ def _relocate(
     numerator = np.concatenate([fractions, direct], axis=1)
     triangles = []
     for g, w in zip(response.T, weight.T, strict=True):
-        sigma = -g[:, None] * np.concatenate([fractions, direct], axis=1)
+        sigma = -g[:, None] * numerator
         equations = stacked(np.concatenate([numerator, sigma], axis=1) * w[:, None])
         unknowns = numerator.shape[1]
         triangles.append(np.asarray(np.linalg.qr(equations, mode="r"))[unknowns:, unknowns:])
-    c, d = _sigma(triangles, fractions, float(np.linalg.norm(weight * np.abs(response))))
-    return _zeros_of_sigma(poles, c, d)
-
-
-def _sigma(triangles: list[Array], fractions: ComplexArray, scale: float) -> tuple[Array, float]:
-    """Coefficients of sigma, its mean over the lines held at one (relaxed form, not d = 1)."""
-    lines = len(fractions)
-    mean = np.append(fractions.sum(axis=0).real, lines) * scale / lines
+    # Coefficients of sigma, its mean over the lines held at one (relaxed form, not d = 1).
+    scale = float(np.linalg.norm(weight * np.abs(response)))
+    mean = np.append(fractions.sum(axis=0).real, len(s)) * scale / len(s)
     matrix = np.concatenate([*triangles, mean[None]])
     target = np.zeros(len(matrix))
     target[-1] = scale
     size = np.maximum(np.linalg.norm(matrix, axis=0), np.finfo(float).tiny)
     solution = np.linalg.lstsq(matrix / size, target, rcond=None)[0] / size
     d = float(solution[-1])
-    return solution[:-1], (d if abs(d) > 1e-8 else float(np.copysign(1e-8, d)))
+    return _zeros_of_sigma(
+        poles, solution[:-1], d if abs(d) > 1e-8 else float(np.copysign(1e-8, d))
+    )
 
 
 def _zeros_of_sigma(poles: ComplexArray, c: Array, d: float) -> ComplexArray:
