@@ -101,17 +101,6 @@ def unseal(content: bytes, schema: str, file: str) -> dict[str, Any]:
             needed="JSON text in UTF-8",
             remedy="Write the file again from the recordings.",
         ) from error
-    return _of_schema(record, schema, file)
-
-
-def _integer(digits: str) -> int:
-    """Read an integer with a limited number of digits, which a float can represent."""
-    if len(digits) > _MOST_DIGITS:
-        raise ValueError(f"a whole number of {len(digits)} digits")
-    return int(digits)
-
-
-def _of_schema(record: Any, schema: str, file: str) -> dict[str, Any]:
     stated = record.get("schema") if isinstance(record, dict) else None
     if stated != schema:
         raise ParameterFileError(
@@ -122,10 +111,14 @@ def _of_schema(record: Any, schema: str, file: str) -> dict[str, Any]:
     return dict(record)
 
 
+def _integer(digits: str) -> int:
+    """Read an integer with a limited number of digits, which a float can represent."""
+    if len(digits) > _MOST_DIGITS:
+        raise ValueError(f"a whole number of {len(digits)} digits")
+    return int(digits)
+
+
 def digest_of_file(path: Path) -> str:
     """Return the digest of a file's bytes, read in pieces."""
-    hasher = hashlib.sha256()
     with path.open("rb") as stream:
-        while piece := stream.read(1 << 20):
-            hasher.update(piece)
-    return "sha256:" + hasher.hexdigest()
+        return "sha256:" + hashlib.file_digest(stream, "sha256").hexdigest()

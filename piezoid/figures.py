@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from piezoid.design.design import AxisDesign, Design, LoopDesign
+from piezoid.design.design import Design
 from piezoid.design.sensitivity import sensitivities
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.experiment import Plan
@@ -193,7 +193,19 @@ def _axis_model(model: AxisModel, kind: str, *, ax: "Axes | None" = None) -> "Ax
     _check("model", kind, ("loop", "response"))
     axes = _axes(ax)
     if kind == "response":
-        return in_units_of(_response(model, axes), model.counted)
+        system = linear_part(model, None)
+        poles_Hz = np.ones(1)
+        if len(system.A):
+            poles_Hz = np.abs(np.linalg.eigvals(system.A)) / (2.0 * np.pi)
+        middle = float(np.log10(np.median(poles_Hz)))
+        top = max(float(np.log10(poles_Hz.max())) + 0.7, middle + 0.5 * _DECADES)
+        bottom = min(float(np.log10(poles_Hz.min())) - 1.0, top - _DECADES)
+        frequency_Hz = np.logspace(bottom, top, 1000)
+        magnitude = np.abs(system.response(frequency_Hz)[:, 0, 0])
+        scale, unit = _scaled(np.array([float(np.median(magnitude))]), "m")
+        axes.loglog(frequency_Hz, scale * magnitude, color=MODEL, linewidth=1.0)
+        axes.set(xlabel="frequency (Hz)", ylabel=f"response of {model.axis} ({unit}/V)")
+        return in_units_of(axes, model.counted)
     loops = [_loop(model, share) for share in _LOOPS]
     scale, unit = _scaled(loops[0][1], "m")
     uncertainty, (voltage_V, moved_m) = model.uncertainty, loops[0]
@@ -255,7 +267,21 @@ def _design(design: Design, *, axis: str | None, ax: "Axes | None" = None) -> "A
         )
     axes = _axes(ax)
     for index, axis_design in enumerate(design.axes if axis is None else (design.axis(axis),)):
-        _sensitivity(axis_design, axis_design.recommended, f"C{index}", axes)
+        loop, color = axis_design.recommended, f"C{index}"
+        nyquist = np.log10(0.5 * loop.members[0].sampling_rate_Hz)
+        frequency_Hz = np.logspace(nyquist - _DECADES, nyquist, 600)
+        remaining = np.stack(
+            [np.abs(sensitivities(m, loop.R, loop.S, frequency_Hz).Syp) for m in loop.members]
+        )
+        level_dB = 20.0 * np.log10(np.maximum(remaining, 1e-6))
+        label = (
+            f"axis {axis_design.axis}, {METHOD_NAMES[loop.method]}, "
+            f"bandwidth {with_unit(loop.bandwidth_Hz, 'Hz')}"
+        )
+        low_dB, high_dB = level_dB.min(axis=0), level_dB.max(axis=0)
+        axes.fill_between(frequency_Hz, low_dB, high_dB, color=color, alpha=0.2, linewidth=0)
+        axes.plot(frequency_Hz, level_dB[0], color=color, linewidth=1.2, label=label)
+        axes.axvline(loop.bandwidth_Hz, color=color, linewidth=0.8, linestyle=":")
     axes.axhline(0.0, color=FAINT, linewidth=0.6)
     axes.set(
         xscale="log",
@@ -386,37 +412,6 @@ def _loop(model: AxisModel, share: float) -> tuple[Array, Array]:
     output_m, _ = operator.run(drive_V, memory_V)
     moved_m = model.polarity * (output_m - operator.displacement_offset_m)
     return drive_V, np.asarray(model.zero_m + moved_m)
-
-
-def _response(model: AxisModel, axes: "Axes") -> "Axes":
-    system = linear_part(model, None)
-    poles_Hz = np.abs(np.linalg.eigvals(system.A)) / (2.0 * np.pi) if len(system.A) else np.ones(1)
-    middle = float(np.log10(np.median(poles_Hz)))
-    top = max(float(np.log10(poles_Hz.max())) + 0.7, middle + 0.5 * _DECADES)
-    low = min(float(np.log10(poles_Hz.min())) - 1.0, top - _DECADES)
-    frequency_Hz = np.logspace(low, top, 1000)
-    magnitude = np.abs(system.response(frequency_Hz)[:, 0, 0])
-    scale, unit = _scaled(np.array([float(np.median(magnitude))]), "m")
-    axes.loglog(frequency_Hz, scale * magnitude, color=MODEL, linewidth=1.0)
-    axes.set(xlabel="frequency (Hz)", ylabel=f"response of {model.axis} ({unit}/V)")
-    return axes
-
-
-def _sensitivity(axis: AxisDesign, loop: LoopDesign, color: str, axes: "Axes") -> None:
-    nyquist = np.log10(0.5 * loop.members[0].sampling_rate_Hz)
-    frequency_Hz = np.logspace(nyquist - _DECADES, nyquist, 600)
-    remaining = np.stack(
-        [np.abs(sensitivities(m, loop.R, loop.S, frequency_Hz).Syp) for m in loop.members]
-    )
-    level_dB = 20.0 * np.log10(np.maximum(remaining, 1e-6))
-    label = (
-        f"axis {axis.axis}, {METHOD_NAMES[loop.method]}, "
-        f"bandwidth {with_unit(loop.bandwidth_Hz, 'Hz')}"
-    )
-    low_dB, high_dB = level_dB.min(axis=0), level_dB.max(axis=0)
-    axes.fill_between(frequency_Hz, low_dB, high_dB, color=color, alpha=0.2, linewidth=0)
-    axes.plot(frequency_Hz, level_dB[0], color=color, linewidth=1.2, label=label)
-    axes.axvline(loop.bandwidth_Hz, color=color, linewidth=0.8, linestyle=":")
 
 
 def _verdicts(verification: Verification, ax: "Axes | None") -> "Axes":

@@ -22,7 +22,6 @@ from piezoid.errors import RecordingError
 from piezoid.identification import fit as identification
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.from_recordings import as_single_axes
-from piezoid.identification.model import AxisModel
 from piezoid.numerics.executor import on_one_thread
 from piezoid.raw_counts import errors_in_counts, texts_in_counts
 from piezoid.records import lab as laboratory
@@ -134,12 +133,17 @@ def diagnose(
     axis_recordings = as_single_axes(collection_of(recordings).recordings, declared, coupled)
     refuse_unusable(axis_recordings)
     selected_axis = axis or (next(iter(model.axes), None) if model is not None else None)
+    axis_model = None
+    if model is not None:
+        axis_model = model[selected_axis or ""]
+        if any(model.sources.get(r.name) != r.digest for r in axis_recordings):
+            axis_model = replace(axis_model, starts=())  # the initial states of other recordings
     with errors_in_counts(counted_in(axis_recordings)):
         diagnosis = engine.diagnose(
             axis_recordings,
             axis=selected_axis,
             lab=declared,
-            model=None if model is None else _axis_of(model, selected_axis, axis_recordings),
+            model=axis_model,
             progress=progress or (lambda _: None),
             threads=threads,
         )
@@ -239,26 +243,16 @@ def calibrate(
     True
     """
     declared = lab_of(lab)
-    collection = _collected(recordings, declared)
+    files = recordings if isinstance(recordings, list | tuple) else [recordings]
+    if files and isinstance(files[0], str | Path):
+        collection = collect([path_of(file) for file in files], declared)
+    else:
+        collection = collection_of(recordings)
     calibration = pipeline.calibrate(
         collection, declared, progress or (lambda _: None), threads=threads
     )
     reported: Calibration = _reports().with_report(calibration, collection, declared)
     return reported
-
-
-def _axis_of(model: ActuatorModel, axis: str | None, recordings: Sequence[Recording]) -> AxisModel:
-    """Return one axis of the model; its initial states only if they belong to these recordings."""
-    axis_model = model[axis or ""]
-    is_same = all(model.sources.get(r.name) == r.digest for r in recordings)
-    return axis_model if is_same else replace(axis_model, starts=())
-
-
-def _collected(recordings: object, lab: Lab | None) -> Collection:
-    files = recordings if isinstance(recordings, list | tuple) else [recordings]
-    if files and isinstance(files[0], str | Path):
-        return collect([path_of(file) for file in files], lab)
-    return collection_of(recordings)
 
 
 def _reports() -> Any:
