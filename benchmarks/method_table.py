@@ -31,8 +31,8 @@ from piezoid.design.design import AxisDesign
 from piezoid.design.hysteresis_bounds import affine_bounds
 from piezoid.design.lateral import design_lateral, with_sector
 from piezoid.design.plant import Chain, family_from_chains, plant_from_chain
+from piezoid.export.export_stage import lateral_axis
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
-from piezoid.export.runtime_parameters import lateral_axis
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.physical import physical
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of

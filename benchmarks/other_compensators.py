@@ -40,8 +40,8 @@ from piezoid.design.search import search as search_parameters
 from piezoid.design.sensitivity import closed_loop_polynomial
 from piezoid.design.specification import Specification, slowest_Hz
 from piezoid.errors import DesignError
+from piezoid.export.export_stage import hysteresis_values, observer_values, reference_values
 from piezoid.export.parameter_file import AxisParameters
-from piezoid.export.runtime_parameters import hysteresis_values, observer_values, reference_values
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.estimate import longest_lag_s
 from piezoid.identification.hysteresis.physical import physical

@@ -54,7 +54,7 @@ _PUBLIC = {
     "Plan": "piezoid.diagnosis.experiment",
     "Quantity": "piezoid.records.recording",
     "Recording": "piezoid.records.recording",
-    "Shipping": "piezoid.verification.release",
+    "Shipping": "piezoid.verification.verify_stage",
     "Verification": "piezoid.verification.verification",
     "VirtualStage": "piezoid.virtual_stage",
     "fit_coupled": "piezoid.identification.coupled.fit_coupled",
@@ -108,8 +108,8 @@ if TYPE_CHECKING:  # what is imported when it is first used
     from piezoid.verbs import read_lab as read_lab
     from piezoid.verbs import report as report
     from piezoid.verification.closed_loop import LoopRecord as LoopRecord
-    from piezoid.verification.release import Shipping as Shipping
     from piezoid.verification.verification import Verification as Verification
+    from piezoid.verification.verify_stage import Shipping as Shipping
     from piezoid.virtual_stage import VirtualStage as VirtualStage
     from piezoid.virtual_stage import simulate as simulate
 

@@ -26,9 +26,8 @@ from piezoid.sealed_files import Place, digest_of, lab_of, path_of
 from piezoid.verification.closed_loop import LoopRecord, run_axis
 from piezoid.verification.criteria import limits_from_toml
 from piezoid.verification.plant import lateral_plant
-from piezoid.verification.release import Shipping
 from piezoid.verification.verification import Verification
-from piezoid.verification.verify_stage import plant_of, verify_stage
+from piezoid.verification.verify_stage import Shipping, plant_of, verify_stage
 
 Progress = Callable[[str], None] | None
 Controller = Design | Shipping | ParameterFile

@@ -32,7 +32,7 @@ from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording, counted_in
 from piezoid.records.table import RawTable
 from piezoid.sealed_files import Place, lab_of, path_of, sealed
-from piezoid.verification.release import Shipping
+from piezoid.verification.verify_stage import Shipping
 
 Recordings = Recording | Collection | Iterable[Recording]
 Progress = Callable[[str], None] | None

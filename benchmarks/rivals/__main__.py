@@ -33,8 +33,8 @@ from benchmarks.rivals.classes import (
     Preisach,
     fitted,
 )
+from piezoid.export.export_stage import function_values
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
-from piezoid.export.runtime_parameters import function_values
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import LINEAR
 from piezoid.operators.preisach_plays import PreisachPlays

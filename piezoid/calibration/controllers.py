@@ -18,8 +18,8 @@ from piezoid.export.parameter_file import ParameterFile, to_json
 from piezoid.formatting import with_unit
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.lab import Lab
-from piezoid.verification.release import Shipping, release
 from piezoid.verification.verification import Verification
+from piezoid.verification.verify_stage import Shipping, release
 
 Progress = Callable[[str], None]
 REFUSED = "refused"  # folder of the axes that do not ship, for study

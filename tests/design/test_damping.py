@@ -15,7 +15,7 @@ from piezoid.design.lateral import design_lateral
 from piezoid.design.plant import Chain, PlantFamily, Section, family_from_chains
 from piezoid.design.specification import Specification, default_specification
 from piezoid.errors import TemplateError
-from piezoid.export.runtime_parameters import observer_values
+from piezoid.export.export_stage import observer_values
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Controller
 from tests.design.test_runtime_agreement import LIMITS

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from piezoid.design.lateral_task import lateral_task
+from piezoid.export.export_stage import hysteresis_values
 from piezoid.export.parameter_file import from_json as parameters_from_json
-from piezoid.export.runtime_parameters import hysteresis_values
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.minor_loops import with_minor_loops

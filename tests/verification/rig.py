@@ -3,8 +3,8 @@
 import numpy as np
 
 from piezoid.design.plant import Chain, Section, plant_from_chain
+from piezoid.export.export_stage import observer_values
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
-from piezoid.export.runtime_parameters import observer_values
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.design.lateral_task import lateral_task
-from piezoid.export.runtime_parameters import creep_values
+from piezoid.export.export_stage import creep_values
 from piezoid.identification.extensions import (
     AmplifierLimits,
     ConverterHold,

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.proof_mutants import LATERAL, SOURCE, TIP, broken, table
 from piezoid.errors import ParameterFileError
 from piezoid.export.bundle import bundle, runtime_source
-from piezoid.export.runtime_parameters import function_values
+from piezoid.export.export_stage import function_values
 from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.verification.limit_proof import TOOL, LimitProof, prove, prove_axis
 from piezoid.verification.verification import verification_from_json

@@ -5,7 +5,7 @@ from json import loads
 
 from piezoid.calibration.controllers import shipping_files
 from piezoid.export.parameter_file import from_json
-from piezoid.verification.release import release
+from piezoid.verification.verify_stage import release
 from tests.verification.known_fit import junction_model, shipped
 from tests.verification.rig import stage
 

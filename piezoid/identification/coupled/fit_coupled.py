@@ -15,14 +15,13 @@ from itertools import pairwise
 import numpy as np
 
 from piezoid.errors import ExcitationError, IdentificationError
-from piezoid.identification.coupled.coupled_stage import CoupledStage
+from piezoid.identification.coupled.coupled_stage import CoupledStage, ModalShape
 from piezoid.identification.coupled.modal_fit import (
     LevelSpectra,
     ModalProblem,
     fit_modal_sum,
     residual_spectra,
 )
-from piezoid.identification.coupled.modal_sum import ModalShape
 from piezoid.identification.dynamics.periodic_estimate import PeriodicData
 from piezoid.identification.dynamics.vector_fitting import start_poles, vector_fit
 from piezoid.numerics.arrays import Array, ComplexArray

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from piezoid.identification.coupled.modal_sum import Columns, ModalShape, level_coordinate
+from piezoid.identification.coupled.coupled_stage import Columns, ModalShape, level_coordinate
 from piezoid.identification.dynamics.periodic_estimate import PeriodicData
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
