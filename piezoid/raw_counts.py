@@ -50,8 +50,11 @@ def in_counts(text: str, counted: Collection[str]) -> str:
         denominator, numerator, per = match.groups()
         if denominator:
             return "1/" + term(denominator)
-        if len(numerator) == 1 and not per and not _is_unit(match):
-            return match.group()
+        preceding, following = match.string[: match.start()], match.string[match.end() :]
+        if len(numerator) == 1 and not per and not NUMBER_BEFORE.search(preceding):
+            neighbours = preceding[-1:], following[:1]
+            if neighbours not in (("", ""), ("[", "]"), ("(", ")"), ("", ",")):
+                return match.group()
         if per and per[1:] not in ("s", "√Hz", "Hz"):
             per = "/" + term(per[1:]).replace(COUNTS, "count")
         return term(numerator) + (per or "")
@@ -60,14 +63,6 @@ def in_counts(text: str, counted: Collection[str]) -> str:
     for quantity in counted:
         text = re.sub(rf"\b{WORDS[quantity]}\b", r"count\1", text)
     return text
-
-
-def _is_unit(match: re.Match[str]) -> bool:
-    """Tell whether a symbol without prefix is a unit."""
-    preceding, following = match.string[: match.start()], match.string[match.end() :]
-    if NUMBER_BEFORE.search(preceding):
-        return True
-    return (preceding[-1:], following[:1]) in (("", ""), ("[", "]"), ("(", ")"), ("", ","))
 
 
 def record_in_counts(record: Any, counted: Collection[str]) -> Any:

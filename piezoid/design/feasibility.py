@@ -1,7 +1,7 @@
 """Infeasible specifications: location and size of the violation, and the nearest feasible one."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NoReturn, TypeVar
 
 import numpy as np
@@ -29,27 +29,14 @@ Attempt = Callable[[Specification], tuple[Violation, ...]]
 Result = TypeVar("Result")
 
 
-@dataclass(frozen=True, kw_only=True)
-class NearestFeasible:
-    """The closest feasible specification.
-
-    bandwidth_Hz   the largest that can, everything else as asked; None if lowering it to 1 % does
-                   not help
-    relaxation_dB  by template, how far each must give way at the asked bandwidth
-    """
-
-    bandwidth_Hz: float | None
-    relaxation_dB: dict[str, float]
-
-
-def nearest_feasible(
+def nearest_feasible_Hz(
     specification: Specification, violations: tuple[Violation, ...], attempt: Attempt
-) -> NearestFeasible:
+) -> float | None:
     """Bisect the bandwidth, on a logarithmic scale, for the largest that meets every limit.
 
-    The first guess is that |Syp| rises with f: missing by 12 dB means four times too fast.
+    The first guess is that |Syp| rises with f: missing by 12 dB means four times too fast. None
+    where lowering the bandwidth to 1 % does not help.
     """
-    relaxation_dB = {v.template: v.excess_dB for v in reversed(violations)}
 
     def meets(logarithm: float) -> bool:
         share = float(np.exp(logarithm))
@@ -60,7 +47,7 @@ def nearest_feasible(
     if not meets(low):
         high, low = low, lowest
         if not meets(low):
-            return NearestFeasible(bandwidth_Hz=None, relaxation_dB=relaxation_dB)
+            return None
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if meets(middle) else (low, middle)
@@ -68,9 +55,9 @@ def nearest_feasible(
         nearest_Hz = rounded_down(float(np.exp(low)) * specification.bandwidth_Hz)
         # what a search finds is not monotone in what it is asked: the advice itself is tried
         if meets(float(np.log(nearest_Hz / specification.bandwidth_Hz))):
-            return NearestFeasible(bandwidth_Hz=nearest_Hz, relaxation_dB=relaxation_dB)
+            return nearest_Hz
         low += _STEP_DOWN
-    return NearestFeasible(bandwidth_Hz=None, relaxation_dB=relaxation_dB)
+    return None
 
 
 def refuse(
@@ -85,18 +72,16 @@ def refuse(
 
     because  what about the plant stands in the way, a whole sentence
     """
-    worst, nearest = violations[0], nearest_feasible(specification, violations, attempt)
+    worst, nearest_Hz = violations[0], nearest_feasible_Hz(specification, violations, attempt)
+    relaxation_dB = {v.template: v.excess_dB for v in reversed(violations)}
     relaxed = "relax " + " and ".join(
         f"'{name}' by {np.ceil(excess_dB * 100.0) / 100.0:.2f} dB"
-        for name, excess_dB in sorted(nearest.relaxation_dB.items(), key=lambda item: -item[1])
+        for name, excess_dB in sorted(relaxation_dB.items(), key=lambda item: -item[1])
     )
-    if nearest.bandwidth_Hz is None:
+    if nearest_Hz is None:
         remedy = f"No bandwidth helps: {relaxed}, or describe the plant family more narrowly."
     else:
-        remedy = (
-            f"Ask for bandwidth_Hz = {nearest.bandwidth_Hz:g}, which meets every limit, or "
-            f"{relaxed}."
-        )
+        remedy = f"Ask for bandwidth_Hz = {nearest_Hz:g}, which meets every limit, or {relaxed}."
     raise TemplateError(
         f"axis {axis}, bandwidth {specification.bandwidth_Hz:.6g} Hz: {worst.sentence}"
         f"{'. ' if because else ''}{because}",
@@ -107,8 +92,8 @@ def refuse(
         member=worst.member,
         frequency_Hz=worst.frequency_Hz,
         excess_dB=worst.excess_dB,
-        nearest_bandwidth_Hz=nearest.bandwidth_Hz,
-        relaxation_dB=nearest.relaxation_dB,
+        nearest_bandwidth_Hz=nearest_Hz,
+        relaxation_dB=relaxation_dB,
         violations=violations,
     )
 

@@ -10,7 +10,7 @@ to r and those of H_t up to some r' in [k_1 r, k_2 r]. Its slope is W_t(r') / W_
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -286,37 +286,28 @@ def draw_replicates(
     values, vectors = np.linalg.eigh(uncertainty.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     thetas = uncertainty.values + rng.standard_normal((draws, len(values))) @ root.T
-    operators = [
-        _operator(axis, dict(zip(uncertainty.names, theta, strict=True))) for theta in thetas
-    ]
-    return tuple(
-        operator for operator in operators if operator is not None and operator.is_invertible
-    )
-
-
-def _operator(axis: AxisModel, parameters: dict[str, float]) -> ModifiedPrandtlIshlinskii | None:
-    """Return the operator of these numbers, or None if thresholds cross."""
     model = axis.hysteresis
     plays, zones, envelope = model.plays, model.dead_zones, model.envelope
-    play_V = _replicate_of("play_threshold_V", plays.threshold, parameters)
-    zone_m = _replicate_of("dead_zone_threshold_m", zones.threshold, parameters)
-    play_V[0], zone_m[zones.zero] = 0.0, 0.0
-    if not ((np.diff(play_V) > 0).all() and (np.diff(zone_m) > 0).all()):
-        return None
-    return ModifiedPrandtlIshlinskii(
-        plays=PrandtlIshlinskii(
-            threshold=play_V, weight=_replicate_of("play_weight_m_per_V", plays.weight, parameters)
-        ),
-        dead_zones=DeadZones(
-            threshold=zone_m, weight=_replicate_of("dead_zone_weight", zones.weight, parameters)
-        ),
-        voltage_offset_V=model.voltage_offset_V,
-        displacement_offset_m=model.displacement_offset_m,
-        envelope=DeadZones(
-            threshold=envelope.threshold,
-            weight=_replicate_of("envelope_weight", envelope.weight, parameters),
-        ),
-    )
+    operators = []
+    for theta in thetas:
+        drawn = dict(zip(uncertainty.names, theta, strict=True))
+        play_V = _replicate_of("play_threshold_V", plays.threshold, drawn)
+        zone_m = _replicate_of("dead_zone_threshold_m", zones.threshold, drawn)
+        play_V[0], zone_m[zones.zero] = 0.0, 0.0
+        if not ((np.diff(play_V) > 0).all() and (np.diff(zone_m) > 0).all()):
+            continue
+        play_weight = _replicate_of("play_weight_m_per_V", plays.weight, drawn)
+        zone_weight = _replicate_of("dead_zone_weight", zones.weight, drawn)
+        envelope_weight = _replicate_of("envelope_weight", envelope.weight, drawn)
+        operator = replace(
+            model,
+            plays=PrandtlIshlinskii(threshold=play_V, weight=play_weight),
+            dead_zones=DeadZones(threshold=zone_m, weight=zone_weight),
+            envelope=DeadZones(threshold=envelope.threshold, weight=envelope_weight),
+        )
+        if operator.is_invertible:
+            operators.append(operator)
+    return tuple(operators)
 
 
 def _replicate_of(stem: str, fitted: Array, parameters: dict[str, float]) -> Array:

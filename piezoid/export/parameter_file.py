@@ -269,16 +269,15 @@ def _values(entries: Mapping[str, Any], source: str) -> Values:
     if units != expected:
         differing = sorted(set(units.items()) ^ set(expected.items()))
         raise _incomplete(source, f"{differing[0][0]} in {differing[0][1]!r} is not the schema's")
-    arrays = {p.name: _array(p, values[p.name]) for p in _shipped() if p.name in expected}
-    return complete({name: array for name, array in arrays.items() if array.size})
-
-
-def _array(parameter: Parameter, value: Any) -> Array:
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise _incomplete("parameter file", f"{parameter.name} holds no numbers") from error
-    return array.reshape((0,) * len(parameter.shape)) if array.size == 0 else array
+    arrays = {}
+    for name in expected:
+        try:
+            array = np.asarray(values[name], dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise _incomplete("parameter file", f"{name} holds no numbers") from error
+        if array.size:
+            arrays[name] = array
+    return complete(arrays)
 
 
 def _incomplete(source: str, fault: str) -> ParameterFileError:

@@ -12,7 +12,7 @@ The bounds are part of the step's own problem, solved exactly. What goes wrong: 
 step of the linear model may lower it, which ends the search beside a better place.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, Literal, Protocol, TypeVar
 
@@ -204,7 +204,11 @@ def minimise(
             if trial_point.cost < point.cost:
                 x, point, damping = trial, trial_point, max(damping / rule.easier, LEAST_DAMPING)
                 costs.append(point.cost)
-                reason = _worth_another(costs, rule)
+                reason = None
+                if costs[-2] - costs[-1] < max(rule.tolerance * costs[-2], rule.enough):
+                    reason = "converged"
+                elif len(costs) > CRAWL and 1.0 - costs[-1] / costs[-1 - CRAWL] < rule.crawl:
+                    reason = "crawling"
                 break
             damping *= rule.harder
     return Minimum(
@@ -215,15 +219,6 @@ def minimise(
         evaluations=evaluations,
         gradient=gradient,
     )
-
-
-def _worth_another(costs: Sequence[float], rule: Rule) -> Reason | None:
-    """Return the reason to stop after these costs, or None to continue."""
-    if costs[-2] - costs[-1] < max(rule.tolerance * costs[-2], rule.enough):
-        return "converged"
-    if len(costs) > CRAWL and 1.0 - costs[-1] / costs[-1 - CRAWL] < rule.crawl:
-        return "crawling"
-    return None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

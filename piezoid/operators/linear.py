@@ -83,13 +83,38 @@ class DiscreteSystem:
         state     (states,)  before the first sample; zero if None
         returned  outputs, shaped like the drive, and (states,)
 
-        Within blocks the outputs are products with the impulse response, so the cost per sample
-        does not depend on Python.
+        Inside a block y = observe x + forced u, where forced is the block Toeplitz matrix of the
+        impulse response; from block to block x = A^length x + reach u. So the cost per sample does
+        not depend on Python.
         """
-        u = np.asarray(drive, dtype=np.float64)
+        is_vector, count = np.ndim(drive) == 1, len(drive)
+        outputs, inputs = self.D.shape
+        u = np.asarray(drive, dtype=np.float64).reshape(count, inputs)
         x = np.zeros(len(self.A)) if state is None else np.asarray(state, dtype=np.float64)
-        outputs, x = _run_blocks(self, u.reshape(len(u), self.B.shape[1]), x)
-        return (outputs[:, 0] if u.ndim == 1 and outputs.shape[1] == 1 else outputs), x
+        length = min(BLOCK_SAMPLES, max(count, 1))
+        powers = [np.eye(len(x))]
+        for _ in range(length):
+            powers.append(self.A @ powers[-1])
+        observe = np.concatenate([self.C @ power for power in powers[:length]])
+        reach = np.concatenate([power @ self.B for power in powers[length - 1 :: -1]], axis=1)
+        impulse = self.impulse_response(length)
+        triangle = np.zeros((length, outputs, length, inputs))  # of blocks impulse[row - column]
+        for column in range(length):
+            triangle[column:, :, column, :] = impulse[: length - column]
+        forced = triangle.reshape(length * outputs, length * inputs)
+        block_count = count // length
+        blocks = u[: block_count * length].reshape(block_count, length * inputs)
+        starts = np.empty((block_count, len(x)))
+        pushes = blocks @ reach.T
+        for k in range(block_count):
+            starts[k] = x
+            x = powers[length] @ x + pushes[k]
+        response = (blocks @ forced.T + starts @ observe.T).reshape(block_count * length, outputs)
+        remaining = np.empty((count - len(response), outputs))
+        for k, row in enumerate(u[len(response) :]):
+            x, remaining[k] = self.step(x, row)
+        response = np.concatenate([response, remaining])
+        return (response[:, 0] if is_vector and outputs == 1 else response), x
 
     def impulse_response(self, samples: int) -> Array:
         """Return D, CB, CAB, ..., (samples, outputs, inputs)."""
@@ -126,38 +151,6 @@ def _transfer(
     resolvent = v[:, None, None] * np.eye(len(A)) - A
     inner = np.linalg.solve(resolvent, np.broadcast_to(B, (len(v), *B.shape)))
     return np.asarray(C @ inner + D)
-
-
-def _run_blocks(system: DiscreteSystem, u: Array, x: Array) -> tuple[Array, Array]:
-    """Return the outputs of a record, computed block by block, and the state after it.
-
-    Inside a block: y = observe x + forced u, where forced is the block Toeplitz matrix of the
-    impulse response; from block to block: x = A^length x + reach u.
-    """
-    outputs, inputs = system.D.shape
-    length = min(BLOCK_SAMPLES, max(len(u), 1))
-    powers = [np.eye(len(x))]
-    for _ in range(length):
-        powers.append(system.A @ powers[-1])
-    observe = np.concatenate([system.C @ power for power in powers[:length]])
-    reach = np.concatenate([power @ system.B for power in powers[length - 1 :: -1]], axis=1)
-    impulse = system.impulse_response(length)
-    triangle = np.zeros((length, outputs, length, inputs))  # of blocks impulse[row - column]
-    for column in range(length):
-        triangle[column:, :, column, :] = impulse[: length - column]
-    forced = triangle.reshape(length * outputs, length * inputs)
-    block_count = len(u) // length
-    blocks = u[: block_count * length].reshape(block_count, length * inputs)
-    starts = np.empty((block_count, len(x)))
-    pushes = blocks @ reach.T
-    for k in range(block_count):
-        starts[k] = x
-        x = powers[length] @ x + pushes[k]
-    block_outputs = (blocks @ forced.T + starts @ observe.T).reshape(block_count * length, outputs)
-    remaining_outputs = np.empty((len(u) - len(block_outputs), outputs))
-    for k, row in enumerate(u[len(block_outputs) :]):
-        x, remaining_outputs[k] = system.step(x, row)
-    return np.concatenate([block_outputs, remaining_outputs]), x
 
 
 def sample(system: ContinuousSystem, sampling_rate_Hz: float) -> DiscreteSystem:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezoid.design.design import LoopDesign
-from piezoid.design.feasibility import at_feasible_bandwidth, nearest_feasible, unmet
+from piezoid.design.feasibility import at_feasible_bandwidth, nearest_feasible_Hz, refuse, unmet
 from piezoid.design.junction_task import design_vertical
 from piezoid.design.lateral import design_lateral
 from piezoid.design.observer import linear_controller
@@ -131,7 +131,7 @@ def nearest_Hz(is_met: Callable[[float], bool], worst_dB: float = 6.0) -> float 
     def attempt(tried: Specification) -> tuple[Violation, ...]:
         return () if is_met(tried.bandwidth_Hz) else missed(worst_dB)
 
-    return nearest_feasible(asked, missed(worst_dB), attempt).bandwidth_Hz
+    return nearest_feasible_Hz(asked, missed(worst_dB), attempt)
 
 
 @pytest.mark.parametrize("worst_dB", [0.01, 6.0, 200.0])
@@ -161,8 +161,9 @@ def test_what_is_advised_was_tried_and_met_where_feasibility_has_holes():
 
 
 def test_every_template_has_to_give_way_by_its_worst_miss():
-    found = nearest_feasible(lateral_specification(), missed(5.0, 4.0, 3.0, 2.0), lambda _: ())
-    assert found.relaxation_dB == {"t0": 5.0, "t1": 4.0}
+    with pytest.raises(TemplateError) as refusal:
+        refuse("x", lateral_specification(), missed(5.0, 4.0, 3.0, 2.0), lambda _: ())
+    assert refusal.value.numbers["relaxation_dB"] == {"t0": 5.0, "t1": 4.0}
 
 
 def test_a_default_nobody_asked_for_gives_way_to_the_nearest_feasible():

@@ -11,7 +11,6 @@ import pytest
 import piezoid.runtime
 from piezoid.errors import ParameterFileError, RuntimeLibraryError
 from piezoid.numerics import compiled
-from piezoid.runtime import library as library_module
 from piezoid.runtime import schema
 from piezoid.runtime.controller import Status
 from piezoid.runtime.library import compare_layout, complete, library
@@ -33,8 +32,12 @@ def refused(given, precision="double"):
     opened = library(precision)
     packed = opened.parameters()
     for parameter in PARAMETERS:
-        value = given.get(parameter.name, parameter.default)
-        library_module._write(packed, parameter, padded(parameter, value))
+        value = padded(parameter, given.get(parameter.name, parameter.default))
+        if parameter.shape:
+            np.ctypeslib.as_array(getattr(packed, parameter.name))[...] = value
+        else:
+            number = int(value) if parameter.kind == "integer" else float(value)
+            setattr(packed, parameter.name, number)
     opened.seal(packed)
     place = opened.code.pz_check(ctypes.byref(packed))
     names = {number: name for name, number in schema.INDEX.items()}

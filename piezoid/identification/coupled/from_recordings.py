@@ -174,32 +174,26 @@ def _periodic_recordings(
     recordings: Sequence[Recording], declared: Coupled
 ) -> list[tuple[Recording, Repetition]]:
     """Return the recordings in which all coupled axes are driven at once and repeat."""
-    pairs = [(recording, _repetition(recording, declared)) for recording in recordings]
-    return [(recording, repetition) for recording, repetition in pairs if repetition is not None]
-
-
-def _repetition(recording: Recording, declared: Coupled) -> Repetition | None:
-    axes, settling = declared.axes, declared.settling_periods
-    if not axes:
-        return None
-    quantities = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
-    complete = all(
-        recording.find(quantity, axis) is not None for quantity in quantities for axis in axes
-    )
-    if recording.breaks or not complete or len(driven_axes(recording, axes)) < len(axes):
-        return None
-    repetitions = [
-        repetition
-        for axis in axes
-        if (repetition := find_repetition(recording.voltage_V(axis), fewest=settling + FEWEST))
-    ]
-    if len(repetitions) < len(axes) or len({r.period_samples for r in repetitions}) > 1:
-        return None
-    first, period = max(r.first for r in repetitions), repetitions[0].period_samples
-    periods = (min(r.first + r.periods * period for r in repetitions) - first) // period
-    if periods < settling + FEWEST:
-        return None
-    return Repetition(first=first, period_samples=period, periods=periods)
+    axes, fewest = declared.axes, declared.settling_periods + FEWEST
+    periodic = []
+    for recording in recordings if axes else ():
+        complete = all(
+            recording.find(quantity, axis) is not None
+            for quantity in (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
+            for axis in axes
+        )
+        if recording.breaks or not complete or len(driven_axes(recording, axes)) < len(axes):
+            continue
+        found = [find_repetition(recording.voltage_V(axis), fewest=fewest) for axis in axes]
+        repetitions = [repetition for repetition in found if repetition is not None]
+        if len(repetitions) < len(axes) or len({r.period_samples for r in repetitions}) > 1:
+            continue
+        first, period = max(r.first for r in repetitions), repetitions[0].period_samples
+        periods = (min(r.first + r.periods * period for r in repetitions) - first) // period
+        if periods >= fewest:
+            repetition = Repetition(first=first, period_samples=period, periods=periods)
+            periodic.append((recording, repetition))
+    return periodic
 
 
 def _levels_of(

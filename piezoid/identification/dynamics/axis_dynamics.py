@@ -236,12 +236,13 @@ def _with_fit(
     joint = fit_jointly(axis, dynamics, recording, recordings)
     if joint is None:
         return replace(_with_remarks(axis, text), dynamics=dynamics), ""
-    change = np.abs(np.log(joint.dynamics.mode_frequency_Hz / dynamics.mode_frequency_Hz))
-    if (change >= SAME_MODE).any() or not np.isfinite(joint.dynamics.shape_covariance).all():
+    joint_dynamics, record = joint
+    change = np.abs(np.log(joint_dynamics.mode_frequency_Hz / dynamics.mode_frequency_Hz))
+    if (change >= SAME_MODE).any() or not np.isfinite(joint_dynamics.shape_covariance).all():
         text += "; a joint fit of hysteresis and dynamics finds other modes and is not used"
         return replace(_with_remarks(axis, text), dynamics=dynamics), ""
     axis = _with_remarks(axis, f"{text}, then jointly with it")
-    return replace(axis, dynamics=joint.dynamics, joint=joint.record), ""
+    return replace(axis, dynamics=joint_dynamics, joint=record), ""
 
 
 def _obstacle(dynamics: LinearDynamics) -> str:

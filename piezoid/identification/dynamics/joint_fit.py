@@ -48,26 +48,20 @@ PARTS_QUANTILE = 2.2010  # Student's of eleven degrees of freedom, 95 %
 TINY = 1e-300
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class JointResult:
-    """Dynamics whose intervals include the uncertainty of the hysteresis, and the fit's record."""
-
-    dynamics: LinearDynamics
-    record: JointFit
-
-
 def fit_jointly(
     axis: AxisModel,
     dynamics: LinearDynamics,
     exciting: Recording,
     recordings: Sequence[Recording],
-) -> JointResult | None:
+) -> tuple[LinearDynamics, JointFit] | None:
     """Fit operator and dynamics together to all recordings whose initial memory is known.
+
+    Returns the dynamics, whose intervals include the uncertainty of the hysteresis, and the record
+    of the fit; None where the initial memory of ``exciting`` is not known.
 
     axis        whose operator is the start; its thresholds are kept
     dynamics    the start
     exciting    the recording that excites the modes; among ``recordings``
-    returned    None where the initial memory of ``exciting`` is not known
 
     Plays as small as the exciting drive are added to those of the operator: a loss angle that
     does not depend on frequency must not pass for delay. Half of the change when they are left
@@ -110,17 +104,15 @@ def fit_jointly(
         shares * dynamics.static_gain_m_per_V,
         covariance + np.outer(change, change),
     )
-    return JointResult(
-        dynamics=replace(dynamics, **terms),
-        record=JointFit(
-            recordings=tuple(segment.recording for segment in segments),
-            play_threshold_V=tuple(threshold_V.tolist()),
-            play_weight_m_per_V=tuple(weights.tolist()),
-            dead_zone_weight=tuple(zones.weight.tolist()),
-            separate_rms_m=separate_rms_m,
-            joint_rms_m=_residual_rms(segments, layout, theta),
-        ),
+    record = JointFit(
+        recordings=tuple(segment.recording for segment in segments),
+        play_threshold_V=tuple(threshold_V.tolist()),
+        play_weight_m_per_V=tuple(weights.tolist()),
+        dead_zone_weight=tuple(zones.weight.tolist()),
+        separate_rms_m=separate_rms_m,
+        joint_rms_m=_residual_rms(segments, layout, theta),
     )
+    return replace(dynamics, **terms), record
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,8 +25,27 @@ def vector_fit(
 
     Noise biases the result: it is a start for maximum likelihood, not an answer.
     """
+    direct = np.ones((len(s), 1))
+    scale = float(np.linalg.norm(weight * np.abs(response)))
     for _ in range(rounds):
-        new = _relocate(s, response, weight, poles)
+        fractions = _fractions(s, poles)
+        numerator = np.concatenate([fractions, direct], axis=1)
+        triangles = []
+        for g, w in zip(response.T, weight.T, strict=True):
+            sigma = -g[:, None] * numerator
+            equations = stacked(np.concatenate([numerator, sigma], axis=1) * w[:, None])
+            unknowns = numerator.shape[1]
+            triangles.append(np.asarray(np.linalg.qr(equations, mode="r"))[unknowns:, unknowns:])
+        # Coefficients of sigma, its mean over the lines held at one (relaxed form, not d = 1).
+        mean = np.append(fractions.sum(axis=0).real, len(s)) * scale / len(s)
+        matrix = np.concatenate([*triangles, mean[None]])
+        target = np.zeros(len(matrix))
+        target[-1] = scale
+        size = np.maximum(np.linalg.norm(matrix, axis=0), np.finfo(float).tiny)
+        solution = np.linalg.lstsq(matrix / size, target, rcond=None)[0] / size
+        d = float(solution[-1])
+        d = d if abs(d) > 1e-8 else float(np.copysign(1e-8, d))
+        new = _zeros_of_sigma(poles, solution[:-1], d)
         settled = len(new) == len(poles) and bool(
             (np.abs(new - poles) < SETTLED * np.abs(new)).all()
         )
@@ -67,32 +86,6 @@ def _fractions(s: ComplexArray, poles: ComplexArray) -> ComplexArray:
     pairs, real = poles[poles.imag > 0], poles[poles.imag == 0]
     upper, lower = 1 / (s[:, None] - pairs), 1 / (s[:, None] - np.conj(pairs))
     return np.concatenate([upper + lower, 1j * (upper - lower), 1 / (s[:, None] - real)], axis=1)
-
-
-def _relocate(
-    s: ComplexArray, response: ComplexArray, weight: Array, poles: ComplexArray
-) -> ComplexArray:
-    fractions = _fractions(s, poles)
-    direct = np.ones((len(s), 1))
-    numerator = np.concatenate([fractions, direct], axis=1)
-    triangles = []
-    for g, w in zip(response.T, weight.T, strict=True):
-        sigma = -g[:, None] * numerator
-        equations = stacked(np.concatenate([numerator, sigma], axis=1) * w[:, None])
-        unknowns = numerator.shape[1]
-        triangles.append(np.asarray(np.linalg.qr(equations, mode="r"))[unknowns:, unknowns:])
-    # Coefficients of sigma, its mean over the lines held at one (relaxed form, not d = 1).
-    scale = float(np.linalg.norm(weight * np.abs(response)))
-    mean = np.append(fractions.sum(axis=0).real, len(s)) * scale / len(s)
-    matrix = np.concatenate([*triangles, mean[None]])
-    target = np.zeros(len(matrix))
-    target[-1] = scale
-    size = np.maximum(np.linalg.norm(matrix, axis=0), np.finfo(float).tiny)
-    solution = np.linalg.lstsq(matrix / size, target, rcond=None)[0] / size
-    d = float(solution[-1])
-    return _zeros_of_sigma(
-        poles, solution[:-1], d if abs(d) > 1e-8 else float(np.copysign(1e-8, d))
-    )
 
 
 def _zeros_of_sigma(poles: ComplexArray, c: Array, d: float) -> ComplexArray:

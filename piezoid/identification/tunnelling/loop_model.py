@@ -97,7 +97,18 @@ def describe_loop_plant(
     A single record's own intervals are kept; those of a mean rest on the scatter of the records.
     """
     family = spread_family(fits)
-    gain, pole_Hz, delay_s = _intervals(fits)
+    gain, pole_Hz = fits[0].gain_interval, fits[0].sensor_pole_interval_Hz
+    delay_s = fits[0].delay_interval_s
+    if len(fits) > 1:
+        center, half_width = mean_of(fits)
+        low, high = center - half_width, center + half_width
+        rate_Hz = fits[0].plant.sampling_rate_Hz
+        gain = math.exp(low[0]), math.exp(high[0])
+        pole_Hz = pole_interval(low[1], high[1], rate_Hz, fits[0].declared_pole_Hz)
+        longest_s = max(float(high[2]), 0.0) / rate_Hz
+        if not math.isfinite(pole_Hz[1]):  # then the pole may be a delay of its own
+            longest_s = max(longest_s, *(fit.delay_interval_s[1] for fit in fits))
+        delay_s = (max(float(low[2]), 0.0) / rate_Hz, longest_s)
     decay = family[0].gain_nepers_per_V / rig.drive_gain_m_per_V
     half = math.hypot(0.5 * math.log(gain[1] / gain[0]), 1.96 * rig.extension_uncertainty)
     return LoopPlant(
@@ -212,22 +223,6 @@ def _covariances(fits: Sequence[ClosedLoopFit]) -> tuple[Array, Array | None, Ar
     scatter = np.cov([fit.logs for fit in fits], rowvar=False)
     values, vectors = np.linalg.eigh(scatter - of_record)
     return of_record, (vectors * np.maximum(values, 0.0)) @ vectors.T, common
-
-
-def _intervals(fits: Sequence[ClosedLoopFit]) -> tuple[Interval, Interval, Interval]:
-    """Return the 95 % intervals of gain, sensor pole and delay."""
-    if len(fits) == 1:
-        fit = fits[0]
-        return fit.gain_interval, fit.sensor_pole_interval_Hz, fit.delay_interval_s
-    center, half = mean_of(fits)
-    low, high = center - half, center + half
-    rate_Hz = fits[0].plant.sampling_rate_Hz
-    pole_Hz = pole_interval(low[1], high[1], rate_Hz, fits[0].declared_pole_Hz)
-    longest_s = max(float(high[2]), 0.0) / rate_Hz
-    if not math.isfinite(pole_Hz[1]):  # then the pole may be a delay of its own
-        longest_s = max(longest_s, *(fit.delay_interval_s[1] for fit in fits))
-    delay_s = (max(float(low[2]), 0.0) / rate_Hz, longest_s)
-    return (math.exp(low[0]), math.exp(high[0])), pole_Hz, delay_s
 
 
 def _plant(logs: Array, nominal: JunctionPlant) -> JunctionPlant:
