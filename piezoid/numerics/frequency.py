@@ -1,4 +1,4 @@
-"""Frequency grids, responses of fractions in q^-1 and of state space, decibels."""
+"""Frequency grids, responses of fractions in q^-1, decibels."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,19 +43,6 @@ def response(B: ArrayLike, A: ArrayLike, frequency_Hz: ArrayLike, rate_Hz: float
     """Return B/A on the unit circle, (frequencies,); the delay is leading zeros of B."""
     q = unit_circle(frequency_Hz, rate_Hz)
     return np.asarray(polynomial_response(B, q) / polynomial_response(A, q))
-
-
-def state_space_response(
-    A: Array, B: Array, C: Array, frequency_Hz: ArrayLike, rate_Hz: float
-) -> Response:
-    """Return C (z I - A)^-1 B on the unit circle, (frequencies,), one linear solve for each.
-
-    A  (n, n)    B  (n,)    C  (n,)
-    """
-    z = 1.0 / unit_circle(frequency_Hz, rate_Hz)
-    shifted = z[:, None, None] * np.eye(len(A)) - A
-    states = np.linalg.solve(shifted, np.broadcast_to(B, (len(z), len(B)))[:, :, None])
-    return np.asarray(states[:, :, 0] @ C)
 
 
 def decibel(magnitude: ArrayLike) -> Array:

@@ -48,12 +48,6 @@ def trimmed(polynomial: ArrayLike) -> Array:
     return array[: nonzero[-1] + 1].copy() if nonzero.size else np.zeros(1)
 
 
-def value_at(polynomial: ArrayLike, z: complex | Roots) -> Roots:
-    """Return the polynomial's value, p[0] + p[1]/z + ...; at z = 1 the sum of coefficients."""
-    coefficients = np.asarray(polynomial, dtype=np.float64)[::-1]
-    return np.asarray(np.polyval(coefficients, 1.0 / np.asarray(z, dtype=np.complex128)))
-
-
 def roots_of(polynomial: ArrayLike) -> Roots:
     """Return the values of z where the polynomial vanishes, without the poles at z = 0."""
     array = trimmed(polynomial)

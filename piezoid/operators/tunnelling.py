@@ -48,22 +48,6 @@ def barrier_of_decay(decay_per_m: float) -> float:
     return (decay_per_m / DECAY_AT_ONE_EV_PER_M) ** 2
 
 
-def current_through_gap(
-    gap_m: Array, *, decay_per_m: float, current_at_zero_gap_A: float
-) -> Array:
-    """Return the tunnelling current through a gap.
-
-        i = i_0 exp(-k d)
-
-    d    gap_m                  (samples,)  m, grows when the tip retracts
-    k    decay_per_m            scalar      1/m
-    i_0  current_at_zero_gap_A  scalar      A, conductance times bias; carries the bias' sign
-    i    returned               (samples,)  A
-    """
-    current_A: Array = current_at_zero_gap_A * np.exp(-decay_per_m * gap_m)
-    return current_A
-
-
 def log_current(current_A: Array, *, set_point_A: float, floor_A: float) -> Array:
     """Return the log current relative to a set point, with a floor below which the tip is lost.
 

@@ -7,7 +7,6 @@ from piezoid.numerics.frequency import (
     decibel,
     grid_Hz,
     response,
-    state_space_response,
     unit_circle,
 )
 
@@ -31,13 +30,6 @@ def test_the_response_is_the_fourier_sum_of_the_impulse_response():
     f = np.array([1.0, 500.0, 7000.0])
     sums = [(h * np.exp(-2j * np.pi * x / RATE_Hz * np.arange(len(h)))).sum() for x in f]
     np.testing.assert_allclose(response(B, A, f, RATE_Hz), sums, rtol=1e-12)
-
-
-def test_state_space_and_fraction_respond_alike():
-    A, B, C = np.array([[1.2, -0.5], [1.0, 0.0]]), np.array([1.0, 0.0]), np.array([0.2, 0.1])
-    f = grid_Hz(RATE_Hz, count=50)
-    fraction = response([0.0, 0.2, 0.1], [1.0, -1.2, 0.5], f, RATE_Hz)
-    np.testing.assert_allclose(state_space_response(A, B, C, f, RATE_Hz), fraction, rtol=1e-12)
 
 
 def test_one_delay_turns_by_half_a_turn_at_nyquist():

@@ -18,7 +18,6 @@ from piezoid.numerics.polynomial import (
     sylvester,
     total,
     trimmed,
-    value_at,
 )
 
 
@@ -58,6 +57,11 @@ def test_polynomials_are_a_ring(a: Array, b: Array, c: Array) -> None:
     )
     np.testing.assert_array_equal(trimmed(total(a, -a)), [0.0])
     np.testing.assert_array_equal(product(a), a)
+
+
+def value_at(polynomial: Array, z: complex) -> complex:
+    """Return p[0] + p[1]/z + ..."""
+    return complex(np.polyval(polynomial[::-1], 1.0 / z))
 
 
 @given(coefficients(), coefficients(), st.integers(0, 5), POINTS)
