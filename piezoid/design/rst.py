@@ -35,25 +35,9 @@ class RstController:
         freeze(self, "R", "S", "T")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PlacedController(RstController):
-    """A controller by pole placement.
-
-    P         the closed-loop polynomial that was placed on the nominal plant
-    residual  of the Bezout equation, relative
-    """
-
-    P: Array
-    residual: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        freeze(self, "P")
-
-
 def place_poles(
     plant: Plant, P: ArrayLike, *, H_R: ArrayLike = (1.0,), H_S: ArrayLike = (1.0, -1.0)
-) -> PlacedController:
+) -> RstController:
     """Place the closed-loop polynomial P with fixed parts in R and S.
 
         A H_S S' + B H_R R' = P,   S = H_S S',   R = H_R R',   T = R(1)
@@ -82,8 +66,7 @@ def place_poles(
             condition=solution.condition,
         )
     R, S = product(H_R, solution.R), product(H_S, solution.S)
-    T = np.array([R.sum()])
-    return PlacedController(R=R, S=S / S[0], T=T, P=np.asarray(P), residual=solution.residual)
+    return RstController(R=R, S=S / S[0], T=np.array([R.sum()]))
 
 
 def section_poles(section: Section, sampling_rate_Hz: float) -> Roots:

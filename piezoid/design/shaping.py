@@ -13,7 +13,7 @@ from piezoid.design.plant import Plant, PlantFamily, Section
 from piezoid.design.rst import (
     INTEGRATOR,
     OPEN_AT_NYQUIST,
-    PlacedController,
+    RstController,
     closed_loop_target,
     place_poles,
 )
@@ -87,7 +87,7 @@ class ShapedController:
     excess_dB       <= 0: every member meets every limit on the search's grid
     """
 
-    controller: PlacedController
+    controller: RstController
     dominant: Section
     auxiliary_root: float
     band_stops: tuple[BandStop, ...]
@@ -110,7 +110,7 @@ def place_band_stops(
     dominant: Section,
     auxiliary_root: float,
     band_stops: tuple[BandStop, ...] = (),
-) -> PlacedController:
+) -> RstController:
     """Place P_D P_F with an integrator, no gain at Nyquist, and the given band-stops."""
     part_r, part_s, denominators = OPEN_AT_NYQUIST, INTEGRATOR, np.ones(1)
     for stop in band_stops:

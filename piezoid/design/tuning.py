@@ -173,18 +173,16 @@ def search_box(plant: Plant, method: str) -> SearchBox:
 class TunedObserver:
     """An observer, the parameters that the search chose, and its judgement on the search's grid.
 
-    method       ``placed``, ``kalman`` or ``DAMPED``
-    observer     the gains
-    parameters   by name
-    judgement    excess over the limits and predicted error
-    evaluations  number of candidates that were judged
+    method      ``placed``, ``kalman`` or ``DAMPED``
+    observer    the gains
+    parameters  by name
+    judgement   excess over the limits and predicted error
     """
 
     method: str
     observer: DisturbanceObserver
     parameters: dict[str, float]
     judgement: Judgement
-    evaluations: int
 
 
 def tune_observer(
@@ -237,7 +235,6 @@ def tune_observer(
         observer=observer,
         parameters=parameters,
         judgement=judge(grid, *feedback_polynomials(observer)),
-        evaluations=result.evaluations,
     )
 
 
