@@ -87,15 +87,7 @@ def validate_response(
         "its own gain, and a controller is designed for both"
     )
     if recorded is not None:
-        # The gain of the recording over that of the response, where both were measured. Not at
-        # rest: that lies below the band of a recording, where a lag may make anything of it.
-        low_Hz = max(
-            BELOW_MODE * _strongest_Hz(recorded[0]),
-            ABOVE_BAND * recorded[0].band_Hz[0],
-            fit.dynamics.band_Hz[0],
-        )
-        levels = [np.abs(d.response([low_Hz])[0]) for d in (recorded[0], fit.dynamics)]
-        factor = float(levels[0] / levels[1])
+        factor = _gain_ratio(recorded[0], fit.dynamics)
         record = record.scaled(factor)
         gains += (
             f"; {recorded[1]} shows the same mode, and the gain is its, "
@@ -148,6 +140,20 @@ def _disagreement(
             f"(its modes: {listed}). Another axis, load or stage"
         )
     return ""
+
+
+def _gain_ratio(recorded: LinearDynamics, measured: LinearDynamics) -> float:
+    """Return the gain of a recording over that of a response, where both were measured.
+
+    Not at rest: that lies below the band of a recording, where a lag may make anything of it.
+    """
+    low_Hz = max(
+        BELOW_MODE * _strongest_Hz(recorded),
+        ABOVE_BAND * recorded.band_Hz[0],
+        measured.band_Hz[0],
+    )
+    gains = [np.abs(dynamics.response([low_Hz])[0]) for dynamics in (recorded, measured)]
+    return float(gains[0] / gains[1])
 
 
 def _strongest_Hz(dynamics: LinearDynamics) -> float:
