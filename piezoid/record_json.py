@@ -139,7 +139,12 @@ def _read(kind: Any, value: Any, layouts: Sequence[RecordLayout], path: str) -> 
     if kind == Unbounded:
         return inf if value is None else _leaf(float, value, path)
     if origin is tuple:
-        return _tuple(arguments, _leaf(list[Any], value, path), layouts, path)
+        values = _leaf(list[Any], value, path)
+        kinds = arguments[:1] * len(values) if arguments[-1] is Ellipsis else arguments
+        if len(kinds) != len(values):
+            raise ValueError(f"{path}: {len(values)} values, expected {len(kinds)}")
+        pairs = enumerate(zip(kinds, values, strict=True))
+        return tuple(_read(inner, item, layouts, f"{path}[{k}]") for k, (inner, item) in pairs)
     if isinstance(origin, type) and issubclass(origin, Mapping):
         table = _leaf(dict[str, Any], value, path)
         return {k: _read(arguments[1], item, layouts, f"{path}.{k}") for k, item in table.items()}
@@ -153,17 +158,6 @@ def _read(kind: Any, value: Any, layouts: Sequence[RecordLayout], path: str) -> 
     if layout is not None and layout.read is not None:
         return layout.read(value)
     return _by_fields(cast(type, kind), value, layouts, path)
-
-
-def _tuple(
-    kinds: tuple[Any, ...], values: list[Any], layouts: Sequence[RecordLayout], path: str
-) -> tuple[Any, ...]:
-    if kinds[-1] is Ellipsis:
-        kinds = kinds[:1] * len(values)
-    if len(kinds) != len(values):
-        raise ValueError(f"{path}: {len(values)} values, expected {len(kinds)}")
-    pairs = enumerate(zip(kinds, values, strict=True))
-    return tuple(_read(kind, value, layouts, f"{path}[{k}]") for k, (kind, value) in pairs)
 
 
 def _by_fields(

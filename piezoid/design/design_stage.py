@@ -129,10 +129,21 @@ def design_axes(
 
     Without ``requested``, a stage may be designed axis by axis and assembled by ``design_of``.
     """
-    tasks, obstacles = _tasks(model, lab or Lab(), sampling_rate_Hz, forms)
-    hindered = tuple(AxisDesignResult(axis=name, obstacle=why) for name, why in obstacles.items())
+    declared, tasks, hindered = lab or Lab(), dict[str, _Task](), list[AxisDesignResult]()
+    for name in model.axes:
+        try:
+            tasks[name] = _lateral_task(model, name, declared, sampling_rate_Hz, forms)
+        except (DesignError, LabFileError) as obstacle:
+            hindered.append(AxisDesignResult(axis=name, obstacle=obstacle))
+    if model.tunnelling is not None and (tip := axis_of(model.tunnelling)) not in model.axes:
+        try:
+            junction = vertical_task(model.tunnelling, declared)
+            design_tip = partial(design_vertical, tip, junction.family)
+            tasks[tip] = _Task(design=design_tip, specification=junction.specification)
+        except (DesignError, LabFileError) as obstacle:
+            hindered.append(AxisDesignResult(axis=tip, obstacle=obstacle))
     if not tasks:
-        return hindered
+        return tuple(hindered)
     defaults = {name: task.specification for name, task in tasks.items()}
     request = requested or SpecificationText()
     specifications = specifications_from_toml(request.text, defaults, source=request.source)
@@ -220,27 +231,6 @@ def without_damping(
         else outcome
         for outcome in outcomes
     )
-
-
-def _tasks(
-    model: ActuatorModel, lab: Lab, rate_Hz: float | None, forms: Sequence[str]
-) -> tuple[dict[str, _Task], dict[str, PiezoidError]]:
-    """Return the design tasks by axis, and the obstacles of the other axes."""
-    tasks: dict[str, _Task] = {}
-    obstacles: dict[str, PiezoidError] = {}
-    for name in model.axes:
-        try:
-            tasks[name] = _lateral_task(model, name, lab, rate_Hz, forms)
-        except (DesignError, LabFileError) as obstacle:
-            obstacles[name] = obstacle
-    if model.tunnelling is not None and (tip := axis_of(model.tunnelling)) not in model.axes:
-        try:
-            task = vertical_task(model.tunnelling, lab)
-            design = partial(design_vertical, tip, task.family)
-            tasks[tip] = _Task(design=design, specification=task.specification)
-        except (DesignError, LabFileError) as obstacle:
-            obstacles[tip] = obstacle
-    return tasks, obstacles
 
 
 def _lateral_task(

@@ -13,6 +13,7 @@ from piezoid.numerics.frequency import Response, polynomial_response, response, 
 from piezoid.numerics.polynomial import product, roots_of
 
 _GRID = 60
+_TAPS = 7  # of the filter; at most 9: four sections of second order in the runtime
 _LEAST_EFFORT = 1e-3
 _PREVIEW_SLACK = 8
 _GOOD_ENOUGH = 1.1
@@ -51,7 +52,6 @@ def fit_reference_path(
     T: ArrayLike,
     *,
     band_Hz: float,
-    taps: int = 7,
 ) -> ReferencePath:
     """Fit the filter that makes the nominal closed loop a pure delay of p samples within a band.
 
@@ -62,7 +62,6 @@ def fit_reference_path(
     subject to F(1) = 1. The smallest preview within 10 % of the best error is taken.
 
     members  the nominal one first
-    taps     at most 9: four sections of second order in the runtime
     """
     nominal = members[0]
     rate_Hz = nominal.sampling_rate_Hz
@@ -80,18 +79,28 @@ def fit_reference_path(
     low_Hz = 1e-4 * rate_Hz
     h = response(product(T, nominal.B_position), closed[0], [low_Hz], rate_Hz)[0]
     delay = int(np.ceil(-np.angle(h) / (2.0 * np.pi * low_Hz) * rate_Hz))  # at rest, in samples
-    fits = [
-        (_fit(tracked[0], inside, outside, preview, taps), preview)
-        for preview in range(max(delay, 0) + _PREVIEW_SLACK)
-    ]
-    errors = [_error(f, tracked[0], inside, preview) for f, preview in fits]
-    index = next(k for k, error in enumerate(errors) if error <= _GOOD_ENOUGH * min(errors))
-    coefficients, preview = fits[index]
+    rows_in = tracked[0][:, None] * inside[:, None] ** np.arange(_TAPS)
+    rows_out = _LEAST_EFFORT * outside[:, None] ** np.arange(_TAPS)
+    rows = np.vstack([rows_in, rows_out])
+    free = rows[:, 1:] - rows[:, :1]  # f = e_0 + differences: F(1) = 1 stays exact
+    filters, errors = [], []
+    for preview in range(max(delay, 0) + _PREVIEW_SLACK):
+        target = np.concatenate([inside**preview, _LEAST_EFFORT * np.ones(len(outside))])
+        remainder = target - rows[:, 0]
+        solution = np.linalg.lstsq(
+            np.vstack([free.real, free.imag]),
+            np.concatenate([remainder.real, remainder.imag]),
+            rcond=None,
+        )[0]
+        filters.append(np.concatenate([[1.0 - solution.sum()], solution]))
+        errors.append(_error(filters[-1], tracked[0], inside, preview))
+    preview = next(k for k, error in enumerate(errors) if error <= _GOOD_ENOUGH * min(errors))
+    coefficients = filters[preview]
     return ReferencePath(
         filter=coefficients,
         preview_samples=preview,
         band_Hz=band_Hz,
-        error=errors[index],
+        error=errors[preview],
         worst_error=max(_error(coefficients, h, inside, preview) for h in tracked),
         plain_error=_error(np.ones(1), tracked[0], inside, 0),
     )
@@ -116,23 +125,6 @@ def filter_sections(coefficients: Array) -> Array:
     for row, factor in zip(sections, factors, strict=True):
         row[: len(factor)] = factor / factor.sum()
     return sections
-
-
-def _fit(h: Response, inside: Response, outside: Response, preview: int, taps: int) -> Array:
-    """Solve the least squares with the sum of taps fixed at one."""
-    rows_in = h[:, None] * inside[:, None] ** np.arange(taps)
-    rows_out = _LEAST_EFFORT * outside[:, None] ** np.arange(taps)
-    rows = np.vstack([rows_in, rows_out])
-    target = np.concatenate([inside**preview, _LEAST_EFFORT * np.ones(len(outside))])
-    # f = e_0 + differences: F(1) = 1 stays exact.
-    free = rows[:, 1:] - rows[:, :1]
-    remainder = target - rows[:, 0]
-    solution = np.linalg.lstsq(
-        np.vstack([free.real, free.imag]),
-        np.concatenate([remainder.real, remainder.imag]),
-        rcond=None,
-    )[0]
-    return np.concatenate([[1.0 - solution.sum()], solution])
 
 
 def _error(coefficients: Array, h: Response, q: Response, preview: int) -> float:

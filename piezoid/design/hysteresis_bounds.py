@@ -96,16 +96,24 @@ def affine_bounds(
     lowest, greatest = model.slope_sector_m_per_V
     gain = 0.5 * (greatest + lowest)
     if isinstance(model, PreisachPlays):
-        error = farthest_from_line_m(model, gain, reach_V) + remainder_m
+        error_m = farthest_from_line_m(model, gain, reach_V)
     else:
-        error = _farthest_from_line_m(model, gain, reach_V) + remainder_m
+        middle, bend = _mid_slope(model.dead_zones), _mid_slope(model.envelope)
+        weight = middle * model.plays.weight
+        scaled = PrandtlIshlinskii(threshold=model.plays.threshold, weight=weight)
+        line = PrandtlIshlinskii(threshold=np.zeros(1), weight=np.array([gain / bend]))
+        reach = envelope_reach_V(model, reach_V)
+        largest_m = float(np.abs(model.plays.loading_curve(np.array([reach]))[0]))
+        static_m = static_difference(model.dead_zones, middle, largest_m)
+        bent_m = gain / bend * static_difference(model.envelope, bend, reach_V)
+        error_m = worst_case(scaled, line, reach).bound + bent_m + static_m
     return HysteresisBounds(
         form="affine",
         gain_m_per_V=gain,
         slope_min=lowest / gain,
         slope_max=greatest / gain,
         slope_beyond=remainder_m_per_V / gain,
-        error_m=error,
+        error_m=error_m + remainder_m,
         reach_V=reach_V,
         conditions=(
             describe_command_range(centre_V - reach_V, centre_V + reach_V),
@@ -117,18 +125,6 @@ def affine_bounds(
 
 def _mid_slope(zones: DeadZones) -> float:
     return 0.5 * float(zones.slope.min() + zones.slope.max())
-
-
-def _farthest_from_line_m(model: ModifiedPrandtlIshlinskii, gain: float, reach_V: float) -> float:
-    middle, bend = _mid_slope(model.dead_zones), _mid_slope(model.envelope)
-    scaled = PrandtlIshlinskii(threshold=model.plays.threshold, weight=middle * model.plays.weight)
-    line = PrandtlIshlinskii(threshold=np.zeros(1), weight=np.array([gain / bend]))
-    reach = envelope_reach_V(model, reach_V)
-    output_m = float(np.abs(model.plays.loading_curve(np.array([reach]))[0]))  # its largest
-    static = static_difference(model.dead_zones, middle, output_m)
-    bent = gain / bend * static_difference(model.envelope, bend, reach_V)
-    plays = worst_case(scaled, line, reach).bound
-    return plays + bent + static
 
 
 def inverse_bounds(

@@ -77,8 +77,30 @@ def plant_header(plant: AxisPlant) -> str:
     """Return the text of plant_of_axis.h; ``ParameterFileError`` where the loop has no room."""
     settled = SettledPlant(plant)
     initial = settled.structure
+    decay, offset = 1.0, 0.0
+    if isinstance(plant.response, Junction):
+        decay = plant.response.decay_per_m
+        offset = plant.response.gain_nepers_per_V * plant.rest_voltage_V
+    pole, rate_Hz = 0.0, plant.sampling_rate_Hz
+    if plant.noise_bandwidth_Hz is not None:
+        pole = float(np.exp(-2.0 * np.pi * plant.noise_bandwidth_Hz / rate_Hz))
+    macros = {
+        "RATE_Hz": rate_Hz,
+        "REST_V": plant.rest_voltage_V,
+        "DISTURBANCE_FACTOR": decay,
+        "DISTURBANCE_AT_REST": offset,
+        "NOISE_RMS": plant.noise_rms,
+        "NOISE_POLE": pole,
+        "NOISE_KICK": float(np.sqrt(1.0 - pole**2)),
+        "LATE": max(initial.late, 1),
+        "BEFORE_STATES": initial.before.states,
+        "AFTER_STATES": max(initial.after.states, 1),
+        "PLAYS": max(initial.plays, 1),
+        "SECOND_PLAYS": max(initial.second_plays, 1),
+        "HUMS": max(len(plant.hums), 1),
+    }
     lines = ["/* The identified plant of an axis at rest, written by piezoid. SI units. */"]
-    lines += _macros(plant, initial)
+    lines += [f"#define PLANT_{name} {_number(value)}" for name, value in macros.items()]
     arrays = dict(_arrays(initial))
     arrays["hum_Hz"] = np.array([frequency_Hz for frequency_Hz, _ in plant.hums])
     arrays["hum"] = np.array([amplitude for _, amplitude in plant.hums])
@@ -99,33 +121,6 @@ def plant_header(plant: AxisPlant) -> str:
     members += [f".{name} = plant_{name}" for name in shared]
     inside = "".join(f"    {member},\n" for member in members)
     return "\n".join([*lines, f"static const pl_plant plant_at_rest = {{\n{inside}}};", ""])
-
-
-def _macros(plant: AxisPlant, initial: LoopPlant) -> Iterator[str]:
-    response, rate_Hz = plant.response, plant.sampling_rate_Hz
-    decay, offset = 1.0, 0.0
-    if isinstance(response, Junction):
-        decay, offset = response.decay_per_m, response.gain_nepers_per_V * plant.rest_voltage_V
-    pole = 0.0
-    if plant.noise_bandwidth_Hz is not None:
-        pole = float(np.exp(-2.0 * np.pi * plant.noise_bandwidth_Hz / rate_Hz))
-    values = {
-        "RATE_Hz": rate_Hz,
-        "REST_V": plant.rest_voltage_V,
-        "DISTURBANCE_FACTOR": decay,
-        "DISTURBANCE_AT_REST": offset,
-        "NOISE_RMS": plant.noise_rms,
-        "NOISE_POLE": pole,
-        "NOISE_KICK": float(np.sqrt(1.0 - pole**2)),
-        "LATE": max(initial.late, 1),
-        "BEFORE_STATES": initial.before.states,
-        "AFTER_STATES": max(initial.after.states, 1),
-        "PLAYS": max(initial.plays, 1),
-        "SECOND_PLAYS": max(initial.second_plays, 1),
-        "HUMS": max(len(plant.hums), 1),
-    }
-    for name, value in values.items():
-        yield f"#define PLANT_{name} {_number(value)}"
 
 
 def _arrays(initial: LoopPlant) -> Iterator[tuple[str, Array]]:
