@@ -224,13 +224,13 @@ def _row(index: int, axis: AxisParameters) -> str:
         first_code, last_code = np.ceil(low_V / step_V), np.floor(high_V / step_V)
         codes = f"{first_code:.0f} to {last_code:.0f}"
         low_V, high_V = first_code * step_V, last_code * step_V
-    first, last, unit = _RANGE_A if axis.method == "rst" else _RANGE_m
+    low, high, unit = _RANGE_A if axis.method == "rst" else _RANGE_m
     if axis.method == "rst":
         unit += f", set point {values['current_reference_A']:.4g}"
     cells = (
         *(axis.axis, index, axis.method, f"{values['sampling_rate_Hz']:g}"),
         f"{values['preview_samples']:g}",
-        f"{values[first]:.4g} to {values[last]:.4g} {unit}",
+        f"{values[low]:.4g} to {values[high]:.4g} {unit}",
         *(f"{low_V:.7g} to {high_V:.7g}", f"{step_V:.12g}", codes),
     )
     return "| " + " | ".join(str(cell) for cell in cells) + " |"
