@@ -106,6 +106,18 @@ def test_a_recording_that_was_not_fitted_is_predicted_better() -> None:
     assert wide_m < 0.5 * plain_m
 
 
+def test_loops_of_three_sizes_predict_a_fourth() -> None:
+    def loops(size: float) -> Array:
+        return through(np.tile([-1.0, 2.0 * size - 1.0], 4))
+
+    recordings = [recorded("bouc_wen", loops(size), f"{size}.csv") for size in (1.0, 0.6, 0.3)]
+    plays = estimate_axis(recordings, "x", Rig())
+    axis = with_loop_shape(plays, recordings)
+    between = recorded("bouc_wen", loops(0.8), "0.8.csv")
+    assert axis.loop_shape is not None
+    assert compare(axis, between).rms_m < 1.5 * compare(plays, between).rms_m
+
+
 def test_recordings_with_other_initial_states_are_simulated_from_their_beginning() -> None:
     """Solves that ignored the initial states in the columns left 2.2 times the noise there."""
     decay = np.linspace(1.0, 0.1, 20) * (-1.0) ** np.arange(20)
