@@ -5,21 +5,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import piezoid_datasets
 from piezoid.identification.quality import IN_SAMPLE
 from piezoid.identification.store import write_model
 from piezoid.records.chunked_reader import read_thinned
-from piezoid.verbs import fit
+from piezoid.verbs import fit, read
 from piezoid_cli.fit import calibrate_streamed
-from tests.journeys.test_readme import ROOT
 
 pytestmark = pytest.mark.slow
 
-FILES = [ROOT / "datasets" / "x_sweep.csv", ROOT / "datasets" / "x_check.csv"]
+ROWS = 2500  # of each of two bundled recordings
 
 
-def test_a_fit_in_chunks_writes_model_and_report_and_says_what_it_leaves_out() -> None:
+@pytest.fixture
+def files(tmp_path: Path) -> list[Path]:
+    for name in ("x_sweep.csv", "x_check.csv"):
+        rows = (piezoid_datasets.FOLDER / name).read_text().splitlines()
+        (tmp_path / name).write_text("\n".join(rows[: ROWS + 1]) + "\n")
+    return [tmp_path / "x_sweep.csv", tmp_path / "x_check.csv"]
+
+
+def test_a_fit_in_chunks_writes_model_and_report_and_says_what_it_leaves_out(
+    files: list[Path],
+) -> None:
     told: list[str] = []
-    found = calibrate_streamed(FILES, None, told.append)
+    found = calibrate_streamed(files, None, told.append)
     assert {"model.json", "report.html"} <= set(found.files)
     assert "diagnosis.json" not in found.files
     assert b"not diagnosed" in found.files["report.html"]
@@ -30,14 +40,14 @@ def test_a_fit_in_chunks_writes_model_and_report_and_says_what_it_leaves_out() -
     assert quality.held_out_rms_percent < 0.25
 
 
-def test_recordings_that_need_no_thinning_are_fitted_as_from_memory() -> None:
-    from piezoid.verbs import read
-
-    check = FILES[1]
-    chunked = fit(read_thinned([check], chunk_rows=5000))
+@pytest.mark.usefixtures("plays_alone")
+def test_recordings_that_need_no_thinning_are_fitted_as_from_memory(files: list[Path]) -> None:
+    check = files[1]
+    chunked = fit(read_thinned([check], chunk_rows=1024))
     assert write_model(chunked) == write_model(fit(read(check)))
 
 
+@pytest.mark.usefixtures("plays_alone")
 def test_a_thinned_recording_gives_the_known_stage(
     tmp_path: Path, rng: np.random.Generator
 ) -> None:

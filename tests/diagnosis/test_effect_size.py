@@ -1,6 +1,7 @@
 """Sizes of causes are the laboratory's own numbers."""
 
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -8,11 +9,11 @@ import pytest
 from scipy.signal import lfilter
 
 import piezoid
-from piezoid.diagnosis.candidate import evaluate
+from piezoid.diagnosis.candidate import Candidate, evaluate
 from piezoid.diagnosis.effect_size import size_of
 from piezoid.diagnosis.effects import amplifier_saturation, cross_coupling
 from piezoid.diagnosis.refinement import initial_guess, refine
-from piezoid.diagnosis.score_test import score_test
+from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.signals import with_displacement
 from piezoid_datasets.virtual_lab.campaign import Campaign, draw_campaign
 
@@ -34,16 +35,23 @@ def cut_off_percent(campaign: Campaign) -> float:
     return 100.0 * max(above_V, below_V) / (high_V - low_V)
 
 
-@pytest.mark.parametrize("seed", [2, 3], ids=["above", "on both sides"])
-def test_the_size_of_a_clip_is_the_part_of_the_drives_range_that_is_cut_off(seed) -> None:
+@cache
+def clipped(seed: int) -> tuple[Campaign, ScoreTest, Candidate]:
+    """Return a stage whose amplifier clips, and what is found of it."""
     campaign = draw_campaign(
         seed, truth="preisach", effects=("amplifier_saturation",), plans=("sweep", "check")
     )
     view = view_of_recordings(*recorded(campaign))
     seen = score_test(amplifier_saturation.EFFECT, view)
+    assert seen is not None
     start = initial_guess(amplifier_saturation.EFFECT, seen.trial, float(seen.cv.coefficient[0]))
     one, there = refine(start, view, [])
-    cause = evaluate(one, there, view, test=seen)
+    return campaign, seen, evaluate(one, there, view, test=seen)
+
+
+@pytest.mark.parametrize("seed", [2, 3], ids=["above", "on both sides"])
+def test_the_size_of_a_clip_is_the_part_of_the_drives_range_that_is_cut_off(seed) -> None:
+    campaign, _, cause = clipped(seed)
     size, true = size_of(cause), cut_off_percent(campaign)
     assert cause.is_significant
     assert true > 1.0
@@ -136,14 +144,9 @@ def test_a_periodic_error_is_stated_over_where_the_stage_stood_and_leaves_nothin
 
 def test_a_parameter_that_moves_nothing_leaves_a_size_its_interval() -> None:
     """A rate dependence that had one ended in an interval that is no number."""
-    campaign = draw_campaign(
-        2, truth="preisach", effects=("amplifier_saturation",), plans=("sweep", "check")
-    )
-    view = view_of_recordings(*recorded(campaign))
-    seen = score_test(amplifier_saturation.EFFECT, view)
-    start = initial_guess(amplifier_saturation.EFFECT, seen.trial, float(seen.cv.coefficient[0]))
-    one, there = refine(start, view, [])
+    _, seen, cause = clipped(2)
+    one = cause.selected
     idle = replace(one, parameters={**one.parameters, "idle": 1.0}, free={**one.free, "idle": 2.0})
-    sizes = [size_of(evaluate(cause, there, view, test=seen)) for cause in (one, idle)]
-    assert sizes[1].value == sizes[0].value
-    assert sizes[1].ci95 == pytest.approx(sizes[0].ci95, rel=1e-3)
+    size, beside = size_of(cause), size_of(evaluate(idle, cause.view, cause.without, test=seen))
+    assert beside.value == size.value
+    assert beside.ci95 == pytest.approx(size.ci95, rel=1e-3)

@@ -24,7 +24,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
 
 SEED = int(os.environ.get("PIEZOID_SEED", "1"))
 PLANS = ("sweep", "check")
-EVERY = 3  # samples of readings that end, whatever their rate
+EVERY = 5  # samples of readings that end, whatever their rate
 # Name: percent of the stroke, coordinate. For a tone: tests/journeys/test_something_else.py.
 HIDDEN = {"dent": (1.2, "displacement"), "every_nth": (1.0, "sample_index")}
 

@@ -7,18 +7,17 @@ import pytest
 
 from benchmarks.zoo.score import recorded
 from benchmarks.zoo.stages import drawn, stage
-from piezoid.diagnosis.diagnose import diagnose, view_on
+from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import timestamp_fault
 from piezoid.diagnosis.effects.timestamp_fault import slip_evidence
 from piezoid.diagnosis.ingest_faults import with_ingested
 from piezoid.diagnosis.residual_view import with_tracks
-from piezoid.diagnosis.sample_slips import Slip, delay_like_null, slip_places, strongest_slips
-from piezoid.diagnosis.selection import Outcome
+from piezoid.diagnosis.sample_slips import delay_like_null, strongest_slips
+from piezoid.diagnosis.selection import Outcome, search
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Channel, Quantity
 from piezoid.statement import finding
-from tests.diagnosis.bench import causes
 
 from .play_stage import (
     NOISE_m,
@@ -31,8 +30,6 @@ from .play_stage import (
     view_with,
     within,
 )
-
-pytestmark = pytest.mark.usefixtures("plays_alone")
 
 
 @pytest.mark.parametrize(("kind", "samples"), [("sweep", 4), ("walk", -3), ("waves", 60)])
@@ -134,20 +131,14 @@ def test_what_the_drive_of_another_axis_explains_as_well_is_no_slip(is_driven) -
     assert fault is None if is_driven else within(fault, 10)
 
 
-def test_a_time_is_told_only_of_recordings_that_are_whole():
-    track = healthy().tracks[0]
-    tracks = [replace(track, name=name, rate_Hz=100.0) for name in ("a", "b", "b")]
-    slips = [Slip(track=k, instant=250, samples=1.0, gain=0.5) for k in range(3)]
-    assert slip_places(slips, tracks) == ("a from 2.5 s on", "b", "b")
-
-
 @pytest.mark.slow
 def test_what_a_law_leaves_of_a_healthy_stage_is_no_slip_of_its_clock() -> None:
     """Undoing the slip that readings seem to show in other_axis.csv raises the held-out error."""
     recordings, lab = recorded(drawn(stage("preisach_lorentzian", "healthy", 0, 990_000)))
     some = [one for one in recordings if one.name in ("sweep.csv", "check.csv", "other_axis.csv")]
     assert len(some) == 3
-    assert causes(diagnose(some, lab=lab)) == ()
+    found = search(view_on(some, axis="x", lab=lab))
+    assert (found.faults, found.causes) == ({}, ())
 
 
 @pytest.mark.slow
@@ -156,7 +147,8 @@ def test_a_clock_that_slips_in_a_fast_stretch_has_no_delay_beside_it() -> None:
     recordings, lab = recorded(drawn(stage("duhem", "single", 0, 2_100_000)))
     some = [one for one in recordings if one.name != "long_hold.csv"]
     assert len(some) == len(recordings) - 1
-    assert causes(diagnose(some, lab=lab)) == ("timestamp_fault",)
+    found = search(view_on(some, axis="x", lab=lab))
+    assert (set(found.faults), found.causes) == ({"timestamp_fault"}, ())
 
 
 @pytest.mark.slow
@@ -164,7 +156,8 @@ def test_slips_that_other_effects_hide_are_found_beside_them() -> None:
     """The first search for slips sees a gain change and a mode; the chirp has no equal speeds."""
     recordings, lab = recorded(drawn(stage("coleman_hodgdon", "triple", 0, 7_400_000)))
     some = [one for one in recordings if one.name != "check.csv"]
-    diagnosis = diagnose(some, lab=lab)
-    hidden = {"gain_change", "resonance", "timestamp_fault"}
-    assert hidden <= set(diagnosis.names) <= hidden | {"initial_state", "loop_shape"}
-    assert diagnosis.envelope_rms_m < 5.0 * diagnosis.noise_floor_rms_m
+    found = search(view_on(some, axis="x", lab=lab))
+    assert set(found.faults) == {"timestamp_fault"}
+    names = {cause.effect.name for cause in found.causes}
+    assert {"gain_change", "resonance"} <= names <= {"gain_change", "resonance", "initial_state"}
+    assert found.final.rms < 5.0 * found.final.noise

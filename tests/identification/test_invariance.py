@@ -77,16 +77,21 @@ def two_recordings(*names: str) -> list[Recording]:
     return [recording(u, stage(u, rng), name) for name, u in zip(names, drives, strict=True)]
 
 
+@cache
+def fitted_to_both(*names: str) -> AxisModel:
+    return fit(two_recordings(*names))["x"]
+
+
 @pytest.mark.parametrize("names", [("one.csv", "two.csv"), ("b.csv", "a.csv")])
 def test_a_fit_is_no_worse_on_its_own_rows_than_on_rows_left_out(names: tuple[str, str]) -> None:
     """From its convex start it ended at 26 nm for a held-out 3.4; the folds knew better."""
-    quality = fit(two_recordings(*names))["x"].quality
+    quality = fitted_to_both(*names).quality
     assert quality.rms_m < quality.held_out_rms_m < 4e-9
 
 
 def test_the_order_of_the_recordings_does_not_matter() -> None:
-    recordings = two_recordings("one.csv", "two.csv")
-    first, second = fit(recordings)["x"], fit(recordings[::-1])["x"]
+    first = fitted_to_both("one.csv", "two.csv")
+    second = fit(two_recordings("one.csv", "two.csv")[::-1])["x"]
     assert [start.recording for start in second.starts] == ["two.csv", "one.csv"]
     np.testing.assert_allclose(
         shape_of(first), shape_of(second), atol=ROUNDING * np.ptp(shape_of(first))

@@ -24,11 +24,11 @@ from piezoid_datasets.virtual_lab.truths import ZOO
 from tests.laws import LAWS, Law
 
 NOISE_M = 8e-9
-BEGINNING = 500  # samples of the cycle that wipes out the initial state
+BEGINNING = 250  # samples of the cycle that wipes out the initial state
 
 
 def through(levels: Array) -> Array:
-    runs = [np.linspace(a, b, int(120 * abs(b - a)) + 3)[1:] for a, b in pairwise(levels)]
+    runs = [np.linspace(a, b, int(60 * abs(b - a)) + 3)[1:] for a, b in pairwise(levels)]
     return np.concatenate([levels[:1], *runs])
 
 
@@ -63,7 +63,7 @@ def recorded(law: str, field: Array, name: str, polarity: float = 1.0) -> Record
 
 
 @cache
-def fitted(law: str, polarity: float = 1.0) -> tuple[tuple[Recording, ...], AxisModel, AxisModel]:
+def fitted(law: str, polarity: float) -> tuple[tuple[Recording, ...], AxisModel, AxisModel]:
     """Return recordings, the axis as plays describe it, and the axis with loop shape."""
     recordings = (
         recorded(law, SWEEP, "sweep", polarity),
@@ -91,14 +91,14 @@ def test_a_law_that_is_no_sum_of_plays_is_explained_to_the_noise(
 
 @pytest.mark.parametrize("law", ["dahl", "bouc_wen"])
 def test_a_smooth_law_is_simulated_without_the_kinks_of_plays(law: str) -> None:
-    _, _, axis = fitted(law)
+    _, _, axis = fitted(law, 1.0)
     assert axis.loop_shape is not None
     assert abs(axis.loop_shape.plays_weight) < 0.2
-    assert axis.quality.held_out_rms_m < 1.7 * NOISE_M
+    assert axis.quality.held_out_rms_m < 2.0 * NOISE_M
 
 
 def test_a_recording_that_was_not_fitted_is_predicted_better() -> None:
-    _, plain, axis = fitted("dahl")
+    _, plain, axis = fitted("dahl", 1.0)
     unseen = recorded("dahl", walk(4), "unseen")
     plain_m, wide_m = (
         float(np.std(compare(model, unseen).error_m[BEGINNING:])) for model in (plain, axis)
@@ -161,7 +161,7 @@ def test_many_recordings_are_simulated_with_fewer_histories_each() -> None:
 
 
 def test_a_sum_of_plays_is_predicted_no_worse() -> None:
-    _, plain, axis = fitted("plays")
+    _, plain, axis = fitted("plays", 1.0)
     assert axis.quality.held_out_rms_m <= plain.quality.held_out_rms_m
     assert axis.quality.explained_rms_m < 1.5 * NOISE_M
 
@@ -190,7 +190,7 @@ def test_a_step_of_the_zero_is_not_taken_for_hysteresis() -> None:
 
 
 def test_without_loop_shape_the_axis_is_what_it_was() -> None:
-    recordings, plain, axis = fitted("dahl")
+    recordings, plain, axis = fitted("dahl", 1.0)
     before = axis.without_loop_shape()
     assert before.loop_shape is None
     assert before.quality == plain.quality
@@ -201,7 +201,7 @@ def test_without_loop_shape_the_axis_is_what_it_was() -> None:
 
 
 def test_loop_shape_comes_back_from_a_file_to_the_last_bit() -> None:
-    recordings, _, axis = fitted("dahl")
+    recordings, _, axis = fitted("dahl", 1.0)
     stage = ActuatorModel(stage="s", axes={"x": axis}, sources={}, lab=None, tunnelling=None)
     read = read_model(write_model(stage)).axes["x"]
     assert np.array_equal(
@@ -211,7 +211,7 @@ def test_loop_shape_comes_back_from_a_file_to_the_last_bit() -> None:
 
 
 def test_a_model_of_an_earlier_version_counts_its_plays_in_full() -> None:
-    _, _, axis = fitted("dahl")
+    _, _, axis = fitted("dahl", 1.0)
     stage = ActuatorModel(stage="s", axes={"x": axis}, sources={}, lab=None, tunnelling=None)
     record = json.loads(write_model(stage))
     del record["axes"]["x"]["loop_shape"]["plays_weight"]
@@ -222,6 +222,6 @@ def test_a_model_of_an_earlier_version_counts_its_plays_in_full() -> None:
 
 
 def test_loop_shape_is_fitted_once() -> None:
-    recordings, _, axis = fitted("dahl")
+    recordings, _, axis = fitted("dahl", 1.0)
     with pytest.raises(ValueError, match="has loop shape already"):
         with_loop_shape(replace(axis), recordings)

@@ -31,7 +31,9 @@ def write_sweep(path: Path, displacement_um: np.ndarray, heading: str = "pos [um
 
 
 def test_bundled_sweep_becomes_model_and_report(tmp_path: Path) -> None:
-    done = piezoid("fit", piezoid_datasets.recordings()[0], "--out", "stage", place=tmp_path)
+    rows = piezoid_datasets.recordings()[0].read_text().splitlines()[:2501]
+    (tmp_path / "sweep.csv").write_text("\n".join(rows) + "\n")
+    done = piezoid("fit", "sweep.csv", "--out", "stage", place=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "closure" in done.stdout
     model = read_model((tmp_path / "stage" / "model.json").read_bytes())

@@ -1,7 +1,6 @@
 """verify: what passes, what must fail, and the record that says so."""
 
 import json
-import threading
 from dataclasses import replace
 
 import numpy as np
@@ -10,13 +9,11 @@ import pytest
 from piezoid.errors import ParameterFileError
 from piezoid.export.bundle import source_digest
 from piezoid.export.parameter_file import ParameterFile, digest_of
-from piezoid.runtime.controller import Status
-from piezoid.verification.criteria import Limits, fault_verdicts
+from piezoid.verification.criteria import Limits
 from piezoid.verification.plant import CustomResponse, with_gain
 from piezoid.verification.rebuild import Proof
-from piezoid.verification.scenarios import SCENARIOS, Path
+from piezoid.verification.scenarios import SCENARIOS
 from piezoid.verification.tip_trials import TIP_TRIALS
-from piezoid.verification.tracking import track
 from piezoid.verification.verification import verification_from_json
 from piezoid.verification.verify import verify
 from tests.verification.rig import PLANTS, GAIN_m_per_V, junction, lateral, stage
@@ -154,21 +151,6 @@ def test_axes_that_run_at_once_give_the_same_bytes_as_one_after_the_other():
     assert alone == together
 
 
-def test_axes_run_at_once_only_where_more_threads_are_allowed():
-    """Python tells of every thread that begins."""
-    begun = []
-    threading.setprofile(lambda *_: begun.append(threading.get_ident()))
-    try:
-        verify(stage("x", "y"), PLANTS[:2], scenarios=QUICK[:1])
-        alone = set(begun)
-        verify(stage("x", "y"), PLANTS[:2], scenarios=QUICK[:1], threads=2)
-    finally:
-        threading.setprofile(None)
-    assert not alone
-    assert threading.get_ident() not in begun
-    assert begun
-
-
 def test_what_ships_is_verified_and_nothing_else():
     """Without its feedback the very same file no longer passes the fault-free shape limit."""
     axes = tuple(
@@ -187,20 +169,6 @@ def test_the_faster_the_stage_the_more_of_the_surface_is_in_the_current(whole):
         for f in (1, 100)
     )
     assert hurried > 3 * steady
-
-
-@pytest.mark.parametrize(("percent", "passes"), [(0.5, True), (1.4, True), (1.6, False)])
-def test_a_fault_is_forgotten_once_the_error_is_what_may_ship(percent, passes):
-    """1.5 times what a healthy run leaves, or of the 1 % of the diameter that may ship."""
-    radius_m, error_m = 1e-5, np.full(400, 1e-9)
-    error_m[-50:] = percent / 100.0 * 2.0 * radius_m
-    path = np.zeros(400)
-    healthy = track(
-        {"x": path}, {"x": path + 1e-9}, path=Path(x=path, y=path), radius_m=radius_m,
-        frequency_Hz=10.0, sampling_rate_Hz=20e3,
-    )  # fmt: skip
-    _, forgotten = fault_verdicts("lost", error_m, healthy, radius_m, Limits())
-    assert forgotten.passed == passes
 
 
 def furthest(found):
@@ -276,15 +244,6 @@ def test_a_plugged_response_has_no_gain_to_change():
     plugged = lateral(response=CustomResponse(begin=lambda _: lambda v: GAIN_m_per_V * v))
     with pytest.raises(TypeError, match="no gain"):
         with_gain(plugged, 1.1, "more")
-
-
-def test_the_sensor_is_lost_in_the_middle_and_comes_back():
-    lost = next(s for s in SCENARIOS if s.fault is not None and np.isnan(s.fault))
-    fault = lost.fault_of(10_000, 20e3)
-    assert np.isnan(fault).sum() == 400
-    assert np.isnan(fault[5000])
-    assert fault[-1] == 0.0
-    assert Status.BAD_MEASUREMENT.value == 4
 
 
 @pytest.mark.parametrize("how", ["lost", "frozen"])

@@ -1,5 +1,7 @@
 """A measured response becomes modes, delay and creep slope; what does not belong is not used."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -100,8 +102,10 @@ def test_what_no_few_modes_make_is_not_determined(rng: np.random.Generator) -> N
     assert not fit_response(record(wild), "x", ()).is_determined
 
 
-def slow_axis(rng: np.random.Generator, polarity: float = 1.0) -> tuple[AxisModel, Recording]:
+@cache
+def slow_axis(polarity: float) -> tuple[AxisModel, Recording]:
     """A sweep at one speed with 240 nm/V at large strokes, and the axis fitted to it."""
+    rng = np.random.default_rng(2)
     time_s = np.arange(4000) / 500.0
     drive_V = 50.0 - 45.0 * np.cos(2.0 * np.pi * 0.5 * time_s) * np.interp(
         time_s, [0, 8], [1, 0.4]
@@ -123,7 +127,7 @@ def slow_axis(rng: np.random.Generator, polarity: float = 1.0) -> tuple[AxisMode
 def test_the_response_becomes_the_dynamics_and_the_hysteresis_keeps_its_gain(
     polarity: float, rng: np.random.Generator
 ) -> None:
-    axis, recording = slow_axis(rng, polarity)
+    axis, recording = slow_axis(polarity)
     measured = record(noisy(rng, response(FREQUENCY_Hz), 0.003))
     found = with_dynamics(axis, [recording], response=measured)
     assert found.dynamics is not None
@@ -142,7 +146,7 @@ def test_the_response_becomes_the_dynamics_and_the_hysteresis_keeps_its_gain(
 
 @pytest.mark.parametrize("factor", [15.0, 1e-3])
 def test_a_response_in_other_units_is_not_used(factor: float, rng: np.random.Generator) -> None:
-    axis, recording = slow_axis(rng)
+    axis, recording = slow_axis(1.0)
     measured = record(factor * noisy(rng, response(FREQUENCY_Hz), 0.003))
     found = with_dynamics(axis, [recording], response=measured)
     assert found.dynamics is None
@@ -171,7 +175,7 @@ def chirp_of(mode_Hz: float, rng: np.random.Generator) -> Recording:
 
 
 def test_a_response_that_contradicts_a_recording_is_not_used(rng: np.random.Generator) -> None:
-    axis, recording = slow_axis(rng)
+    axis, recording = slow_axis(1.0)
     measured = record(noisy(rng, response(FREQUENCY_Hz), 0.003))
     other = with_dynamics(axis, [recording, chirp_of(430.0, rng)], response=measured)
     assert other.response is None
