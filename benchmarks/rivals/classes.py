@@ -27,11 +27,7 @@ from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
 from piezoid.identification.minor_loops import SHAPES, Lattice, functions_of, rises_of
 from piezoid.numerics.arrays import Array
-from piezoid.operators.modified_prandtl_ishlinskii import (
-    Converter,
-    ModifiedPrandtlIshlinskii,
-    compensate,
-)
+from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
 from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.records.frames import from_arrays
@@ -80,8 +76,13 @@ class Plays:
 
     def inverse(self, wanted: Array) -> Array:
         """Return the fields from -1 that make these displacements."""
-        limits = Converter(minimum_V=-1.0, maximum_V=1.0)
-        return compensate(self.operator, wanted, self.memory, limits)[0]
+        operator, memory, fields = self.operator, self.memory, []
+        for sample in range(len(wanted)):
+            field, _ = operator.inverse_run(wanted[sample : sample + 1], memory)
+            field = np.clip(field, -1.0, 1.0)
+            _, memory = operator.run(field, memory)  # of what is applied, not of what was computed
+            fields.append(field)
+        return np.concatenate(fields)
 
 
 def play_model(name: str, field: Array, moved: Array) -> Plays:

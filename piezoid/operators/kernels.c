@@ -169,50 +169,6 @@ void pk_mapped_plays(size_t samples, const double *input, double taken, const pk
     }
 }
 
-static double mapped(double x, const pk_map *map) {
-    double unused = 0.0;
-    return pk_mapped(x, map, &unused);
-}
-
-void pk_inverse_resynchronised(size_t samples, const double *desired, size_t plays,
-                               const double *threshold_V, const double *weight,
-                               const double *inverse_threshold, const double *inverse_weight,
-                               const pk_map *inverse_zones, const pk_map *envelope,
-                               const pk_map *inverse_envelope, double offset_V, double minimum_V,
-                               double maximum_V, double lsb_V, int synchronise, double *state_V,
-                               double *inverse_state, double *applied_V) {
-    for (size_t k = 0; k < samples; ++k) {
-        const double q = mapped(desired[k], inverse_zones);
-        double drive = 0.0;
-        for (size_t i = 0; i < plays; ++i) {
-            const double r = inverse_threshold[i];
-            inverse_state[i] = clamp(inverse_state[i], q - r, q + r);
-            drive += inverse_weight[i] * inverse_state[i];
-        }
-        double volts = mapped(drive, inverse_envelope) + offset_V;
-        volts = clamp(volts, minimum_V, maximum_V);
-        if (lsb_V > 0.0) {
-            volts = clamp(lsb_V * nearbyint(volts / lsb_V), minimum_V, maximum_V);
-        }
-        applied_V[k] = volts;
-        drive = mapped(volts - offset_V, envelope);
-        double total = 0.0;
-        for (size_t i = 0; i < plays; ++i) {
-            state_V[i] = clamp(state_V[i], drive - threshold_V[i], drive + threshold_V[i]);
-            total += weight[i];
-        }
-        if (synchronise != 0) {
-            /* z'_i = W_i z_i + sum_{j>i} w_j z_j, from the last to the first. */
-            double tail = 0.0;
-            for (size_t i = plays; i-- > 0;) {
-                inverse_state[i] = total * state_V[i] + tail;
-                tail += weight[i] * state_V[i];
-                total -= weight[i];
-            }
-        }
-    }
-}
-
 static double play_at(double u, double r, double z) {
     return fmax(u - r, fmin(u + r, z));
 }

@@ -53,27 +53,6 @@ void pk_mapped_plays(size_t samples, const double *input, double taken, const pk
                      size_t plays, const double *threshold, const double *weight, double *state,
                      const pk_map *after, double added, double *output);
 
-/* Online inverse of dead zones after plays after an envelope, with clipping, rounding and
- * re-synchronised memory.
- *   desired                 (samples,)  output asked of the plant
- *   plays, threshold_V, weight          the forward plays
- *   inverse_threshold, inverse_weight   the inverse plays
- *   inverse_zones           the INVERSE dead zones
- *   envelope, inverse_envelope          in front of the plays, and its inverse
- *   offset_V                the envelope sees the applied voltage less this
- *   minimum_V, maximum_V, lsb_V         converter: limits and step (0: none)
- *   synchronise             0: keep the inverse's own memory (shows why not to)
- *   state_V, inverse_state  (plays,)    in/out: forward and inverse memory
- *   applied_V               (samples,)  out: what the converter really puts out
- */
-void pk_inverse_resynchronised(size_t samples, const double *desired, size_t plays,
-                               const double *threshold_V, const double *weight,
-                               const double *inverse_threshold, const double *inverse_weight,
-                               const pk_map *inverse_zones, const pk_map *envelope,
-                               const pk_map *inverse_envelope, double offset_V, double minimum_V,
-                               double maximum_V, double lsb_V, int synchronise, double *state_V,
-                               double *inverse_state, double *applied_V);
-
 /* Inverse of a sum of rising functions of plays, halved until the input is known to the last bit.
  *   wanted      (samples,)
  *   step        half-width of play i is i times this

@@ -21,13 +21,6 @@ _SIGNATURES: dict[str, tuple[type, ...]] = {
         *(_SIZE, *[_POINTER] * 3),
         *(_POINTER, _DOUBLE, _POINTER),
     ),
-    "pk_inverse_resynchronised": (
-        *(_SIZE, _POINTER, _SIZE),
-        *[_POINTER] * 7,
-        *[_DOUBLE] * 4,
-        _INT,
-        *[_POINTER] * 3,
-    ),
     "pk_valued_inverse": (
         *(_SIZE, _POINTER, _SIZE, _DOUBLE),
         *(_SIZE, *[_POINTER] * 4),

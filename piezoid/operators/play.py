@@ -85,37 +85,6 @@ def play_blocks(
         yield first, states
 
 
-def is_admissible(memory_V: Array, voltage_V: float, threshold_V: Array) -> bool:
-    """Tell whether a real input history that ends at ``voltage_V`` can have this memory.
-
-        |z_0 - u| <= r_0  and  |z_i - z_(i-1)| <= r_i - r_(i-1)       [Krejci], discrete form
-
-    A margin of a few rounding errors is allowed.
-    """
-    nodes_V = np.concatenate([[voltage_V], memory_V])
-    gaps_V = np.diff(threshold_V, prepend=0.0)
-    slack_V = 8 * np.finfo(float).eps * (np.abs(nodes_V).max() + np.abs(threshold_V).max())
-    return bool((np.abs(np.diff(nodes_V)) <= gaps_V + slack_V).all())
-
-
-def project_memory(memory_V: Array, voltage_V: float, threshold_V: Array) -> Array:
-    """Return the admissible memory next to ``memory_V``, clamped from the narrowest play out.
-
-    memory_V     (plays,)  V  any finite values
-    voltage_V    scalar    V  the last input of the history it shall stand for
-    threshold_V  (plays,)  V  increasing, >= 0
-
-    A memory that is not admissible makes the closed-form inverse wrong by tens of percent.
-    """
-    projected = np.array(memory_V, dtype=np.float64)
-    inner_V, inner_r = float(voltage_V), 0.0
-    for i, r in enumerate(threshold_V):
-        gap_V = r - inner_r
-        projected[i] = min(max(projected[i], inner_V - gap_V), inner_V + gap_V)
-        inner_V, inner_r = projected[i], r
-    return projected
-
-
 def forgetting_sample(voltage_V: Array, threshold_V: Array) -> Array:
     """Return, for each play, the first sample at which its initial state no longer matters.
 

@@ -72,11 +72,6 @@ class PrandtlIshlinskii:
         reach = np.maximum(np.asarray(s)[:, None] - self.threshold, 0.0)
         return np.asarray(reach @ self.weight)
 
-    def loop_area(self, amplitude: float) -> float:
-        """Return the area of the steady loop of this amplitude, 4 sum_i w_i r_i (A - r_i)_+."""
-        reach = np.maximum(amplitude - self.threshold, 0.0)
-        return float(4.0 * (self.weight * self.threshold * reach).sum())
-
     def inverse(self) -> "PrandtlIshlinskii":
         """Return the inverse operator.
 

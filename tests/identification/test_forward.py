@@ -26,9 +26,9 @@ from piezoid.identification.hysteresis.pieces import Scales
 from piezoid.numerics.arrays import Array
 from piezoid.operators.chain import Following
 from piezoid.operators.dead_zone import from_slopes
-from piezoid.operators.play import is_admissible
 from tests.identification.extensions.samples import RATE_Hz, one_of_each, where
 from tests.identification.hysteresis.stages import play_sum, through
+from tests.operators.strategies import is_admissible
 
 SAMPLES = 3000
 SCALES = Scales(voltage_V=5.0, voltage_offset_V=5.2, displacement_m=-1.2e-5)

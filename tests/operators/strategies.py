@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import LINEAR, DeadZones, from_slopes
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.play import project_memory
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 GRID = 16.0
@@ -39,10 +38,31 @@ def gaps(most: int = 12) -> st.SearchStrategy[Array]:
     )
 
 
+def is_admissible(memory_V: Array, voltage_V: float, threshold_V: Array) -> bool:
+    """Tell whether a real input history that ends at ``voltage_V`` can have this memory.
+
+        |z_0 - u| <= r_0  and  |z_i - z_(i-1)| <= r_i - r_(i-1)       [Krejci], discrete form
+
+    A margin of a few rounding errors is allowed.
+    """
+    nodes_V = np.concatenate([[voltage_V], memory_V])
+    gaps_V = np.diff(threshold_V, prepend=0.0)
+    slack_V = 8 * np.finfo(float).eps * (np.abs(nodes_V).max() + np.abs(threshold_V).max())
+    return bool((np.abs(np.diff(nodes_V)) <= gaps_V + slack_V).all())
+
+
+def nested(free: Array, threshold: Array) -> Array:
+    """The admissible memory next to any numbers, the first of which is the last input."""
+    memory = free.copy()
+    for k, gap in enumerate(np.diff(threshold, prepend=0.0), 1):
+        memory[k] = np.clip(memory[k], memory[k - 1] - gap, memory[k - 1] + gap)
+    return memory[1:]
+
+
 def memories(threshold: Array) -> st.SearchStrategy[Array]:
     """Admissible states before a first sample."""
     count = len(threshold) + 1
-    return drives(count, count).map(lambda free: project_memory(free[1:], free[0], threshold))
+    return drives(count, count).map(lambda free: nested(free, threshold))
 
 
 def slopes(count: int) -> st.SearchStrategy[Array]:

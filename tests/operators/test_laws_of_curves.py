@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones, from_slopes
-from piezoid.operators.play import is_admissible
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.operators.worst_case import worst_case
 from tests.operators.strategies import (
@@ -16,6 +15,7 @@ from tests.operators.strategies import (
     ROUNDING,
     close,
     drives,
+    is_admissible,
     kinked_curves,
     memories,
     play_sums,
@@ -67,21 +67,6 @@ def test_one_play_sum_behind_another_has_the_loading_curve_of_both(
     close(
         both.run(drive, both.virgin_memory())[0], behind, 100 * slope.max() * (REACH + kinks[-1])
     )
-
-
-@given(play_sums(), st.integers(1, 128))
-def test_the_area_of_a_steady_loop_is_the_one_that_is_integrated(
-    plays: PrandtlIshlinskii, top: int
-) -> None:
-    amplitude = top / GRID
-    turns = np.concatenate([plays.threshold * 2, [2 * amplitude]])
-    rise = -amplitude + np.unique(np.minimum(turns, 2 * amplitude))
-    loop = np.concatenate([rise, -rise])
-    y, _ = plays.run(np.concatenate([[amplitude], loop, loop]), plays.virgin_memory())
-    u, y = loop, y[-len(loop) :]
-    around = 0.5 * float(np.sum((u + np.roll(u, 1)) * (y - np.roll(y, 1))))
-    size = plays.slope.max() * amplitude * (amplitude + plays.threshold[-1])
-    assert plays.loop_area(amplitude) == pytest.approx(around, rel=0, abs=1e-11 * size)
 
 
 @given(kinked_curves(), drives(most=80))

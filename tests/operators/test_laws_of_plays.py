@@ -7,14 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from piezoid.numerics.arrays import Array
-from piezoid.operators.play import (
-    forgetting_sample,
-    is_admissible,
-    play_blocks,
-    play_columns,
-    project_memory,
-)
-from tests.operators.strategies import GRID, REACH, banks, drives, gaps, memories
+from piezoid.operators.play import forgetting_sample, play_blocks, play_columns
+from tests.operators.strategies import GRID, REACH, banks, drives, gaps, is_admissible, memories
 
 ANY_SIZE = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e150, max_value=1e150)
 
@@ -163,18 +157,6 @@ def test_a_play_of_any_size_stays_in_its_gap_and_scales_with_it(
         unit = 2.0**power
         scaled, _ = play_columns(drive * unit, threshold * unit, memory)
         np.testing.assert_array_equal(scaled, states * unit)
-
-
-@given(st.data(), gaps())
-def test_clamping_makes_any_memory_admissible_and_an_admissible_one_stays(
-    data: st.DataObject, threshold: Array
-) -> None:
-    count = len(threshold)
-    wild, last = data.draw(drives(count, count)), data.draw(drives(1, 1))[0]
-    clamped = project_memory(wild, last, threshold)
-    assert is_admissible(clamped, last, threshold)
-    np.testing.assert_array_equal(project_memory(clamped, last, threshold), clamped)
-    assert is_admissible(wild, last, threshold) == bool((clamped == wild).all())
 
 
 @given(st.data(), gaps(), drives())

@@ -6,12 +6,10 @@ import pytest
 from piezoid.errors import NotInvertibleError
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones
-from piezoid.operators.play import (
-    is_admissible,
-    play_columns,
-)
+from piezoid.operators.play import play_columns
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from tests.operators.draws import random_walk
+from tests.operators.strategies import is_admissible
 
 ROUNDING = 2e-13  # some hundred operations on numbers of order one
 

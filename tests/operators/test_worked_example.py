@@ -5,8 +5,9 @@ import pytest
 
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.play import is_admissible, play_columns, project_memory
+from piezoid.operators.play import play_columns
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from tests.operators.strategies import is_admissible
 
 EXACT = 1e-12
 U = np.array([0, 3, -1, 2, -4, 4, 0, 1.5, -0.5])
@@ -64,14 +65,6 @@ def test_a_start_that_is_not_virgin_maps_to_the_printed_inverse_memory() -> None
     expected = [0.575, 2.64125, -0.25, 1.65, -2.605, 3.5075, 0.65, 1.52, 0.2]
     np.testing.assert_allclose(y, expected, atol=EXACT)
     np.testing.assert_allclose(MODEL.inverse_run(y, memory)[0], U, atol=1e-14)
-
-
-def test_projection_returns_the_nearest_nested_memory() -> None:
-    wild = np.array([9.0, -4.0, 5.0, 0.0])
-    nested = project_memory(wild, 0.5, PLAYS.threshold)
-    np.testing.assert_allclose(nested, [0.5, -0.5, 0.5, 0.0])
-    assert is_admissible(nested, 0.5, PLAYS.threshold)
-    assert not is_admissible(wild, 0.5, PLAYS.threshold)
 
 
 def test_threshold_zero_is_required_of_both_parts() -> None:
