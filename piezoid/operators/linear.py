@@ -245,24 +245,6 @@ def _hold_matrices(system: ContinuousSystem, duration_s: float) -> tuple[Array, 
     return exponential[:states, :states], exponential[:states, states:]
 
 
-def fraction(
-    system: ContinuousSystem, sampling_rate_Hz: float, output: int = 0, drive: int = 0
-) -> tuple[Array, Array]:
-    """Return B and A in q^-1 of one sampled path, A[0] = 1; the delay is leading zeros of B.
-
-    A has the roots exp(p T) of the system's poles p; B is its product with the first samples of
-    the impulse response. High orders lose digits: beyond a dozen states prefer the state space.
-
-    returned  (states + delay + 1,) and (states + 1,)
-    """
-    sampled = sample(system, sampling_rate_Hz)
-    poles = np.exp(np.linalg.eigvals(system.A) * sampled.interval_s)
-    A = np.ascontiguousarray(np.poly(poles).real) if len(poles) else np.ones(1)
-    delay_samples = (len(sampled.A) - len(system.A)) // system.B.shape[1]
-    terms = len(poles) + delay_samples + 1
-    return np.convolve(sampled.impulse_response(terms)[:, output, drive], A)[:terms], A
-
-
 def recursive_filter(numerator: ArrayLike, denominator: ArrayLike, signal: Array) -> Array:
     """Filter a signal by a fraction in the delay operator, zero before the first sample.
 

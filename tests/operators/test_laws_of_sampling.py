@@ -89,17 +89,6 @@ def test_sampling_keeps_the_gain_at_rest_and_maps_every_pole(system: ContinuousS
     assert not state.any()
 
 
-@given(chains())
-def test_fraction_samples_and_response_are_one_system(system: ContinuousSystem) -> None:
-    frequency_Hz = np.array([0.0, 3.0, 400.0, 5e3, 9.9e3])
-    q = np.exp(-2j * np.pi * frequency_Hz / RATE_Hz)
-    B, A = linear.fraction(system, RATE_Hz)
-    direct = np.polyval(B[::-1], q) / np.polyval(A[::-1], q)
-    response = linear.sample(system, RATE_Hz).response(frequency_Hz)[:, 0, 0]
-    least = np.abs(np.polyval(A[::-1], q)).min()
-    np.testing.assert_allclose(direct, response, atol=1e-11 / least)
-
-
 @given(chains(), chains())
 def test_the_response_of_a_chain_is_the_product_of_its_parts(
     first: ContinuousSystem, second: ContinuousSystem

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from piezoid.numerics.arrays import Array
 from piezoid.operators.linear import (
     ContinuousSystem,
     DiscreteSystem,
     butterworth,
     cascade,
     first_order,
-    fraction,
     resonance,
     sample,
     sampled_fractions,
@@ -20,12 +20,21 @@ RATE_HZ = 20_000.0
 ROUNDING = 1e-10  # products of a few dozen numbers near one
 
 
+def fraction(system: ContinuousSystem, drive: int = 0) -> tuple[Array, Array]:
+    """B and A in q^-1 of one sampled path, A[0] = 1; the delay is leading zeros of B."""
+    sampled = sample(system, RATE_HZ)
+    A = np.poly(np.exp(np.linalg.eigvals(system.A) / RATE_HZ)).real
+    delay_samples = (len(sampled.A) - len(system.A)) // system.B.shape[1]
+    terms = len(A) + delay_samples
+    return np.convolve(sampled.impulse_response(terms)[:, 0, drive], A)[:terms], A
+
+
 @pytest.mark.parametrize(
     ("frequency_Hz", "pole"),
     [(630, 0.820435), (4000, 0.284610), (8500, 0.069228), (20_000, 0.00186744)],
 )
 def test_a_lag_becomes_its_known_discrete_pole(frequency_Hz: float, pole: float) -> None:
-    B, A = fraction(first_order(frequency_Hz), RATE_HZ)
+    B, A = fraction(first_order(frequency_Hz))
     np.testing.assert_allclose(A, [1, -pole], atol=1e-6)
     np.testing.assert_allclose(B, [0, 1 - pole], atol=1e-6)
 
@@ -41,7 +50,7 @@ def test_a_lag_becomes_its_known_discrete_pole(frequency_Hz: float, pole: float)
 def test_a_mode_of_630_hertz_becomes_its_known_fraction(
     damping: float, den: tuple[float, ...], num: tuple[float, ...]
 ) -> None:
-    B, A = fraction(resonance(630, damping), RATE_HZ)
+    B, A = fraction(resonance(630, damping))
     np.testing.assert_allclose(A, den, atol=6e-9)
     np.testing.assert_allclose(B, (0, *num), atol=6e-9)
 
@@ -72,7 +81,7 @@ def test_the_delay_stands_in_b_as_leading_zeros_and_splits_between_two_samples()
         ),
         first_order(630),
     )
-    B, A = fraction(system, RATE_HZ)
+    B, A = fraction(system)
     pole = np.exp(-2 * np.pi * 630 / RATE_HZ)
     newest = 1 - pole**0.6
     np.testing.assert_allclose(B, [0, 0, 0, newest, 1 - pole - newest], atol=1e-12)
@@ -155,7 +164,7 @@ def test_a_late_system_of_two_drives_is_one_fraction_for_each(drive: int) -> Non
         D=np.zeros((1, 2)),
         delay_s=2.5 / RATE_HZ,
     )
-    B, A = fraction(late, RATE_HZ, drive=drive)
+    B, A = fraction(late, drive)
     assert len(B) == len(lag.A) + 3 + 1  # states, samples of delay, and one more
     pulse = np.zeros(40)
     pulse[0] = 1.0
