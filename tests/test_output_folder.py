@@ -426,9 +426,7 @@ def test_what_stays_in_a_folder_is_never_held_as_a_whole(tmp_path: Path) -> None
     assert held(tmp_path / "stage") == {"sub/night.csv": night, "report.html": b"new"}
 
 
-def test_the_same_results_have_the_same_manifest_however_they_were_written(
-    tmp_path: Path,
-) -> None:
+def test_the_same_results_have_the_same_manifest_however_they_were_written(tmp_path: Path) -> None:
     def by_steps(stage: Path) -> None:
         write_folder(stage, {"model.json": b"new"})
         add_to_folder(stage, OLD, force=True)

@@ -6,10 +6,7 @@ import pytest
 
 from piezoid.calibration.stage_statements import stage_statements
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, BudgetPart
-from piezoid.diagnosis.diagnosis_statements import (
-    diagnosis_statements,
-    largest_first,
-)
+from piezoid.diagnosis.diagnosis_statements import diagnosis_statements, largest_first
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.identification.fit_statements import Grade, fit_statements, grade_of
 from piezoid.identification.model import AxisModel
@@ -41,10 +38,7 @@ def test_what_was_never_measured_asks_for_a_recording(score: int, level: Level) 
 
 @pytest.mark.parametrize(
     ("changes", "quantity"),
-    [
-        ({"converged": False}, "convergence"),
-        ({"noise_is_most": True}, "noise"),
-    ],
+    [({"converged": False}, "convergence"), ({"noise_is_most": True}, "noise")],
 )
 def test_a_weak_fit_has_a_warning(changes: dict[str, object], quantity: str) -> None:
     assert quantity not in levels(axis_model())

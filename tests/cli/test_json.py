@@ -43,11 +43,7 @@ def test_a_draft_names_what_must_be_completed(tmp_path: Path) -> None:
     done = RUNNER.invoke(app, ["init", *files, "--out", str(place), "--json"])
     assert done.exit_code == 3
     found = json.loads(done.stdout)
-    assert found == {
-        "schema": "piezoid.drafted/1",
-        "file": str(place),
-        "incomplete": ["run.csv"],
-    }
+    assert found == {"schema": "piezoid.drafted/1", "file": str(place), "incomplete": ["run.csv"]}
 
 
 def test_a_quiet_inspection_tells_refusals_alone(tmp_path: Path) -> None:

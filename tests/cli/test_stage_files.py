@@ -70,9 +70,7 @@ def test_a_stage_whose_controllers_failed_is_not_sent_back_to_export(tmp_path: P
     assert "piezoid export" not in str(found.value)
 
 
-def test_a_folder_that_is_not_there_and_a_file_in_its_place_are_told_apart(
-    tmp_path: Path,
-) -> None:
+def test_a_folder_that_is_not_there_and_a_file_in_its_place_are_told_apart(tmp_path: Path) -> None:
     (tmp_path / "page.html").write_text("")
     with pytest.raises(ParameterFileError, match="nowhere is not there"):
         content_of(tmp_path / "nowhere" / "model.json")

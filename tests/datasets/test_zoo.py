@@ -19,10 +19,7 @@ from piezoid_datasets.virtual_lab.truths.generalised_bouc_wen import (
     GeneralisedBoucWen,
     generalised_bouc_wen_memory,
 )
-from piezoid_datasets.virtual_lab.truths.jiles_atherton import (
-    JilesAtherton,
-    jiles_atherton_memory,
-)
+from piezoid_datasets.virtual_lab.truths.jiles_atherton import JilesAtherton, jiles_atherton_memory
 from piezoid_datasets.virtual_lab.truths.krasnoselskii_pokrovskii import (
     DOWN,
     THRESHOLDS,

@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from piezoid.design.certificate import (
-    Operation,
-    certify,
-    impulse_response,
-    peak_gain,
-)
+from piezoid.design.certificate import Operation, certify, impulse_response, peak_gain
 from piezoid.design.feedforward import ReferencePath, fit_reference_path
 from piezoid.design.hysteresis_bounds import affine_bounds
 from piezoid.design.observer import DisturbanceObserver, linear_controller

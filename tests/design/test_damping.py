@@ -50,11 +50,7 @@ def family(spread: float = 0.1, mode_Hz: float = MODE_Hz, ends: int = 9) -> Plan
 
 def default(of: PlantFamily) -> Specification:
     return default_specification(
-        of,
-        voltage_min_V=-10.0,
-        voltage_max_V=10.0,
-        sensor_noise_rms=1e-9,
-        disturbance_rms=2e-8,
+        of, voltage_min_V=-10.0, voltage_max_V=10.0, sensor_noise_rms=1e-9, disturbance_rms=2e-8
     )
 
 

@@ -66,9 +66,7 @@ def test_the_worked_example_has_its_printed_coefficients():
     )
     assert observer.reference_gain == pytest.approx(0.8496259921, abs=PRINTED)
     np.testing.assert_allclose(
-        closed_loop_polynomial(plant, c.R, c.S),
-        PRINTED_CLOSED_LOOP,
-        atol=PRINTED,
+        closed_loop_polynomial(plant, c.R, c.S), PRINTED_CLOSED_LOOP, atol=PRINTED
     )
 
 

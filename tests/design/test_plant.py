@@ -9,13 +9,7 @@ from benchmarks.varied_chains import varied
 from piezoid.design.plant import Chain, PlantFamily, Section, plant_from_chain
 from piezoid.numerics.frequency import response
 from tests.design.placed import plant_from_fraction
-from tests.design.rig import (
-    LATERAL_m_per_V,
-    RATE_Hz,
-    lateral_chain,
-    random_chain,
-    vertical_chain,
-)
+from tests.design.rig import LATERAL_m_per_V, RATE_Hz, lateral_chain, random_chain, vertical_chain
 
 PRINTED = 5.1e-11
 
@@ -26,9 +20,7 @@ def test_the_lateral_plant_has_its_printed_coefficients():
         plant.A, (1, -2.2955789143, 1.6871659856, -0.3851608527, 0.0193167468), atol=PRINTED
     )
     np.testing.assert_allclose(
-        plant.B,
-        (0, 0.002703629761, 0.015538017175, 0.007243715667, 0.000257602780),
-        atol=5.1e-13,
+        plant.B, (0, 0.002703629761, 0.015538017175, 0.007243715667, 0.000257602780), atol=5.1e-13
     )
 
 

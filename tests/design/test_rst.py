@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 
 from piezoid.design.plant import Section, plant_from_chain
-from piezoid.design.rst import (
-    OPEN_AT_NYQUIST,
-    RstController,
-    closed_loop_target,
-    place_poles,
-)
+from piezoid.design.rst import OPEN_AT_NYQUIST, RstController, closed_loop_target, place_poles
 from piezoid.design.sensitivity import closed_loop_polynomial, margins, sensitivities
 from piezoid.design.shaping import BandStop, band_stop_polynomials
 from piezoid.errors import DesignError, UnstableLoopError

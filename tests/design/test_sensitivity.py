@@ -8,13 +8,7 @@ from piezoid.design.sensitivity import margins, sensitivities
 from piezoid.design.templates import Template, attenuation, delay_limit, violations
 from piezoid.numerics.polynomial import delayed, product, spectral_radius, total
 from tests.design.placed import plant_from_fraction
-from tests.design.rig import (
-    LOOPS,
-    RATE_Hz,
-    loop,
-    vertical_chain,
-    vertical_family,
-)
+from tests.design.rig import LOOPS, RATE_Hz, loop, vertical_chain, vertical_family
 
 
 @pytest.mark.parametrize(("frequency_Hz", "damping"), LOOPS)
@@ -125,10 +119,7 @@ def test_a_template_is_linear_in_decibels_over_log_frequency_and_ends_at_its_kno
 def test_a_template_that_cannot_be_read_is_refused(function, frequency_Hz, message):
     with pytest.raises(ValueError, match=message):
         Template(
-            name="t",
-            function=function,
-            frequency_Hz=np.array(frequency_Hz),
-            upper_dB=np.zeros(2),
+            name="t", function=function, frequency_Hz=np.array(frequency_Hz), upper_dB=np.zeros(2)
         )
 
 

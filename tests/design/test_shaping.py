@@ -11,10 +11,7 @@ from piezoid.design.sensitivity import margins
 from piezoid.design.shaping import shape
 from piezoid.design.templates import Template
 from piezoid.design.youla import optimise
-from tests.design.rig import (
-    vertical_family,
-    vertical_specification,
-)
+from tests.design.rig import vertical_family, vertical_specification
 
 
 def test_shaping_only_the_nominal_plant_collapses_at_the_ends_of_the_family():

@@ -17,16 +17,7 @@ from piezoid.diagnosis.residual_view import with_tracks
 from piezoid.diagnosis.score_test import score_test
 from piezoid.records.lab import Lab
 
-from .play_stage import (
-    NOISE_m,
-    STROKE_m,
-    clean,
-    healthy,
-    moved,
-    recording,
-    view_with,
-    within,
-)
+from .play_stage import NOISE_m, STROKE_m, clean, healthy, moved, recording, view_with, within
 
 FAULTS = (timestamp_fault, outliers, quantisation)
 
@@ -198,9 +189,7 @@ def test_bridged_samples_are_neither_compared_nor_steps_of_a_converter():
     lost = np.arange(50, 8950, 67)
     reading_m[lost] = (reading_m[lost - 1] + reading_m[lost + 1]) / 2
     view = view_on(
-        [replace(recording("sweep", reading_m), bridged=tuple(lost.tolist()))],
-        axis="x",
-        lab=Lab(),
+        [replace(recording("sweep", reading_m), bridged=tuple(lost.tolist()))], axis="x", lab=Lab()
     )
     assert not np.isin(view.tracks[0].rows, lost).any()
     assert within(quantisation.EFFECT.fault.find(view), 1e9 * step_m)

@@ -16,9 +16,7 @@ from piezoid.diagnosis.nuisance_columns import (
     shape_columns,
     states_under,
 )
-from piezoid.diagnosis.residual_view import (
-    with_filtered_commands,
-)
+from piezoid.diagnosis.residual_view import with_filtered_commands
 from piezoid.diagnosis.segments import Track
 from piezoid.operators.play import play_columns, thinned_drive
 

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.initial_state_search import (
-    shared_does_as_well,
-)
+from piezoid.diagnosis.initial_state_search import shared_does_as_well
 from piezoid.diagnosis.selection import repaired
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.numerics.executor import SERIAL

@@ -10,11 +10,7 @@ from piezoid.diagnosis.initial_state_search import (
     with_own_initial_states,
     with_shared_initial_state,
 )
-from piezoid.diagnosis.initial_states import (
-    FREE,
-    memory_after,
-    shared_hypotheses,
-)
+from piezoid.diagnosis.initial_states import FREE, memory_after, shared_hypotheses
 from piezoid.diagnosis.nuisance_columns import THRESHOLD
 from piezoid.diagnosis.residual_view import with_reversals
 from piezoid.numerics.arrays import Array

@@ -6,11 +6,7 @@ import pytest
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effects import timestamp_fault
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.sample_slips import (
-    delay_like_null,
-    max_slip,
-    strongest_slips,
-)
+from piezoid.diagnosis.sample_slips import delay_like_null, max_slip, strongest_slips
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 

@@ -60,7 +60,4 @@ def test_an_entry_of_another_kind_is_refused() -> None:
 
 
 def test_what_was_written_is_read_back_the_same_for_every_axis() -> None:
-    assert read_diagnoses(write_diagnosis(KNOWN, further_axes=(KNOWN,))) == (
-        KNOWN,
-        KNOWN,
-    )
+    assert read_diagnoses(write_diagnosis(KNOWN, further_axes=(KNOWN,))) == (KNOWN, KNOWN)

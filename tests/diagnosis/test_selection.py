@@ -9,12 +9,7 @@ import pytest
 import piezoid.diagnosis.diagnose as diagnose
 import piezoid.diagnosis.selection as search
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
-from piezoid.diagnosis.effects import (
-    creep,
-    cross_coupling,
-    initial_state,
-    thermal_drift,
-)
+from piezoid.diagnosis.effects import creep, cross_coupling, initial_state, thermal_drift
 from piezoid.diagnosis.model_comparison import compare_models
 from piezoid.diagnosis.refitted_view import SelectedEffect
 from piezoid.diagnosis.score_test import score_test
@@ -24,14 +19,7 @@ from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
 from .bench import causes, view_of_recordings
-from .played import (
-    NOISE,
-    cycled,
-    forgotten,
-    recordings_after,
-    with_another_axis,
-    wobbling,
-)
+from .played import NOISE, cycled, forgotten, recordings_after, with_another_axis, wobbling
 
 pytestmark = pytest.mark.usefixtures("plays_alone")
 

@@ -153,9 +153,7 @@ HOSTILE = (
 @pytest.mark.parametrize("text", HOSTILE, ids=ascii)
 def test_no_text_of_a_stage_becomes_a_token_of_the_header_or_a_line_of_the_readme(text):
     tame = bundle(replace(stage("tame"), unshipped={"w": "tame"}))
-    held = bundle(
-        replace(stage(text), sources={text: text}, unshipped={text: text}),
-    )
+    held = bundle(replace(stage(text), sources={text: text}, unshipped={text: text}))
     assert held.keys() == tame.keys()
     assert tokens(held["piezo_params.h"]) == tokens(tame["piezo_params.h"])
     for name in ("piezo_params.h", "README.md"):

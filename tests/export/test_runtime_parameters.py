@@ -11,12 +11,7 @@ from piezoid.design.feedforward import ReferencePath
 from piezoid.design.observer import disturbance_model, linear_controller
 from piezoid.design.plant import Plant, PlantFamily
 from piezoid.errors import ParameterFileError
-from piezoid.export.export_stage import (
-    lateral_axis,
-    observer_values,
-    rst_values,
-    tunnelling_axis,
-)
+from piezoid.export.export_stage import lateral_axis, observer_values, rst_values, tunnelling_axis
 from piezoid.export.parameter_file import ParameterFile, from_json, to_json
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii

@@ -40,8 +40,7 @@ def test_a_missing_guard_is_refused_with_the_line_to_write(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "changed",
-    [{"floor_A": 2e-9}, {"ceiling_A": 5e-10}, {"retract_V": -11.0}, {"retract_V": 10.5}],
+    "changed", [{"floor_A": 2e-9}, {"ceiling_A": 5e-10}, {"retract_V": -11.0}, {"retract_V": 10.5}]
 )
 def test_guards_that_guard_nothing_are_refused(changed: dict[str, float]) -> None:
     with pytest.raises(LabFileError, match="export again"):

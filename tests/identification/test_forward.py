@@ -377,10 +377,7 @@ def test_too_many_numbers_for_one_array_are_taken_for_delayed() -> None:
     here = where(len(asked))
     lag, late = (
         replace(run_of(forward), command=asked, where=here)
-        for forward in (
-            forward_of(FirstOrderLag(lag_s=3.4e-3)),
-            forward_of(Delay(delay_s=3.4e-3)),
-        )
+        for forward in (forward_of(FirstOrderLag(lag_s=3.4e-3)), forward_of(Delay(delay_s=3.4e-3)))
     )
     np.testing.assert_allclose(lag.by_hysteresis(PLACE), late.by_hysteresis(PLACE), atol=ROUNDING)
 

@@ -60,9 +60,7 @@ def test_its_modes_come_back_with_the_axis_that_they_belong_to(
     assert np.abs(dynamics.mode_frequency_Hz / MODE_HZ[0] - 1.0).min() < 5e-3
 
 
-def test_left_out_realisations_are_followed_to_two_percent(
-    model: piezoid.ActuatorModel,
-) -> None:
+def test_left_out_realisations_are_followed_to_two_percent(model: piezoid.ActuatorModel) -> None:
     assert model.coupled is not None
     assert model.coupled.error_is_left_out
     assert (model.coupled.error_rms_m < 0.02 * model.coupled.moved_rms_m).all()

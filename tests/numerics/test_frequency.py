@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from piezoid.numerics.frequency import (
-    decibel,
-    grid_Hz,
-    response,
-    unit_circle,
-)
+from piezoid.numerics.frequency import decibel, grid_Hz, response, unit_circle
 
 RATE_Hz = 20e3
 

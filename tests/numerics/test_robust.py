@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import theilslopes
 
-from piezoid.numerics.robust import (
-    deviations,
-    holm,
-    spread_beyond,
-    spread_of,
-    trend_of,
-)
+from piezoid.numerics.robust import deviations, holm, spread_beyond, spread_of, trend_of
 
 
 def test_the_spread_of_a_normal_sample_is_its_standard_deviation() -> None:

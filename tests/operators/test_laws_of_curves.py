@@ -49,10 +49,7 @@ def test_one_play_sum_behind_another_has_the_loading_curve_of_both(
     inner: PrandtlIshlinskii, outer: PrandtlIshlinskii, drive: Array
 ) -> None:
     """P_2 o P_1 = P with phi = phi_2(phi_1): kinks at both, from the virgin state."""
-    kinks = np.union1d(
-        inner.threshold,
-        inner.inverse().loading_curve(outer.threshold),
-    )
+    kinks = np.union1d(inner.threshold, inner.inverse().loading_curve(outer.threshold))
     assume(np.diff(kinks, append=np.inf).min() > 1e-6)
     middle = kinks + np.append(np.diff(kinks) / 2, 1.0)
     slope = (

@@ -54,8 +54,7 @@ def test_units_change_the_numbers_of_a_model_and_not_what_it_does(
     unit_V, unit_m = 10.0**power_V, 10.0**power_m
     scaled = ModifiedPrandtlIshlinskii(
         plays=PrandtlIshlinskii(
-            threshold=plain.plays.threshold * unit_V,
-            weight=plain.plays.weight * (unit_m / unit_V),
+            threshold=plain.plays.threshold * unit_V, weight=plain.plays.weight * (unit_m / unit_V)
         ),
         dead_zones=DeadZones(
             threshold=plain.dead_zones.threshold * unit_m, weight=plain.dead_zones.weight

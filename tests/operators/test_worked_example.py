@@ -46,9 +46,7 @@ def test_inverse_thresholds_and_weights_are_those_printed() -> None:
     zones = ZONES.inverse()
     np.testing.assert_allclose(zones.threshold, [-1.8, -1, 0, 1, 2.3], atol=EXACT)
     np.testing.assert_allclose(
-        zones.weight,
-        [0.17857142857, 0.25, 1, -0.23076923077, 0.18315018315],
-        atol=1e-11,
+        zones.weight, [0.17857142857, 0.25, 1, -0.23076923077, 0.18315018315], atol=1e-11
     )
 
 

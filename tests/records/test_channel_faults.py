@@ -10,12 +10,7 @@ from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array
 from piezoid.records.collection import collect
 from piezoid.records.recording import Recording
-from piezoid.records.sample_statistics import (
-    clipped_share,
-    is_noise_hidden,
-    noise_rms,
-    step_size,
-)
+from piezoid.records.sample_statistics import clipped_share, is_noise_hidden, noise_rms, step_size
 
 PHASE = 2 * np.pi * np.arange(20000) / 4000
 SINE = np.sin(PHASE)

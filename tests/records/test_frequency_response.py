@@ -65,7 +65,7 @@ INSTRUMENTS = {
         "a.dat",
         'columns = { frequency = "Frequency (Hz)", magnitude = "Amplitude (m)", '
         'phase = "Phase (deg)", excitation = "Excitation (V)" }\n',
-    ),
+    )
 }
 
 

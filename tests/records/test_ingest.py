@@ -115,10 +115,7 @@ def test_a_table_without_time_takes_the_rate_of_the_laboratory(tmp_path: Path) -
 
 @pytest.mark.parametrize(
     ("headings", "completed"),
-    [
-        ("time,voltage,position", ("s", "V", "um")),
-        ("voltage [V],position [um]", ("V", "um")),
-    ],
+    [("time,voltage,position", ("s", "V", "um")), ("voltage [V],position [um]", ("V", "um"))],
 )
 def test_the_entry_of_a_refusal_can_be_pasted_and_completed(
     tmp_path: Path, headings: str, completed: tuple[str, ...]

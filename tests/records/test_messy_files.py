@@ -241,8 +241,7 @@ def test_rows_that_run_backwards_are_refused_without_a_named_clock_too(tmp_path:
 
 
 @pytest.mark.parametrize(
-    "entry",
-    ['separator = "ab"', 'decimal = ";"', "heading_row = 0", "scale = { voltage = 0 }"],
+    "entry", ['separator = "ab"', 'decimal = ";"', "heading_row = 0", "scale = { voltage = 0 }"]
 )
 def test_what_no_text_table_can_be_is_refused_in_lab_toml(entry: str, tmp_path: Path) -> None:
     (tmp_path / "lab.toml").write_text(f'[[recording]]\nfile = "run.csv"\n{entry}\n')

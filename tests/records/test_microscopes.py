@@ -51,9 +51,7 @@ def test_a_wave_of_a_microscope_takes_its_rate_from_the_note(tmp_path: Path) -> 
     np.testing.assert_allclose(recording.displacement_m(), HEIGHT_m)
 
 
-def test_a_force_curve_gives_the_drive_in_volts_and_each_segment_its_clock(
-    tmp_path: Path,
-) -> None:
+def test_a_force_curve_gives_the_drive_in_volts_and_each_segment_its_clock(tmp_path: Path) -> None:
     half = 300
     segments = [
         (half / RATE_Hz, DRIVE_V[:half], HEIGHT_m[:half]),

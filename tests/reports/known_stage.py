@@ -39,12 +39,7 @@ VALUES = (0.8, 2.1, 2e-6, 4e-7, 5e-7, -4e-6, 0.0, 5e-6, -0.05, 1.0, 0.04, 0.0)
 
 
 CERTIFICATE = Certificate(
-    plays_m=3e-8,
-    dead_zones_m=2e-8,
-    remainder_m=9e-8,
-    found_m=1e-8,
-    reach_V=5.0,
-    slew_V_per_s=40.0,
+    plays_m=3e-8, dead_zones_m=2e-8, remainder_m=9e-8, found_m=1e-8, reach_V=5.0, slew_V_per_s=40.0
 )
 QUALITY = FitQuality(
     rms_m=6e-9,

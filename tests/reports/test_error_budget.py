@@ -14,10 +14,7 @@ from tests.reports.known_stage import axis_model, stage_model
 
 def waterfall(*effects: str) -> Waterfall:
     found = diagnosed(*map(finding, effects))
-    page = Page(
-        model=stage_model(axis_model()),
-        diagnoses=(found,),
-    )
+    page = Page(model=stage_model(axis_model()), diagnoses=(found,))
     section = error_budget.render(page)
     assert section is not None
     (picture,) = section.parts
@@ -39,8 +36,5 @@ def test_each_bar_begins_where_the_one_before_ended_and_the_last_is_the_noise() 
 
 def test_a_diagnosis_without_a_budget_has_no_section() -> None:
     old = replace(diagnosed(), budget=())
-    page = Page(
-        model=stage_model(axis_model()),
-        diagnoses=(old,),
-    )
+    page = Page(model=stage_model(axis_model()), diagnoses=(old,))
     assert error_budget.render(page) is None

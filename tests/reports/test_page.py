@@ -75,9 +75,7 @@ def test_identifiers_are_unique_and_links_lead_somewhere(page: str) -> None:
     assert set(labels) <= set(names)
 
 
-def test_every_figure_says_in_words_what_it_shows_and_each_kind_has_one_guide(
-    page: str,
-) -> None:
+def test_every_figure_says_in_words_what_it_shows_and_each_kind_has_one_guide(page: str) -> None:
     anatomy = Anatomy(page)
     frames, captions = anatomy.all("svg", "frame"), anatomy.all("figcaption")
     assert len(frames) == len(captions) == len(anatomy.all("figure", "chart")) > 8

@@ -8,13 +8,7 @@ from hypothesis import strategies as st
 
 from piezoid import formatting
 from piezoid.formatting import PREFIXES, UNKNOWN
-from piezoid_reports.quantities import (
-    MINUS,
-    number,
-    significant,
-    with_half_width,
-    with_interval,
-)
+from piezoid_reports.quantities import MINUS, number, significant, with_half_width, with_interval
 
 FACTOR = {prefix: factor for factor, prefix in PREFIXES}
 

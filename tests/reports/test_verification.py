@@ -10,11 +10,7 @@ from piezoid.verification.criteria import SHAPE_ERROR
 from piezoid.verification.plotted_paths import SPIRAL_POINTS, SpiralTrace
 from piezoid.verification.rebuild import Proof
 from piezoid.verification.scenarios import SCENARIOS
-from piezoid.verification.verification import (
-    ErrorBound,
-    Verification,
-    verification_from_json,
-)
+from piezoid.verification.verification import ErrorBound, Verification, verification_from_json
 from piezoid.verification.verify import verify
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Section
@@ -74,9 +70,7 @@ def test_every_method_and_verdict_has_its_row_and_every_verdict_its_limit(
     assert any(row.startswith("cc12") for row in rows)
 
 
-def test_bounds_of_errors_have_rows_where_asked_for(
-    found: Verification,
-) -> None:
+def test_bounds_of_errors_have_rows_where_asked_for(found: Verification) -> None:
     bound = ErrorBound(
         axis="x",
         slew_m_per_s=1e-3,

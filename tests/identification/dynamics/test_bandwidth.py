@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.identification.dynamics.axis_dynamics import with_dynamics
-from piezoid.identification.dynamics.bandwidth import (
-    BandwidthVerdict,
-    decide_bandwidth,
-    unfitted,
-)
+from piezoid.identification.dynamics.bandwidth import BandwidthVerdict, decide_bandwidth, unfitted
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.periodic_estimate import estimate_response
 from piezoid.operators.linear import ContinuousSystem, cascade, first_order, resonance, sample

@@ -143,11 +143,7 @@ def test_a_drive_that_never_moves_is_refused() -> None:
 def test_recordings_without_displacement_are_refused_naming_what_they_hold() -> None:
     one = recording(decaying(6), decaying(6) * 1e-6)
     lonely = type(one)(
-        name="a.csv",
-        digest="",
-        axis="x",
-        sampling_rate_Hz=RATE_Hz,
-        channels=one.channels[:1],
+        name="a.csv", digest="", axis="x", sampling_rate_Hz=RATE_Hz, channels=one.channels[:1]
     )
     with pytest.raises(ExcitationError, match="only voltage is recorded"):
         fit([lonely])

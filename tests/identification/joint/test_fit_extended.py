@@ -54,11 +54,7 @@ CASES: tuple[tuple[Extension, Extension, float], ...] = (
         0.15,
     ),
     (RateDependence(time_s=2e-3), RateDependence(time_s=1e-3), 0.15),
-    (
-        RateDependence(time_s=2e-2, strain_m=2e-8),
-        RateDependence(time_s=1e-2, strain_m=1e-8),
-        0.15,
-    ),
+    (RateDependence(time_s=2e-2, strain_m=2e-8), RateDependence(time_s=1e-2, strain_m=1e-8), 0.15),
     (AmplifierLimits(high_V=9.6), AmplifierLimits(high_V=9.5), 0.005),
     (SlewLimit(limit_V_per_s=80.0), SlewLimit(limit_V_per_s=77.0), 0.02),
     (

@@ -17,12 +17,7 @@ from piezoid.identification.tunnelling.loop_model import mean_of, spread_family
 from piezoid.identification.tunnelling.loop_spectra import LoopSpectra, spectra_of_dither
 from piezoid.operators.linear import ContinuousSystem, sample
 from piezoid_datasets.virtual_lab.junction import Junction, multisine, simulate_junctions
-from tests.identification.tunnelling.loops import (
-    LINES,
-    PERIOD_SAMPLES,
-    identified,
-    loop_records,
-)
+from tests.identification.tunnelling.loops import LINES, PERIOD_SAMPLES, identified, loop_records
 
 
 def test_barriers_within_five_percent_and_intervals_that_hold() -> None:
@@ -116,10 +111,7 @@ def test_a_dither_added_to_the_drive_serves_as_instrument_too() -> None:
         PERIOD_SAMPLES, 41, lines=LINES, rms=3e-12 / 18e-9, rng=np.random.default_rng(41)
     )
     (record,) = simulate_junctions(
-        [junction],
-        reference_nepers=np.zeros_like(dither_V),
-        drive_dither_V=dither_V,
-        seeds=[42],
+        [junction], reference_nepers=np.zeros_like(dither_V), drive_dither_V=dither_V, seeds=[42]
     )
     loop = LoopRecord(
         label="dithered drive",

@@ -105,8 +105,7 @@ def test_the_model_comes_back_number_for_number(
     rng: np.random.Generator, fits: list[ClosedLoopFit]
 ) -> None:
     model = TunnellingModel(
-        gap_law=fit_barrier([sweep(rng)]).law,
-        loop_plant=describe_loop_plant(fits, RIG),
+        gap_law=fit_barrier([sweep(rng)]).law, loop_plant=describe_loop_plant(fits, RIG)
     )
     text = json.dumps(to_json(model), allow_nan=False)
     assert from_json(TunnellingModel, json.loads(text)) == model

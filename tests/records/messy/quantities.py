@@ -2,17 +2,7 @@
 
 import numpy as np
 
-from tests.records.messy.writers import (
-    COPY,
-    COUNTS,
-    FIT,
-    NAMES,
-    Messy,
-    columns,
-    held,
-    lines,
-    text,
-)
+from tests.records.messy.writers import COPY, COUNTS, FIT, NAMES, Messy, columns, held, lines, text
 
 FILES: tuple[Messy, ...] = (
     Messy(
