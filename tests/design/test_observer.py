@@ -108,12 +108,6 @@ def test_closed_loop_poles_are_feedback_and_observer_poles_and_zeros(delay_s):
 
 
 @pytest.mark.parametrize("delay_s", DELAYS_s)
-def test_the_controller_contains_an_integrator(delay_s):
-    _, observer = example(delay_s=delay_s)
-    assert abs(linear_controller(observer).S.sum()) <= 1e-12
-
-
-@pytest.mark.parametrize("delay_s", DELAYS_s)
 def test_observer_and_polynomials_are_the_same_controller(delay_s, rng):
     plant, observer = example(delay_s=delay_s)
     reference, d_V = rng.normal(size=150), rng.normal(size=150)

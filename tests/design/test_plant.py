@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.varied_chains import varied
 from piezoid.design.plant import Chain, PlantFamily, Section, plant_from_chain
 from piezoid.numerics.frequency import response
 from tests.design.placed import plant_from_fraction
@@ -44,25 +43,6 @@ def test_a_pole_that_float64_cannot_see_leaves_no_state():
     assert len(plant_from_chain(slower).A) == 2
     with pytest.raises(ValueError, match="no section is slow enough"):
         plant_from_chain(replace(slower, sections=(Section(frequency_Hz=120e3),)))
-
-
-def test_a_variation_says_what_it_changed_and_changes_the_slowest_section():
-    changed = varied(lateral_chain(), gain_factor=1.15, mode_factor=0.9, delay_s=1e-5)
-    assert changed.label == "gain x1.15, mode x0.9, delay +10 us"
-    assert changed.sections[1].frequency_Hz == pytest.approx(567.0)
-    assert changed.sections[0].frequency_Hz == 4e3
-    assert changed.gain == pytest.approx(1.15)
-
-
-def test_what_is_not_varied_stays_and_what_is_varied_alone_is_all_that_changes():
-    chain = lateral_chain(LATERAL_m_per_V, 2e-5)
-    assert varied(chain) == chain
-    louder = varied(chain, gain_factor=2.0)
-    assert replace(louder, gain=chain.gain, label=chain.label) == chain
-    assert (louder.gain, louder.label) == (2.0 * chain.gain, "gain x2")
-    softer = varied(chain, damping_factor=0.5)
-    assert softer.sections[1] == replace(chain.sections[1], damping=0.025)
-    assert softer.label == "damping x0.5"
 
 
 def test_a_numerator_without_its_delay_is_refused():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezoid.numerics.frequency import decibel, grid_Hz, response, unit_circle
+from piezoid.numerics.frequency import decibel, grid_Hz, response
 
 RATE_Hz = 20e3
 
@@ -25,10 +25,6 @@ def test_the_response_is_the_fourier_sum_of_the_impulse_response():
     f = np.array([1.0, 500.0, 7000.0])
     sums = [(h * np.exp(-2j * np.pi * x / RATE_Hz * np.arange(len(h)))).sum() for x in f]
     np.testing.assert_allclose(response(B, A, f, RATE_Hz), sums, rtol=1e-12)
-
-
-def test_one_delay_turns_by_half_a_turn_at_nyquist():
-    assert unit_circle([0.5 * RATE_Hz], RATE_Hz)[0] == pytest.approx(-1.0)
 
 
 def test_twice_as_much_is_six_decibels_and_zero_is_minus_infinity():

@@ -12,17 +12,9 @@ from piezoid.numerics.polynomial import (
     roots_of,
     solve_bezout,
     spectral_radius,
-    total,
-    trimmed,
 )
 
 ROUNDING = 1e-12
-
-
-def test_a_sum_takes_any_degrees_and_zeros_at_the_end_are_no_degree():
-    np.testing.assert_array_equal(total([1.0, 2.0], [0.0, 0.0, 3.0]), [1.0, 2.0, 3.0])
-    np.testing.assert_array_equal(trimmed([1.0, 2.0, 0.0]), [1.0, 2.0])
-    np.testing.assert_array_equal(trimmed([0.0, 0.0]), [0.0])
 
 
 def test_leading_zeros_are_a_delay_and_no_roots():
