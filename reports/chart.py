@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.formatting import Scale, scale_for
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, runs_of
 from piezoid_reports.quantities import MINUS
 
 MAX_SPLIT = 50_000  # samples of a curve that are split one by one
@@ -290,6 +290,4 @@ def envelope(x: Array, y: Array, bins: int) -> tuple[Array, Array, Array]:
 
 def whole_parts(y: Array) -> list[slice]:
     """Return the stretches of at least two samples without NaN."""
-    is_finite = np.concatenate([[False], np.isfinite(y), [False]])
-    edges = np.flatnonzero(np.diff(is_finite.astype(int)))
-    return [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 1]
+    return [slice(a, b) for a, b in runs_of(np.isfinite(y)) if b - a > 1]

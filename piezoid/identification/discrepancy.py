@@ -15,7 +15,6 @@ large as it says.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import brentq
@@ -25,7 +24,7 @@ from piezoid.identification.hysteresis.certificate import adversarial_drives
 from piezoid.identification.model import AxisModel, Discrepancy
 from piezoid.identification.quality import FitQuality
 from piezoid.identification.simulation import simulate_recording
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, runs_of
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
 
@@ -105,14 +104,12 @@ def _rows(axis: AxisModel, recording: Recording, reach_V: float) -> list[tuple[A
     drive_V = recording.voltage_V(axis.axis) - 0.5 * sum(axis.voltage_V)
     residual_m = axis.polarity * (recording.displacement_m(axis.axis) - simulated_m)
     is_simulated = np.isfinite(residual_m)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_simulated.astype(int), [0]])))
     step = max(recording.samples // MAX_ROWS, 1)
     rows = []
-    for first, stop in pairwise(edges.tolist()):
-        if is_simulated[first]:
-            states = _states(drive_V[first:stop], reach_V)[::step]
-            piece_m = residual_m[first:stop:step]
-            rows.append((states - states.mean(axis=0), piece_m - piece_m.mean()))
+    for first, stop in runs_of(is_simulated):
+        states = _states(drive_V[first:stop], reach_V)[::step]
+        piece_m = residual_m[first:stop:step]
+        rows.append((states - states.mean(axis=0), piece_m - piece_m.mean()))
     return rows
 
 

@@ -50,6 +50,16 @@ def freeze(record: object, *names: str, ndim: int = 1) -> None:
         object.__setattr__(record, name, frozen(getattr(record, name), name, ndim=ndim))
 
 
+def runs_of(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return first and stop of each run of true values.
+
+    >>> runs_of(np.array([True, True, False, True]))
+    [(0, 2), (3, 4)]
+    """
+    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0)).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
 def expect_shapes(record: object, expected: Mapping[str, tuple[int, ...]]) -> None:
     """Raise ``ValueError`` naming the first field whose array has another shape."""
     for name, shape in expected.items():

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, runs_of
 
 ALIKE = 0.8  # correlation of a drive with itself one period later, a ramp before it included
 UNLIKE = 0.5  # the first fall below ends the drive's likeness to itself at once
@@ -133,9 +133,7 @@ def _period(signal: Array, fewest: int) -> tuple[int | None, slice]:
 
 def _longest_run(flags: NDArray[np.bool_]) -> tuple[int, int]:
     """Return the first and the stop of the longest run of flags that are set."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-    return max(runs, key=lambda run: run[1] - run[0], default=(0, 0))
+    return max(runs_of(flags), key=lambda run: run[1] - run[0], default=(0, 0))
 
 
 def _fractional(signal: Array, period: float) -> float:

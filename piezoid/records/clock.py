@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.errors import RecordingError
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, runs_of
 from piezoid.records.sample_statistics import robust_sigma
 from piezoid.statement import Statement, finding
 
@@ -318,9 +318,8 @@ def _repeated(steps: Array, interval_s: float, resolution_s: float) -> Stamps:
     by_rounding = len(steps) * max(0.0, 1.0 - interval_s / resolution_s)
     if np.count_nonzero(is_equal) > 2 * by_rounding + 2:
         return np.flatnonzero(is_equal) + 1
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_equal.astype(int), [0]])))
     max_run = int(np.ceil(resolution_s / interval_s + 1e-6))
-    runs = [np.arange(a, b) + 1 for a, b in edges.reshape(-1, 2).tolist() if b - a > max_run]
+    runs = [np.arange(a, b) + 1 for a, b in runs_of(is_equal) if b - a > max_run]
     return np.concatenate(runs) if runs else np.zeros(0, dtype=int)
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, runs_of
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.sample_statistics import clipped as clipped_samples
 from piezoid.records.sample_statistics import step_size
@@ -140,7 +140,7 @@ def _clipped(values: Array, drive: Array | None) -> Mask:
     min_range = MIN_DRIVE_RANGE * np.ptp(drive)
     levels = [
         float(values[start])
-        for start, stop in _runs_of(clipped_samples(values))
+        for start, stop in runs_of(clipped_samples(values))
         if np.ptp(drive[start:stop]) > min_range
     ]
     # Around such a rest single readings are cut off at the same level.
@@ -228,7 +228,7 @@ def _written(
         if is_coarse:
             expected = interpolated(values, mask | invalid)
             mask &= np.abs(values - expected) > np.maximum(MIN_NOISE_COARSE * noise, driven)
-        for start, stop in _runs_of(mask):
+        for start, stop in runs_of(mask):
             if stop - start > MAX_RUN:  # may be a rest
                 mask[start:stop] = False
         written[value] = mask
@@ -306,12 +306,6 @@ def _chance_of_equality(values: Array, noise: float) -> float:
     return min(step / (2.0 * np.sqrt(np.pi) * noise), 1.0) if noise > 0.0 else 1.0
 
 
-def _runs_of(mask: Mask) -> list[tuple[int, int]]:
-    """Return start and stop of each run of a mask."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]]))).tolist()
-    return list(zip(edges[::2], edges[1::2], strict=True))
-
-
 def find_invalid_rows(values: Array, drive: Array) -> Mask:
     """Return the rows in which drive and reading are one number, written again and again.
 
@@ -322,7 +316,7 @@ def find_invalid_rows(values: Array, drive: Array) -> Mask:
         return none
     numbers, counts = np.unique(values[is_equal], return_counts=True)
     rows = is_equal & (values == numbers[counts.argmax()])
-    runs = [(a, b) for a, b in _runs_of(rows) if a >= 2 and b <= len(rows) - 2]
+    runs = [(a, b) for a, b in runs_of(rows) if a >= 2 and b <= len(rows) - 2]
     if not runs:
         return none
     deviation, uncertainty = _deviations(drive, *np.array(runs).T)
@@ -359,7 +353,7 @@ def invalid_statement(
     labels = [place_of(k) for k in samples.tolist()]
     if readings.kind == "stuck":
         mask = np.isin(np.arange(total), samples)
-        labels = [f"{place_of(a)} to {place_of(b - 1)}" for a, b in _runs_of(mask)]
+        labels = [f"{place_of(a)} to {place_of(b - 1)}" for a, b in runs_of(mask)]
     further = f" and {len(labels) - MAX_PLACES} more" if len(labels) > MAX_PLACES else ""
     deviation = np.abs(values - interpolated(values, invalid))[samples]
     text = (

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.identification.model import AxisModel
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, runs_of
 from piezoid_reports.chart import Canvas, Layer, axis_over
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Figure, Part, Section, axis_heading, count_of, folded
@@ -137,8 +137,7 @@ def _marks(canvas: Canvas, trace: Trace) -> tuple[Layer, ...]:
     is_used, time_s = np.isfinite(trace.modelled_m), trace.time_s
     if is_used.all():
         return ()
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~is_used, [False]]).astype(int)))
-    ends_s = time_s[np.minimum(edges, len(time_s) - 1)].reshape(-1, 2)
+    ends_s = time_s[np.minimum(runs_of(~is_used), len(time_s) - 1)]
     ends_s[:, 1] = np.maximum(ends_s[:, 1], ends_s[:, 0] + MIN_TICK * np.ptp(time_s))
     low = canvas.y.low * canvas.y.scale.factor
     x = np.column_stack([ends_s, np.full(len(ends_s), np.nan)]).ravel()

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, runs_of
 from piezoid.records.recording import Quantity, Recording
 
 HIGHEST_Hz = 50.0  # a drive that ends below shows hysteresis and creep, not dynamics
@@ -53,8 +53,7 @@ def _highest_Hz(voltage_V: Array, sampling_rate_Hz: float) -> float:
         return 0.0
     density = power / np.maximum(np.bincount(band, minlength=count), 1)
     strong = density >= 10.0 ** (BROAD_dB / 10.0) * density.max()
-    runs = np.flatnonzero(np.diff(np.concatenate([[False], strong, [False]]).astype(int)))
-    first, stop = max(zip(runs[::2], runs[1::2], strict=True), key=lambda run: run[1] - run[0])
+    first, stop = max(runs_of(strong), key=lambda run: run[1] - run[0])
     high_Hz = float(edges[stop])
     if high_Hz >= HIGHEST_Hz and high_Hz >= 10.0**BROAD_DECADES * edges[first]:
         return high_Hz

@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, runs_of
 from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import noise_rms
 from piezoid.statement import Statement, finding
@@ -71,9 +71,7 @@ def shared_rows(first: Recording, second: Recording) -> int:
     offset = int(offsets[np.argmax(counts)])
     start, stop = max(0, -offset), min(len(keys[1]), len(keys[0]) - offset)
     equal = keys[0][start + offset : stop + offset] == keys[1][start:stop]
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], equal.astype(np.int8), [0]])))
-    starts, stops = edges[::2], edges[1::2]
-    count = int((stops - starts).max())
+    count = max(stop - start for start, stop in runs_of(equal))
     return count if count >= MIN_ROWS else 0
 
 
