@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from piezoid.calibration.calibrate import Calibration, Progress
-    from piezoid.identification.coupled.coupled_stage import CoupledStage
-    from piezoid.identification.tunnelling.model import TunnellingModel
 
 WRITTEN = (
     *("model.json", "diagnosis.json", "design.json", "params.json", "verification.json"),
@@ -146,12 +144,26 @@ def show(calibration: "Calibration") -> None:
 
     from piezoid.calibration.stage_statements import stage_statements
     from piezoid.statement import Level
+    from piezoid_reports.sections.tunnelling import barrier_sentence, joint_sentence, loop_sentence
 
     console, model, controllers = Console(), calibration.model, calibration.controllers
     console.print(_table(calibration))
     legend = "; closure: error / noise; guaranteed: proven limit; bandwidth: of the feedback"
-    budgets = budget_lines(calibration.diagnoses, legend)
-    for line in (*budgets, *_tip(model.tunnelling), *_coupled(model.coupled)):
+    lines = budget_lines(calibration.diagnoses, legend)
+    if (tip := model.tunnelling) is not None:
+        of_tip = [] if tip.gap_law is None else [barrier_sentence(tip.gap_law)]
+        of_tip += [] if tip.loop_plant is None else [loop_sentence(tip.loop_plant)]
+        of_tip += [] if tip.joint is None else [joint_sentence(tip.joint)]
+        lines += [f"tunnelling: {line}" for line in of_tip]
+    if (coupled := model.coupled) is not None:
+        share = 100.0 * coupled.error_rms_m / coupled.moved_rms_m
+        kind = "held-out" if coupled.error_is_left_out else "in-sample"
+        levels = "; ".join(
+            f"{level:.3g} V rms: {', '.join(f'{error:.2f} %' for error in row)}"
+            for level, row in zip(coupled.levels_V, share, strict=True)
+        )
+        lines.append(f"coupled axes {', '.join(coupled.outputs)}: {kind} error {levels}")
+    for line in lines:
         console.print(plain(line))
     verification = controllers.verification
     if verification is not None:
@@ -207,29 +219,6 @@ def _table(calibration: "Calibration") -> "Table":
         rows.append((name, error, noise, closure, bandwidth, bound, f"{grade}{verdict}"))
     headings = ("axis", "error", "noise", "closure", "bandwidth", "guaranteed", "verdict")
     return table(f"stage {model.stage}", headings, rows)
-
-
-def _tip(tip: "TunnellingModel | None") -> list[str]:
-    from piezoid_reports.sections.tunnelling import barrier_sentence, joint_sentence, loop_sentence
-
-    if tip is None:
-        return []
-    lines = [] if tip.gap_law is None else [barrier_sentence(tip.gap_law)]
-    lines += [] if tip.loop_plant is None else [loop_sentence(tip.loop_plant)]
-    lines += [] if tip.joint is None else [joint_sentence(tip.joint)]
-    return [f"tunnelling: {line}" for line in lines]
-
-
-def _coupled(coupled: "CoupledStage | None") -> list[str]:
-    if coupled is None:
-        return []
-    share = 100.0 * coupled.error_rms_m / coupled.moved_rms_m
-    kind = "held-out" if coupled.error_is_left_out else "in-sample"
-    levels = "; ".join(
-        f"{level:.3g} V rms: {', '.join(f'{error:.2f} %' for error in row)}"
-        for level, row in zip(coupled.levels_V, share, strict=True)
-    )
-    return [f"coupled axes {', '.join(coupled.outputs)}: {kind} error {levels}"]
 
 
 def calibrate_streamed(

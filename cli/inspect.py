@@ -48,6 +48,8 @@ def inspect(
 
     piezoid inspect night/*.csv --quiet && echo all of them can be read
     """
+    from dataclasses import asdict
+
     from piezoid.records.inspection import inspect_files
     from piezoid.records.lab import read_lab
 
@@ -56,7 +58,20 @@ def inspect(
         report(f"reading {names}")
         inspections = inspect_files(files, None if lab is None else read_lab(lab))
     if json:
-        print_record("inspection", files=[_record(inspection) for inspection in inspections])
+        records = [asdict(inspection) for inspection in inspections]
+        for record, inspection in zip(records, inspections, strict=True):
+            del record["statements"]
+            record["problems"] = [
+                {
+                    "kind": statement.quantity,
+                    "place": _location(statement),
+                    "text": statement.text,
+                    "value": statement.value,
+                    "unit": statement.unit,
+                }
+                for statement in inspection.statements
+            ]
+        print_record("inspection", files=records)
     elif quiet:
         for inspection in inspections:
             if inspection.refusal:
@@ -65,25 +80,6 @@ def inspect(
         show(inspections)
     if any(inspection.refusal for inspection in inspections):
         raise typer.Exit(3)
-
-
-def _record(inspection: "Inspection") -> dict[str, object]:
-    """Return an inspection for scripts, its statements under ``problems``."""
-    from dataclasses import asdict
-
-    record = asdict(inspection)
-    del record["statements"]
-    record["problems"] = [
-        {
-            "kind": statement.quantity,
-            "place": _location(statement),
-            "text": statement.text,
-            "value": statement.value,
-            "unit": statement.unit,
-        }
-        for statement in inspection.statements
-    ]
-    return record
 
 
 def _location(statement: "Statement") -> str:

@@ -223,13 +223,20 @@ def unnamed_figure(finding: Finding) -> Figure | None:
     else:
         x = axis_over(label, [coordinate], classes.unit)
     canvas = Canvas(x=x, y=axis_over("residual", [low, high, fitted], "m"), height=HEIGHT)
+    against = words(finding.coordinate)
+    if classes.recording:
+        against = f"time, in {classes.recording}"
+    elif finding.parameters:
+        name, value = next(iter(finding.parameters.items()))
+        quantity, _, unit = name.rpartition("_")
+        against = f"the {PHASES} ({quantity} {number(value, unit)})"
     explained = f"{percent(finding.share)} of the stroke"
     if finding.size.unit.startswith("nm"):
         explained = f"{number(finding.size.value * 1e-9, 'm')} rms, {explained}"
     else:
         explained += ", rms"
     return Figure(
-        title=f"{words(finding.effect).capitalize()}: residual against {_against(finding)}",
+        title=f"{words(finding.effect).capitalize()}: residual against {against}",
         caption=f"The curve explains {explained}; p {p_value(finding.p_value)}.",
         guide="Residual in classes of the coordinate, median and middle half. Where the curve, "
         "fitted to other parts of the recordings, follows the median, the residual depends on "
@@ -242,13 +249,3 @@ def unnamed_figure(finding: Finding) -> Figure | None:
         ),
         flicker=(),
     )
-
-
-def _against(finding: Finding) -> str:
-    if finding.seen is not None and finding.seen.recording:
-        return f"time, in {finding.seen.recording}"
-    if finding.parameters:
-        name, value = next(iter(finding.parameters.items()))
-        quantity, _, unit = name.rpartition("_")
-        return f"the {PHASES} ({quantity} {number(value, unit)})"
-    return words(finding.coordinate)

@@ -57,7 +57,19 @@ def stage_statements(
         statements += record_in_counts(diagnosis_statements(diagnosis), diagnosis.counted)
     if design is not None:
         statements += record_in_counts(design_statements(design, model), model.counted)
-    statements += _tip(model)
+    tip = model.tunnelling
+    statements += [
+        _limit(TIP_LEVELS[part.confidence], "tunnelling", sentence(reason), "z")
+        for part in (() if tip is None else (tip.gap_law, tip.loop_plant))
+        if part is not None
+        for reason in part.reasons
+    ]
+    if tip is not None and tip.joint is not None and not tip.joint.agree:
+        text = (
+            "The barriers from sweeps and closed loop disagree. Check the extension per volt and "
+            "the calibration of the height."
+        )
+        statements.append(_limit(Level.ACTION, "barrier", text, "z"))
     of_recordings = {
         f"{recording.name}: {fact.text}": fact
         for recording in recordings
@@ -105,25 +117,6 @@ def verification_statements(verification: Verification | None) -> tuple[Statemen
             for p in unproved
         ),
     )
-
-
-def _tip(model: ActuatorModel) -> list[Statement]:
-    tip = model.tunnelling
-    if tip is None:
-        return []
-    statements = [
-        _limit(TIP_LEVELS[part.confidence], "tunnelling", sentence(reason), "z")
-        for part in (tip.gap_law, tip.loop_plant)
-        if part is not None
-        for reason in part.reasons
-    ]
-    if tip.joint is not None and not tip.joint.agree:
-        text = (
-            "The barriers from sweeps and closed loop disagree. Check the extension per volt and "
-            "the calibration of the height."
-        )
-        statements.append(_limit(Level.ACTION, "barrier", text, "z"))
-    return statements
 
 
 def _limit(level: Level, quantity: str, text: str, axis: str = "") -> Statement:

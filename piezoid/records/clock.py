@@ -83,7 +83,12 @@ def read_clock(time_s: Array, name: str, location: PlaceOf) -> Clock:
         raise _no_clock(name, f"time stamps {uniform_s:.3g} s apart", "the steps of a clock")
     # Rounding is off by half a unit; the fitted line may be off by a quarter more.
     tolerance_s = 0.75 * resolution_s + 8 * np.spacing(np.abs(time_s).max())
-    is_line = uniform_s > 0 and np.abs(time_s - _fitted_line(time_s)).max() <= tolerance_s
+    # The uniform clock nearest to the stamps lies in the middle of their errors.
+    k = np.arange(len(time_s))
+    slope_s, start_s = np.polyfit(k, time_s - time_s[0], 1)
+    error_s = time_s - time_s[0] - (start_s + slope_s * k)
+    line_s = time_s[0] + start_s + (error_s.max() + error_s.min()) / 2 + slope_s * k
+    is_line = uniform_s > 0 and np.abs(time_s - line_s).max() <= tolerance_s
     if is_line and not _has_rare_jumps(time_s, resolution_s):
         uncertainty = 2 * tolerance_s / (time_s[-1] - time_s[0])
         return Clock(sampling_rate_Hz=plain_rate_Hz(1 / uniform_s, uncertainty))
@@ -141,14 +146,6 @@ def refuse_newest_first(time_s: Array, name: str, location: PlaceOf) -> None:
         remedy="Write into lab.toml, which reverses the rows:\n\n[[recording]]\n"
         f"file = {json.dumps(name)}\nreverse = true\n",
     )
-
-
-def _fitted_line(time_s: Array) -> Array:
-    """Return the uniform clock nearest to the stamps, in the middle of their errors."""
-    k = np.arange(len(time_s))
-    slope, start = np.polyfit(k, time_s - time_s[0], 1)
-    error = time_s - time_s[0] - (start + slope * k)
-    return np.asarray(time_s[0] + start + (error.max() + error.min()) / 2 + slope * k)
 
 
 def _has_rare_jumps(time_s: Array, resolution_s: float) -> bool:

@@ -49,28 +49,24 @@ def verdict(fleet: Fleet, distributions: tuple[Distribution, ...]) -> Section:
     """Return the verdict: how many stages passed, which stand out, what drifts."""
     n_passed, n_stages = fleet.counts.get(PASSED, 0), len(fleet.stages)
     tone = "good" if fleet.passed else "middling" if n_passed >= 0.9 * n_stages else "bad"
-    return Section(
-        anchor="verdict",
-        title="Verdict",
-        lead="",
-        parts=(
-            Prose(
-                text=" ".join((_counted(fleet), _odd(distributions), _drifting(distributions))),
-                tone=tone,
-            ),
-        ),
-    )
-
-
-def _counted(fleet: Fleet) -> str:
-    n_passed, n_stages = fleet.counts.get(PASSED, 0), len(fleet.stages)
-    uncontrolled = fleet.without_controller
-    clause = f" {uncontrolled} passed without a controller." if uncontrolled else ""
-    if fleet.passed:
-        return f"All {n_stages} stages passed.{clause}"
     kinds = ((FAILED, "failed a verdict"), (REFUSED, "could not be used"), (CRASHED, "crashed"))
     counts = [f"{n} {word}" for state, word in kinds if (n := fleet.counts.get(state, 0))]
-    return f"{n_passed} of {n_stages} stages passed; {', '.join(counts)}.{clause}"
+    counted = f"{n_passed} of {n_stages} stages passed; {', '.join(counts)}."
+    if fleet.passed:
+        counted = f"All {n_stages} stages passed."
+    if fleet.without_controller:
+        counted += f" {fleet.without_controller} passed without a controller."
+    drifting = [f"{row.quantity.label} of axis {row.axis}" for row in distributions if row.drifts]
+    trends = ""
+    if drifting:
+        trends = f"Over the serial numbers {', '.join(drifting)} drifts."
+    elif any(row.trend is not None for row in distributions):
+        trends = "Nothing drifts over the serial numbers."
+    elif distributions:
+        trends = "Too few stage names contain a serial number to test for drift."
+    text = " ".join((counted, _odd(distributions), trends))
+    parts = (Prose(text=text, tone=tone),)
+    return Section(anchor="verdict", title="Verdict", lead="", parts=parts)
 
 
 def _odd(distributions: tuple[Distribution, ...]) -> str:
@@ -87,17 +83,6 @@ def _odd(distributions: tuple[Distribution, ...]) -> str:
     omitted = f" most, and {len(names) - 3} more" if len(names) > 3 else ""
     verb = "stands" if len(names) == 1 else "stand"
     return f"{len(names)} {verb} out from the others: {listed}{omitted}."
-
-
-def _drifting(distributions: tuple[Distribution, ...]) -> str:
-    drifting = [f"{row.quantity.label} of axis {row.axis}" for row in distributions if row.drifts]
-    if drifting:
-        return f"Over the serial numbers {', '.join(drifting)} drifts."
-    if not distributions:
-        return ""
-    if any(row.trend is not None for row in distributions):
-        return "Nothing drifts over the serial numbers."
-    return "Too few stage names contain a serial number to test for drift."
 
 
 def failures(fleet: Fleet) -> Section:

@@ -167,17 +167,16 @@ class Fleet:
         stream  can be read and written at any place
         """
         head = {"name": self.name, "passed": self.passed, "stages": []}
-        seal_stream(FLEET_SCHEMA, head, (_without_parameters(s) for s in self.stages), stream)
-
-
-def _without_parameters(stage: FleetStage) -> bytes:
-    """Return a stage as one line of JSON."""
-    axes = [
-        {"axis": a.axis, "applies": a.applies, "values": a.values, "errors": a.errors}
-        for a in stage.axes
-    ]
-    record = {f.name: getattr(stage, f.name) for f in dataclasses.fields(stage)}
-    return json.encode({**record, "axes": axes})
+        fields = [field.name for field in dataclasses.fields(FleetStage)]
+        of_axis = ("axis", "applies", "values", "errors")
+        lines = (
+            json.encode(
+                {name: getattr(stage, name) for name in fields}
+                | {"axes": [{name: getattr(a, name) for name in of_axis} for a in stage.axes]}
+            )
+            for stage in self.stages
+        )
+        seal_stream(FLEET_SCHEMA, head, lines, stream)
 
 
 def stage_from_json(content: bytes, source: str) -> FleetStage:

@@ -47,23 +47,27 @@ def render(page: Page) -> Section | None:
     if page.design is None:
         return None
     parts: list[Part] = [_loops(page)]
+    conditions: list[str] = []  # of the guaranteed errors and of the plant families
     for axis in page.axis_designs:
         loop = axis.recommended
         parts += [Heading(text=f"Axis {axis.axis}"), _figure(axis, loop, "Syp")]
         parts += folded("Noise sensitivity: 1 figure", [_figure(axis, loop, "Syb")])
         mode = describe_mode(loop)
         parts += [Prose(text=mode)] if mode else []
-        parts += _proven(page, axis)
-    # Assumptions of the guaranteed errors and of the plant families.
-    conditions: list[str] = []
-    for axis in page.axis_designs:
-        model = page.model.axes.get(axis.axis)
+        model, proven = page.model.axes.get(axis.axis), loop.certificate
         if model is None:
             continue
-        certificate = axis.recommended.certificate
-        if page.ships(axis.axis) and useful_bound_m(certificate, model) is not None:
-            assert certificate is not None
-            conditions += certificate.conditions
+        is_useful = page.ships(axis.axis) and useful_bound_m(proven, model) is not None
+        if proven is not None and is_useful:
+            sizes_m = {name: m for name, m in error_parts_m(proven).items() if m > 0.0}
+            terms = ", ".join(f"{number(m, 'm')} from {name}" for name, m in sizes_m.items())
+            text = (
+                f"Axis {axis.axis}: guaranteed error {number(proven.guaranteed_error_m, 'm')} "
+                f"({terms}); small gain {significant(proven.small_gain)}, below 1; sensor noise "
+                f"adds {number(proven.noise_error_m, 'm')} (three standard deviations)."
+            )
+            parts.append(Prose(text=text))
+            conditions += proven.conditions
         conditions += assumptions_of(model)
     items = tuple(dict.fromkeys(conditions))
     parts += folded("Conditions", [Listing(items=items)] if items else [])
@@ -172,20 +176,3 @@ def _limits(axis: AxisDesign, function: str, frequency_Hz: Array) -> list[tuple[
         (name, np.where(np.isfinite(level) & (level < 40.0), level, np.nan))
         for name, level in limits
     ]
-
-
-def _proven(page: Page, axis: AxisDesign) -> list[Part]:
-    """Return the parts of the guaranteed error, if there is one of use."""
-    proven, model = axis.recommended.certificate, page.model.axes.get(axis.axis)
-    if model is None or proven is None or not page.ships(axis.axis):
-        return []
-    if useful_bound_m(proven, model) is None:
-        return []
-    parts_m = {name: size_m for name, size_m in error_parts_m(proven).items() if size_m > 0.0}
-    terms = ", ".join(f"{number(size_m, 'm')} from {name}" for name, size_m in parts_m.items())
-    text = (
-        f"Axis {axis.axis}: guaranteed error {number(proven.guaranteed_error_m, 'm')} ({terms}); "
-        f"small gain {significant(proven.small_gain)}, below 1; sensor noise adds "
-        f"{number(proven.noise_error_m, 'm')} (three standard deviations)."
-    )
-    return [Prose(text=text)]

@@ -9,7 +9,6 @@ from piezoid.identification.dynamics.behind_hysteresis import measure_behind_hys
 from piezoid.identification.dynamics.excitation import excites_dynamics
 from piezoid.identification.dynamics.fit_dynamics import resolved_modes
 from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.records import JointFit
 from piezoid.identification.fit_statements import DYNAMICS
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array, ComplexArray
@@ -41,7 +40,20 @@ def render(page: Page) -> Section | None:
             of_axis.append(_poles(axis, axis.dynamics))
         notes = [fact for fact in page.statements if fact.quantity == DYNAMICS]
         of_axis += [Prose(text=fact.text) for fact in notes if fact.axis == axis.axis]
-        of_axis += [] if axis.joint is None else _joint(axis.joint)
+        if axis.joint is not None:
+            text = (
+                "Poles and delay above are those of one fit of hysteresis and dynamics together, "
+                "with plays as small as the drive that excites the modes; their intervals hold "
+                "what leaving those out changes."
+            )
+            joint = axis.joint
+            pieces = zip(joint.recordings, joint.separate_rms_m, joint.joint_rms_m, strict=True)
+            residuals = Table(
+                caption="Residual of the displacement about its straight line, rms.",
+                columns=("recording", "fitted separately", "fitted together"),
+                rows=tuple((name, number(a, "m"), number(b, "m")) for name, a, b in pieces),
+            )
+            of_axis += [Prose(text=text), residuals]
         of_axis += distortion_parts(page, axis)
         parts += [axis_heading(axis), *of_axis] if of_axis else []
     if page.model.coupled is not None:
@@ -149,22 +161,6 @@ def _poles(axis: AxisModel, dynamics: LinearDynamics) -> Table:
         caption=f"Axis {axis.axis}: poles, 95 % intervals for this structure.",
         columns=("what", "at", "from, to", "damping", "from, to"),
         rows=tuple(rows),
-    )
-
-
-def _joint(joint: JointFit) -> tuple[Part, ...]:
-    pieces = zip(joint.recordings, joint.separate_rms_m, joint.joint_rms_m, strict=True)
-    return (
-        Prose(
-            text="Poles and delay above are those of one fit of hysteresis and dynamics together, "
-            "with plays as small as the drive that excites the modes; their intervals hold what "
-            "leaving those out changes.",
-        ),
-        Table(
-            caption="Residual of the displacement about its straight line, rms.",
-            columns=("recording", "fitted separately", "fitted together"),
-            rows=tuple((name, number(a, "m"), number(b, "m")) for name, a, b in pieces),
-        ),
     )
 
 

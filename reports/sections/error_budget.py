@@ -16,15 +16,47 @@ NEGLIGIBLE = 1e-3  # of the power of the final error: no bar
 
 def render(page: Page) -> Section | None:
     """Return a waterfall for each axis whose error was split."""
-    parts = tuple(_waterfall(diagnosis) for diagnosis in page.diagnoses if diagnosis.budget)
-    if not parts:
+    waterfalls = []
+    for diagnosis in page.diagnoses:
+        if not diagnosis.budget:
+            continue
+        parts, total_m = visible_parts(diagnosis), diagnosis.baseline.rms_m
+        total = number(total_m, "m")
+        bars = [
+            Bar(name="hysteresis alone", start_m=0.0, end_m=total_m, value=total, role="total")
+        ]
+        remaining_m2 = total_m**2
+        for part in parts:
+            end_m, is_noise = sqrt(remaining_m2), part.part == NOISE
+            remaining_m2 = max(remaining_m2 - part.rms_m**2, 0.0)
+            bars.append(
+                Bar(
+                    name=label_of(part.part),
+                    start_m=0.0 if is_noise else sqrt(remaining_m2),
+                    end_m=part.rms_m if is_noise else end_m,
+                    value=number(part.rms_m, "m"),
+                    role="noise" if is_noise else "modelled" if part.is_explained else "open",
+                )
+            )
+        modelled = [label_of(part.part) for part in parts if part.is_explained]
+        removed = f"{', '.join(modelled)} (red)" if modelled else "none of them"
+        waterfalls.append(
+            Waterfall(
+                title=f"Axis {diagnosis.axis}: error budget",
+                caption=f"Removed by the model: {removed}; held-out error of the model: "
+                f"{number(diagnosis.final.rms_m, 'm')}.",
+                axis=axis_from_zero("error, rms", total_m, "m"),
+                bars=tuple(bars),
+            )
+        )
+    if not waterfalls:
         return None
     return Section(
         anchor="error-budget",
         title="Error budget",
         lead="Held-out error of a simulation with hysteresis alone, split into its causes; the "
         "squares of the parts add up.",
-        parts=parts,
+        parts=tuple(waterfalls),
     )
 
 
@@ -37,36 +69,3 @@ def visible_parts(diagnosis: Diagnosis) -> tuple[BudgetPart, ...]:
 def label_of(part: str) -> str:
     """Return the name of a part of the budget as a reader sees it."""
     return LABELS.get(part, words(part))
-
-
-def _waterfall(diagnosis: Diagnosis) -> Waterfall:
-    parts, total_m = visible_parts(diagnosis), diagnosis.baseline.rms_m
-    total = Bar(
-        name="hysteresis alone",
-        start_m=0.0,
-        end_m=total_m,
-        value=number(total_m, "m"),
-        role="total",
-    )
-    bars, rest_m2 = [total], total_m**2
-    for part in parts:
-        end_m, is_noise = sqrt(rest_m2), part.part == NOISE
-        rest_m2 = max(rest_m2 - part.rms_m**2, 0.0)
-        bars.append(
-            Bar(
-                name=label_of(part.part),
-                start_m=0.0 if is_noise else sqrt(rest_m2),
-                end_m=part.rms_m if is_noise else end_m,
-                value=number(part.rms_m, "m"),
-                role="noise" if is_noise else "modelled" if part.is_explained else "open",
-            )
-        )
-    modelled = [label_of(part.part) for part in parts if part.is_explained]
-    removed = f"{', '.join(modelled)} (red)" if modelled else "none of them"
-    return Waterfall(
-        title=f"Axis {diagnosis.axis}: error budget",
-        caption=f"Removed by the model: {removed}; held-out error of the model: "
-        f"{number(diagnosis.final.rms_m, 'm')}.",
-        axis=axis_from_zero("error, rms", total_m, "m"),
-        bars=tuple(bars),
-    )

@@ -59,6 +59,17 @@ def over_time(trace: Trace, axis: AxisModel, *, size: tuple[int, int] | None = N
     limits_m = SIGMAS * noise_m * np.array([1.0, 1.0, np.nan, -1.0, -1.0])
     finite_m = np.abs(residual_m[np.isfinite(residual_m)])
     inside = float((finite_m <= SIGMAS * noise_m).mean())
+    layers = [
+        canvas.range_over_time("model", "residual", trace.time_s, residual_m),
+        canvas.line("limit", "± 2 sensor noise", ends_s, limits_m),
+    ]
+    omitted = runs_of(~np.isfinite(trace.modelled_m))
+    if omitted:  # a bar under each run, at least half a pixel wide
+        bars_s = trace.time_s[np.minimum(omitted, len(trace.time_s) - 1)]
+        bars_s[:, 1] = np.maximum(bars_s[:, 1], bars_s[:, 0] + MIN_TICK * np.ptp(trace.time_s))
+        x_s = np.column_stack([bars_s, np.full(len(bars_s), np.nan)]).ravel()
+        y_m = np.where(np.isfinite(x_s), canvas.y.low * canvas.y.scale.factor, np.nan)
+        layers.append(canvas.line("missing", "left out of the fit", x_s, y_m))
     return Figure(
         title=f"{trace.recording.name}, axis {axis.axis}: residual against time",
         caption=f"{number(rms(residual_m), 'm')} rms, at most "
@@ -67,11 +78,7 @@ def over_time(trace: Trace, axis: AxisModel, *, size: tuple[int, int] | None = N
         guide=GUIDE_TIME,
         canvas=canvas,
         is_small=size is not None,
-        layers=(
-            canvas.range_over_time("model", "residual", trace.time_s, residual_m),
-            canvas.line("limit", "± 2 sensor noise", ends_s, limits_m),
-            *_marks(canvas, trace),
-        ),
+        layers=tuple(layers),
     )
 
 

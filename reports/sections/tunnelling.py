@@ -54,7 +54,20 @@ def render(page: Page) -> Section | None:
     if junction.gap_law is not None:
         law = junction.gap_law
         parts.append(Prose(text=barrier_sentence(law), tone=CONFIDENCE[law.confidence][0]))
-        parts += [_table(junction, page), *_shift(junction)]
+        parts.append(_table(junction, page))
+        if junction.shift is not None:
+            shift = junction.shift
+            is_same = shift.is_one_decay
+            verdict = "one decay fits both directions" if is_same else "the two decays differ"
+            low, high = shift.decay_change_interval
+            text = (
+                f"Backward sweeps reach {number(shift.reference_current_A, 'A')} at a height that "
+                f"differs from the forward sweeps by "
+                f"{with_interval(shift.shift_m, shift.shift_interval_m, 'm')}, because of "
+                f"hysteresis, creep and drift. The decay differs by {percent(shift.decay_change)} "
+                f"({percent(low)} to {percent(high)}): {verdict}."
+            )
+            parts.append(Prose(text=text, tone="plain" if is_same else "middling"))
         parts += _figures(junction, page)
     if junction.loop_plant is not None:
         parts += loop_parts(page, junction, junction.loop_plant)
@@ -137,24 +150,6 @@ def _table(junction: TunnellingModel, page: Page) -> Table:
     )
 
 
-def _shift(junction: TunnellingModel) -> tuple[Part, ...]:
-    shift = junction.shift
-    if shift is None:
-        return ()
-    verdict = "one decay fits both directions" if shift.is_one_decay else "the two decays differ"
-    low, high = shift.decay_change_interval
-    return (
-        Prose(
-            text=f"Backward sweeps reach {number(shift.reference_current_A, 'A')} at a height "
-            f"that differs from the forward sweeps by "
-            f"{with_interval(shift.shift_m, shift.shift_interval_m, 'm')}, because of hysteresis, "
-            f"creep and drift. The decay differs by {percent(shift.decay_change)} "
-            f"({percent(low)} to {percent(high)}): {verdict}.",
-            tone="plain" if shift.is_one_decay else "middling",
-        ),
-    )
-
-
 def _modelled(law: GapLaw, height_m: Array) -> Array:
     current_A = law.current_at_zero_height_A * np.exp(-law.decay_per_m * height_m)
     return np.asarray(current_A)
@@ -233,13 +228,25 @@ def loop_parts(page: Page, junction: TunnellingModel, loop: LoopPlant) -> list[P
     if junction.joint is not None and junction.gap_law is not None:
         joint = junction.joint
         parts.append(Prose(text=joint_sentence(joint), tone="good" if joint.agree else "bad"))
-    parts += [_plant(loop), *with_rows(_records(loop)), *_sources(loop)]
+    parts += [_plant(loop), *with_rows(_records(loop))]
+    unrest_of = {r.recording: r.unrest for r in loop.records if r.unrest is not None}
+    if unrest_of:
+        first = next(iter(unrest_of.values()))
+        sizes = [[number(source.rms_m, "m") for source in u.sources] for u in unrest_of.values()]
+        names = [SOURCES[source.name] for source in first.sources]
+        parts.append(
+            Table(
+                caption="Contributions to the motion of the gap, rms within "
+                f"{number(first.bandwidth_Hz, 'Hz')}.",
+                columns=("", *unrest_of),
+                rows=tuple(zip(names, *sizes, strict=True)),
+            )
+        )
     summaries = {record.recording: record for record in loop.records}
-    for recording in page.recordings if loop.rig is not None else ():
-        if is_loop(recording) and recording.name in summaries and loop.rig is not None:
-            record = read_loop(recording, loop.rig)
-            parts.append(_spectra(loop, loop.rig, summaries[recording.name], record))
-            break  # the first recording of the fit
+    fitted = [r for r in page.recordings if is_loop(r) and r.name in summaries]
+    if loop.rig is not None and fitted:
+        record = read_loop(fitted[0], loop.rig)
+        parts.append(_spectra(loop, loop.rig, summaries[fitted[0].name], record))
     return parts
 
 
@@ -311,27 +318,6 @@ def _records(loop: LoopPlant) -> Table:
                 ),
             )
             for record in loop.records
-        ),
-    )
-
-
-def _sources(loop: LoopPlant) -> tuple[Part, ...]:
-    unrest_of_loops = [(r.recording, r.unrest) for r in loop.records if r.unrest is not None]
-    if not unrest_of_loops:
-        return ()
-    sources = [
-        [number(source.rms_m, "m") for source in unrest.sources] for _, unrest in unrest_of_loops
-    ]
-    rows = [
-        (SOURCES[source.name], *(column[row] for column in sources))
-        for row, source in enumerate(unrest_of_loops[0][1].sources)
-    ]
-    return (
-        Table(
-            caption="Contributions to the motion of the gap, rms within "
-            f"{number(unrest_of_loops[0][1].bandwidth_Hz, 'Hz')}.",
-            columns=("", *(name for name, _ in unrest_of_loops)),
-            rows=tuple(rows),
         ),
     )
 

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from piezoid.design.design_statements import guaranteed_error_m
-from piezoid.numerics.arrays import Array
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.verification.criteria import SHAPE_ERROR, SHAPE_RATIO, Limits, Verdict
 from piezoid.verification.limit_proof import LimitProof
@@ -13,7 +12,7 @@ from piezoid.verification.plotted_paths import UNCOMPENSATED, SpiralTrace, rms_f
 from piezoid.verification.rebuild import Proof
 from piezoid.verification.scenarios import spiral_speed_m_per_s
 from piezoid.verification.verification import ComparisonRow, Verification
-from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
+from piezoid_reports.chart import Canvas, axis_over, decades_over
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Figure, Part, Section, Table, count_of, folded, with_rows
 from piezoid_reports.quantities import number, significant
@@ -268,16 +267,27 @@ def spiral(trace: SpiralTrace, verification: Verification) -> Figure:
     x, y = axis_over(x_label, [reach_m], "m"), axis_over(y_label, [reach_m], "m")
     canvas = Canvas(x=x, y=y, width=SQUARE, height=SQUARE)
     limit_m = _shape_limit_m(verification, trace.frequency_Hz)
-    scale_m = limit_m
-    if scale_m is None:
-        scale_m = Limits().aligned_percent / 100.0 * 2.0 * verification.radius_m
+    if limit_m is None:
+        limit_m = Limits().aligned_percent / 100.0 * 2.0 * verification.radius_m
+    # Shades of the curve, by the parts of the limit that its error reaches.
+    edges_m = [limit_m * share if np.isfinite(share) else np.inf for share in SHADES.values()]
+    shade = np.searchsorted(edges_m, error_m)
+    layers = []
+    for index, (role, share) in enumerate(SHADES.items()):
+        is_shade = shade == index
+        if not is_shade.any():
+            continue
+        is_shade |= np.r_[False, is_shade[:-1]]  # up to where the next stretch begins
+        name = f"up to {number(share * limit_m, 'm')}" if np.isfinite(share) else "more"
+        across_m, up_m = np.where(is_shade, x_m, np.nan), np.where(is_shade, y_m, np.nan)
+        layers.append(canvas.line(f"error-{role}", name, across_m, up_m))
     return Figure(
         title=f"Spiral of {number(trace.frequency_Hz, 'Hz')}: {METHOD_NAMES[trace.method]}",
         caption=f"Colour is the shape error: median {number(float(np.median(error_m)), 'm')}, "
         f"largest {number(float(error_m.max()), 'm')}.",
         guide="Good: the first colour everywhere. Bad: the last colours at the turning points.",
         canvas=canvas,
-        layers=tuple(_shaded(canvas, x_m, y_m, error_m, scale_m)),
+        layers=tuple(layers),
     )
 
 
@@ -337,22 +347,6 @@ def _shape_limit_m(verification: Verification, frequency_Hz: float) -> float | N
         v.limit for v in verification.verdicts if (v.name, v.scenario) == (SHAPE_ERROR, scenario)
     ]
     return percent[0] / 100.0 * 2.0 * verification.radius_m if percent else None
-
-
-def _shaded(canvas: Canvas, x_m: Array, y_m: Array, error_m: Array, limit_m: float) -> list[Layer]:
-    """Draw a curve in shades, by the parts of the limit its error reaches."""
-    edges_m = [limit_m * share if np.isfinite(share) else np.inf for share in SHADES.values()]
-    shade = np.searchsorted(edges_m, error_m)
-    layers = []
-    for index, (role, share) in enumerate(SHADES.items()):
-        is_shade = shade == index
-        if not is_shade.any():
-            continue
-        is_shade |= np.r_[False, is_shade[:-1]]  # up to where the next stretch begins
-        name = f"up to {number(share * limit_m, 'm')}" if np.isfinite(share) else "more"
-        x, y = np.where(is_shade, x_m, np.nan), np.where(is_shade, y_m, np.nan)
-        layers.append(canvas.line(f"error-{role}", name, x, y))
-    return layers
 
 
 def motions(verification: Verification) -> tuple[Figure, ...]:

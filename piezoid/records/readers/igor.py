@@ -45,8 +45,15 @@ def read(source: Source) -> RawTable:
         )
     check_columns(source.name, values.shape[1])
     arrays = dict(zip(_column_names(wave, values.shape[1]), values.T, strict=True))
-    units = dict.fromkeys(arrays, _text(wave["wave_header"]["dataUnits"]))
-    return table_of(source, arrays, units=units, sampling_rate_Hz=_rate_Hz(wave))
+    header = wave["wave_header"]
+    units = dict.fromkeys(arrays, _text(header["dataUnits"]))
+    # The rate is that of the row dimension, or the one that a microscope notes.
+    rate_Hz, row_unit = None, unit_of(_text(header["dimUnits"][0]))
+    if row_unit is not None and row_unit.dimension is Dimension.TIME:
+        rate_Hz = rate_of(float(header["sfA"][0]) * row_unit.factor)
+    elif noted := _POINTS_PER_SECOND.search(_text(wave["note"]).replace("\r", "\n")):
+        rate_Hz = rate_of(1.0 / max(float(noted[1]), 1e-30))
+    return table_of(source, arrays, units=units, sampling_rate_Hz=rate_Hz)
 
 
 def _column_names(wave: Any, count: int) -> list[str]:
@@ -57,16 +64,6 @@ def _column_names(wave: Any, count: int) -> list[str]:
         return numbered
     names = [label or number for label, number in zip(labels[-count:], numbered, strict=True)]
     return names if len(set(names)) == count else numbered
-
-
-def _rate_Hz(wave: Any) -> float | None:
-    """Return the rate of the row dimension, or the one that a microscope notes."""
-    header = wave["wave_header"]
-    unit = unit_of(_text(header["dimUnits"][0]))
-    if unit is not None and unit.dimension is Dimension.TIME:
-        return rate_of(float(header["sfA"][0]) * unit.factor)
-    noted = _POINTS_PER_SECOND.search(_text(wave["note"]).replace("\r", "\n"))
-    return None if noted is None else rate_of(1.0 / max(float(noted[1]), 1e-30))
 
 
 def _text(field: Any) -> str:
