@@ -142,40 +142,41 @@ def coherence_figure(
 
 def distortion_parts(page: Page, axis: AxisModel) -> list[Part]:
     """Return a figure for every multisine with detection lines that drives this axis."""
-    return [_distortion_figure(axis, lines) for lines in distortion_of(page.recordings, axis.axis)]
-
-
-def _distortion_figure(axis: AxisModel, lines: DetectionLines) -> Figure:
-    is_even = lines.is_even
-    decades, silent = np.log10(lines.driven_Hz), np.log10(lines.frequency_Hz)
-    floor_m = FLOOR * float(lines.noise_level_m()[0])
-    driven_dB, silent_dB, noise_dB = (
-        decibel(np.maximum(values[:, 0], floor_m))
-        for values in (lines.driven_m, lines.amplitude_m, lines.noise_m)
-    )
-    x = decades_over("frequency", [decades, silent], "Hz")
-    y = axis_over("amplitude [dB of 1 m]", [driven_dB, silent_dB, noise_dB], "")
-    canvas = Canvas(x=x, y=y)
-    # A running median: a line for the noise instead of a cloud.
-    padded_dB = np.pad(noise_dB, RUNNING_LINES // 2, mode="edge")
-    windows_dB = np.lib.stride_tricks.sliding_window_view(padded_dB, RUNNING_LINES)
-    driven_m = float(lines.driven_level_m()[0])
-    return Figure(
-        title=f"Axis {axis.axis}: driven and silent lines of {', '.join(lines.recordings)}",
-        caption=f"At {number(float(lines.drive_rms_V[0]), 'V')} rms, {lines.realisations} "
-        f"realisations of {lines.periods} periods; rms amplitude of one line: driven "
-        f"{number(driven_m, 'm')}; {_level(lines, driven_m, even=False)}; "
-        f"{_level(lines, driven_m, even=True)}; "
-        f"noise {number(float(lines.noise_level_m()[0]), 'm')} after averaging.",
-        guide=GUIDE,
-        canvas=canvas,
-        layers=(
-            canvas.line("model", "driven lines", decades, driven_dB),
-            canvas.line("zero", "noise", silent, np.median(windows_dB, axis=1)),
-            canvas.dots("dots", "even lines, silent", silent[is_even], silent_dB[is_even]),
-            canvas.dots("odd", "odd lines, silent", silent[~is_even], silent_dB[~is_even]),
-        ),
-    )
+    figures: list[Part] = []
+    for lines in distortion_of(page.recordings, axis.axis):
+        is_even, names = lines.is_even, ", ".join(lines.recordings)
+        decades, silent = np.log10(lines.driven_Hz), np.log10(lines.frequency_Hz)
+        floor_m = FLOOR * float(lines.noise_level_m()[0])
+        driven_dB, silent_dB, noise_dB = (
+            decibel(np.maximum(values[:, 0], floor_m))
+            for values in (lines.driven_m, lines.amplitude_m, lines.noise_m)
+        )
+        x = decades_over("frequency", [decades, silent], "Hz")
+        y = axis_over("amplitude [dB of 1 m]", [driven_dB, silent_dB, noise_dB], "")
+        canvas = Canvas(x=x, y=y)
+        # A running median: a line for the noise instead of a cloud.
+        padded_dB = np.pad(noise_dB, RUNNING_LINES // 2, mode="edge")
+        windows_dB = np.lib.stride_tricks.sliding_window_view(padded_dB, RUNNING_LINES)
+        driven_m = float(lines.driven_level_m()[0])
+        figures.append(
+            Figure(
+                title=f"Axis {axis.axis}: driven and silent lines of {names}",
+                caption=f"At {number(float(lines.drive_rms_V[0]), 'V')} rms, {lines.realisations} "
+                f"realisations of {lines.periods} periods; rms amplitude of one line: driven "
+                f"{number(driven_m, 'm')}; {_level(lines, driven_m, even=False)}; "
+                f"{_level(lines, driven_m, even=True)}; "
+                f"noise {number(float(lines.noise_level_m()[0]), 'm')} after averaging.",
+                guide=GUIDE,
+                canvas=canvas,
+                layers=(
+                    canvas.line("model", "driven lines", decades, driven_dB),
+                    canvas.line("zero", "noise", silent, np.median(windows_dB, axis=1)),
+                    canvas.dots("dots", "even lines, silent", silent[is_even], silent_dB[is_even]),
+                    canvas.dots("odd", "odd lines, silent", silent[~is_even], silent_dB[~is_even]),
+                ),
+            )
+        )
+    return figures
 
 
 def _level(lines: DetectionLines, driven_m: float, *, even: bool) -> str:

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid_datasets.virtual_lab.junction_chain import Chain, Constants
-from piezoid_datasets.virtual_lab.junction_surface import Unrest, sunk_m
 from piezoid_datasets.virtual_lab.signals import Array
 
 _DECAY_AT_ONE_EV_PER_M = 1.02462e10  # 2 sqrt(2 m e) / hbar
@@ -167,7 +166,7 @@ class _Bench:
         self.generators = [np.random.default_rng(seed) for seed in seeds]
         self.surface_m = np.column_stack(
             [
-                sunk_m(_unrest(junction), ticks + 1, self.tick_s, rng)
+                sunk_m(junction, ticks + 1, self.tick_s, rng)
                 for junction, rng in zip(junctions, self.generators, strict=True)
             ]
         )
@@ -211,5 +210,24 @@ class _Bench:
         return drive_V, current_A
 
 
-def _unrest(junction: Junction) -> Unrest:
-    return Unrest(**{name: getattr(junction, name) for name in Unrest.__dataclass_fields__})
+def sunk_m(junction: Junction, ticks: int, tick_s: float, rng: np.random.Generator) -> Array:
+    """Return how far the surface has sunk below the tip at rest, (ticks,) m."""
+    from scipy.signal import lfilter
+
+    time_s = tick_s * np.arange(ticks)
+    wander_m = np.cumsum(rng.standard_normal(ticks)) * junction.wander_m_per_root_s
+    wander_m *= math.sqrt(tick_s)
+    angle = 2.0 * np.pi * junction.vibration_Hz * tick_s
+    radius = math.exp(-0.05 * angle)  # a twentieth of critical damping
+    resonance = [1.0, -2.0 * radius * math.cos(angle), radius**2]
+    shaken = lfilter([1.0], resonance, rng.standard_normal(ticks))
+    vibration_m = junction.vibration_m * shaken / np.std(shaken)
+    forget = math.exp(-2.0 * np.pi * junction.flicker_Hz * tick_s)
+    flicker = lfilter([math.sqrt(1.0 - forget**2)], [1.0, -forget], rng.standard_normal(ticks))
+    flicker_m = junction.flicker_m * flicker
+    phase = 2.0 * np.pi * junction.mains_Hz * time_s
+    first, third = rng.uniform(0.0, 2.0 * np.pi, 2)
+    hum_m = junction.mains_gap_m * (np.sin(phase + first) + np.sin(3.0 * phase + third) / 3.0)
+    surface_m: Array = junction.drift_m_per_s * time_s + wander_m + vibration_m
+    surface_m += flicker_m + hum_m
+    return surface_m

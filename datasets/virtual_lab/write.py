@@ -11,10 +11,11 @@ from pathlib import Path
 from piezoid_datasets.virtual_lab.ablation import HiddenEffect
 from piezoid_datasets.virtual_lab.campaign import Campaign
 from piezoid_datasets.virtual_lab.rig import Rig
-from piezoid_datasets.virtual_lab.table import csv_text
+from piezoid_datasets.virtual_lab.stage import Rows
 
 SCHEMA = "piezoid.truth/1"
 AXIS = "x"
+MICRONS_PER_M = 1e6
 
 
 def campaign_files(campaign: Campaign) -> dict[str, bytes]:
@@ -91,3 +92,27 @@ def _effect(effect: HiddenEffect) -> Mapping[str, object]:
 def _toml_table(name: str, keys: Mapping[str, object]) -> str:
     # JSON's strings, numbers and flat lists are TOML's as well
     return "".join([f"[{name}]\n", *(f"{key} = {json.dumps(keys[key])}\n" for key in keys)])
+
+
+def csv_text(rows: Rows, *, axis: str = "") -> str:
+    """Return the rows as CSV: time in s, voltage in V, displacement in um, other axes' voltages.
+
+    axis  suffix of this axis' columns; empty while there is only one
+    """
+    mark = f"_{axis}" if axis else ""
+    names = ["time [s]", f"voltage{mark} [V]", f"displacement{mark} [um]"]
+    names += [f"voltage_{other} [V]" for other in rows.others_V]
+    columns = [
+        [f"{value:.{decimals(rows)}f}" for value in rows.time_s.tolist()],
+        [f"{value:.5f}" for value in rows.voltage_V.tolist()],
+        [f"{value * MICRONS_PER_M:.5f}" for value in rows.displacement_m.tolist()],
+    ]
+    columns += [[f"{value:.5f}" for value in u.tolist()] for u in rows.others_V.values()]
+    lines = [",".join(names), *(",".join(cells) for cells in zip(*columns, strict=True))]
+    return "\n".join(lines) + "\n"
+
+
+def decimals(rows: Rows) -> int:
+    """Return how many decimals the time column needs to show the sampling interval exactly."""
+    interval_s = 1.0 / rows.run.sampling_rate_Hz
+    return next((n for n in range(1, 9) if abs(round(interval_s, n) - interval_s) < 1e-12), 9)

@@ -347,10 +347,15 @@ def stretches_of_one_rate(time_s: Array) -> tuple[slice, ...]:
     intervals_s = np.median(np.lib.stride_tricks.sliding_window_view(padded, 3), axis=1)
     if not (intervals_s > 0).all():
         return (slice(0, len(time_s)),)
-    edges = [
-        _exact_edge(steps, block, intervals_s[block - 1], intervals_s[block]) + 1
-        for block in _rate_changes(np.log(intervals_s))
-    ]
+    edges = []
+    for block in _rate_changes(np.log(intervals_s)):
+        before_s, after_s = intervals_s[block - 1], intervals_s[block]
+        first = max((block - 2) * _BLOCK_STEPS, 0)
+        near_s = steps[first : min((block + 2) * _BLOCK_STEPS, len(steps))]
+        log_step = np.log(np.maximum(near_s, 1e-9 * min(before_s, after_s)))
+        misfit = np.abs(log_step - np.log(before_s)) - np.abs(log_step - np.log(after_s))
+        # The change is where the steps that fit the earlier interval end, counted from both sides.
+        edges.append(first + int(np.argmin(np.concatenate([[0.0], np.cumsum(misfit)]))) + 1)
     return tuple(slice(a, b) for a, b in itertools.pairwise((0, *edges, len(time_s))))
 
 
@@ -370,13 +375,3 @@ def _rate_changes(log_intervals: Array) -> list[int]:
             changes.append(block)
             begin = block
     return changes
-
-
-def _exact_edge(steps: Array, block: int, before_s: float, after_s: float) -> int:
-    """Return the first step that fits the interval after the change better than the one before."""
-    first = max((block - 2) * _BLOCK_STEPS, 0)
-    near_s = steps[first : min((block + 2) * _BLOCK_STEPS, len(steps))]
-    log_step = np.log(np.maximum(near_s, 1e-9 * min(before_s, after_s)))
-    misfit = np.abs(log_step - np.log(before_s)) - np.abs(log_step - np.log(after_s))
-    # The change is where the steps that fit the earlier interval end, counted from both sides.
-    return first + int(np.argmin(np.concatenate([[0.0], np.cumsum(misfit)])))

@@ -283,9 +283,12 @@ def _repeats(values: Array, invalid: Mask, noise: float, drive: Array | None) ->
     )
     if np.count_nonzero(is_repeat) < MIN_REPEATS:
         return repeats
-    # A reading whose noise spans few of its steps repeats by chance while the stage moves slowly.
-    by_chance = len(readings) * _chance_of_equality(readings, noise)
-    if np.sum(stops - starts - 1) > MIN_EXCESS * by_chance:
+    # A reading whose noise spans few of its steps repeats by chance while the stage moves slowly:
+    # two readings at one level are equal with p = q / (2 sqrt(pi) sigma), in steps of q.
+    gaps = np.diff(np.unique(readings))
+    step = float(np.quantile(gaps, STEP_QUANTILE)) if len(gaps) else 0.0
+    chance = min(step / (2.0 * np.sqrt(np.pi) * noise), 1.0) if noise > 0.0 else 1.0
+    if np.sum(stops - starts - 1) > MIN_EXCESS * (len(readings) * chance):
         is_repeat[:] = True
     if drive is not None:
         during = np.abs(drive[valid[stops - 1]] - drive[valid[starts]])
@@ -294,16 +297,6 @@ def _repeats(values: Array, invalid: Mask, noise: float, drive: Array | None) ->
     for start, stop in zip(starts[is_repeat].tolist(), stops[is_repeat].tolist(), strict=True):
         repeats[valid[start + 1 : stop]] = True
     return repeats
-
-
-def _chance_of_equality(values: Array, noise: float) -> float:
-    """Return the probability that two successive readings at one level are equal.
-
-    p = q / (2 sqrt(pi) sigma)    for white noise sigma in steps of q, at most 1
-    """
-    gaps = np.diff(np.unique(values))
-    step = float(np.quantile(gaps, STEP_QUANTILE)) if len(gaps) else 0.0
-    return min(step / (2.0 * np.sqrt(np.pi) * noise), 1.0) if noise > 0.0 else 1.0
 
 
 def find_invalid_rows(values: Array, drive: Array) -> Mask:

@@ -23,12 +23,37 @@ TONES = {
 
 def render(page: Page) -> Section:
     """Return verdict, error, limits and next step, and a card for each axis."""
-    cards = (*(_card(page, axis) for axis in page.axes), *_tip_card(page))
+    cards = []
+    for axis in page.axes:
+        grade, traces = grade_of(axis), page.drawn(axis)
+        figures: tuple[Figure, ...] = ()
+        if traces:
+            # Loop and residual of the recording with the largest residual are linked in time.
+            name = traces[0].recording.name
+            link = f"axis-{list(page.model.axes).index(axis.axis)}"
+            residual = residuals.over_time(traces[0], axis, size=RESIDUAL_SIZE)
+            span = float(traces[0].time_s[-1]) / residual.canvas.x.scale.factor
+            loop = loops.without_line(page, axis, traces[0], size=LOOP_SIZE)
+            figures = (
+                replace(loop, link=link, seen_as=f"{name}: loop"),
+                replace(residual, link=link, span=span, seen_as=f"{name}: residual"),
+            )
+        cards.append(
+            Card(
+                title=f"Axis {axis.axis}",
+                tone=TONES[grade],
+                word=grade.value,
+                figures=figures,
+                facts=_facts(page, axis),
+            )
+        )
+    cards += _tip_card(page)
     tones = [card.tone for card in cards]
     if _fails(page):
         tones.append("bad")
     summary = Headline(sentences=sentences(page), tone=worst_tone(tones))
-    return Section(anchor="summary", title="Summary", lead="", parts=(summary, Cards(cards=cards)))
+    parts = (summary, Cards(cards=tuple(cards)))
+    return Section(anchor="summary", title="Summary", lead="", parts=parts)
 
 
 def sentences(page: Page) -> tuple[tuple[str, str], ...]:
@@ -89,29 +114,6 @@ def _names(axes: list[str]) -> str:
     if len(axes) == 1:
         return f"axis {axes[0]}"
     return f"axes {', '.join(axes[:-1])} and {axes[-1]}"
-
-
-def _card(page: Page, axis: AxisModel) -> Card:
-    grade, traces = grade_of(axis), page.drawn(axis)
-    figures: tuple[Figure, ...] = ()
-    if traces:
-        # Loop and residual of the recording with the largest residual are linked in time.
-        name = traces[0].recording.name
-        link = f"axis-{list(page.model.axes).index(axis.axis)}"
-        residual = residuals.over_time(traces[0], axis, size=RESIDUAL_SIZE)
-        span = float(traces[0].time_s[-1]) / residual.canvas.x.scale.factor
-        loop = loops.without_line(page, axis, traces[0], size=LOOP_SIZE)
-        figures = (
-            replace(loop, link=link, seen_as=f"{name}: loop"),
-            replace(residual, link=link, span=span, seen_as=f"{name}: residual"),
-        )
-    return Card(
-        title=f"Axis {axis.axis}",
-        tone=TONES[grade],
-        word=grade.value,
-        figures=figures,
-        facts=_facts(page, axis),
-    )
 
 
 def _facts(page: Page, axis: AxisModel) -> tuple[tuple[str, str], ...]:

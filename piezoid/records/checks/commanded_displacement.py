@@ -42,20 +42,12 @@ def is_function_of(drive: Array, displacement: Array) -> bool:
     branches = np.mean(steps > 0.0), np.mean(steps < 0.0)
     if min(branches) < MIN_BRANCH or len(np.unique(displacement)) < MIN_LEVELS:
         return False
-    return any(
-        _falling_share(drive, displacement, shift) < MAX_FALLING
-        for shift in range(-MAX_SHIFT, MAX_SHIFT + 1)
-    )
-
-
-def _falling_share(drive: Array, displacement: Array, shift: int) -> float:
-    """Return the share of samples that lie below one of a smaller drive, ``shift`` samples before.
-
-    Samples of one drive stay in the order of time, so that noise shows in a hold as well.
-    """
-    stop = len(drive) - abs(shift)
-    drive = drive[max(-shift, 0) :][:stop]
-    displacement = displacement[max(shift, 0) :][:stop]
-    sign = np.sign(np.dot(drive - drive.mean(), displacement - displacement.mean()))
-    by_drive = sign * displacement[np.argsort(drive, kind="stable")]
-    return float(np.mean(by_drive < np.maximum.accumulate(by_drive)))
+    for shift in range(-MAX_SHIFT, MAX_SHIFT + 1):
+        stop = len(drive) - abs(shift)
+        v, y = drive[max(-shift, 0) :][:stop], displacement[max(shift, 0) :][:stop]
+        sign = np.sign(np.dot(v - v.mean(), y - y.mean()))
+        # Samples of one drive stay in the order of time, so that noise shows in a hold as well.
+        by_drive = sign * y[np.argsort(v, kind="stable")]
+        if np.mean(by_drive < np.maximum.accumulate(by_drive)) < MAX_FALLING:
+            return True
+    return False
