@@ -45,10 +45,11 @@ class Stopwatch:
         """Return the least processor time of a few runs."""
         least_s, spent_s = np.inf, 0.0
         while True:
-            begun_s = used_s()
-            work()
-            took_s = used_s() - begun_s
-            least_s, spent_s = min(least_s, took_s), spent_s + took_s
+            begun_s, runs, took_s = used_s(), 0, 0.0
+            while took_s <= 0.0:  # the clock may tick more slowly than the work is done
+                work()
+                runs, took_s = runs + 1, used_s() - begun_s
+            least_s, spent_s = min(least_s, took_s / runs), spent_s + took_s
             if spent_s >= self.patience_s:
                 return float(least_s)
 
