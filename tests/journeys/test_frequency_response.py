@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from piezoid import design, fit, read, report
 from piezoid.export.parameter_file import from_json
@@ -15,6 +16,8 @@ from piezoid.numerics.arrays import Array
 from piezoid.operators.linear import cascade, first_order, resonance, sample
 from piezoid.operators.play import play_columns
 from piezoid.runtime.controller import Controller
+from piezoid_cli.main import app
+from tests.plays_alone import fit_plays_alone
 from tests.records.responses import matrix, noisy, response, write_csv, write_matlab
 
 pytestmark = pytest.mark.slow
@@ -82,11 +85,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def fitted(folder: Path) -> str:
-    files = ("sweep.csv", "response.csv", "--lab", "lab.toml", "--out", "stage")
-    done = piezoid("fit", *files, place=folder)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+def fitted(folder: Path) -> None:
+    """Fit, diagnose and design in the folder, by the plays alone."""
+    files = [str(folder / name) for name in ("sweep.csv", "response.csv", "lab.toml")]
+    with pytest.MonkeyPatch.context() as patch:
+        fit_plays_alone(patch)
+        asked = ["fit", *files[:2], "--lab", files[2], "--out", str(folder / "stage")]
+        done = CliRunner().invoke(app, asked)
+    assert done.exit_code == 0, done.output
 
 
 @pytest.mark.usefixtures("fitted")

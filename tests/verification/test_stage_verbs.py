@@ -2,6 +2,8 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
+from shutil import copytree
 
 import numpy as np
 import pytest
@@ -62,6 +64,20 @@ def folder(designed, tmp_path):
     (tmp_path / "model.json").write_bytes(designed[0])
     (tmp_path / "design.json").write_bytes(designed[1].to_json())
     return tmp_path
+
+
+@pytest.fixture(scope="module")
+def exported_once(designed, tmp_path_factory):
+    place = tmp_path_factory.mktemp("exported")
+    (place / "model.json").write_bytes(designed[0])
+    (place / "design.json").write_bytes(designed[1].to_json())
+    assert called("export", place).exit_code == 0
+    return place
+
+
+@pytest.fixture
+def exported(exported_once, tmp_path):
+    return Path(copytree(exported_once, tmp_path / "exported"))
 
 
 def called(*arguments):
@@ -180,18 +196,17 @@ def test_a_failed_verdict_is_exit_status_1_and_still_written(folder, designed):
     assert not verification_from_json((folder / "verification.json").read_bytes()).passed
 
 
-def test_limits_come_from_a_file_or_from_the_lab_toml_of_the_folder(folder):
-    called("export", folder)
-    first = (folder / "params.json").read_bytes()
-    (folder / "limits.toml").write_text(TIGHT)
-    done = called("verify", folder, "--limits", folder / "limits.toml")
+def test_limits_come_from_a_file_or_from_the_lab_toml_of_the_folder(exported):
+    first = (exported / "params.json").read_bytes()
+    (exported / "limits.toml").write_text(TIGHT)
+    done = called("verify", exported, "--limits", exported / "limits.toml")
     assert done.exit_code == 1
     assert "allowed 0.0001" in done.output
-    (folder / "lab.toml").write_text("[verification]\n" + TIGHT)
-    assert called("verify", folder).exit_code == 1
-    assert (folder / "params.json").read_bytes() == first
-    record = verification_from_json((folder / "verification.json").read_bytes())
-    assert record.lab_digest == read_lab(folder / "lab.toml").digest
+    (exported / "lab.toml").write_text("[verification]\n" + TIGHT)
+    assert called("verify", exported).exit_code == 1
+    assert (exported / "params.json").read_bytes() == first
+    record = verification_from_json((exported / "verification.json").read_bytes())
+    assert record.lab_digest == read_lab(exported / "lab.toml").digest
 
 
 def test_a_guard_that_was_written_after_the_export_does_not_pass_unseen(folder, with_tip):
@@ -280,12 +295,11 @@ def test_readings_come_in_steps_of_the_declared_converter(with_tip, rng):
     assert steps == pytest.approx(np.round(steps), abs=1e-6)
 
 
-def test_a_model_that_was_fitted_again_no_longer_fits(folder):
-    called("export", folder)
+def test_a_model_that_was_fitted_again_no_longer_fits(exported):
     other = replace(fitted(), stage="another")
-    (folder / "model.json").write_bytes(write_model(other))
+    (exported / "model.json").write_bytes(write_model(other))
     for verb in ("export", "verify"):
-        done = called(verb, folder)
+        done = called(verb, exported)
         assert isinstance(done.exception, ParameterFileError)
         assert "was made from the model" in str(done.exception)
 
@@ -295,61 +309,58 @@ def test_an_unknown_target_is_a_mistake_of_usage(folder):
     assert done.exit_code == 2
 
 
-def test_largest_errors_are_bounded_on_request(folder):
-    assert called("export", folder).exit_code == 0
-    done = called("verify", folder, "--bounds")
+def test_largest_errors_are_bounded_on_request(exported):
+    done = called("verify", exported, "--bounds")
     assert done.exit_code == 0, done.output
     assert "with 95 % probability" in " ".join(done.output.split())
-    found = verification_from_json((folder / "verification.json").read_bytes())
+    found = verification_from_json((exported / "verification.json").read_bytes())
     for row in found.bounds:  # what is probable lies between what is usual and what is possible
         assert row.simulated_m < row.probable_m <= row.worst_found_m < row.bound_m
     assert [row.axis for row in found.bounds] == ["x"] * 3
-    assert called("verify", folder).exit_code == 0
-    assert b'"bounds"' not in (folder / "verification.json").read_bytes()
+    assert called("verify", exported).exit_code == 0
+    assert b'"bounds"' not in (exported / "verification.json").read_bytes()
 
 
-def test_another_design_than_the_exported_one_is_not_compared(folder, designed):
-    assert called("export", folder).exit_code == 0
+def test_another_design_than_the_exported_one_is_not_compared(exported, designed):
     other = replace(designed[1], remarks=("made again",))
-    (folder / "design.json").write_bytes(other.to_json())
+    (exported / "design.json").write_bytes(other.to_json())
     for flags in ((), ("--bounds",)):
-        done = called("verify", folder, *flags)
+        done = called("verify", exported, *flags)
         assert isinstance(done.exception, ParameterFileError)
         assert "not the design" in str(done.exception)
 
 
-def test_a_verdict_stands_only_beside_the_bundle_it_was_reached_on(folder, designed):
-    assert called("export", folder).exit_code == 0
+def test_a_verdict_stands_only_beside_the_bundle_it_was_reached_on(exported, designed):
 
     def reported():
-        done = called("report", folder, "--force")
+        done = called("report", exported, "--force")
         assert done.exit_code == 0, done.output
-        page = (folder / "report.html").read_text()
+        page = (exported / "report.html").read_text()
         return "not verified" not in page, " ".join(done.output.split())
 
     assert reported()[0]
-    runtime = folder / "bundle/piezoid_runtime.c"
+    runtime = exported / "bundle/piezoid_runtime.c"
     original = runtime.read_bytes()
     for content in (original + b" ", None):
         runtime.write_bytes(content) if content else runtime.unlink()
         is_verified, said = reported()
         assert not is_verified
         assert "bundle/piezoid_runtime.c is missing or changed; run piezoid export" in said
-        done = called("verify", folder)
+        done = called("verify", exported)
         assert done.exit_code == 1
         assert "piezoid_runtime.c" in done.output
-        assert b'"passed": false' in (folder / "verification.json").read_bytes()
+        assert b'"passed": false' in (exported / "verification.json").read_bytes()
     runtime.write_bytes(original)
-    assert called("verify", folder).exit_code == 0
+    assert called("verify", exported).exit_code == 0
     assert reported()[0]
-    (folder / "lab.toml").write_text("[acquisition]\ninput_range_V = [-1, 1]\n")
+    (exported / "lab.toml").write_text("[acquisition]\ninput_range_V = [-1, 1]\n")
     is_verified, said = reported()
     assert not is_verified
     assert "the rig in lab.toml was changed; run piezoid design" in said
-    assert "another rig" in str(called("verify", folder).exception)
-    (folder / "lab.toml").unlink()
+    assert "another rig" in str(called("verify", exported).exception)
+    (exported / "lab.toml").unlink()
     other = replace(designed[1], remarks=("made again",))
-    (folder / "design.json").write_bytes(other.to_json())
+    (exported / "design.json").write_bytes(other.to_json())
     is_verified, said = reported()
     assert not is_verified
     assert "params.json (exported from another design.json; run piezoid export" in said
