@@ -1,6 +1,6 @@
 """`piezoid report`: the page of a stage, drawn again from the sealed files of its folder."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -37,7 +37,9 @@ def report(
 
     piezoid report stage42/ sweep.csv check.csv
     """
+    from piezoid.errors import RecordingError
     from piezoid.output_folder import add_to_folder, check_folder
+    from piezoid.records.collection import collect
     from piezoid_cli.progress import show_progress
     from piezoid_cli.stage_files import StageFolder, content_of, out_of_date
 
@@ -48,7 +50,18 @@ def report(
         contents = {n: content_of(stage / n) for n in SEALED if (stage / n).exists()}
         stale = out_of_date(folder, contents)
         model = folder.model
-        recorded = _recorded(folder, files or ())
+        recorded = collect(files or (), folder.lab)
+        names_and_digests = [(r.name, r.digest) for r in recorded.recordings]
+        names_and_digests += [(r.name, r.digest) for r in recorded.sweeps]
+        names_and_digests += [(r.name, r.digest) for r in recorded.responses]
+        for name, digest in names_and_digests:
+            if model.sources.get(name) != digest:
+                raise RecordingError(
+                    f"{name} is not one of the recordings of this model "
+                    f"({', '.join(model.sources) or 'none'})",
+                    needed="the very files that were fitted, byte for byte",
+                    remedy="Name those, or fit again with this one.",
+                )
         progress("drawing")
         current = {name: text for name, text in contents.items() if name not in stale}
         page = _page(folder, recorded, current)
@@ -61,26 +74,6 @@ def report(
         if model.sources and not files:
             say("without loops and residuals: name the recordings of the fit to draw them")
         say(f"report: {stage / 'report.html'}")
-
-
-def _recorded(folder: "StageFolder", files: Sequence[Path]) -> "Collection":
-    """Read the recordings of the fit, and refuse any other file."""
-    from piezoid.errors import RecordingError
-    from piezoid.records.collection import collect
-
-    collection, sources = collect(files, folder.lab), folder.model.sources
-    records = [(r.name, r.digest) for r in collection.recordings]
-    records += [(r.name, r.digest) for r in collection.sweeps]
-    records += [(r.name, r.digest) for r in collection.responses]
-    for name, digest in records:
-        if sources.get(name) != digest:
-            raise RecordingError(
-                f"{name} is not one of the recordings of this model "
-                f"({', '.join(sources) or 'none'})",
-                needed="the very files that were fitted, byte for byte",
-                remedy="Name those, or fit again with this one.",
-            )
-    return collection
 
 
 def _page(folder: "StageFolder", recorded: "Collection", files: Mapping[str, bytes]) -> str:

@@ -322,7 +322,14 @@ def _clock(
             )
         clock, clock_Hz = stated_clock(rate_Hz, table.name), rate_Hz
         if of_file_Hz is None:
-            clock = replace(clock, statements=(_controller_rate(clock, lab),))
+            rounded_Hz = clock.sampling_rate_Hz
+            text = (
+                f"No time column; {rounded_Hz:.9g} Hz from [acquisition] of {lab.place}, the rate "
+                "of the controller, and of files without a time column. To confirm it or to state "
+                "another one, write sampling_rate_Hz = ... into the [[recording]] of this file."
+            )
+            statement = finding(CONTROLLER_RATE, text, value=rounded_Hz, unit="Hz")
+            clock = replace(clock, statements=(statement,))
     else:
         stamped = unique[np.isfinite(assignment.time.values[unique])]
         stamps_s = assignment.time.values[stamped]
@@ -342,17 +349,6 @@ def _clock(
             remedy="Correct the rate or the unit of the time column.",
         )
     return clock
-
-
-def _controller_rate(clock: Clock, lab: Lab) -> Statement:
-    """State that a file without a time column is read at the rate of the controller."""
-    rate_Hz = clock.sampling_rate_Hz
-    text = (
-        f"No time column; {rate_Hz:.9g} Hz from [acquisition] of {lab.place}, the rate of the "
-        "controller, and of files without a time column. To confirm it or to state another one, "
-        "write sampling_rate_Hz = ... into the [[recording]] of this file."
-    )
-    return finding(CONTROLLER_RATE, text, value=rate_Hz, unit="Hz")
 
 
 def _selected_samples(entry: RecordingEntry, clock: Clock, samples: int) -> slice:
