@@ -7,9 +7,12 @@ import pytest
 from scipy.signal import lfilter
 
 from piezoid.diagnosis.diagnose import diagnose
+from piezoid.diagnosis.effects import gain_change
+from piezoid.diagnosis.score_test import score_test
 from piezoid.numerics.arrays import Array
+from piezoid.records.lab import Lab
 
-from .bench import effects_of, thinned
+from .bench import effects_of, thinned, view_of_recordings
 from .play_stage import NOISE_m, STROKE_m, clean, drive, moved, recording
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
@@ -57,6 +60,20 @@ def with_gains(*gains: float) -> list[str]:
 
 def test_a_gain_that_changed_between_two_recordings_is_named_and_sized() -> None:
     assert with_gains(1.0, 1.02, 1.02) == ["gain_change 2.0"]
+
+
+def test_the_instant_of_a_gain_change_is_found_in_its_recording() -> None:
+    """Instants tried at larger distances missed changes beside other effects."""
+    instant, recordings = 0.607, []
+    for kind in KINDS:
+        moved_m = noisy(clean(kind)[2])
+        if kind == "waves":
+            moved_m[int(instant * len(moved_m)) :] *= 0.97
+        recordings.append(recording(kind, moved_m))
+    result = score_test(gain_change.EFFECT, view_of_recordings(thinned(recordings, EVERY), Lab()))
+    assert result is not None
+    assert result.trial.parameters["track"] == 2.0
+    assert result.trial.parameters["place"] == pytest.approx(instant, abs=0.02)
 
 
 def test_a_gain_of_one_recording_alone_is_no_change_at_an_instant() -> None:
