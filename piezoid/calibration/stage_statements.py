@@ -15,6 +15,7 @@ from piezoid.statement import Kind, Level, Statement
 from piezoid.verification.criteria import describe_failure
 from piezoid.verification.verification import Verification
 
+FAILED = "Failed: "  # in front of a check that a controller that ships failed
 TIP_LEVELS = {
     Confidence.HIGH: Level.NOTE,
     Confidence.MEDIUM: Level.WARNING,
@@ -45,8 +46,13 @@ def stage_statements(
         unshipped: by axis, why its controller does not ship.
         verification: of what ships.
     """
-    statements: list[Statement] = [*verification_statements(verification)]
-    for name, reason in (unshipped or {}).items():
+    reasons = unshipped or {}
+    statements: list[Statement] = [
+        statement
+        for statement in verification_statements(verification)
+        if not any(statement.text.removeprefix(FAILED)[:-1] in text for text in reasons.values())
+    ]
+    for name, reason in reasons.items():
         statements.append(_limit(Level.ACTION, "not_shipped", reason, name))
     statements += [_limit(Level.ACTION, "not_diagnosed", text) for text in undiagnosed]
     if undesigned:
@@ -96,7 +102,7 @@ def verification_statements(verification: Verification | None) -> tuple[Statemen
                 kind=Kind.FINDING,
                 level=Level.ACTION,
                 quantity=verdict.name,
-                text=f"Failed: {describe_failure(verdict)}.",
+                text=f"{FAILED}{describe_failure(verdict)}.",
                 value=verdict.value,
                 unit=verdict.unit,
             )

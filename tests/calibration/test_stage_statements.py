@@ -197,6 +197,16 @@ def test_a_failed_verdict_and_an_axis_that_does_not_ship_need_action() -> None:
     )
 
 
+def test_a_failed_verdict_is_stated_once_where_the_axis_does_not_ship() -> None:
+    failed = verification(0.9)
+    reason = f"failed: {criteria.describe_failure(failed.verdicts[0])}. Record more."
+    facts = stage_statements(
+        stage_model(axis_model()), verification=failed, unshipped={"x": reason}
+    )
+    actions = {(fact.axis, fact.quantity) for fact in select(facts, minimum=Level.ACTION)}
+    assert actions == {("x", "not_shipped")}
+
+
 def test_no_statement_is_made_twice() -> None:
     facts = stage_statements(
         stage_model(axis_model()),
