@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.design import SCHEMA, design_from_json
+from piezoid.design.design import SCHEMA, Design, design_from_json
 from piezoid.design.design_stage import SpecificationText, design_stage
 from piezoid.design.hysteresis_bounds import draw_replicates
 from piezoid.design.lateral_task import LateralTask, lateral_task, relative_gain_half, unseen
@@ -41,6 +41,11 @@ def stage(**changes: object) -> ActuatorModel:
 @pytest.fixture(scope="module")
 def task() -> LateralTask:
     return lateral_task(rigged(), RATE_Hz)
+
+
+@pytest.fixture(scope="module")
+def default() -> Design:
+    return design_stage(stage(), model_digest=DIGEST, forms=("inverse",))
 
 
 def test_the_gain_lies_in_the_middle_of_the_slope_sector(task: LateralTask) -> None:
@@ -246,15 +251,14 @@ def test_a_drive_recorded_outside_the_converters_range_is_not_the_converters() -
         design_stage(stage(), model_digest=DIGEST, lab=lab)
 
 
-def test_the_default_design_holds_over_its_family_and_comes_back() -> None:
-    found = design_stage(stage(), model_digest=DIGEST, forms=("inverse",))
-    loop = found.axis("x").recommended
+def test_the_default_design_holds_over_its_family_and_comes_back(default: Design) -> None:
+    loop = default.axis("x").recommended
     assert loop.method == "mpi_dob"
     assert loop.worst_modulus_margin >= 0.5
     assert (loop.worst_delay_margin_s or np.inf) >= 1.0 / RATE_Hz
     assert loop.certificate is not None
     assert loop.certificate.is_guaranteed
-    assert design_from_json(found.to_json()).to_json() == found.to_json()
+    assert design_from_json(default.to_json()).to_json() == default.to_json()
 
 
 def test_a_delay_of_more_samples_than_the_controller_has_states_is_designed_for() -> None:
@@ -277,10 +281,11 @@ def test_what_is_asked_and_cannot_be_met_is_refused_with_what_could() -> None:
         )
 
 
-def test_what_no_recording_shows_and_no_data_sheet_states_limits_the_loop() -> None:
+def test_what_no_recording_shows_and_no_data_sheet_states_limits_the_loop(
+    default: Design,
+) -> None:
     """A first mode of quality 60 at 200 Hz or above, which nobody excluded, does no harm."""
-    found = design_stage(stage(), model_digest=DIGEST, forms=("inverse",))
-    recommended = found.axes[0].recommended
+    recommended = default.axes[0].recommended
     nominal = recommended.members[0]
     s = 2j * np.pi * np.geomspace(1.0, 9e3, 4000)
     z = np.exp(s / RATE_Hz)
@@ -329,9 +334,8 @@ def test_an_axis_whose_limits_nothing_meets_keeps_no_other_back() -> None:
     assert design_from_json(found.to_json()).refused == found.refused
 
 
-def test_a_design_of_a_version_that_knew_no_refusals_is_read() -> None:
-    whole = design_stage(stage(), model_digest=DIGEST, forms=("inverse",)).to_json()
-    record = unseal(whole, SCHEMA, "design.json")
+def test_a_design_of_a_version_that_knew_no_refusals_is_read(default: Design) -> None:
+    record = unseal(default.to_json(), SCHEMA, "design.json")
     older = {k: v for k, v in record.items() if k not in ("schema", "digest", "refused")}
     assert design_from_json(seal(SCHEMA, older)).refused == {}
     del older["axes"]
