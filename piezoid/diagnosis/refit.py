@@ -26,6 +26,7 @@ from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.delay import Delay
 from piezoid.identification.extensions.extension import Extension, Samples
 from piezoid.identification.extensions.first_order_lag import FirstOrderLag
+from piezoid.identification.extensions.gain_change import GainChange
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Scales
 from piezoid.identification.joint.fit_extended import Extended, fit_extended
 from piezoid.identification.joint.vector import Structure
@@ -144,6 +145,8 @@ def refit_model(
         structure=structure,
         samples=rows,
     )
+    if any(estimate.parameters.get("place", 0.0) > 0.0 for estimate in estimates):
+        final = _with_later_recordings(final, recordings, structure, rows)
     final = _with_free_rungs(final, recordings, structure, rows)
     fitted = final.model.extensions
     refit = partial(fit_extended, final.model, further_starts=alternatives)
@@ -215,6 +218,47 @@ def _structure_of(
     if structural is None:
         return structure
     return structural.structure(structure, model, has_effect)
+
+
+def _with_later_recordings(
+    final: Extended,
+    recordings: Sequence[Recording],
+    structure: Structure,
+    rows: Sequence[Samples] | None,
+) -> Extended:
+    """Decide by their gains which recordings were made after a change within one of them.
+
+    Files are given in the order of their names as often as in that of their time.
+    """
+    extensions = final.model.extensions
+    change = next((e for e in extensions if isinstance(e, GainChange)), None)
+    if change is None or len(recordings) == 1:
+        return final
+
+    def refit(further: Sequence[GainChange], later: tuple[str, ...]) -> Extended:
+        parts = [replace(e, later=later) if isinstance(e, GainChange) else e for e in extensions]
+        return fit_extended(
+            final.model,
+            recordings,
+            in_order([*parts, *further]),
+            structure=structure,
+            samples=rows,
+        )
+
+    free = [
+        GainChange(recording=recording.name, instant_s=0.0, ratio=1.0)
+        for recording in recordings
+        if recording.name != change.recording
+    ]
+    fitted = refit(free, ()).model.extensions
+    gains = {e.recording: e.ratio for e in fitted if isinstance(e, GainChange)}
+    middle = 0.5 * (1.0 + gains[change.recording])
+    is_larger = gains[change.recording] > 1.0
+    later = tuple(e.recording for e in free if (gains[e.recording] > middle) == is_larger)
+    if set(later) == set(change.later):
+        return final
+    changed = refit((), later)
+    return changed if changed.held_out_rms_m < final.held_out_rms_m else final
 
 
 def _with_free_rungs(

@@ -9,7 +9,7 @@ import pytest
 import piezoid.diagnosis.effects as effects
 from piezoid.diagnosis.effect import EffectEstimate
 from piezoid.diagnosis.refit import refit_model
-from piezoid.identification.extensions import CreepLadder, Delay, SlewLimit
+from piezoid.identification.extensions import CreepLadder, Delay, GainChange, SlewLimit
 from piezoid.identification.hysteresis.pieces import Scales
 from piezoid.identification.simulation import simulate_recording
 from piezoid.records.lab import Acquisition, Lab
@@ -59,6 +59,27 @@ def test_the_one_lag_ships_where_the_runtime_looks_for_it() -> None:
     for recording in recordings:
         error_m = simulate_recording(model, recording) - recording.displacement_m()
         assert np.std(error_m) < 1.5 * NOISE_m
+
+
+@pytest.mark.parametrize("is_later", [False, True])
+def test_the_gain_of_a_recording_shows_whether_it_was_made_after_a_change(is_later: bool) -> None:
+    """Files may be given in the order of their names."""
+    first, second = (recording.name for recording in recordings_of())
+    later = (second,) if is_later else ()
+    change = GainChange(recording=first, instant_s=5.0, ratio=0.97, later=later)
+    place = 5.0 / recordings_of()[0].duration_s
+    found = EffectEstimate(
+        effect="gain_change",
+        parameters={"track": 0.0, "place": place},
+        coefficient=np.array([-0.03, 0.0]),
+    )
+    (fitted,) = (
+        e
+        for e in _refitted(recordings_of(change), (found,)).model.extensions
+        if isinstance(e, GainChange)
+    )
+    assert (fitted.recording, fitted.later) == (first, later)
+    assert fitted.ratio == pytest.approx(0.97, abs=2e-3)
 
 
 def test_a_repaired_fault_is_worth_what_it_did_to_the_raw_recordings() -> None:
