@@ -36,6 +36,7 @@ from piezoid.identification.loop_shape_regression import (
     half_range_m,
     regression_of,
     with_numbers,
+    with_sensor_numbers,
 )
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
@@ -98,6 +99,7 @@ def with_loop_shape(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMod
         regression = regression_of(estimate, pieces, columns)
         improved = _improved(estimate, pieces, columns, regression)
         settled = replace(improved, model=_with_numbers_of(estimate.model, improved.model))
+        settled = with_sensor_numbers(settled, pieces, columns)
         if number < FEWEST_ROUNDS - 1 or settled.noise < best[0].noise:
             best = settled, pieces, columns
         elif settled.noise > WORSE * best[0].noise:
@@ -105,10 +107,10 @@ def with_loop_shape(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMod
         if improved.shift > SHIFT:
             pieces = with_drive_of(improved.model, pieces)
             columns = columns_of(improved.model, pieces)
-            estimate = improved
+            estimate = with_sensor_numbers(improved, pieces, columns)
         else:
             estimate = settled
-            if number + 1 >= FEWEST_ROUNDS:
+            if number + 1 >= FEWEST_ROUNDS and settled.shift <= SHIFT:
                 break
     estimate, pieces, columns = best
     return _accepted(axis, estimate, pieces, columns, plain)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from piezoid.identification.extensions.extension import Extension, Free, free
 from piezoid.identification.loop_shape_columns import (
@@ -166,12 +167,10 @@ def regression_of(
     for k, piece in enumerate(pieces):
         start = replace(piece.start, zero_m=estimate.zeros[k])
         zeros[rows[k] : rows[k + 1], knots[k] : knots[k + 1]] = _zero_columns(piece, start)
-        history_m = np.zeros(piece.where.samples)
+        path, history_m = columns.paths[k], _history_m(estimate, k, piece, columns)
         if not is_first:
-            path = columns.paths[k]
             changes_m = path.changes_m(shape)
             histories[k][rows[k] : rows[k] + len(changes_m)] = changes_m / abs(scale_m)
-            history_m += path.interpolated_m(changes_m @ estimate.weights[k], piece.where.samples)
             if not has_numbers:
                 column_change = path.column_changes(
                     estimate.weights[k], columns.plays, abs(scale_m)
@@ -215,6 +214,68 @@ def regression_of(
         upper=numbers.upper,
         step=step,
         prior=_prior(axis, step, design.shape[1]) if has_numbers else None,
+    )
+
+
+def _history_m(estimate: Estimate, k: int, piece: Piece, columns: Columns) -> Array:
+    """Return the change of a piece's static response by its weighted histories, (samples,)."""
+    shape, weight, samples = estimate.model.loop_shape, estimate.weights[k], piece.where.samples
+    if shape is None or not np.any(weight):
+        return np.zeros(samples)
+    path = columns.paths[k]
+    return path.interpolated_m(path.changes_m(shape) @ weight, samples)
+
+
+def with_sensor_numbers(estimate: Estimate, pieces: Sequence[Piece], columns: Columns) -> Estimate:
+    """Fit the numbers of the sensor to the readings at the positions of the estimate.
+
+    A reading is far from linear in the wavelength of a periodic error, so that these numbers are
+    not among the columns.
+    """
+    axis, scale_m = estimate.model, half_range_m(estimate.model)
+    sensors = [extension for extension in axis.extensions if _is_sensor(extension)]
+    if not sensors:
+        return estimate
+    positions_m, readings_m = [], []
+    for k, piece in enumerate(pieces):
+        start = replace(piece.start, zero_m=estimate.zeros[k])
+        static_m = _history_m(estimate, k, piece, columns) + axis.static_m(
+            piece.drive_V, start.memory_V, piece.where.rate_Hz
+        )
+        zero_m = zero_of(start, piece.where.samples)
+        positions_m.append(axis.forward.position(static_m, piece.where, zero_m)[piece.rows])
+        readings_m.append(piece.measured_m[piece.rows])
+    position_m = np.concatenate(positions_m)[estimate.use]
+    reading_m = np.concatenate(readings_m)[estimate.use]
+    numbers = [extension.free() for extension in sensors]
+    edges = np.cumsum([len(number.value) for number in numbers])[:-1]
+    value, lower, upper, step = (
+        np.concatenate([getattr(number, name) for number in numbers])
+        for name in ("value", "lower", "upper", "step")
+    )
+
+    def sensors_at(steps: Array) -> list[Extension]:
+        values = np.split(steps * step, edges)
+        return [e.moved_to(part) for e, part in zip(sensors, values, strict=True)]
+
+    def error(steps: Array) -> Array:
+        read_m = position_m
+        for sensor in sensors_at(steps):
+            read_m = sensor.reading(read_m)
+        return np.asarray((read_m - reading_m) / scale_m)
+
+    fit = least_squares(error, value / step, bounds=(lower / step, upper / step), x_scale="jac")
+    moved = iter(sensors_at(fit.x))
+    extensions = tuple(
+        replace(next(moved), std=extension.std) if _is_sensor(extension) else extension
+        for extension in axis.extensions
+    )
+    change = error(fit.x) - error(value / step)
+    shift = float(np.sqrt(np.mean(change**2) / np.mean(error(value / step) ** 2)))
+    return replace(
+        estimate,
+        model=replace(axis, extensions=extensions),
+        shift=max(estimate.shift, shift),
     )
 
 

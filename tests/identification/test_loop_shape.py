@@ -8,8 +8,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.signals import with_displacement
 from piezoid.digests import seal
 from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.loop_shape_fit import with_loop_shape
@@ -164,6 +166,19 @@ def test_a_sum_of_plays_is_predicted_no_worse() -> None:
     _, plain, axis = fitted("plays", 1.0)
     assert axis.quality.held_out_rms_m <= plain.quality.held_out_rms_m
     assert axis.quality.explained_rms_m < 1.5 * NOISE_M
+
+
+def test_a_periodic_error_is_fitted_beside_loop_shape() -> None:
+    """Beside plays its numbers stand for loop shape as well, and stayed as they were."""
+    true = PeriodicError(wavelength_m=1.5e-6, cosine_m=(2e-8,), sine_m=(3e-8,))
+    recordings, plain, _ = fitted("dahl", 1.0)
+    read = tuple(with_displacement(r, true.reading(r.displacement_m("x"))) for r in recordings)
+    began = replace(true, wavelength_m=1.502e-6, cosine_m=(1e-8,), sine_m=(2e-8,))
+    axis = with_loop_shape(replace(plain, extensions=(began,)), read)
+    (error,) = axis.extensions
+    assert error.wavelength_m == pytest.approx(true.wavelength_m, rel=1e-3)
+    assert np.hypot(*error.free().value[1:]) == pytest.approx(true.amplitude_m[0], rel=0.05)
+    assert axis.quality.explained_rms_m < 1.3 * NOISE_M
 
 
 def test_a_step_of_the_zero_is_not_taken_for_hysteresis() -> None:
