@@ -46,7 +46,7 @@ from piezoid.records.recording import Recording
 # Instants tried, of a track. A class that follows nearly any hysteresis leaves of a change only
 # what is near to it: in a chirp of a stage with three effects the held-out gain was 0.50 at the
 # instant, 0.25 at 0.01 beside it, and below zero at 0.03.
-INSTANTS = np.linspace(0.07, 0.93, 44)
+INSTANTS = np.linspace(0.07, 0.93, 40)
 MIN_CHANGE = 0.003  # of the gain: a step of the zero alone is another effect
 MIN_CHANGE_BETWEEN = 0.005  # recordings of other drives differ by less if the class is inexact
 EQUAL_SPEED = 4.0  # ratio of speeds between recordings within which a gain is no filter
@@ -86,7 +86,7 @@ def _trials(view: View) -> list[Trial]:
         for instant in INSTANTS:
             parameters = {"track": float(k), "place": float(instant)}
             trials.append(_trial(_change(view, k, instant, 0.0), parameters, free={"place": 0.02}))
-        few = INSTANTS[::11]
+        few = INSTANTS[::10]
         placebos = [_change(view, k, t - TEMPORARY / 2, 0.0, is_temporary=True) for t in few]
         # enough equal cycles show a slow trend of the gain
         if equal_cycles(view.tracks[k].drive, fewest=FEWEST) is not None:
