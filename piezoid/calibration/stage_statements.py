@@ -15,7 +15,6 @@ from piezoid.statement import Kind, Level, Statement
 from piezoid.verification.criteria import describe_failure
 from piezoid.verification.verification import Verification
 
-FAILED = "Failed: "  # in front of a check that a controller that ships failed
 TIP_LEVELS = {
     Confidence.HIGH: Level.NOTE,
     Confidence.MEDIUM: Level.WARNING,
@@ -47,11 +46,7 @@ def stage_statements(
         verification: of what ships.
     """
     reasons = unshipped or {}
-    statements: list[Statement] = [
-        statement
-        for statement in verification_statements(verification)
-        if not any(statement.text.removeprefix(FAILED)[:-1] in text for text in reasons.values())
-    ]
+    statements = [*verification_statements(verification, stated=tuple(reasons.values()))]
     for name, reason in reasons.items():
         statements.append(_limit(Level.ACTION, "not_shipped", reason, name))
     statements += [_limit(Level.ACTION, "not_diagnosed", text) for text in undiagnosed]
@@ -89,11 +84,20 @@ def stage_statements(
     return tuple(dict.fromkeys(statements))
 
 
-def verification_statements(verification: Verification | None) -> tuple[Statement, ...]:
-    """Return every verdict that failed and every build that differs."""
+def verification_statements(
+    verification: Verification | None, stated: Sequence[str] = ()
+) -> tuple[Statement, ...]:
+    """Return every verdict that failed and every build that differs.
+
+    stated  texts that name failed verdicts already
+    """
     if verification is None:
         return ()
-    failed = [verdict for verdict in verification.verdicts if not verdict.passed]
+    failed = {
+        describe_failure(verdict): verdict
+        for verdict in verification.verdicts
+        if not verdict.passed
+    }
     differing = [proof for proof in verification.proofs if not proof.passed]
     unproved = [proof for proof in verification.limit_proofs if not proof.passed]
     return (
@@ -102,11 +106,12 @@ def verification_statements(verification: Verification | None) -> tuple[Statemen
                 kind=Kind.FINDING,
                 level=Level.ACTION,
                 quantity=verdict.name,
-                text=f"{FAILED}{describe_failure(verdict)}.",
+                text=f"Failed: {failure}.",
                 value=verdict.value,
                 unit=verdict.unit,
             )
-            for verdict in failed
+            for failure, verdict in failed.items()
+            if not any(failure in text for text in stated)
         ),
         *(
             _finding(

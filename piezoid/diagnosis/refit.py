@@ -145,7 +145,8 @@ def refit_model(
         structure=structure,
         samples=rows,
     )
-    if any(estimate.parameters.get("place", 0.0) > 0.0 for estimate in estimates):
+    # A change between recordings leaves none of them with a gain on both sides of it.
+    if any(e.effect == "gain_change" and e.parameters["place"] > 0.0 for e in estimates):
         final = _with_later_recordings(final, recordings, structure, rows)
     final = _with_free_rungs(final, recordings, structure, rows)
     fitted = final.model.extensions

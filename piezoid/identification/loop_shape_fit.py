@@ -97,9 +97,10 @@ def with_loop_shape(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMod
     best = estimate, pieces, columns
     for number in range(MOST_ROUNDS):
         regression = regression_of(estimate, pieces, columns)
-        improved = _improved(estimate, pieces, columns, regression)
-        settled = replace(improved, model=_with_numbers_of(estimate.model, improved.model))
-        settled = with_sensor_numbers(settled, pieces, columns)
+        improved = _improved(estimate, columns, regression)
+        present = estimate.model
+        model = replace(improved.model, lag=present.lag, extensions=present.extensions)
+        settled = with_sensor_numbers(replace(improved, model=model), pieces, columns)
         if number < FEWEST_ROUNDS - 1 or settled.noise < best[0].noise:
             best = settled, pieces, columns
         elif settled.noise > WORSE * best[0].noise:
@@ -116,14 +117,8 @@ def with_loop_shape(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMod
     return _accepted(axis, estimate, pieces, columns, plain)
 
 
-def _with_numbers_of(estimated: AxisModel, model: AxisModel) -> AxisModel:
-    """Return a model with lag and extensions of the estimate before."""
-    return replace(model, lag=estimated.lag, extensions=estimated.extensions)
-
-
 def _improved(
     estimate: Estimate,
-    pieces: Sequence[Piece],
     columns: Columns,
     regression: Regression,
     steps: int = 40,
@@ -159,12 +154,9 @@ def _improved(
         density_m=abs(scale_m) * density,
         smooth_m=abs(scale_m) * smooth,
     )
-    histories_weight = coefficient[regression.places("initial state")]
-    counts = [len(weight) for weight in estimate.weights]
     weights = estimate.weights
-    if len(histories_weight):
-        weights = tuple(np.split(histories_weight, np.cumsum(counts)[:-1]))
-    knots = np.cumsum([len(piece.start.zero_m) for piece in pieces])[:-1]
+    if estimate.variance:  # the first regression has no columns of histories
+        weights = _split(coefficient[regression.places("initial state")], weights)
     use = estimate.use
     if estimate.variance:
         far = np.abs(residual) > FAR * 1.4826 * np.median(np.abs(residual))
@@ -172,7 +164,7 @@ def _improved(
     return Estimate(
         model=replace(axis, loop_shape=shape),
         weights=weights,
-        zeros=tuple(np.split(scale_m * coefficient[regression.places("zero")], knots)),
+        zeros=_split(scale_m * coefficient[regression.places("zero")], estimate.zeros),
         wide=wide / columns.scale,
         coefficient=coefficient,
         shift=float(np.sqrt(np.mean(change_m[use] ** 2) / np.mean(residual[use] ** 2))),
@@ -271,7 +263,7 @@ def _converged(
         if solves:
             estimate = solves[-1]
             regression = _again(estimate, pieces, columns, regression)
-        solve = _improved(estimate, pieces, columns, regression, steps=0)
+        solve = _improved(estimate, columns, regression, steps=0)
         solves.append(_with_histories(solve, _again(solve, pieces, columns, regression)))
     return min(solves, key=lambda solve: float(np.mean(solve.residual_m[solve.use] ** 2)))
 

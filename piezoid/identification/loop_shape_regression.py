@@ -167,18 +167,13 @@ def regression_of(
     for k, piece in enumerate(pieces):
         start = replace(piece.start, zero_m=estimate.zeros[k])
         zeros[rows[k] : rows[k + 1], knots[k] : knots[k + 1]] = _zero_columns(piece, start)
-        path, history_m = columns.paths[k], _history_m(estimate, k, piece, columns)
+        static_m, history_m = _static_m(estimate, k, piece, columns)
         if not is_first:
-            changes_m = path.changes_m(shape)
+            changes_m = columns.paths[k].changes_m(shape)
             histories[k][rows[k] : rows[k] + len(changes_m)] = changes_m / abs(scale_m)
             if not has_numbers:
-                column_change = path.column_changes(
-                    estimate.weights[k], columns.plays, abs(scale_m)
-                )
-                gain = gain_of(axis, piece)
-                gain = gain if isinstance(gain, float) else gain[: len(column_change)]
-                x[rows[k] : rows[k] + len(column_change)] += column_change * gain / columns.scale
-        static_m = history_m + axis.static_m(piece.drive_V, start.memory_V, piece.where.rate_Hz)
+                change = _history_columns(estimate, k, piece, columns)
+                x[rows[k] : rows[k] + len(change)] += change
         read_m = _read_m(axis, piece, start, static_m)
         error_m.append(piece.measured_m[piece.rows] - read_m)
         sensor_slope.append(_sensor_slope(axis, piece, start, static_m))
@@ -217,66 +212,65 @@ def regression_of(
     )
 
 
-def _history_m(estimate: Estimate, k: int, piece: Piece, columns: Columns) -> Array:
-    """Return the change of a piece's static response by its weighted histories, (samples,)."""
-    shape, weight, samples = estimate.model.loop_shape, estimate.weights[k], piece.where.samples
-    if shape is None or not np.any(weight):
-        return np.zeros(samples)
-    path = columns.paths[k]
-    return path.interpolated_m(path.changes_m(shape) @ weight, samples)
+def _static_m(estimate: Estimate, k: int, piece: Piece, columns: Columns) -> tuple[Array, Array]:
+    """Return the static response of piece k, and the part of weighted histories, (samples,)."""
+    axis, weight, history_m = estimate.model, estimate.weights[k], np.zeros(piece.where.samples)
+    if axis.loop_shape is not None and np.any(weight):
+        path = columns.paths[k]
+        change_m = path.changes_m(axis.loop_shape) @ weight
+        history_m = path.interpolated_m(change_m, piece.where.samples)
+    static_m = axis.static_m(piece.drive_V, piece.start.memory_V, piece.where.rate_Hz)
+    return history_m + static_m, history_m
+
+
+def _history_columns(estimate: Estimate, k: int, piece: Piece, columns: Columns) -> Array:
+    """Return the change of the class's columns by weighted histories, (first rows, columns)."""
+    scale_m, gain = abs(half_range_m(estimate.model)), gain_of(estimate.model, piece)
+    change = columns.paths[k].column_changes(estimate.weights[k], columns.plays, scale_m)
+    return change * (gain if isinstance(gain, float) else gain[: len(change)]) / columns.scale
 
 
 def with_sensor_numbers(estimate: Estimate, pieces: Sequence[Piece], columns: Columns) -> Estimate:
-    """Fit the numbers of the sensor to the readings at the positions of the estimate.
+    """Fit the numbers of a sensor's error to the readings at the simulated positions.
 
-    A reading is far from linear in the wavelength of a periodic error, so that these numbers are
-    not among the columns.
+    A reading is far from linear in the wavelength of a periodic error, so these numbers are not
+    among the columns of the regression.
     """
-    axis, scale_m = estimate.model, half_range_m(estimate.model)
-    sensors = [extension for extension in axis.extensions if _is_sensor(extension)]
-    if not sensors:
+    axis = estimate.model
+    if not any(_is_sensor(extension) for extension in axis.extensions):
         return estimate
-    positions_m, readings_m = [], []
+    positions_m = []
     for k, piece in enumerate(pieces):
-        start = replace(piece.start, zero_m=estimate.zeros[k])
-        static_m = _history_m(estimate, k, piece, columns) + axis.static_m(
-            piece.drive_V, start.memory_V, piece.where.rate_Hz
-        )
-        zero_m = zero_of(start, piece.where.samples)
+        zero_m = zero_of(replace(piece.start, zero_m=estimate.zeros[k]), piece.where.samples)
+        static_m, _ = _static_m(estimate, k, piece, columns)
         positions_m.append(axis.forward.position(static_m, piece.where, zero_m)[piece.rows])
-        readings_m.append(piece.measured_m[piece.rows])
     position_m = np.concatenate(positions_m)[estimate.use]
-    reading_m = np.concatenate(readings_m)[estimate.use]
-    numbers = [extension.free() for extension in sensors]
-    edges = np.cumsum([len(number.value) for number in numbers])[:-1]
-    value, lower, upper, step = (
-        np.concatenate([getattr(number, name) for number in numbers])
-        for name in ("value", "lower", "upper", "step")
-    )
+    reading_m = np.concatenate([piece.measured_m[piece.rows] for piece in pieces])[estimate.use]
+    extensions, shift = list(axis.extensions), estimate.shift
+    for number, extension in enumerate(axis.extensions):
+        if _is_sensor(extension):
+            extensions[number], change = _fitted_sensor(extension, position_m, reading_m)
+            position_m = extensions[number].reading(position_m)
+            shift = max(shift, change)
+    return replace(estimate, model=replace(axis, extensions=tuple(extensions)), shift=shift)
 
-    def sensors_at(steps: Array) -> list[Extension]:
-        values = np.split(steps * step, edges)
-        return [e.moved_to(part) for e, part in zip(sensors, values, strict=True)]
+
+def _fitted_sensor(
+    sensor: Extension, position_m: Array, reading_m: Array
+) -> tuple[Extension, float]:
+    """Return a sensor's error fitted to readings, and its change relative to the residual."""
+    numbers, scale_m = sensor.free(), float(np.std(reading_m))
 
     def error(steps: Array) -> Array:
-        read_m = position_m
-        for sensor in sensors_at(steps):
-            read_m = sensor.reading(read_m)
-        return np.asarray((read_m - reading_m) / scale_m)
+        moved = sensor.moved_to(steps * numbers.step)
+        return np.asarray((moved.reading(position_m) - reading_m) / scale_m)
 
-    fit = least_squares(error, value / step, bounds=(lower / step, upper / step), x_scale="jac")
-    moved = iter(sensors_at(fit.x))
-    extensions = tuple(
-        replace(next(moved), std=extension.std) if _is_sensor(extension) else extension
-        for extension in axis.extensions
-    )
-    change = error(fit.x) - error(value / step)
-    shift = float(np.sqrt(np.mean(change**2) / np.mean(error(value / step) ** 2)))
-    return replace(
-        estimate,
-        model=replace(axis, extensions=extensions),
-        shift=max(estimate.shift, shift),
-    )
+    first = numbers.value / numbers.step
+    bounds = (numbers.lower / numbers.step, numbers.upper / numbers.step)
+    fit = least_squares(error, first, bounds=bounds, x_scale="jac")
+    before, after = error(first), error(fit.x)
+    change = float(np.linalg.norm(after - before) / np.linalg.norm(before))
+    return replace(sensor.moved_to(fit.x * numbers.step), std=sensor.std), change
 
 
 def _zero_columns(piece: Piece, start: PieceStart) -> Array:

@@ -43,9 +43,9 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.repetition import equal_cycles
 from piezoid.records.recording import Recording
 
-# Instants tried, of a track. A class that follows nearly any hysteresis leaves of a change only
-# what is near to it: in a chirp of a stage with three effects the held-out gain was 0.50 at the
-# instant, 0.25 at 0.01 beside it, and below zero at 0.03.
+# Instants tried, in shares of a track. The nuisance class absorbs a step of the gain at the wrong
+# instant: in a chirp of a stage with three effects the held-out gain was 0.50 at the true instant,
+# 0.25 at a distance of 0.01, and negative at 0.03.
 INSTANTS = np.linspace(0.07, 0.93, 40)
 MIN_CHANGE = 0.003  # of the gain: a step of the zero alone is another effect
 MIN_CHANGE_BETWEEN = 0.005  # recordings of other drives differ by less if the class is inexact
