@@ -174,7 +174,7 @@ def _show(diagnosis: "Diagnosis") -> None:
     from rich.console import Console
 
     from piezoid.diagnosis.diagnosis_statements import diagnosis_statements, largest_first
-    from piezoid.formatting import significant, with_unit
+    from piezoid.formatting import interval_digits, significant, with_unit
     from piezoid.raw_counts import in_counts, record_in_counts
     from piezoid.statement import Level
 
@@ -183,14 +183,16 @@ def _show(diagnosis: "Diagnosis") -> None:
         rows = [
             (
                 finding.effect + (f" ({finding.coordinate})" if finding.coordinate else ""),
-                f"{100 * finding.held_out_gain:.1f} %",
-                f"{significant(finding.size.value)} {finding.size.unit}",
-                " .. ".join(significant(end) for end in finding.size.ci95),
+                in_counts(with_unit(finding.held_out_rms_before_m, "m"), counted),
+                in_counts(with_unit(finding.held_out_rms_after_m, "m"), counted),
+                f"{significant(finding.size.value, digits)} {finding.size.unit}",
+                " .. ".join(significant(end, digits) for end in finding.size.ci95),
                 ", ".join(finding.not_separable_from),
             )
             for finding in largest_first(diagnosis)
+            for digits in (interval_digits(*finding.size.ci95),)
         ]
-        headings = ("effect", "gain", "size", "95 %", "not separable from")
+        headings = ("effect", "error without", "with", "size", "95 %", "not separable from")
         count = len(diagnosis.findings)
         title = f"axis {diagnosis.axis}: {count} {'effect' if count == 1 else 'effects'} found"
         console.print(table(title, headings, rows, n_words=5))

@@ -100,6 +100,7 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
     from rich.console import Console
 
     from piezoid.diagnosis.planning.plan_file import sentences
+    from piezoid.formatting import with_unit
 
     console = Console()
     if not axis.has_dynamics:
@@ -129,8 +130,12 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
                 f"{100 * error:.2g} %" if error < 10.0 else "not shown",
             )
         )
-    title = f"axis {planned.axis}: {' against '.join(planned.question.effects)}"
-    source = "with the recordings" if planned.recorded is not None else "from the drive alone"
-    last_heading = f"standard error of the effect's size, {source}"
+    question = planned.question
+    title = f"axis {planned.axis}: {' against '.join(question.effects)}"
+    if question.kind == "detect":
+        title += f", if it has {with_unit(question.suspects[0].rms_m, 'm')} rms"
+    source = "with the recordings" if planned.recorded is not None else "without the recordings"
+    last_heading = f"standard error over size, {source}"
     console.print(table(title, (*headings, last_heading), rows, n_words=1))
+    console.print(plain("Of drives that are nearly as good as the best, the shortest is chosen."))
     console.print(plain(f"drive: {drive}"))

@@ -56,8 +56,11 @@ def budget_lines(diagnoses: "Sequence[Diagnosis]", legend: str = "") -> list[str
             for part in visible_parts(diagnosis)
         )
         total = with_unit(diagnosis.baseline.rms_m, "m")
-        line = f"error budget {diagnosis.axis}: {total} = {terms}"
+        line = f"error budget {diagnosis.axis}: {total} with hysteresis alone = {terms}"
         lines.append(in_counts(line, diagnosis.counted))
     if any("*" in line for line in lines):
-        lines.append(f"(rms, squares add up; * removed by the model{legend})")
+        lines.append(
+            "(rms, squares add up; * removed by the model, the rest is its held-out error"
+            f"{legend})"
+        )
     return lines

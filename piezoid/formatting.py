@@ -61,6 +61,18 @@ def significant(value: float, digits: int = 3) -> str:
     return f"{rounded:.{max(digits - 1 - exponent, 0)}f}"
 
 
+def interval_digits(low: float, high: float) -> int:
+    """Return the number of significant digits, at least three, that resolve an interval.
+
+    >>> interval_digits(399.9, 400.6)
+    4
+    """
+    width, size = abs(high - low), max(abs(low), abs(high))
+    if not (0.0 < width < size < math.inf):
+        return 3
+    return min(max(math.ceil(math.log10(size / width)) + 1, 3), 9)
+
+
 def p_value(probability: float) -> str:
     """Return a p-value with two digits; below a thousandth its size means nothing.
 

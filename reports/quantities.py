@@ -4,7 +4,7 @@ import math
 
 from piezoid import formatting
 from piezoid.diagnosis.diagnosis import Finding
-from piezoid.formatting import UNKNOWN, scale_for
+from piezoid.formatting import UNKNOWN, interval_digits, scale_for
 
 NARROW = "\u202f"  # a narrow space at which no line breaks: number and unit stay together
 MINUS = "\N{MINUS SIGN}"
@@ -61,9 +61,8 @@ def with_interval(value: float, interval: tuple[float, float], unit: str) -> str
 def size_of(finding: Finding) -> str:
     """Return the size of a finding with its 95 % interval, one-sided if that includes zero."""
     size = finding.size
-    low, high = size.ci95
-    if low <= 0.0 < high:
-        return f"{significant(size.value)} {size.unit} (95 %: at most {significant(high)})"
-    return (
-        f"{significant(size.value)} {size.unit} (95 %: {significant(low)} to {significant(high)})"
-    )
+    digits = interval_digits(*size.ci95)
+    value, low, high = (significant(x, digits) for x in (size.value, *size.ci95))
+    if size.ci95[0] <= 0.0 < size.ci95[1]:
+        return f"{value} {size.unit} (95 %: at most {high})"
+    return f"{value} {size.unit} (95 %: {low} to {high})"

@@ -46,10 +46,6 @@ RESONANCE = "resonance"  # an unresolved mode widens loops as another loop shape
 BLOCKS = 20  # of the residual, for the standard error of its mean square
 ONE_SIDED_95 = 1.645
 ALPHA = 0.05  # of the rank among 52 healthy stages, whose smallest p-value is 1/53
-EXTRAPOLATION_TEXT = (
-    "The held-out error exceeds the error in sample: a fit to the other recordings predicts "
-    "each of them worse than a fit to all. Record every amplitude and speed at least twice."
-)
 MANY_TIMES = 5.0  # residual of one recording over that of all others, so that it dominates
 
 
@@ -255,7 +251,7 @@ def _remaining_part(
     sizes = f"{with_unit(rms_m, 'm')} rms; sensor noise {with_unit(noise_m, 'm')}"
     texts = {
         LOOP_SHAPE: f"Loop shape that the model class cannot represent ({sizes}).",
-        "extrapolation": _extrapolation_text(errors.recordings_m),
+        "extrapolation": _extrapolation_text(diagnosis.final.rms_m, rms_m, errors.recordings_m),
         SOMETHING_ELSE: "Systematic residual that no effect explains; the model does not contain "
         f"it ({sizes}).",
         "unexplained": f"Residual that no effect explains ({sizes}).{_advice(diagnosis)}",
@@ -263,11 +259,25 @@ def _remaining_part(
     return BudgetPart(part=name, rms_m=rms_m, is_explained=False, text=texts[name])
 
 
-def _extrapolation_text(recordings_m: Mapping[str, float]) -> str:
-    """Name the recording that makes the error, if one is far worse than all others."""
+def _extrapolation_text(
+    held_out_m: float, difference_m: float, recordings_m: Mapping[str, float]
+) -> str:
+    """Name the recording that makes the error, if one is far worse than all others.
+
+    Args:
+        held_out_m: error of the model on data that were left out.
+        difference_m: root of the difference of the mean squares held out and in sample.
+        recordings_m: error in sample by recording.
+    """
     *smaller, worst = sorted(recordings_m, key=lambda name: recordings_m[name]) or [""]
     if not smaller or recordings_m[worst] < MANY_TIMES * recordings_m[smaller[-1]]:
-        return EXTRAPOLATION_TEXT
+        held_out = with_unit(held_out_m, "m")
+        in_sample = with_unit(sqrt(max(held_out_m**2 - difference_m**2, 0.0)), "m")
+        return (
+            f"The model predicts data that were left out of the fit worse ({held_out} rms) than "
+            f"the data of the fit ({in_sample} rms). Record every amplitude and speed at least "
+            "twice."
+        )
     rms, others_rms = (with_unit(recordings_m[name], "m") for name in (worst, smaller[-1]))
     return (
         f"The error comes from {worst}: the model misses it by {rms} rms, the other recordings by "

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from piezoid.formatting import p_value, significant, with_unit, words
+from piezoid.formatting import interval_digits, p_value, significant, with_unit, words
 from piezoid.identification.model import AxisModel
 from piezoid.summary import Summarised, Summary
 
@@ -259,8 +259,9 @@ class Diagnosis(Summarised):
 
 def _interval(size: Size) -> str:
     """Return a size with its interval and unit, for example ``2.1 (1.9 to 2.3) %``."""
-    low, high = (significant(limit) for limit in size.ci95)
-    return f"{significant(size.value)} ({low} to {high}) {size.unit}".strip()
+    digits = interval_digits(*size.ci95)
+    value, low, high = (significant(number, digits) for number in (size.value, *size.ci95))
+    return f"{value} ({low} to {high}) {size.unit}".strip()
 
 
 def with_finding(diagnosis: Diagnosis, finding: Finding) -> Diagnosis:

@@ -91,8 +91,8 @@ def with_modes(
         size=Size(value=frequency_Hz, unit=effect.unit, ci95=(low_Hz, high_Hz)),
         not_separable_from=(),
         explanation=f"{effect.summary} It is "
-        f"identified behind the hysteresis from {names}; the errors are of these recordings, "
-        "behind the hysteresis that the others tell, without the mode and with it.",
+        f"identified from {names}; the errors are those of these recordings without and with the "
+        "mode, behind the hysteresis fitted to the other recordings.",
         next_experiment=effect.experiment,
         parameters={
             "frequency_Hz": frequency_Hz,

@@ -308,7 +308,7 @@ def _remarked(axis: AxisModel, shaped: Sequence[Recording]) -> AxisModel:
     if not shaped:
         return axis
     names = ", ".join(recording.name for recording in shaped)
-    remark = f"{names}: a mode shapes the motion; it tells the dynamics, not the hysteresis"
+    remark = f"{names}: used for the dynamics only, because a mode dominates the motion"
     remarks = (remark, *axis.verdict.remarks)
     return replace(axis, verdict=replace(axis.verdict, remarks=remarks))
 

@@ -128,7 +128,7 @@ class FitQuality:
 
     @property
     def lag_is_open(self) -> bool:
-        """Whether lag and loop width cannot be separated, because the rate was never varied."""
+        """Whether lag and loop width cannot be separated: no loop was driven at two speeds."""
         return any(limit.lack in ("speed", "branch") for limit in self.limits)
 
     @property

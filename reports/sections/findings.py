@@ -32,8 +32,8 @@ def render(page: Page) -> Section | None:
     return Section(
         anchor="findings",
         title="Findings",
-        lead="Effects that a simulation with hysteresis alone lacks. Look-alike: the same effect "
-        "in a healthy stage.",
+        lead="Effects that a simulation with hysteresis alone lacks. Look-alike: the residual "
+        "expected if the stage had this effect alone, in the size found.",
         parts=(*parts, *_not_detected_tables(page)),
     )
 
@@ -139,7 +139,7 @@ def _limits_of(absence: NotDetected | None) -> str:
     if absence is None:
         return "found"
     if absence.detection_limit_m is None:
-        return "not tested"
+        return f"not tested: {absence.reason}"
     limit = number(absence.detection_limit_m, "m")
     is_fault = effect_named(absence.effect).fault is not None
     if is_fault or absence.upper_bound_m is None:

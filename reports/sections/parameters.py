@@ -248,7 +248,7 @@ def _quantities(page: Page) -> Table:
         lag_s = known_of(axis.uncertainty).get("lag_s", (axis.lag.time_s, math.nan))
         lag = with_half_width(*lag_s, "s")
         if axis.quality.lag_is_open and axis.lag.kind != "none":
-            lag = "not identified: the rate was never varied"
+            lag = "not separable from the width of the loop at one speed"
         values = {
             "width of the full loop": _loop_width(axis),
             "lag": lag,

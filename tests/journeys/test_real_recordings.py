@@ -63,7 +63,7 @@ def test_the_positioner_that_is_all_lag_is_not_sold_as_hysteresis(realdata: Path
     assert quality.lag_is_open
     assert min(limit.most for limit in quality.limits) <= 50
     (reason,) = [limit.reason for limit in quality.limits if limit.lack == "speed"]
-    assert "a lag of second order without hysteresis 0.5" in reason
+    assert "a second-order lag without hysteresis 0.5" in reason
 
 
 def test_the_hold_of_an_approach_names_creep_and_is_fitted_as_no_loop(realdata: Path) -> None:

@@ -158,7 +158,8 @@ def _reason(question: Question) -> str:
             f"to {high}."
         )
     if question.limit_m is None:
-        return f"These recordings cannot show {first} at all."
+        reason = f": {question.absent.reason}" if question.absent is not None else ""
+        return f"These recordings cannot show {first}{reason}."
     return f"These recordings show {first} only from {with_unit(question.limit_m, 'm')} rms."
 
 

@@ -191,13 +191,13 @@ def _with_recorded_dynamics(
     if not exciting:
         verdict = unmeasured(stated_Hz, "no recording is fast enough")
         return axis if stated_Hz is None else _with_bandwidth(axis, verdict)
-    recording, highest_Hz = max(exciting, key=lambda pair: pair[1])
+    recording, _ = max(exciting, key=lambda pair: pair[1])
     try:
         measured = measure_behind_hysteresis(axis, recording)
     except ExcitationError as refusal:
         verdict = unmeasured(stated_Hz, f"{recording.name} contains {refusal.found}")
         return _with_bandwidth(_with_remarks(axis, f"no linear dynamics: {refusal}"), verdict)
-    axis, obstacle = _with_fit(axis, measured, recording, recordings, highest_Hz)
+    axis, obstacle = _with_fit(axis, measured, recording, recordings)
     verdict = decide_bandwidth(
         measured,
         Declaration(filters=_declared(axis.rig)),
@@ -215,7 +215,6 @@ def _with_fit(
     measured: FrequencyResponse,
     recording: Recording,
     recordings: Sequence[Recording],
-    highest_Hz: float,
 ) -> tuple[AxisModel, str]:
     """Fit the dynamics behind the hysteresis, then both together unless that moves the modes.
 
@@ -230,8 +229,8 @@ def _with_fit(
         return axis, _obstacle(dynamics)
     low_Hz, high_Hz = dynamics.band_Hz
     text = (
-        f"{recording.name} drives up to {highest_Hz:.0f} Hz: linear dynamics were fitted behind "
-        f"the hysteresis from {with_unit(low_Hz, 'Hz')} to {with_unit(high_Hz, 'Hz')}"
+        f"{recording.name}: linear dynamics were fitted behind the hysteresis from "
+        f"{with_unit(low_Hz, 'Hz')} to {with_unit(high_Hz, 'Hz')}"
     )
     joint = fit_jointly(axis, dynamics, recording, recordings)
     if joint is None:

@@ -27,11 +27,15 @@ UNKNOWN_DELAY_s = (0.0, np.inf)
 
 UNDECIDED = "These recordings do not show whether a pole or a resonance limits the stage"
 MEANING = {
-    "first_order": "a first-order pole limits the stage",
-    "resonance": "a resonance limits the stage",
-    "undecided": "these recordings do not show whether this is a pole or a resonance; declare "
-    "amplifier and sensor, and record a small chirp through that frequency, at the rate of the "
-    "controller or faster",
+    "first_order": "A first-order pole limits the stage",
+    "resonance": "A resonance limits the stage",
+    "undecided": UNDECIDED,
+}
+ADVICE = {
+    "first_order": "",
+    "resonance": "",
+    "undecided": " Declare amplifier and sensor, and record a small chirp through that frequency, "
+    "at the rate of the controller or faster.",
 }
 
 
@@ -122,14 +126,15 @@ def decide_bandwidth(
         interval = (phase_deg - half, max(min(phase_deg + later, 0.0), phase_deg) + half)
         kind = _kind(interval, bool(is_peak))
         text = (
-            f"The gain has fallen by 3 dB at {with_unit(fallen_Hz, 'Hz')} with a phase between "
-            f"{interval[0]:.0f}° and {interval[1]:.0f}°; the largest gain before is "
-            f"{ratio:.3g} times that at rest, at {with_unit(peak_Hz, 'Hz')}: {MEANING[kind]}."
+            f"{MEANING[kind]}: the largest gain is {ratio:.3g} times the gain at rest, at "
+            f"{with_unit(peak_Hz, 'Hz')}; the gain has fallen by 3 dB at "
+            f"{with_unit(fallen_Hz, 'Hz')}, with a phase between {interval[0]:.0f}° and "
+            f"{interval[1]:.0f}°.{ADVICE[kind]}"
         )
     elif is_peak:
         text = (
-            f"The gain peaks at {with_unit(peak_Hz, 'Hz')} with {ratio:.3g} times that at rest: "
-            f"{MEANING[kind]}."
+            f"{MEANING[kind]}: the largest gain is {ratio:.3g} times the gain at rest, at "
+            f"{with_unit(peak_Hz, 'Hz')}.{ADVICE[kind]}"
         )
     else:
         text = (
@@ -200,7 +205,7 @@ def _kind(interval_deg: tuple[float, float], is_peak: bool) -> Kind:
 
 
 def _stated(stated_Hz: float | None) -> str:
-    return "" if stated_Hz is None else f"A bandwidth of {stated_Hz:g} Hz is stated. "
+    return "" if stated_Hz is None else f"lab.toml states a bandwidth of {stated_Hz:g} Hz. "
 
 
 def _remedy(stated_Hz: float | None) -> str:

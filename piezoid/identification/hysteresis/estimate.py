@@ -158,16 +158,16 @@ def _limits(data: Prepared, choice: Choice, progress: Progress) -> tuple[tuple[L
     straight = without_bends(choice).best.held_out_rms
     envelope = ", an envelope" if choice.best.shape.bends else ""
     comparison = (
-        f"of the range, plays{envelope} and a lag leave {100 * plays / height:.2g} %, a lag of "
-        f"second order without hysteresis {100 * lag.held_out_rms / height:.2g} % (at "
-        f"{with_unit(lag.frequency_Hz, 'Hz')}, damping {lag.damping:.2g}), with a delay "
-        f"besides {100 * delayed.held_out_rms / height:.2g} %"
+        f"held-out error: plays{envelope} and a lag {100 * plays / height:.2g} % of the range; a "
+        f"second-order lag without hysteresis {100 * lag.held_out_rms / height:.2g} % "
+        f"({with_unit(lag.frequency_Hz, 'Hz')}, damping {lag.damping:.2g}); the same lag with a "
+        f"delay {100 * delayed.held_out_rms / height:.2g} %"
     )
     is_wide = widest_opening(data.pieces) > WIDE * height
     explains = lag.rises and best < EXPLAINED * none.held_out_rms
     if not (is_wide and explains and best <= AS_GOOD * straight):
         return scope.limits(f" ({comparison})"), ""
-    reason = f"the loop is phase lag, not hysteresis: {comparison}"
+    reason = f"the loop is phase lag, not hysteresis ({comparison})"
     if straight > plays:
         reason += f"; plays without an envelope {100 * straight / height:.2g} %"
     return scope.limits(f" ({comparison})"), reason
@@ -291,7 +291,8 @@ def remarks_on(fitted: Fitted, held_out_kind: str, rig: Rig) -> tuple[str, ...]:
     remarks = []
     if held_out_kind == SECOND_HALF:
         remarks.append(
-            "The order was chosen by the error on the second half of the only recording."
+            "The order was chosen by the error on the second half of the only recording that "
+            "determines the hysteresis."
         )
     if held_out_kind == IN_SAMPLE:
         remarks.append(

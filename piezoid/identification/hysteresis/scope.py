@@ -81,7 +81,7 @@ class Scope:
     def limits(self, lag: str = "") -> tuple[Limit, ...]:
         """Return what was not measured, most important first.
 
-        lag  what lags without hysteresis leave, beside the fit
+        lag  in parentheses: the residual of lags without hysteresis beside that of the fit
         """
         lacks = []
         if self.branches < 2:
@@ -105,8 +105,8 @@ class Scope:
                 (
                     "speed",
                     "branches of one size and direction were all driven at one speed: the width "
-                    f"of the loop cannot be told from a lag{lag}, and nothing is known at other "
-                    "speeds",
+                    "of the loop cannot be separated from a lag, and the model is untested at "
+                    f"other speeds{lag}",
                 )
             )
         if self.amplitudes < OTHER_SIZE:
@@ -114,7 +114,13 @@ class Scope:
                 ("amplitude", "every branch has one amplitude: no smaller loop was ever measured")
             )
         if self.recordings == 1:
-            lacks.append(("recording", "there is only one recording: no other drive was tested"))
+            lacks.append(
+                (
+                    "recording",
+                    "only one recording determines the hysteresis: the model was not tested on "
+                    "another drive of this size",
+                )
+            )
         return tuple(Limit(lack=name, reason=reason, most=MOST[name]) for name, reason in lacks)
 
 
