@@ -120,7 +120,7 @@ def split_at_baseline_steps(recording: Recording) -> Recording:
         further = f" and {len(steps) - MAX_PLACES} more" if len(steps) > MAX_PLACES else ""
         times = "once" if len(steps) == 1 else f"{len(steps)} times"
         text = (
-            f"{axis}: the zero of the displacement steps {times} while the drive does not: "
+            f"The zero of the displacement steps {times} while the drive does not: "
             f"{', '.join(steps_in_words)}{further}. Likely cause: {_cause(steps)}. The spans "
             "between are fitted with separate zeros."
         )

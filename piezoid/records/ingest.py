@@ -316,16 +316,16 @@ def _clock(
             raise UnitError(
                 f"{table.name}: no column is a time and the file states no sampling rate",
                 needed="one of the two, to know when each row was recorded",
-                remedy="Write into lab.toml the rate of this file, or name its time column; "
-                "sampling_rate_Hz under [acquisition] is that of the controller, and of files "
-                f"without a time column:\n\n{entry_template(table)}\n",
+                remedy="Write the rate of this file into lab.toml, or name its time column. "
+                "columns and units may be left out if the headings state them:\n\n"
+                f"{entry_template(table)}\n",
             )
         clock, clock_Hz = stated_clock(rate_Hz, table.name), rate_Hz
         if of_file_Hz is None:
             rounded_Hz = clock.sampling_rate_Hz
             text = (
-                f"No time column; {rounded_Hz:.9g} Hz from [acquisition] of {lab.place}, the rate "
-                "of the controller, and of files without a time column. To confirm it or to state "
+                f"No time column: the file is read at {rounded_Hz:.9g} Hz, the rate of the "
+                f"controller under [acquisition] of {lab.place}. To confirm this rate or to state "
                 "another one, write sampling_rate_Hz = ... into the [[recording]] of this file."
             )
             statement = finding(CONTROLLER_RATE, text, value=rounded_Hz, unit="Hz")

@@ -30,7 +30,7 @@ from piezoid.records.units import unit_of
 HEAD = f"""\
 # Description of the rig, drafted by `piezoid init` from the recordings below. Lines that begin
 # with # are comments. Everything is optional: complete the values that you know, remove the #,
-# and pass the file with --lab. All units are SI and end the names.
+# and pass the file with --lab. The end of each name is its unit, always SI.
 
 [rig]
 # name = "stage 42"              # heads the report
@@ -52,7 +52,7 @@ HEAD = f"""\
 # gain_V_per_m = 2e5             # needed if a recording is in volts of the sensor
 
 [acquisition]                    # without the rate no controller is designed
-# sampling_rate_Hz = 20000       # of the controller, and of files without a time column
+# sampling_rate_Hz = 20000       # of the controller; also of recordings without a time column
 # dac_bits = 16
 # adc_bits = 16
 # input_range_V = [-10, 10]

@@ -107,7 +107,9 @@ def test_a_table_without_time_takes_the_rate_of_the_laboratory(tmp_path: Path) -
     assert recording.sampling_rate_Hz == 20000
     (statement,) = recording.statements
     assert statement.quantity == "controller_rate"
-    assert "No time column; 20000 Hz from [acquisition]" in statement.text
+    assert statement.value == 20000
+    assert "20000 Hz" in statement.text
+    assert "[acquisition] of lab.toml" in statement.text
     confirmed = lab_with(sampling_rate_Hz=500)
     assert collect([path], replace(confirmed, acquisition=lab.acquisition))[0].statements == ()
     assert collect([path], confirmed)[0].sampling_rate_Hz == 500

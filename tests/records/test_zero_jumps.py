@@ -94,7 +94,7 @@ def test_a_fit_holds_its_error_and_says_what_was_odd(tmp_path: Path, law: str) -
     was, now = (fit([one]).axes["x"] for one in (clean, slipped))
     assert now.quality.held_out_rms_m < 1.5 * was.quality.held_out_rms_m
     (limit,) = (one for one in now.quality.limits if one.lack == "zero_jump")
-    assert limit.reason.startswith("sweep.csv: x: the zero of the displacement steps once")
+    assert limit.reason.startswith("sweep.csv: The zero of the displacement steps once")
     worst_first = [one.most for one in now.quality.limits]
     assert all(a <= b for a, b in pairwise(worst_first))
 

@@ -86,7 +86,7 @@ def refuse_unusable(recordings: Sequence[Recording]) -> None:
         for statement in recording.statements:
             if statement.quantity in UNUSABLE:
                 raise RecordingError(
-                    f"{recording.name}: {statement.text.rstrip('.')}",
+                    f"{recording.name}, axis {statement.axis}: {statement.text.rstrip('.')}",
                     needed="a displacement as the sensor measured it, within its range",
                     remedy="Correct the column or name another one in lab.toml, or leave the file "
                     "out.",

@@ -39,7 +39,7 @@ def check_command_range(recording: Recording, lab: Lab) -> list[Statement]:
             is_scaled = any({f"voltage_{axis}", "voltage"} & set(e.scale) for e in entries)
             if not is_scaled and HIGH_VOLTAGE.search(drive.label):
                 text = (
-                    f"{axis}: {drive.label!r} may be the high voltage behind the amplifier. "
+                    f"{drive.label!r} may be the high voltage behind the amplifier. "
                     f"{DRIVE_VOLTAGE_NOTE} If so, its [[recording]] needs "
                     f"{amplifier_scale(lab, axis)}. If not, state output_min_V and output_max_V "
                     "of [amplifier]."
@@ -49,9 +49,10 @@ def check_command_range(recording: Recording, lab: Lab) -> list[Statement]:
         drive_V = float(drive.values.min()), float(drive.values.max())
         if exceeds_range(drive_V, command_V, tolerance=MONITOR_ERROR):
             text = (
-                f"{axis}: the drive goes from {with_unit(drive_V[0], 'V')} to "
-                f"{with_unit(drive_V[1], 'V')}, the controller only from "
-                f"{with_unit(command_V[0], 'V')} to {with_unit(command_V[1], 'V')} (lab.toml). "
+                f"The drive goes from {with_unit(drive_V[0], 'V')} to "
+                f"{with_unit(drive_V[1], 'V')}, the controller's output "
+                f"only from {with_unit(command_V[0], 'V')} to {with_unit(command_V[1], 'V')} "
+                "by lab.toml. "
                 f"{DRIVE_VOLTAGE_NOTE} If it was recorded behind the amplifier, write "
                 f"{amplifier_scale(lab, axis)} into its [[recording]]; else correct input_range_V "
                 "or [amplifier]."

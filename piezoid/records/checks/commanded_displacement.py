@@ -26,7 +26,7 @@ def check_commanded_displacement(recording: Recording, axis: str) -> list[Statem
         return []
     gain_m_per_V = float(np.ptp(displacement_m) / np.ptp(drive_V))
     text = (
-        f"{axis}: the displacement is a function of the drive to the last digit, about "
+        "The displacement is a function of the drive to the last digit, about "
         f"{with_unit(gain_m_per_V, 'm')}/V times the drive, rising and falling: it is a command "
         "or was computed from the drive, and nothing was measured."
     )

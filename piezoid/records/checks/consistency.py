@@ -200,7 +200,7 @@ def refuse_inconsistent(recordings: Sequence[Recording]) -> None:
     mixed = check_mixed_units(recordings)
     if mixed:
         raise RecordingError(
-            "the recordings contradict each other: " + " ".join(s.text for s in mixed),
+            "the recordings contradict each other: " + " ".join(s.text for s in mixed).rstrip("."),
             needed="one unit in all recordings of a stage",
             remedy="Write into lab.toml:\n\n"
             + "\n\n".join(_entry(s.recording, "scale = { ... }") for s in mixed)
@@ -212,10 +212,10 @@ def refuse_inconsistent(recordings: Sequence[Recording]) -> None:
             tuple(statement.text for statement, _ in inconsistencies), counted_in(recordings)
         )
         raise RecordingError(
-            f"the recordings contradict each other: {' '.join(texts)}",
+            f"the recordings contradict each other: {' '.join(texts).rstrip('.')}",
             needed="recordings of one stage, in true units and with one polarity",
-            remedy="If this is the reason, write into lab.toml (or the like for the others, if "
-            "they are wrong); leave a file of another stage out:\n\n"
+            remedy="Find out which recording is wrong. Correct it in lab.toml, as below if it is "
+            "the one named there, or leave out a file of another stage:\n\n"
             + "\n\n".join(_entry(s.recording, line) for s, line in inconsistencies)
             + "\n",
         )

@@ -68,7 +68,7 @@ def check_early_turns(recording: Recording, axis: str) -> list[Statement]:
         return []
     early_s = early.samples / recording.sampling_rate_Hz
     text = (
-        f"{axis}: the displacement begins to turn {with_unit(early_s, 's')} ({early.samples} "
+        f"The displacement begins to turn {with_unit(early_s, 's')} ({early.samples} "
         f"samples) before its drive and has then made {100 * early.share:.0f} % of the turn. "
         f"{advice}"
     )

@@ -33,7 +33,7 @@ def check_feedback(recording: Recording, axis: str) -> list[Statement]:
     range_m = float(np.ptp(recording.displacement_m(axis)[span]))
     begin_s, end_s = (edge / recording.sampling_rate_Hz for edge in (span.start, span.stop))
     text = (
-        f"{axis}: from {begin_s:.4g} s to {end_s:.4g} s the sensor stays within "
+        f"From {begin_s:.4g} s to {end_s:.4g} s the sensor stays within "
         f"{with_unit(range_m, 'm')} while the drive moves by {with_unit(range_V, 'V')}: recorded "
         "under feedback, or the sensor does not see the motion."
     )

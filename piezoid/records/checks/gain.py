@@ -27,7 +27,7 @@ def check_gain(recording: Recording, axis: str) -> list[Statement]:
     if MIN_GAIN_m_per_V <= gain_m_per_V <= MAX_GAIN_m_per_V:
         return []
     text = (
-        f"{axis}: {with_unit(range_m, 'm')} for {with_unit(range_V, 'V')} is a gain of "
+        f"{with_unit(range_m, 'm')} for {with_unit(range_V, 'V')} is a gain of "
         f"{with_unit(gain_m_per_V, 'm')} per volt; stages have {with_unit(MIN_GAIN_m_per_V, 'm')} "
         f"to {with_unit(MAX_GAIN_m_per_V, 'm')} per volt. Check the units, and whether the drive "
         "is the output of a monitor."

@@ -31,7 +31,7 @@ def check_loop_direction(recording: Recording, axis: str) -> list[Statement]:
         if (channel := recording.find(quantity, axis)) is not None
     )
     text = (
-        f"{axis}: the displacement leads the drive; the loop encloses {100 * -area:.2g} % of its "
+        f"The displacement leads the drive; the loop encloses {100 * -area:.2g} % of its "
         "box in the wrong direction. If the headings are exchanged, write columns = "
         f"{{ voltage = {response}, displacement = {drive}, ... }} into lab.toml; else check "
         "whether the drive is sampled late."

@@ -61,7 +61,7 @@ def check_saturation(recording: Recording, axis: str) -> list[Statement]:
         stop_V = sign * float(np.median([turn.stop_V for turn in turns]))
         end_V = sign * max(turn.turn_V for turn in turns)
         text = (
-            f"{axis}: displacement constant {side} {stop_V:.4g} V in {len(turns)} cycles (the "
+            f"Displacement constant {side} {stop_V:.4g} V in {len(turns)} cycles (the "
             f"drive reaches {end_V:.4g} V): end of the range of amplifier, sensor or stage. Stay "
             f"{'below' if sign > 0 else 'above'} {stop_V:.4g} V, or leave these cycles out."
         )
