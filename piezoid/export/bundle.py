@@ -45,20 +45,24 @@ the parameters; `example_main.c` tests your build with {samples} samples per axi
 {unshipped}
 Methods: `mpi_dob` is a disturbance observer on the inverse hysteresis model, `dob` an observer
 alone, `mpi` the inverse without feedback, `rst` a controller of the logarithm of a current.
-Memory: about 14 kB of code (Cortex-M4, float); for each axis of the table, used or not,
-{memory}.
+Memory: about 14 kB of code (Cortex-M4, float); {memory}
+for each axis. `piezo_params.h` contains the parameters of all axes of this table.
 
 ## 1. Build and check
 
     cc -std=c99 -O2 -ffp-contract=off example_main.c piezoid_runtime.c -o example
     ./example < golden.csv
 
-must end with `0 differ`; add `-DPZ_REAL_FLOAT` for single precision. Without standard input, start
-at 0 V (or the nearest limit) and the first reading of the axis, then step through its first rows.
-A float build that contracts products and sums (FMA) prints a few rows and exits with 1. It passes
-if each of them is one `step` off with the expected status (3 of 3000 rows with gcc and FMA).
-Not covered: approach, retract, stuck sensor, latch, `pz_reset`, feedforward. The first reading
-does not match 0 V; `pz_start` treats the difference as a shift of the sensor's zero.
+must end with `0 differ`; add `-DPZ_REAL_FLOAT` for single precision. On a target without standard
+input, compile rows of `golden.csv` into your test: call `pz_start` with 0 V and the first
+`measured` of the axis, then `pz_step` with each row, and compare voltage and status. (This first
+reading does not belong to 0 V; `pz_start` treats the difference as a shift of the sensor's zero.)
+Not covered: approach, retract, stuck sensor, latch, `pz_reset`, feedforward.
+
+A build that contracts products and sums (FMA) rounds differently and exits with 1. In float, with
+a `step` in the table above, it passes if each printed row is one step off with the expected
+status (3 of 3000 rows with gcc). With a step of 0 most rows differ, by about 1e-5 of the output
+range: test with `-ffp-contract=off`.
 
 ## 2. Call order and timing
 
@@ -68,21 +72,25 @@ does not match 0 V; `pz_start` treats the difference as a shift of the sensor's 
     void power_up(void) {{                /* with the interrupt stopped */
         const int32_t invalid = pz_start(&state, p, dac_voltage_V(), read_sensor());
         if (invalid != PZ_OK) stop_with(pz_describe(invalid)->name);
-        reference = state.reference_m;   /* X, Y: the reading; ramp from here */
+        reference = state.reference_m;   /* X, Y: the reading, within `reference` of the table */
     }}
     void on_timer(void) {{                /* at the rate of the table */
         write_dac(pz_step(&state, p, reference, read_sensor()));
     }}
 
-- X, Y: at `pz_start` and `pz_reset` the reference must be the reading; then ramp it. Only
-  `reference_step_m`, which is large, limits a jump. Z: the reference is always the set point.
+- X, Y: at `pz_start` and `pz_reset` the reading must lie within `reference` of the table, and the
+  reference must be the reading; then ramp it. At 0 V the reading often lies outside: ramp the DAC
+  until it is inside, then call `pz_start`. From outside, the first output jumps, on some stages
+  by half the range; only `reference_step_m`, which is large, limits a jump. Z: the reference is
+  always the set point.
 - `pz_start` needs the voltage that the DAC puts out at that moment. It accepts NaN and values out
   of range; the first output is then 0 V or the nearest limit: check before. Call it again, with
   the interrupt stopped, after a pause and after you have moved the DAC yourself. To park, ramp the
   reference to the position and stop the interrupt; the DAC keeps its last voltage.
-- Read, step and write in the same call. `report.html` states the delay that the design includes
-  (Dynamics) and the delay margin of the loop that ships, `method` above (Controllers). More delay
-  costs accuracy, and stability beyond the margin; another rate or missed calls are not detected.
+- Read, step and write in the same call. `report.html`, beside the folder `bundle/`, states the
+  delay that the design includes (Dynamics) and the delay margin of the loop that ships, `method`
+  above (Controllers). More delay costs accuracy, and beyond the margin stability. Another rate or
+  missed calls are not detected.
 - `reference` is the position wanted `preview` samples ahead. If you do not know the future, give
   the present one: the motion is then late by so many samples, otherwise the same.
 
@@ -94,7 +102,8 @@ does not match 0 V; `pz_start` treats the difference as a shift of the sensor's 
 - Z: both in A, positive at the bias in use; change the sign of the reading where it is negative.
 - `output / step`, rounded, is the code of a two's-complement DAC, within the column `codes`; an
   offset-binary DAC of n bits adds 2^(n-1). Clamp the code; masking wraps a code above full scale
-  to the opposite end. A step of 0: lab.toml declares no `dac_bits`; outputs are not rounded.
+  to the opposite end. A step of 0: lab.toml declares no `dac_bits`, outputs are not rounded, and
+  your firmware converts volts to codes with the scale of its DAC.
 - A coarser DAC rounds once more; keep `lsb_V`. A smaller range: narrow the voltages (section 6).
 
 ## 4. Bad readings and limits
@@ -107,9 +116,10 @@ does not match 0 V; `pz_start` treats the difference as a shift of the sensor's 
 - X, Y: unusable are NaN, infinity, and a value that does not change for `stuck_samples` although
   the voltage moves by `stuck_voltage_V`. The model then continues alone, with the last estimate of
   the disturbance. After `blind_samples` unusable readings the output latches until `pz_reset`.
-- X, Y: a railed reading is used (beyond the displacement limits as the limit) and moves the output
-  to the end of its range. A constant one is then stuck, and the output latches at that end. With
-  noise, or from a reversed sensor, it never latches. Detect these and a broken cable yourself.
+- X, Y: a reading at the end of the sensor's range is used, and moves the output to the end of its
+  range; a reading beyond the displacement limits counts as the limit. A constant one is then
+  stuck, and the output latches at that end. With noise, or from a reversed sensor, it never
+  latches. Detect these and a broken cable yourself.
 - Z retracts from a current that is dead (`NO_CURRENT`), frozen (`STUCK_SENSOR`) or at the ceiling,
   the end of its range (`MEASUREMENT_LIMITED`), and after `bad_samples` from one that is reversed
   (`WRONG_SIGN`) or NaN. It latches at `retract_voltage_V` after `trip_limit` retracts in a row or
@@ -119,7 +129,7 @@ does not match 0 V; `pz_start` treats the difference as a shift of the sensor's 
 ## 5. Status
 
 `state.status` is 0, or bits `PZ_STATUS_...` (header) of what was limited, replaced or faulty in
-this sample. `status_ever` collects them; start-up sets some, and only `pz_start` clears them. The
+this sample. `status_ever` collects them; start-up sets some, and only `pz_start` clears them. A
 guaranteed error of `report.html` holds while `status` is 0 and the transient after a bit is over.
 
 ## 6. Changing parameters

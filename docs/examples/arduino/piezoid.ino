@@ -65,7 +65,7 @@ void setup() {
         Serial.println("pz_check refuses these parameters");
         return;
     }
-    reference_m = state.reference_m; // the reading: no step
+    reference_m = state.reference_m; // no step if the reading at 0 V lies within the references
     wanted_m = reference_m;
     timer.setOverflow(20000, HERTZ_FORMAT);
     timer.attachInterrupt(step);

@@ -218,7 +218,7 @@ int main(void) {
     if (pz_start(&state, &piezo_params[AXIS], voltage_V, read_sensor_m()) != PZ_OK) {
         stop(); /* parameters that pz_check refuses */
     }
-    reference_m = state.reference_m; /* the reading: no step */
+    reference_m = state.reference_m; /* no step if the reading at 0 V lies within the references */
     start_timer();                   /* the interrupt begins after pz_start */
     watch();
     return 0;
