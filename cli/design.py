@@ -74,6 +74,7 @@ def design(
         show_statements(design_statements(result, model), Level.WARNING)
         show_unshipped(result.refused)
         say(f"design: {stage / 'design.json'}, {stage / 'design.html'}")
+        say(f"params.json and bundle/ contain the earlier design until: piezoid export {stage}")
     if result.refused:
         raise typer.Exit(1)
 
@@ -94,5 +95,5 @@ def _table(design: "Design", model: "ActuatorModel") -> "Table":
                 bound_m = guaranteed_error_m(loop.certificate, model.axes[axis.axis])
             bound = bound_m if isinstance(bound_m, str) else with_unit(bound_m, "m")
             rows.append((axis.axis, METHOD_NAMES[loop.method], bandwidth, margin, delay, bound))
-    headings = ("axis", "method", "bandwidth", "modulus margin", "delay margin", "bound")
+    headings = ("axis", "method", "bandwidth", "modulus margin", "delay margin", "guaranteed")
     return table("controllers, worst member of each plant family", headings, rows)

@@ -110,8 +110,8 @@ def _table(page: Page, verification: Verification) -> Table:
             rows.append((f"guaranteed: {METHOD_NAMES[method]}", *bounds))
     return Table(
         caption="Simulated tracking error on a spiral of radius "
-        f"{number(verification.radius_m, 'm')}, rms, delay included, by turns per second. Not "
-        "covered: faster than the certificate.",
+        f"{number(verification.radius_m, 'm')}, rms, delay included, by turns per second. A "
+        "guaranteed error covers speeds up to the limit of its certificate.",
         columns=("method", *(number(rate_Hz, "Hz") for rate_Hz in rates_Hz)),
         rows=tuple(rows),
     )
