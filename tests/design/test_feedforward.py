@@ -1,13 +1,21 @@
 """The reference's way through a loop: filter and preview, and the filter in sections."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from piezoid.design.feedforward import filter_sections, fit_reference_path
 from piezoid.design.hysteresis_bounds import affine_bounds
 from piezoid.design.observer import linear_controller
+from piezoid.design.plant import Section, plant_from_chain
+from piezoid.design.rst import feedback_poles, observer_poles
+from piezoid.design.sensitivity import closed_loop_polynomial
+from piezoid.numerics.frequency import response
+from piezoid.numerics.polynomial import product
 from tests.design.hysteretic import REACH_V, hysteresis, loop
-from tests.design.rig import RATE_Hz
+from tests.design.placed import place_observer
+from tests.design.rig import RATE_Hz, lateral_chain
 
 
 def test_filter_and_preview_take_the_lag_out_of_a_sine():
@@ -29,6 +37,23 @@ def test_filter_and_preview_take_the_lag_out_of_a_sine():
     p = path.preview_samples
     late = reference[2000 : n - p] - y[2000 + p :]
     assert np.abs(late).max() <= 1.05 * path.error
+
+
+def test_a_loop_of_two_hertz_follows_a_reference_of_a_hundred():
+    chain = lateral_chain()
+    plant = plant_from_chain(replace(chain, sections=(Section(frequency_Hz=150.0),)))
+    slow = Section(frequency_Hz=30.0)
+    o = place_observer(
+        plant,
+        feedback_poles=feedback_poles(plant, slow),
+        observer_poles=observer_poles(plant, slow, 2.0, ()),
+    )
+    c = linear_controller(o)
+    path = fit_reference_path([plant], c.R, c.S, c.T, band_Hz=2.0)
+    through = product(product(c.T, path.filter), plant.B)
+    closed = response(through, closed_loop_polynomial(plant, c.R, c.S), [100.0], RATE_Hz)[0]
+    late = np.exp(2j * np.pi * 100.0 / RATE_Hz * path.preview_samples)
+    assert abs(1.0 - closed * late) < 0.02  # 1.2 where the filter is fitted up to 2 Hz only
 
 
 @pytest.mark.parametrize("taps", [2, 3, 7, 9])

@@ -107,6 +107,19 @@ def test_closed_loop_poles_are_feedback_and_observer_poles_and_zeros(delay_s):
     assert np.abs(closed[len(wanted) :]).max(initial=0.0) <= 1e-9
 
 
+@pytest.mark.parametrize("sensor_Hz", [2.0 * RATE_Hz, 3.0 * RATE_Hz, 5.0 * RATE_Hz])
+def test_the_pole_of_a_sensor_quicker_than_the_sampling_stays_where_it_is(sensor_Hz: float):
+    sections = tuple(Section(frequency_Hz=f) for f in (7e3, sensor_Hz, 9e3))
+    plant = plant_from_chain(replace(lateral_chain(), sections=sections))
+    slow = Section(frequency_Hz=300.0)
+    wanted = feedback_poles(plant, slow), observer_poles(plant, slow, 100.0, ())
+    o = place_observer(plant, feedback_poles=wanted[0], observer_poles=wanted[1])
+    c = linear_controller(o)
+    expected = from_roots(np.concatenate(wanted))
+    closed = closed_loop_polynomial(plant, c.R, c.S)
+    np.testing.assert_allclose(closed[: len(expected)], expected, atol=1e-5)
+
+
 @pytest.mark.parametrize("delay_s", DELAYS_s)
 def test_observer_and_polynomials_are_the_same_controller(delay_s, rng):
     plant, observer = example(delay_s=delay_s)
