@@ -123,9 +123,11 @@ def error_parts_m(certificate: Certificate) -> dict[str, float]:
     """
     is_inverted = certificate.form == "inverse"
     return {
-        "the uncertainty of the hysteresis model"
+        "the uncertainty of the hysteresis model at the largest amplification by the loop"
         if is_inverted
-        else "the hysteresis": certificate.hysteresis_error_m,
+        else "the hysteresis at the largest amplification by the loop": (
+            certificate.hysteresis_error_m
+        ),
         "the delay of the reference": certificate.reference_error_m,
         "the converter": certificate.converter_error_m,
         "drift, coupling and hum": certificate.disturbance_error_m,
