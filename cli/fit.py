@@ -179,8 +179,14 @@ def show(calibration: "Calibration") -> None:
         unshipped=controllers.unshipped,
         verification=verification,
     )
+    # Why an axis is not good, and why it has no useful bound, also where no action is needed.
+    explained = {
+        (name, quantity)
+        for name, axis in model.axes.items()
+        for quantity in ("guaranteed_error", *(limit.lack for limit in axis.quality.limits))
+    }
     for fact in statements:
-        if fact.quantity == "guaranteed_error" and fact.level is Level.WARNING:
+        if (fact.axis, fact.quantity) in explained and fact.level is Level.WARNING:
             console.print(plain(f"axis {fact.axis}: {fact.text}"))
     show_statements(statements)
 

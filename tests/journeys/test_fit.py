@@ -37,6 +37,9 @@ def test_bundled_sweep_becomes_model_and_report(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "closure" in done.stdout
     model = read_model((tmp_path / "stage" / "model.json").read_bytes())
+    terminal = " ".join(done.stdout.split())
+    assert model["x"].quality.limits  # one recording: usable with care
+    assert all(limit.reason[1:] in terminal for limit in model["x"].quality.limits)
     assert model["x"].quality.held_out_rms_percent < 0.35
     assert model["x"].hysteresis.is_invertible
     page = (tmp_path / "stage" / "report.html").read_text()
