@@ -45,8 +45,9 @@ the parameters; `example_main.c` tests your build with {samples} samples per axi
 {unshipped}
 Methods: `mpi_dob` is a disturbance observer on the inverse hysteresis model, `dob` an observer
 alone, `mpi` the inverse without feedback, `rst` a controller of the logarithm of a current.
-Memory: about 14 kB of code (Cortex-M4, float); {memory}
-for each axis. `piezo_params.h` contains the parameters of all axes of this table.
+Memory: about 14 kB of code (Cortex-M4, float). Each axis of this table needs
+{memory};
+`piezo_params.h` contains the parameters of all axes, also of those that you do not use.
 
 ## 1. Build and check
 
