@@ -150,6 +150,15 @@ def test_a_file_that_does_not_fit_the_others_is_refused_with_the_likely_reason(
     assert f'file = "{name}"' in caught.value.remedy
 
 
+def test_of_two_files_the_one_with_an_implausible_gain_is_to_be_corrected(tmp_path: Path) -> None:
+    text(lines(table=columns() * [1, 0.5, 0.5], written="{:.6f}".format))(tmp_path / "clean.csv")
+    text(lines(table=columns() * [1, 1, 1000], written="{:.6f}".format))(tmp_path / "wide.csv")
+    recordings = collect([tmp_path / "clean.csv", tmp_path / "wide.csv"]).recordings
+    with pytest.raises(RecordingError, match="another unit of the displacement") as caught:
+        refuse_inconsistent(recordings)
+    assert 'file = "wide.csv"' in caught.value.remedy
+
+
 def test_a_monitor_that_loops_of_other_gain_hide_is_not_guessed(tmp_path: Path) -> None:
     text(lines())(tmp_path / "clean.csv")
     text(lines(table=columns() * [1, 1 / 15, 1.17], written="{:.6f}".format))(

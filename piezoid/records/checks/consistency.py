@@ -22,7 +22,7 @@ from piezoid.formatting import significant, with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.raw_counts import record_in_counts
 from piezoid.records.checks.feedback import held_span
-from piezoid.records.checks.gain import MIN_MOTION_NOISE
+from piezoid.records.checks.gain import MIN_MOTION_NOISE, MAX_GAIN_m_per_V, MIN_GAIN_m_per_V
 from piezoid.records.recording import Quantity, Recording, counted_in
 from piezoid.records.sample_statistics import noise_rms
 from piezoid.statement import Statement, finding
@@ -239,11 +239,16 @@ def contradicts(gain: LowFrequencyGain, typical: LowFrequencyGain) -> bool:
 
 
 def typical_gain(gains: Sequence[LowFrequencyGain]) -> LowFrequencyGain:
-    """Return the gain that agrees with most others; ties: positive, then widest drive range."""
+    """Return the gain that agrees with most others.
 
-    def agreement(gain: LowFrequencyGain) -> tuple[int, bool, float]:
+    Ties: a gain that stages have, then a positive one, then that of the widest drive range.
+    """
+
+    def agreement(gain: LowFrequencyGain) -> tuple[int, bool, bool, float]:
         alike = sum(_is_alike(reference.gain_m_per_V / gain.gain_m_per_V) for reference in gains)
-        return alike, gain.gain_m_per_V > 0.0, gain.voltage_V[1] - gain.voltage_V[0]
+        is_plausible = MIN_GAIN_m_per_V <= abs(gain.gain_m_per_V) <= MAX_GAIN_m_per_V
+        span_V = gain.voltage_V[1] - gain.voltage_V[0]
+        return alike, is_plausible, gain.gain_m_per_V > 0.0, span_V
 
     return max(gains, key=agreement)
 
