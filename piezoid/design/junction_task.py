@@ -32,9 +32,9 @@ from piezoid.design.youla import ConvexController, optimise
 from piezoid.errors import DesignError, LabFileError
 from piezoid.formatting import with_unit
 from piezoid.identification.loop_model import DECLARED_SPREAD
-from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
 from piezoid.identification.tunnelling.loop_model import LoopPlant
+from piezoid.identification.tunnelling.loop_noise import CurrentChain
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.numerics.frequency import decibel
 from piezoid.operators.tunnelling import decay_of_barrier
@@ -202,7 +202,7 @@ def reading_noise_A(plant: JunctionPlant, lab: Lab, axis: str) -> float:
         feedback_ohm=resistor_ohm,
         adc_step_A=None if resistor_ohm is None else converters.reading_step_V / resistor_ohm,
     )
-    return math.hypot(chain.shot_A(set_point_A(lab)), chain.declared_floor_A)
+    return math.hypot(chain.shot_A(set_point_A(lab)), chain.johnson_A, chain.quantisation_A)
 
 
 def reading_range_A(lab: Lab, axis: str) -> tuple[float, float] | None:

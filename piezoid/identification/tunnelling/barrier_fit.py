@@ -14,7 +14,6 @@ import numpy as np
 
 from piezoid.identification.tunnelling.approach import ApproachCurve
 from piezoid.identification.tunnelling.confidence import Confidence, Reason, lowest_grade
-from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.weighted_fit import (
     CLEAR_OF_FLOOR,
     OUTLIER,
@@ -23,7 +22,7 @@ from piezoid.identification.tunnelling.weighted_fit import (
     fit_sweeps,
 )
 from piezoid.numerics.arrays import Array, freeze
-from piezoid.numerics.robust import NORMAL_95, student_quantile
+from piezoid.numerics.robust import student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid.record_json import Interval
 
@@ -119,28 +118,21 @@ class BarrierFit(GapLaw):
         return GapLaw(**{field.name: getattr(self, field.name) for field in fields(GapLaw)})
 
 
-def fit_barrier(
-    curves: Sequence[ApproachCurve],
-    *,
-    chain: CurrentChain | None = None,
-    height_relative_uncertainty: float = 0.0,
-) -> BarrierFit:
+def fit_barrier(curves: Sequence[ApproachCurve]) -> BarrierFit:
     """Fit the decay of the current over the height, and the apparent barrier.
 
-        i = s ( A_c exp(-k z) + o ),  var i = floor^2 + 2 e |i| B + (rho i)^2
+        i = s ( A_c exp(-k z) + o ),  var i = floor^2 + (rho i)^2
         phi = (k / 10.246 nm^-1)^2 eV
 
     curves  sweeps of one direction over one spot; they share k and o, each has its own A
-    chain   what is declared of the current amplifier; default: nothing, all noise from the data
-    height_relative_uncertainty  standard uncertainty of the height's calibration; default 0, the
-            interval then speaks of the height as recorded
 
     Nothing is selected and no logarithm of noise is taken. The interval holds the decays whose
     weighted cost lies within t^2 of the least, widened by the ratio of the block covariance to
-    the plain one, so that correlated residuals and misfit count. A weak or unstable sweep has a
-    wide interval, low confidence and reasons; it is not refused.
+    the plain one, so that correlated residuals and misfit count. It speaks of the height as
+    recorded. A weak or unstable sweep has a wide interval, low confidence and reasons; it is not
+    refused.
     """
-    fit = fit_sweeps(curves, chain or CurrentChain())
+    fit = fit_sweeps(curves)
     sweeps, decay = len(curves), fit.decay_per_m
     root = np.sqrt(fit.weight)
     jacobian, residual = fit.jacobian * root[:, None], fit.residual_A * root
@@ -153,17 +145,12 @@ def fit_barrier(
     for piece in pieces:
         to_pair[1, 1 + piece] += 1.0 / sweeps
     covariance = to_pair @ by_decay @ to_pair.T
-    decays = _decay_of_each_sweep(fit, sweeps)
+    decays = (decay,) if sweeps == 1 else tuple(_decay_of_sweep(fit, k) for k in range(sweeps))
     independent = 1.0 / max(float(_information(jacobian, 0).sum()), TINY)
     between = float(np.var(decays, ddof=1)) / sweeps if sweeps > 2 else 0.0
     inflation = max(float(covariance[0, 0]) / independent, between / independent, 1.0)
     quantile = float(student_quantile(0.975, max(blocks - 1, 1)))
-    low, high = fit.decay_interval(quantile**2 * inflation)
-    calibration = NORMAL_95 * height_relative_uncertainty * decay
-    interval = (
-        max(decay - math.hypot(decay - low, calibration), 0.0),
-        decay + math.hypot(high - decay, calibration),
-    )
+    interval = fit.decay_interval(quantile**2 * inflation)
     evidence = _evidence(fit, curves)
     confidence, reasons = lowest_grade(barrier_reasons(evidence, decay, interval))
     log_current = float(np.mean(np.log(np.maximum(fit.amplitude_A[pieces], TINY))))
@@ -188,21 +175,17 @@ def fit_barrier(
     )
 
 
-def _decay_of_each_sweep(fit: WeightedFit, sweeps: int) -> tuple[float, ...]:
-    """Fit each sweep alone, with the weights of the common fit."""
-    if sweeps == 1:
-        return (fit.decay_per_m,)
-    decays = []
-    for rows in (fit.sweep == sweep for sweep in range(sweeps)):
-        sweep_fit = replace(
-            fit,
-            height_m=fit.height_m[rows],
-            current_A=fit.current_A[rows],
-            piece=np.unique(fit.piece[rows], return_inverse=True)[1],
-            weight=fit.weight[rows],
-        )
-        decays.append(sweep_fit.at_best_decay().decay_per_m)
-    return tuple(decays)
+def _decay_of_sweep(fit: WeightedFit, sweep: int) -> float:
+    """Fit one sweep alone, with the weights of the common fit."""
+    rows = fit.sweep == sweep
+    sweep_fit = replace(
+        fit,
+        height_m=fit.height_m[rows],
+        current_A=fit.current_A[rows],
+        piece=np.unique(fit.piece[rows], return_inverse=True)[1],
+        weight=fit.weight[rows],
+    )
+    return sweep_fit.at_best_decay().decay_per_m
 
 
 def _evidence(fit: WeightedFit, curves: Sequence[ApproachCurve]) -> SweepEvidence:

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import student_quantile
+from piezoid.operators.tunnelling import BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C
 from piezoid.record_json import Interval
 from piezoid.records.sample_statistics import step_size
 
@@ -25,6 +25,40 @@ _HARMONICS = 6
 _PEAK_RATIO = 10.0  # power over its expectation in noise; exceeded once in 20000
 _DRIFT_BLOCKS = 10
 _MIN_DURATION_s = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurrentChain:
+    """Properties of the current amplifier and converter; None: not known.
+
+    bandwidth_Hz   of one reading: 1 / (2 integration time) for an averaged one
+    feedback_ohm   resistor of the transimpedance stage
+    temperature_K  of that resistor
+    adc_step_A     one step of the converter, in current
+    """
+
+    bandwidth_Hz: float | None = None
+    feedback_ohm: float | None = None
+    temperature_K: float = 293.0
+    adc_step_A: float | None = None
+
+    @property
+    def johnson_A(self) -> float:
+        """Rms Johnson noise of one reading, sqrt(4 k T B / R); zero where not declared."""
+        if self.bandwidth_Hz is None or self.feedback_ohm is None:
+            return 0.0
+        power = 4.0 * BOLTZMANN_J_PER_K * self.temperature_K * self.bandwidth_Hz
+        return math.sqrt(power / self.feedback_ohm)
+
+    @property
+    def quantisation_A(self) -> float:
+        """Rms of one converter step, step / sqrt(12); zero where not declared."""
+        return 0.0 if self.adc_step_A is None else self.adc_step_A / math.sqrt(12.0)
+
+    def shot_A(self, current_A: float) -> float:
+        """Rms shot noise of one reading, sqrt(2 e |i| B); zero where B is not declared."""
+        bandwidth_Hz = self.bandwidth_Hz or 0.0
+        return math.sqrt(2.0 * ELEMENTARY_CHARGE_C * abs(current_A) * bandwidth_Hz)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,7 @@ At a tip jump the log current steps at one height because the tip changed, not t
 sought where the current is clear of the floor, by the medians on either side of each point.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -19,16 +20,14 @@ from numpy.typing import NDArray
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.approach import ApproachCurve
-from piezoid.identification.tunnelling.current_noise import (
-    CurrentChain,
-    CurrentNoise,
-    estimate_noise,
-)
 from piezoid.numerics.arrays import Array
 
 MIN_DECAY_PER_M = 0.5e9  # 0.0024 eV: no junction
 MAX_DECAY_PER_M = 60e9  # 34 eV: no junction either
 _GRID = np.geomspace(MIN_DECAY_PER_M, MAX_DECAY_PER_M, 160)
+
+_ROUGHEST = 3.0  # largest relative noise considered: beyond it there is no signal
+_SMOOTHEST = 1e-6
 
 _SIDE = 5  # points on either side of a jump: a median of five survives two outliers
 _MEDIAN_OF_SIDE = 0.536  # standard deviation of the median of five unit normals
@@ -55,6 +54,25 @@ class TipJump:
     sweep: int
     height_m: float
     nepers: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurrentNoise:
+    """The noise of a current reading, v(i) = floor^2 + (rho i)^2.
+
+    floor_A        A, of no current at all: converter steps included
+    relative       rho: a gap that jitters by sigma makes rho = k sigma
+    quantisation_A of the converter steps alone, the least that the floor can be
+    """
+
+    floor_A: float
+    relative: float
+    quantisation_A: float
+
+    def variance(self, mean_A: Array) -> Array:
+        """Return v(i), in A^2, for each mean current."""
+        variance: Array = self.floor_A**2 + (self.relative * mean_A) ** 2
+        return variance
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -186,16 +204,15 @@ class WeightedFit:
         return int(self.piece[rows[np.argmin(self.height_m[rows])]])
 
 
-def fit_sweeps(curves: Sequence[ApproachCurve], chain: CurrentChain) -> WeightedFit:
+def fit_sweeps(curves: Sequence[ApproachCurve]) -> WeightedFit:
     """Fit one decay to several sweeps, with noise, polarity and tip jumps from the data.
 
     curves  at least one, of one junction
-    chain   declared properties of the current amplifier
 
     Raises ``ExcitationError`` for a current that grows with the height: the height has the
     opposite sign.
     """
-    fit = _settle(_first_fit(curves, chain))
+    fit = _settle(_first_fit(curves))
     for _ in range(MAX_JUMPS):
         jumps = [jump for n in range(len(curves)) if (jump := _find_jump(fit, n)) is not None]
         if not jumps:
@@ -209,16 +226,22 @@ def fit_sweeps(curves: Sequence[ApproachCurve], chain: CurrentChain) -> Weighted
     return fit
 
 
-def _first_fit(curves: Sequence[ApproachCurve], chain: CurrentChain) -> WeightedFit:
+def _first_fit(curves: Sequence[ApproachCurve]) -> WeightedFit:
     """Fit all sweeps with a first guess of the noise, and decide the polarity of the current."""
     sweep = np.repeat(np.arange(len(curves)), [c.points for c in curves])
     height_m = np.concatenate([c.height_m for c in curves])
     current_A = np.concatenate([c.current_A for c in curves])
-    levels = np.unique(current_A)
-    if chain.adc_step_A is None and 1 < len(levels) < _REPEATED * len(current_A):
-        chain = replace(chain, adc_step_A=float(np.min(np.diff(levels))))
-    floor_A = max(max(map(_roughness_A, curves)), chain.declared_floor_A, 1e-30)
-    noise = CurrentNoise(floor_A=floor_A, relative=0.05, chain=chain)
+    levels, quantisation_A = np.unique(current_A), 0.0
+    if 1 < len(levels) < _REPEATED * len(current_A):
+        quantisation_A = float(np.min(np.diff(levels))) / math.sqrt(12.0)
+    floor_A = max(quantisation_A, 1e-30)
+    for curve in curves:  # noise of the weaker half of a sweep, from neighbours in height
+        by_height = curve.current_A[np.argsort(curve.height_m, kind="stable")]
+        distance = np.abs(by_height - np.median(by_height))
+        steps = np.diff(by_height[distance <= np.median(distance)])
+        roughness_A = float(1.4826 * np.median(np.abs(steps)) / np.sqrt(2.0))
+        floor_A = max(floor_A, roughness_A)
+    noise = CurrentNoise(floor_A=floor_A, relative=0.05, quantisation_A=quantisation_A)
     upright = WeightedFit(
         height_m=height_m - height_m.min(),
         current_A=current_A,
@@ -245,21 +268,13 @@ def _first_fit(curves: Sequence[ApproachCurve], chain: CurrentChain) -> Weighted
     return fit
 
 
-def _roughness_A(curve: ApproachCurve) -> float:
-    """Noise of the weaker half of a sweep, from neighbours in height."""
-    by_height = curve.current_A[np.argsort(curve.height_m, kind="stable")]
-    distance = np.abs(by_height - np.median(by_height))
-    weak = by_height[distance <= np.median(distance)]
-    return float(1.4826 * np.median(np.abs(np.diff(weak))) / np.sqrt(2.0))
-
-
 def _settle(fit: WeightedFit) -> WeightedFit:
     """Iterate mean and noise until the decay converges."""
     for _ in range(_ROUNDS):
         previous = fit.decay_per_m
         deviation = np.sqrt(fit.noise.variance(fit.mean_A))
         clipped_A = np.clip(fit.residual_A, -OUTLIER * deviation, OUTLIER * deviation)
-        noise = estimate_noise(clipped_A, fit.mean_A, fit.noise.chain)
+        noise = _estimate_noise(clipped_A, fit.mean_A, fit.noise.quantisation_A)
         variance = noise.variance(fit.mean_A)
         whitened = np.abs(fit.residual_A) / np.sqrt(variance)
         weight = np.minimum(1.0, OUTLIER / np.maximum(whitened, 1e-300)) / variance
@@ -267,6 +282,55 @@ def _settle(fit: WeightedFit) -> WeightedFit:
         if abs(fit.decay_per_m - previous) < _TOLERANCE * previous:
             break
     return fit
+
+
+def _estimate_noise(residual_A: Array, mean_A: Array, quantisation_A: float) -> CurrentNoise:
+    """Return floor and relative noise that make the residuals most likely.
+
+        maximise  - sum ( ln v_j + r_j^2 / v_j )      over floor >= quantisation, rho >= 0
+
+    r  residual_A  (points,)  A, measured minus mean; outliers already pulled in
+    i  mean_A      (points,)  A
+
+    A search in two logarithms, so that neither part can become negative. Pseudo-likelihood
+    [Carroll & Ruppert 1988]: given the mean, the noise maximises a normal likelihood; given the
+    noise, the mean is refitted.
+    """
+    from scipy.optimize import minimize
+
+    typical_A = max(float(np.sqrt(np.mean(residual_A**2))), quantisation_A, 1e-30)
+    scale_A = max(float(np.max(np.abs(mean_A))), typical_A)
+    smoothest, roughest = math.log(_SMOOTHEST), math.log(_ROUGHEST)
+    lowest = math.log(max(quantisation_A, 1e-6 * typical_A))
+    low, high = (lowest, smoothest), (math.log(10.0 * typical_A) + 1e-9, roughest)
+
+    def noise_of(logs: Array) -> CurrentNoise:
+        floor_A, relative = math.exp(float(logs[0])), math.exp(float(logs[1]))
+        return CurrentNoise(floor_A=floor_A, relative=relative, quantisation_A=quantisation_A)
+
+    def deviance(logs: Array) -> float:
+        variance = noise_of(logs).variance(mean_A)
+        return float(np.sum(np.log(variance) + residual_A**2 / variance))
+
+    dark_A = float(np.median(np.abs(residual_A[np.abs(mean_A) <= np.median(np.abs(mean_A))])))
+    starts = (
+        (
+            math.log(max(dark_A, 1e-6 * typical_A)),
+            math.log(max(typical_A / scale_A, _SMOOTHEST)),
+        ),
+        (math.log(typical_A), smoothest / 2.0),
+    )
+    minima = [
+        minimize(
+            deviance,
+            np.clip(start, low, high),
+            method="Nelder-Mead",
+            bounds=list(zip(low, high, strict=True)),
+            options={"xatol": 1e-4, "fatol": 1e-6, "maxiter": 400},
+        )
+        for start in starts
+    ]
+    return noise_of(min(minima, key=lambda result: float(result.fun)).x)
 
 
 def _find_jump(fit: WeightedFit, sweep: int) -> TipJump | None:

@@ -5,7 +5,6 @@ import pytest
 
 from piezoid.identification.tunnelling.approach import Direction, read_approach
 from piezoid.identification.tunnelling.barrier_fit import fit_barrier
-from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.operators.tunnelling import barrier_of_decay
 from tests.identification.tunnelling.sweeps import DECAY_PER_M, OFFSET_A, sweep
 
@@ -65,12 +64,18 @@ def test_the_floor_and_the_jitter_of_the_gap_are_estimated(rng: np.random.Genera
     assert fit.gap_jitter_m == pytest.approx(0.01 / DECAY_PER_M, rel=0.2, abs=0.0)
 
 
-def test_a_declared_converter_step_bounds_the_floor_from_below(rng: np.random.Generator) -> None:
-    chain = CurrentChain(bandwidth_Hz=5.0, feedback_ohm=1e9, adc_step_A=0.3e-12)
-    step_A, johnson_A = 0.3e-12 / np.sqrt(12.0), 4.02e-15 * np.sqrt(5.0)
-    assert chain.declared_floor_A == pytest.approx(np.hypot(step_A, johnson_A), rel=1e-3, abs=0.0)
-    fit = fit_barrier([sweep(rng)], chain=chain)
-    assert fit.floor_A >= chain.declared_floor_A * (1.0 - 1e-9)
+def test_steps_of_the_converter_bound_the_floor_from_below(rng: np.random.Generator) -> None:
+    curve, step_A = sweep(rng), 0.3e-12
+    coarse = read_approach(
+        curve.height_m,
+        step_A * np.round(curve.current_A / step_A),
+        bias_V=-0.02,
+        direction=Direction.FORWARD,
+        label="coarse",
+    )
+    fit = fit_barrier([coarse])
+    assert fit.floor_A >= step_A / np.sqrt(12.0) * (1.0 - 1e-9)
+    assert fit.decay_per_m == pytest.approx(DECAY_PER_M, rel=0.01)
 
 
 def test_single_outliers_do_not_move_the_decay(rng: np.random.Generator) -> None:
@@ -89,10 +94,3 @@ def test_sweeps_of_drifting_height_share_one_decay(rng: np.random.Generator) -> 
     assert fit.decay_per_m == pytest.approx(DECAY_PER_M, rel=0.01)
     assert len(fit.sweep_decay_per_m) == 3
     assert not fit.jumps
-
-
-def test_the_uncertain_height_calibration_widens_the_interval(rng: np.random.Generator) -> None:
-    curve = sweep(rng)
-    fit = fit_barrier([curve], height_relative_uncertainty=0.05)
-    low, high = fit.decay_interval_per_m
-    assert (high - low) / fit.decay_per_m == pytest.approx(2 * 1.96 * 0.05, rel=0.05)

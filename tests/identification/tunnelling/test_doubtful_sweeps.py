@@ -7,7 +7,6 @@ from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.tunnelling.approach import Direction, read_approach
 from piezoid.identification.tunnelling.barrier_fit import fit_barrier
 from piezoid.identification.tunnelling.confidence import Confidence
-from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.weighted_fit import fit_sweeps
 from tests.identification.tunnelling.sweeps import DECAY_PER_M, HEIGHT_M, OFFSET_A, sweep
 
@@ -68,7 +67,7 @@ def test_no_current_at_all_excludes_nothing_above(rng: np.random.Generator) -> N
 
 
 def test_where_any_cost_is_allowed_no_decay_is_excluded(rng: np.random.Generator) -> None:
-    state = fit_sweeps([sweep(rng)], CurrentChain())
+    state = fit_sweeps([sweep(rng)])
     assert state.decay_interval(np.inf) == (0.0, np.inf)
 
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRig
 from piezoid.identification.tunnelling.loop_noise import (
+    CurrentChain,
     LoopNoise,
     budget_resolution,
     gap_motion,

@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.tunnelling.current_noise import CurrentChain, CurrentNoise
+from piezoid.identification.tunnelling.weighted_fit import CurrentNoise
 from piezoid_datasets.virtual_lab.junction import Junction
 from tests.identification.tunnelling.loops import identified, loop_records
 
 
 def test_noise_is_that_of_the_size_of_a_current_whichever_way_it_flows() -> None:
-    chain = CurrentChain(bandwidth_Hz=1e4, feedback_ohm=1e9, adc_step_A=1e-13)
-    noise = CurrentNoise(floor_A=1e-12, relative=0.01, chain=chain)
+    noise = CurrentNoise(floor_A=1e-12, relative=0.01, quantisation_A=0.0)
     mean_A = np.array([0.0, 1e-9, 1e-8])
-    expected = 1e-24 + 2 * 1.602176634e-19 * 1e4 * mean_A + (0.01 * mean_A) ** 2
+    expected = 1e-24 + (0.01 * mean_A) ** 2
     for sign in (1.0, -1.0):
         np.testing.assert_allclose(noise.variance(sign * mean_A), expected)
 
