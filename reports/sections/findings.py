@@ -88,8 +88,8 @@ def _table(diagnoses: Sequence[Diagnosis]) -> Part:
     return Table(
         caption="Size with 95 % interval; held-out error of the model refitted without the "
         "effect, and with it; loop shape is added last. p: probability that a healthy stage shows "
-        "as much, from its rank among 52 simulated ones (0.019 at least) or, for data faults, "
-        "modes, loop shape and lines, from the scatter of the residual.",
+        "as much. It comes from the rank among 52 simulated stages (0.019 at least); for data "
+        "faults, modes, loop shape and lines, from the scatter of the residual.",
         columns=("axis", "effect", "size", "error without", "with", "gain", "p"),
         rows=rows,
         is_open=True,
