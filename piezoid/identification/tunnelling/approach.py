@@ -139,38 +139,31 @@ def read_z_spectroscopy(table: RawTable) -> tuple[ApproachCurve, ...]:
             needed="columns named 'Current (A)' or 'Current [00001] (A)', '[bwd]' for backward",
             remedy="Save the sweep with its current, or build the sweep from two arrays.",
         )
-    return tuple(
-        read_approach(
+    duration_s = None  # of one direction, where the head states the times of a row
+    for module in _MODULES:
+        times = [table.metadata.get(module + key, "nan") for key in _TIMES_OF_A_ROW]
+        try:
+            row_s = sum(map(float, times))
+        except ValueError:
+            continue
+        if duration_s is None and math.isfinite(row_s) and row_s > 0.0:
+            duration_s = len(height_m) * row_s
+    stated_V = table.metadata.get(_BIAS_KEY)
+    curves = []
+    for column, number, backward in [s for s in sweeps if s[1] != _AVERAGE] or sweeps:
+        bias = table.find(f"Bias{f' [{number}]' if number else ''}{backward}")
+        bias_V = stated_V if bias is None else np.nanmedian(bias.si_values)
+        curve = read_approach(
             height_m,
             column.si_values,
-            bias_V=_bias_V(table, number, backward),
+            bias_V=None if bias_V is None else float(bias_V),
             direction=Direction.BACKWARD if backward else Direction.FORWARD,
             label=f"{table.name}: {column.label}",
             pair=f"{table.name}: {number}",
-            duration_s=_duration_s(table, len(height_m)),
+            duration_s=duration_s,
         )
-        for column, number, backward in [s for s in sweeps if s[1] != _AVERAGE] or sweeps
-    )
-
-
-def _duration_s(table: RawTable, rows: int) -> float | None:
-    """Return the duration of one direction; None if the header does not state it."""
-    for module in _MODULES:
-        try:
-            row_s = sum(float(table.metadata[module + key]) for key in _TIMES_OF_A_ROW)
-        except (KeyError, ValueError):
-            continue
-        if math.isfinite(row_s) and row_s > 0.0:
-            return rows * row_s
-    return None
-
-
-def _bias_V(table: RawTable, number: str, backward: str) -> float | None:
-    column = table.find(f"Bias{f' [{number}]' if number else ''}{backward}")
-    if column is not None:
-        return float(np.nanmedian(column.si_values))
-    stated = table.metadata.get(_BIAS_KEY)
-    return None if stated is None else float(stated)
+        curves.append(curve)
+    return tuple(curves)
 
 
 def read_approach(

@@ -189,7 +189,19 @@ def _decay_of_sweep(fit: WeightedFit, sweep: int) -> float:
 
 
 def _evidence(fit: WeightedFit, curves: Sequence[ApproachCurve]) -> SweepEvidence:
-    mean_A = fit.mean_A
+    mean_A, height_m, clear = fit.mean_A, fit.height_m, fit.is_clear
+    slope_change = 0.0
+    if clear.sum() >= MIN_POINTS:
+        middle_m = 0.5 * (height_m[clear].min() + height_m[clear].max())
+        halves = [clear & (height_m <= middle_m), clear & (height_m > middle_m)]
+        if min(half.sum() for half in halves) >= 5:
+            root = np.sqrt(fit.weight) * mean_A
+            residual = fit.log_residual
+            near_decay, far_decay = (
+                fit.decay_per_m - np.polyfit(height_m[half], residual[half], 1, w=root[half])[0]
+                for half in halves
+            )
+            slope_change = float(far_decay / near_decay - 1.0)
     deviation = np.sqrt(fit.noise.variance(mean_A))
     return SweepEvidence(
         points=sum(curve.points for curve in curves),
@@ -201,26 +213,9 @@ def _evidence(fit: WeightedFit, curves: Sequence[ApproachCurve]) -> SweepEvidenc
         jumps=len(fit.jumps),
         largest_jump=max((jump.nepers for jump in fit.jumps), key=abs, default=0.0),
         reaches_floor=bool(mean_A.min() < fit.noise.floor_A),
-        slope_change=_slope_change(fit),
+        slope_change=slope_change,
         outliers=float(np.mean(np.abs(fit.residual_A) > OUTLIER * deviation)),
     )
-
-
-def _slope_change(fit: WeightedFit) -> float:
-    """Return the relative difference of the decay of the far half to that of the near half."""
-    clear, height_m = fit.is_clear, fit.height_m
-    if clear.sum() < MIN_POINTS:
-        return 0.0
-    middle = 0.5 * (height_m[clear].min() + height_m[clear].max())
-    halves = [clear & (height_m <= middle), clear & (height_m > middle)]
-    if min(half.sum() for half in halves) < 5:
-        return 0.0
-    root = np.sqrt(fit.weight) * fit.mean_A
-    near_decay, far_decay = (
-        fit.decay_per_m - np.polyfit(height_m[half], fit.log_residual[half], 1, w=root[half])[0]
-        for half in halves
-    )
-    return float(far_decay / near_decay - 1.0)
 
 
 def barrier_reasons(

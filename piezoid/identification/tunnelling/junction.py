@@ -19,8 +19,8 @@ from piezoid.identification.tunnelling.instrument_fit import ModeEstimate
 from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig, is_loop, loops_of
 from piezoid.identification.tunnelling.loop_model import (
     LoopPlant,
+    LoopSummary,
     describe_loop_plant,
-    summarise_record,
 )
 from piezoid.identification.tunnelling.loop_noise import measure_loop_noise
 from piezoid.identification.tunnelling.model import TunnellingModel, join_barriers
@@ -122,7 +122,18 @@ def fit_loops(
             for loop, fit in zip(loops, fits, strict=True)
         ]
     records = [
-        summarise_record(fit, measure_loop_noise(loop, fit.plant, rig), loop.period_s)
+        LoopSummary(
+            recording=fit.label,
+            gain=fit.plant.gain_nepers_per_V,
+            gain_interval=fit.gain_interval,
+            barrier_eV=fit.barrier_eV,
+            barrier_interval_eV=fit.barrier_interval_eV,
+            naive_gain=fit.naive_gain,
+            naive_reason=fit.naive_reason,
+            dither_share=fit.dither_share,
+            period_s=loop.period_s,
+            unrest=measure_loop_noise(loop, fit.plant, rig),
+        )
         for fit, loop in zip(fits, loops, strict=True)
     ]
     return describe_loop_plant(fits, rig, records)

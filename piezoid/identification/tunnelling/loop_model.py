@@ -138,24 +138,6 @@ def describe_loop_plant(
     )
 
 
-def summarise_record(
-    fit: ClosedLoopFit, noise: LoopNoise | None, period_s: float | None
-) -> LoopSummary:
-    """Return one record's fit and noise as a model keeps them."""
-    return LoopSummary(
-        recording=fit.label,
-        gain=fit.plant.gain_nepers_per_V,
-        gain_interval=fit.gain_interval,
-        barrier_eV=fit.barrier_eV,
-        barrier_interval_eV=fit.barrier_interval_eV,
-        naive_gain=fit.naive_gain,
-        naive_reason=fit.naive_reason,
-        dither_share=fit.dither_share,
-        period_s=period_s,
-        unrest=noise,
-    )
-
-
 def spread_family(fits: Sequence[ClosedLoopFit]) -> tuple[JunctionPlant, ...]:
     """Return the family of plants that a controller for these junctions has to hold.
 

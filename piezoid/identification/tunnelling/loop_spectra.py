@@ -89,7 +89,11 @@ def spectra_of_dither(
     difference = 2.0 * np.sin(np.pi * spectra.frequency_Hz / record.sampling_rate_Hz)
     power = np.sum(np.abs(spectra.reference) ** 2, axis=0)
     power[inside] /= difference[inside] ** 2  # of the dither itself, not of its differences
-    inside &= ~_is_mains(spectra.frequency_Hz, record.sampling_rate_Hz / length)
+    for mains_Hz in _MAINS_Hz:  # lines on which a harmonic falls, to half a line
+        harmonic_Hz = np.maximum(np.round(spectra.frequency_Hz / mains_Hz), 1.0) * mains_Hz
+        distance_Hz = np.abs(spectra.frequency_Hz - harmonic_Hz)
+        is_mains = distance_Hz < 0.5 * record.sampling_rate_Hz / length
+        inside &= ~(is_mains & (spectra.frequency_Hz <= _HIGHEST_MAINS_Hz))
     if not np.max(power[inside], initial=0.0) > 0.0:
         raise ExcitationError(
             f"{record.label}: the reference does not move",
@@ -105,15 +109,6 @@ def spectra_of_all(record: LoopRecord, *, highest_Hz: float) -> LoopSpectra:
     spectra = _cut(record, length, length // 2, np.hanning(length + 1)[:-1])
     inside = (spectra.frequency_Hz > 0.0) & (spectra.frequency_Hz <= highest_Hz)
     return _lines(spectra, inside)
-
-
-def _is_mains(frequency_Hz: Array, resolution_Hz: float) -> NDArray[np.bool_]:
-    """Which lines a harmonic of the mains falls on, to half a line."""
-    hit = np.zeros(len(frequency_Hz), dtype=bool)
-    for mains_Hz in _MAINS_Hz:
-        harmonic_Hz = np.maximum(np.round(frequency_Hz / mains_Hz), 1.0) * mains_Hz
-        hit |= np.abs(frequency_Hz - harmonic_Hz) < 0.5 * resolution_Hz
-    return hit & (frequency_Hz <= _HIGHEST_MAINS_Hz)
 
 
 def _block_length(record: LoopRecord) -> int:

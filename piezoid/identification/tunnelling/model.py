@@ -48,7 +48,12 @@ def join_barriers(sweeps: tuple[float, Interval], loop: tuple[float, Interval]) 
     Decays that differ by more than their standard deviations widen the mean by that much
     (Birge's ratio).
     """
-    variances = [_log_variance(interval) for _, interval in (sweeps, loop)]
+    variances = [
+        (math.log(high / low) / (2.0 * NORMAL_95)) ** 2
+        if low > 0.0 and math.isfinite(high)
+        else math.inf
+        for _, (low, high) in (sweeps, loop)
+    ]
     log_ratio = math.log(loop[0]) - math.log(sweeps[0])
     half = NORMAL_95 * math.sqrt(sum(variances))
     agree = abs(log_ratio) <= half
@@ -71,13 +76,6 @@ def join_barriers(sweeps: tuple[float, Interval], loop: tuple[float, Interval]) 
         barrier_eV=None if decay is None else barrier_of_decay(decay),
         barrier_interval_eV=(barrier_of_decay(interval[0]), barrier_of_decay(interval[1])),
     )
-
-
-def _log_variance(interval: Interval) -> float:
-    low, high = interval
-    if not (low > 0.0 and math.isfinite(high)):
-        return math.inf
-    return (math.log(high / low) / (2.0 * NORMAL_95)) ** 2
 
 
 def _around(center: float, half: float) -> Interval:

@@ -157,9 +157,7 @@ def common_law(curves: Sequence[ApproachCurve], fits: Mapping[Direction, Barrier
     )
     log_current = math.log(peak_A) + decay * float(height_m)
     shares = [1.0 / max(law.offset_standard_A, 1e-30) ** 2 for law in laws]
-    confidence, reasons = lowest_grade(
-        [*_reasons_of_directions(fits, decay, interval), *_drift_reasons(estimates)]
-    )
+    confidence, reasons = lowest_grade(_reasons(fits, estimates, decay, interval))
     return GapLaw(
         polarity=laws[0].polarity,
         decay_per_m=decay,
@@ -249,10 +247,16 @@ def _combine(estimates: Sequence[DecayEstimate]) -> tuple[float, Interval]:
     return math.exp(mean), (math.exp(mean - half), math.exp(mean + half))
 
 
-def _reasons_of_directions(
-    fits: Mapping[Direction, BarrierFit], decay_per_m: float, interval_per_m: Interval
+def _reasons(
+    fits: Mapping[Direction, BarrierFit],
+    estimates: Sequence[DecayEstimate],
+    decay_per_m: float,
+    interval_per_m: Interval,
 ) -> list[Reason]:
-    """Return the criteria each direction does not meet; what all have in common is given once."""
+    """Return the criteria each direction does not meet, and the drift that sweeps show or hide.
+
+    What all directions have in common is given once.
+    """
     by_direction = {
         direction: barrier_reasons(fit.evidence, decay_per_m, interval_per_m)
         for direction, fit in fits.items()
@@ -263,11 +267,9 @@ def _reasons_of_directions(
         for direction, reasons in by_direction.items()
         for grade, text in reasons
     ]
-    return list(dict.fromkeys(labelled))
-
-
-def _drift_reasons(estimates: Sequence[DecayEstimate]) -> list[Reason]:
+    reasons = list(dict.fromkeys(labelled))
     one_way = [estimate for estimate in estimates if estimate.drift is None]
+    drift = max((abs(e.drift) for e in estimates if e.drift is not None), default=0.0)
     if one_way:
         below, above = one_way[0].unseen
         text = (
@@ -275,12 +277,11 @@ def _drift_reasons(estimates: Sequence[DecayEstimate]) -> list[Reason]:
             f"from barrier: the interval holds a decay {100.0 * below:.2g} % smaller to "
             f"{100.0 * above:.2g} % larger for it; sweep to and fro"
         )
-        return [(Confidence.MEDIUM, text)]
-    drift = max((abs(e.drift) for e in estimates if e.drift is not None), default=0.0)
-    if drift <= _STRONG_DRIFT:
-        return []
-    text = (
-        f"the height drifted or crept by {100.0 * drift:.2g} % of its own motion; the mean of "
-        "both ways is free of it as far as it was steady: sweep faster"
-    )
-    return [(Confidence.MEDIUM, text)]
+        reasons.append((Confidence.MEDIUM, text))
+    elif drift > _STRONG_DRIFT:
+        text = (
+            f"the height drifted or crept by {100.0 * drift:.2g} % of its own motion; the mean of "
+            "both ways is free of it as far as it was steady: sweep faster"
+        )
+        reasons.append((Confidence.MEDIUM, text))
+    return reasons
