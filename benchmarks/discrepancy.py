@@ -20,7 +20,7 @@ import piezoid
 from benchmarks.outsiders.lateral import RADIUS, TURNS, LED_s, led_to, middle_of
 from benchmarks.outsiders.simulators import RATE_Hz, simulator, track
 from piezoid.identification.model import AxisModel
-from piezoid.identification.prediction import compare
+from piezoid.identification.simulation import compare
 from piezoid.numerics.arrays import Array
 from piezoid.records.frames import from_arrays
 from piezoid.records.recording import Quantity

@@ -12,10 +12,10 @@ import sys
 import numpy as np
 
 from piezoid.identification.hysteresis.coordinates import Shape, operator_of
-from piezoid.identification.hysteresis.jackknife import jackknife, loop_width_m
 from piezoid.identification.hysteresis.physical import physical
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
+from piezoid.identification.hysteresis.uncertainty import jackknife, loop_width_m
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import from_slopes
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii

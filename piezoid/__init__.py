@@ -39,7 +39,7 @@ _PUBLIC = {
     "Calibration": "piezoid.calibration.calibrate",
     "Channel": "piezoid.records.recording",
     "Collection": "piezoid.records.collection",
-    "Comparison": "piezoid.identification.prediction",
+    "Comparison": "piezoid.identification.simulation",
     "CoupledStage": "piezoid.identification.coupled.coupled_stage",
     "Design": "piezoid.design.design",
     "Diagnosis": "piezoid.diagnosis.diagnosis",
@@ -49,7 +49,7 @@ _PUBLIC = {
     "LoopDesign": "piezoid.design.design",
     "LoopRecord": "piezoid.verification.closed_loop",
     "ParameterFile": "piezoid.export.parameter_file",
-    "PeriodicData": "piezoid.identification.dynamics.periodic_estimate",
+    "PeriodicData": "piezoid.identification.dynamics.frequency_response",
     "PiezoidError": "piezoid.errors",
     "Plan": "piezoid.diagnosis.experiment",
     "Quantity": "piezoid.records.recording",
@@ -86,9 +86,9 @@ if TYPE_CHECKING:  # what is imported when it is first used
     from piezoid.identification.actuator_model import ActuatorModel as ActuatorModel
     from piezoid.identification.coupled.coupled_stage import CoupledStage as CoupledStage
     from piezoid.identification.coupled.fit_coupled import fit_coupled as fit_coupled
-    from piezoid.identification.dynamics.periodic_estimate import PeriodicData as PeriodicData
+    from piezoid.identification.dynamics.frequency_response import PeriodicData as PeriodicData
     from piezoid.identification.model import AxisModel as AxisModel
-    from piezoid.identification.prediction import Comparison as Comparison
+    from piezoid.identification.simulation import Comparison as Comparison
     from piezoid.learning.learn import Learned as Learned
     from piezoid.records.collection import Collection as Collection
     from piezoid.records.frames import from_arrays as from_arrays

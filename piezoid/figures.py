@@ -18,7 +18,7 @@ from piezoid.formatting import with_unit, words
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.interchange import linear_part
 from piezoid.identification.model import AxisModel
-from piezoid.identification.prediction import Comparison, compare
+from piezoid.identification.simulation import Comparison, compare
 from piezoid.numerics.arrays import Array
 from piezoid.raw_counts import in_counts
 from piezoid.records.recording import Quantity, Recording

@@ -24,7 +24,7 @@ from piezoid.identification.extensions import in_order
 from piezoid.identification.extensions.converter_hold import ConverterHold
 from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.delay import Delay
-from piezoid.identification.extensions.extension import Extension, Samples
+from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.first_order_lag import FirstOrderLag
 from piezoid.identification.extensions.gain_change import GainChange
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Scales
@@ -32,6 +32,7 @@ from piezoid.identification.joint.fit_extended import Extended, fit_extended
 from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.identification.piece_start import wandering_zeros
+from piezoid.numerics.arrays import Samples
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 

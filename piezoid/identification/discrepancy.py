@@ -20,7 +20,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from piezoid.errors import IdentificationError
-from piezoid.identification.hysteresis.certificate import adversarial_drives
+from piezoid.identification.hysteresis.uncertainty import adversarial_drives
 from piezoid.identification.model import AxisModel, Discrepancy
 from piezoid.identification.quality import FitQuality
 from piezoid.identification.simulation import simulate_recording

@@ -33,9 +33,8 @@ REMAINDER = 0.999  # quantile of the held-out residual that the certificate hold
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DisplacementBudget:
-    """The budget of one axis, in metres.
+    """The budget of one axis, in metres, at the end of its range, where it is worst.
 
-    at_m      distance from the middle of the range it is made for: the end, where it is worst
     unknown   what no recording shows and nobody declared, as ``[uncertainty]`` calls it
     zero_between_m   standard deviation of the zero from run to run, which is not counted: a
                      displacement begins where the axis is set to zero. None for a single run
@@ -43,100 +42,85 @@ class DisplacementBudget:
 
     axis: str
     budget: Budget
-    at_m: float
     unknown: tuple[str, ...]
     zero_between_m: float | None
 
 
 def displacement_budget(
-    axis: AxisModel, lab: Lab | None = None, *, positions: int = 1000, seed: int = 1
+    axis: AxisModel, lab: Lab | None = None, *, positions: int = 1000
 ) -> DisplacementBudget:
     """Return the uncertainty of the predicted displacement for drives within the range.
 
     positions  independent ones, of which the largest error is asked
     """
     declared = Lab() if lab is None else lab
-    at_m = 0.5 * axis.quality.range_m
-    contributions = (*_from_data(axis), *_from_certificates(axis.axis, declared, at_m))
     certificates = declared.certificates
     names = ("sensor_gain_relative", "sensor_linearity_m", "tilt_rad", "temperature_range_K")
     unknown = [name for name in names if getattr(certificates, name) is None]
     if certificates.temperature_range_K is not None and certificates.expansion_m_per_K is None:
         unknown.append("expansion_m_per_K")
+    zeros_m = np.array([float(np.mean(start.zero_m)) for start in axis.starts])
+    contributions = (*_from_data(axis), *_from_certificates(axis, declared))
     return DisplacementBudget(
         axis=axis.axis,
-        budget=budget_of(contributions, positions=positions, seed=seed),
-        at_m=at_m,
+        budget=budget_of(contributions, positions=positions, seed=1),
         unknown=tuple(unknown),
-        zero_between_m=_zero_between_m(axis),
+        zero_between_m=float(np.std(zeros_m, ddof=1)) if len(zeros_m) > 1 else None,
     )
 
 
-def _from_data(axis: AxisModel) -> tuple[Contribution, ...]:
-    freedom = max(axis.uncertainty.blocks - 1, 1)
+def _from_data(axis: AxisModel) -> list[Contribution]:
+    """Return type A: residual, parameters, zero, and the lag at the fastest drive."""
+    uncertainty = axis.uncertainty
+    freedom = max(uncertainty.blocks - 1, 1)
+    rms_m = axis.quality.held_out_rms_m
+    # The tail of the held-out residual is from its 99.9 % quantile.
+    tail = tail_of(axis.certificate.remainder_m / rms_m, REMAINDER) if rms_m > 0.0 else math.inf
+    half_95_m = float(np.max(uncertainty.loading_half_m))
     moved_m = max((float(np.ptp(start.zero_m)) for start in axis.starts), default=0.0)
-    standard_m = moved_m / 2.0 / math.sqrt(3.0)
-    return (
-        _residual(axis, freedom),
+    contributions = [
+        Contribution(
+            name="residual on held-out data, sensor noise included",
+            kind="A",
+            standard=rms_m,
+            freedom=freedom,
+            shape=NORMAL if math.isinf(tail) else HEAVY,
+            tail=tail,
+            is_shared=False,
+        ),
         Contribution(
             name="parameters of the model",
             kind="A",
-            standard=_standard(float(np.max(axis.uncertainty.loading_half_m)), freedom),
+            standard=half_95_m / float(student_quantile(0.975, freedom)),
             freedom=freedom,
         ),
         Contribution(
             name="drift of the zero during a recording",
             kind="A",
-            standard=standard_m,
+            standard=moved_m / 2.0 / math.sqrt(3.0),
             shape="rectangular",
         ),
-        *_lag(axis, freedom),
-    )
-
-
-def _residual(axis: AxisModel, freedom: int) -> Contribution:
-    """Return the held-out residual, with a tail from its 99.9 % quantile."""
-    rms_m = axis.quality.held_out_rms_m
-    tail = tail_of(axis.certificate.remainder_m / rms_m, REMAINDER) if rms_m > 0.0 else math.inf
-    return Contribution(
-        name="residual on held-out data, sensor noise included",
-        kind="A",
-        standard=rms_m,
-        freedom=freedom,
-        shape=NORMAL if math.isinf(tail) else HEAVY,
-        tail=tail,
-        is_shared=False,
-    )
-
-
-def _zero_between_m(axis: AxisModel) -> float | None:
-    """Return the standard deviation of the zero between recordings; None for a single one."""
-    zeros = np.array([float(np.mean(start.zero_m)) for start in axis.starts])
-    return float(np.std(zeros, ddof=1)) if len(zeros) > 1 else None
-
-
-def _lag(axis: AxisModel, freedom: int) -> tuple[Contribution, ...]:
-    """Return the effect of the uncertainty of the lag at the fastest drive: slope u(tau)."""
-    uncertainty = axis.uncertainty
-    if "lag_s" not in uncertainty.names or axis.lag.kind == "none":
-        return ()
-    index = uncertainty.names.index("lag_s")
-    standard_s = math.sqrt(max(float(uncertainty.covariance[index, index]), 0.0))
-    reach_V = float(uncertainty.reach_V[-1])
-    gain_m_per_V = float(uncertainty.loading_m[-1]) / reach_V if reach_V > 0.0 else 0.0
-    speed_m_per_s = axis.certificate.slew_V_per_s * gain_m_per_V
-    return (
-        Contribution(
+    ]
+    if "lag_s" in uncertainty.names and axis.lag.kind != "none":
+        index = uncertainty.names.index("lag_s")
+        standard_s = math.sqrt(max(float(uncertainty.covariance[index, index]), 0.0))
+        reach_V = float(uncertainty.reach_V[-1])
+        gain_m_per_V = float(uncertainty.loading_m[-1]) / reach_V if reach_V > 0.0 else 0.0
+        speed_m_per_s = axis.certificate.slew_V_per_s * gain_m_per_V
+        lag = Contribution(
             name="lag, at the fastest drive of the data",
             kind="A",
             standard=speed_m_per_s * standard_s,
             freedom=freedom,
-        ),
-    )
+        )
+        contributions.append(lag)
+    return contributions
 
 
-def _from_certificates(axis: str, lab: Lab, at_m: float) -> tuple[Contribution, ...]:
-    certificates = lab.certificates
+def _from_certificates(axis: AxisModel, lab: Lab) -> list[Contribution]:
+    """Return type B: what the laboratory declares, at the end of the range."""
+    certificates, acquisition = lab.certificates, lab.acquisition
+    at_m = 0.5 * axis.quality.range_m
     contributions: list[Contribution] = []
     if certificates.sensor_gain_relative is not None:
         standard_m = certificates.sensor_gain_relative * at_m
@@ -152,20 +136,9 @@ def _from_certificates(axis: str, lab: Lab, at_m: float) -> tuple[Contribution, 
     if range_K is not None and expansion_m_per_K is not None:
         half_m = 0.5 * range_K * expansion_m_per_K
         contributions.append(half_width("temperature of the room", half_m))
-    step_m = _converter_step_m(axis, lab)
-    if step_m is not None:
+    range_V, bits = acquisition.input_range_V, acquisition.adc_bits
+    gain_V_per_m = lab.sensor_of(axis.axis).gain_V_per_m
+    if range_V is not None and bits is not None and gain_V_per_m is not None:
+        step_m = abs((range_V[1] - range_V[0]) / 2.0**bits / gain_V_per_m)
         contributions.append(half_width("step of the converter", 0.5 * step_m, is_shared=False))
-    return tuple(contributions)
-
-
-def _converter_step_m(axis: str, lab: Lab) -> float | None:
-    acquisition, gain_V_per_m = lab.acquisition, lab.sensor_of(axis).gain_V_per_m
-    if acquisition.input_range_V is None or acquisition.adc_bits is None or gain_V_per_m is None:
-        return None
-    low_V, high_V = acquisition.input_range_V
-    return abs((high_V - low_V) / 2.0**acquisition.adc_bits / gain_V_per_m)
-
-
-def _standard(half_m: float, freedom: int) -> float:
-    """Return the standard uncertainty of half a 95 % interval."""
-    return half_m / float(student_quantile(0.975, freedom))
+    return contributions

@@ -276,7 +276,12 @@ def fit_axis(
     dynamic = with_dynamics(
         fitted, recordings, stated_Hz=lab.actuator_of(axis).bandwidth_Hz, response=response
     )
-    complete = with_discrepancy(_remarked(dynamic, shaped), calm)
+    if shaped:
+        names = ", ".join(recording.name for recording in shaped)
+        remark = f"{names}: used for the dynamics only, because a mode dominates the motion"
+        remarks = (remark, *dynamic.verdict.remarks)
+        dynamic = replace(dynamic, verdict=replace(dynamic.verdict, remarks=remarks))
+    complete = with_discrepancy(dynamic, calm)
     if has_loop_shape:
         progress("loop shape")
         complete = with_loop_shape(complete, calm)
@@ -301,16 +306,6 @@ def refined(
     driven = moving(recordings, axis.axis)
     complete = with_discrepancy(with_minor_loops(with_new_dynamics, driven), driven)
     return with_loop_shape(complete, driven)
-
-
-def _remarked(axis: AxisModel, shaped: Sequence[Recording]) -> AxisModel:
-    """Add a remark on recordings that were used for the dynamics only."""
-    if not shaped:
-        return axis
-    names = ", ".join(recording.name for recording in shaped)
-    remark = f"{names}: used for the dynamics only, because a mode dominates the motion"
-    remarks = (remark, *axis.verdict.remarks)
-    return replace(axis, verdict=replace(axis.verdict, remarks=remarks))
 
 
 def refuse_one_name_twice(

@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.identification.extensions.extension import Extension, Samples, Where
+from piezoid.identification.extensions.extension import Extension, Where
 from piezoid.identification.hysteresis.coordinates import Scaled
 from piezoid.identification.hysteresis.pieces import Scales, behind_pole
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, Samples
 from piezoid.numerics.executor import Once
-from piezoid.operators.chain import Chain, FirstOrder, Following
+from piezoid.operators.chain import Chain, Following
 from piezoid.operators.dead_zone import LINEAR
-from piezoid.operators.filters import lagged
+from piezoid.operators.filters import FirstOrder, lagged
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 
 SLOW = 0.004  # of the motion: largest error of a delay instead of the filters

@@ -14,7 +14,6 @@ from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.extensions.linear_mode import LinearMode, mode_spread
 from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.identification.model import AxisModel, Lag
-from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import NORMAL_95
 from piezoid.operators.linear import ContinuousSystem, cascade, first_order
 
@@ -88,7 +87,10 @@ def loop_model(axis: AxisModel, rate_Hz: float) -> LoopModel:
     if axis.dynamics is None:
         quick = [e.system for e in effects if e.system is not None and not e.is_slow]
         front = _pole(axis.rig.amplifier_bandwidth_Hz, rate_Hz)
-        behind, delay_s = _with_lag(axis, quick)
+        behind, lag = cascade(through(), *quick), axis.lag
+        if lag.kind == "first_order" and lag.time_s > 0.0:
+            behind = cascade(behind, first_order(1.0 / (2.0 * np.pi * lag.time_s)))
+        delay_s = lag.time_s if lag.kind == "delay" else 0.0
         delay_s += sum(effect.dead_time_s for effect in effects)
     else:
         front = through()
@@ -175,14 +177,6 @@ def _pole(frequency_Hz: float | None, rate_Hz: float) -> ContinuousSystem:
     return first_order(frequency_Hz)
 
 
-def _with_lag(axis: AxisModel, quick: list[ContinuousSystem]) -> tuple[ContinuousSystem, float]:
-    """Return the dynamics behind the hysteresis with the lag of the model, and their delay."""
-    behind, lag = cascade(through(), *quick), axis.lag
-    if lag.kind == "first_order" and lag.time_s > 0.0:
-        behind = cascade(behind, first_order(1.0 / (2.0 * np.pi * lag.time_s)))
-    return behind, lag.time_s if lag.kind == "delay" else 0.0
-
-
 def _of_dynamics(
     axis: AxisModel, dynamics: LinearDynamics, rate_Hz: float
 ) -> tuple[ContinuousSystem, float, float]:
@@ -200,11 +194,13 @@ def _of_dynamics(
     path = replace(dynamics, declared=declared)
     middle = _middle_m_per_V(axis)
     is_slow = _is_slow_lag(path, middle)
+    is_kept = np.ones(len(path.shape_covariance), dtype=np.bool_)
+    is_kept[-1 - len(is_slow) : -1] = ~is_slow
     quick = replace(
         path,
         lag_frequency_Hz=path.lag_frequency_Hz[~is_slow],
         lag_gain_m_per_V=path.lag_gain_m_per_V[~is_slow],
-        shape_covariance=_without_lags(path, is_slow),
+        shape_covariance=path.shape_covariance[np.ix_(is_kept, is_kept)],
     )
     system_m_per_V = quick.realised()
     at_once = quick.static_gain_m_per_V
@@ -215,7 +211,9 @@ def _of_dynamics(
         system
         for extension in axis.extensions
         if isinstance(extension, LinearMode)
-        and not _is_known(dynamics, extension)
+        and not (
+            np.abs(np.log(dynamics.mode_frequency_Hz / extension.frequency_Hz)) < SAME_MODE
+        ).any()
         and (system := extension.loop_effect(rate_Hz).system) is not None
     ]
     return cascade(scaled, *further), system_m_per_V.delay_s, abs(at_once) / middle
@@ -236,17 +234,6 @@ def _is_slow_lag(path: LinearDynamics, middle_m_per_V: float) -> NDArray[np.bool
     if not len(path.mode_frequency_Hz) or carried < CARRIES:
         return np.zeros(len(path.lag_frequency_Hz), dtype=np.bool_)
     return np.asarray(path.lag_frequency_Hz < FAR_BELOW * path.mode_frequency_Hz.min())
-
-
-def _without_lags(path: LinearDynamics, is_slow: NDArray[np.bool_]) -> Array:
-    modes = 2 * len(path.mode_frequency_Hz)
-    is_kept = np.concatenate([np.ones(modes, np.bool_), ~is_slow, np.ones(1, np.bool_)])
-    return np.asarray(path.shape_covariance[np.ix_(is_kept, is_kept)])
-
-
-def _is_known(dynamics: LinearDynamics, mode: LinearMode) -> bool:
-    octaves = np.abs(np.log(dynamics.mode_frequency_Hz / mode.frequency_Hz))
-    return bool((octaves < SAME_MODE).any())
 
 
 def _mode_spreads(dynamics: LinearDynamics) -> list[tuple[float, float]]:

@@ -25,9 +25,8 @@ from scipy.optimize import least_squares
 from piezoid.errors import IdentificationError
 from piezoid.formatting import with_unit
 from piezoid.identification.extensions.rate_dependence import RateDependence
-from piezoid.identification.hysteresis.certificate import DRAWS, SEED
-from piezoid.identification.hysteresis.jackknife import BLOCKS
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
+from piezoid.identification.hysteresis.uncertainty import BLOCKS, DRAWS, SEED
 from piezoid.identification.minor_loops_known import Believed, FunctionOrder, MinorLoops
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart

@@ -1,6 +1,6 @@
 """Every number of a fitted axis in one table, with its unit and its 95 % interval."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,15 +20,6 @@ _ENDINGS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Row:
-    name: str
-    value: float
-    unit: str
-    low: float = np.nan
-    high: float = np.nan
-
-
 def parameters_of(axis: AxisModel) -> "DataFrame":
     """Return the table, names down its side: ``value``, ``unit``, ``low``, ``high``.
 
@@ -37,13 +28,32 @@ def parameters_of(axis: AxisModel) -> "DataFrame":
     """
     from pandas import DataFrame
 
-    rows = [*_hysteresis(axis), *_dynamics(axis)]
+    uncertainty, dynamics = axis.uncertainty, axis.dynamics
+    half = NORMAL_95 * np.sqrt(np.diag(uncertainty.covariance))
+    rows: list[tuple[str, float, float, float]] = []  # name, value, low, high
+    for name, value, spread in zip(uncertainty.names, uncertainty.values, half, strict=True):
+        limit = uncertainty.upper_limit.get(name)
+        ends = (value - spread, value + spread) if limit is None else (value, limit)
+        rows.append((name, float(value), float(ends[0]), float(ends[1])))
+    if dynamics is not None:
+        for name, values, intervals in (
+            (
+                "mode_frequency_Hz",
+                dynamics.mode_frequency_Hz,
+                dynamics.mode_frequency_interval_Hz(),
+            ),
+            ("mode_damping", dynamics.mode_damping, dynamics.mode_damping_interval()),
+            ("lag_frequency_Hz", dynamics.lag_frequency_Hz, dynamics.lag_frequency_interval_Hz()),
+        ):
+            for k, (value, (low, high)) in enumerate(zip(values, intervals, strict=True)):
+                rows.append((f"{name}[{k}]", float(value), float(low), float(high)))
+        low_s, high_s = dynamics.delay_interval_s().tolist()
+        rows.append(("delay_s", dynamics.delay_s, low_s, high_s))
     rows += [row for extension in axis.extensions for row in _extension(extension)]
-    rows = [replace(row, unit=in_counts(row.unit, axis.counted)) for row in rows]
-    return DataFrame(
-        {name: [getattr(row, name) for row in rows] for name in ("value", "unit", "low", "high")},
-        index=[row.name for row in rows],
-    )
+    names, numbers, lows, highs = zip(*rows, strict=True)
+    units = [in_counts(unit_of_name(name), axis.counted) for name in names]
+    table = {"value": numbers, "unit": units, "low": lows, "high": highs}
+    return DataFrame(table, index=list(names))
 
 
 def unit_of_name(name: str) -> str:
@@ -52,60 +62,15 @@ def unit_of_name(name: str) -> str:
     return next((unit for ending, unit in _ENDINGS if stem.endswith(ending)), "1")
 
 
-def _hysteresis(axis: AxisModel) -> list[_Row]:
-    uncertainty = axis.uncertainty
-    half = NORMAL_95 * np.sqrt(np.diag(uncertainty.covariance))
-    rows = []
-    for name, value, spread in zip(uncertainty.names, uncertainty.values, half, strict=True):
-        high = uncertainty.upper_limit.get(name, value + spread)
-        low = value if name in uncertainty.upper_limit else value - spread
-        rows.append(
-            _Row(
-                name=name,
-                value=float(value),
-                unit=unit_of_name(name),
-                low=float(low),
-                high=float(high),
-            )
-        )
-    return rows
-
-
-def _dynamics(axis: AxisModel) -> list[_Row]:
-    if axis.dynamics is None:
-        return []
-    dynamics = axis.dynamics
-    tables = (
-        ("mode_frequency_Hz", dynamics.mode_frequency_Hz, dynamics.mode_frequency_interval_Hz()),
-        ("mode_damping", dynamics.mode_damping, dynamics.mode_damping_interval()),
-        ("lag_frequency_Hz", dynamics.lag_frequency_Hz, dynamics.lag_frequency_interval_Hz()),
-    )
-    rows = [
-        _Row(
-            name=f"{name}[{k}]",
-            value=float(value),
-            unit=unit_of_name(name),
-            low=float(low),
-            high=float(high),
-        )
-        for name, values, intervals in tables
-        for k, (value, (low, high)) in enumerate(zip(values, intervals, strict=True))
-    ]
-    low_s, high_s = dynamics.delay_interval_s().tolist()
-    rows.append(_Row(name="delay_s", value=dynamics.delay_s, unit="s", low=low_s, high=high_s))
-    return rows
-
-
-def _extension(extension: Extension) -> list[_Row]:
+def _extension(extension: Extension) -> list[tuple[str, float, float, float]]:
     """Return the numbers of one extension but those that belong to single recordings.
 
     The ends of an interval are the extension's own numbers with what was fitted moved there.
     """
-    free, std = extension.free(), np.array(extension.std)
+    free, half = extension.free(), NORMAL_95 * np.array(extension.std)
     values = _numbers(extension)
-    lows = highs = {name: np.nan for name in values}
-    if len(std) == len(free.value) > 0:
-        half = NORMAL_95 * std
+    lows = highs = dict.fromkeys(values, np.nan)
+    if len(half) == len(free.value) > 0:
         lows, highs = (
             _numbers(extension.moved_to(np.clip(free.value + step, free.lower, free.upper)))
             for step in (-half, half)
@@ -113,16 +78,8 @@ def _extension(extension: Extension) -> list[_Row]:
     rows = []
     for name, value in values.items():
         low, high = sorted((lows[name], highs[name]))
-        fitted = low < high
-        rows.append(
-            _Row(
-                name=f"{extension.kind}.{name}",
-                value=value,
-                unit=unit_of_name(name),
-                low=low if fitted else np.nan,
-                high=high if fitted else np.nan,
-            )
-        )
+        ends = (low, high) if low < high else (np.nan, np.nan)  # a number that was not fitted
+        rows.append((f"{extension.kind}.{name}", value, *ends))
     return rows
 
 

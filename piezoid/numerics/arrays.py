@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Samples = NDArray[np.int_]  # numbers of samples or rows
 
 
 def frozen(values: ArrayLike, name: str, *, ndim: int = 1) -> Array:

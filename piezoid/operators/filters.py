@@ -1,13 +1,48 @@
 """Linear filters behind the operator, of one signal or of many columns."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.operators.chain import FirstOrder
 from piezoid.operators.library import KERNELS, address
 
 Coefficients = tuple[float, float, float]
 EVERY = slice(None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FirstOrder:
+    """Exact first-order lag of a signal that is linear between its samples.
+
+        y[k] = p y[k-1] + b0 x[k] + b1 x[k-1]
+        p = exp(-T/tau),  b0 = 1 - (tau/T)(1 - p),  b1 = (tau/T)(1 - p) - p
+
+    tau = 0: no lag.
+    """
+
+    time_s: float
+    rate_Hz: float
+
+    @property
+    def coefficients(self) -> tuple[float, float, float]:
+        """Return p, b0, b1."""
+        ratio = self.time_s * self.rate_Hz
+        if ratio < 1e-9:
+            return 0.0, 1.0, 0.0
+        pole = float(np.exp(-1.0 / ratio))
+        mean_decay = -ratio * float(np.expm1(-1.0 / ratio))
+        return pole, 1.0 - mean_decay, mean_decay - pole
+
+    @property
+    def by_time(self) -> tuple[float, float, float]:
+        """Return the derivatives of the three by tau, 1/s."""
+        ratio = self.time_s * self.rate_Hz
+        if ratio < 1e-9:
+            return 0.0, -self.rate_Hz, self.rate_Hz
+        pole = float(np.exp(-1.0 / ratio)) / ratio**2
+        mean_decay = -float(np.expm1(-1.0 / ratio)) - ratio * pole
+        return pole * self.rate_Hz, -mean_decay * self.rate_Hz, (mean_decay - pole) * self.rate_Hz
 
 
 def filter_columns(columns: Array, coefficients: Coefficients, state: Array) -> Array:

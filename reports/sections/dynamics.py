@@ -5,7 +5,10 @@ from numpy.typing import NDArray
 
 from piezoid.formatting import UNKNOWN
 from piezoid.identification.coupled.coupled_stage import CoupledStage
-from piezoid.identification.dynamics.behind_hysteresis import measure_behind_hysteresis
+from piezoid.identification.dynamics.behind_hysteresis import (
+    measure_response,
+    voltage_behind_hysteresis,
+)
 from piezoid.identification.dynamics.excitation import excites_dynamics
 from piezoid.identification.dynamics.fit_dynamics import resolved_modes
 from piezoid.identification.dynamics.modal import LinearDynamics
@@ -75,7 +78,9 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
     excited = sorted(excites_dynamics(page.recordings, axis.axis), key=lambda pair: -pair[1])
     if not excited:
         return []
-    measured = measure_behind_hysteresis(axis, excited[0][0])
+    recording, _ = excited[0]
+    drive_V = voltage_behind_hysteresis(axis, recording)
+    measured = measure_response(drive_V, recording, axis.axis)
     lines = np.flatnonzero(measured.frequency_Hz <= 2.0 * dynamics.band_Hz[1])
     measured = measured.at_lines(lines)
     decades, response = np.log10(measured.frequency_Hz), measured.response[:, 0, 0]

@@ -16,8 +16,7 @@ from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.loop_shape_fit import with_loop_shape
 from piezoid.identification.model import SCHEMA, AxisModel
-from piezoid.identification.prediction import compare
-from piezoid.identification.simulation import simulate_recording
+from piezoid.identification.simulation import compare, simulate_recording
 from piezoid.identification.store import read_model, write_model
 from piezoid.numerics.arrays import Array
 from piezoid.records.frames import from_arrays

@@ -14,7 +14,7 @@ from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.minor_loops import with_minor_loops
 from piezoid.identification.model import AxisModel
-from piezoid.identification.prediction import compare
+from piezoid.identification.simulation import compare
 from piezoid.identification.store import LAYOUTS
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import student_quantile

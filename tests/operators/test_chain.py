@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from piezoid.numerics.arrays import Array
-from piezoid.operators.chain import Chain, FirstOrder, Following
+from piezoid.operators.chain import Chain, Following
 from piezoid.operators.dead_zone import from_slopes
+from piezoid.operators.filters import FirstOrder
 from piezoid.operators.play import play_columns
 from tests.operators.draws import random_walk
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from piezoid.operators.chain import FirstOrder
+from piezoid.operators.filters import FirstOrder
 from piezoid.operators.ladder import ladder
 
 RATE_Hz = 500.0

@@ -18,7 +18,7 @@ from piezoid.digests import digest_of_json
 from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.coupled.coupled_stage import LEVEL_TOLERANCE, CoupledStage
 from piezoid.identification.coupled.fit_coupled import fit_coupled
-from piezoid.identification.dynamics.periodic_estimate import PeriodicData, estimate_response
+from piezoid.identification.dynamics.frequency_response import PeriodicData, estimate_response
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.repetition import (
     FEWEST,

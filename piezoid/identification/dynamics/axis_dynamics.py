@@ -15,8 +15,8 @@ from piezoid.identification.dynamics.bandwidth import (
     unmeasured,
 )
 from piezoid.identification.dynamics.behind_hysteresis import (
-    measure_behind_hysteresis,
-    measure_from_drive,
+    measure_response,
+    voltage_behind_hysteresis,
 )
 from piezoid.identification.dynamics.excitation import excites_dynamics
 from piezoid.identification.dynamics.fit_dynamics import fit_dynamics, resolved_modes
@@ -61,10 +61,9 @@ def quasi_static(
     exciting = excites_dynamics(recordings, axis)
     if not exciting:
         return tuple(recordings), ()
+    recording, _ = max(exciting, key=lambda pair: pair[1])
     try:
-        dynamics = _best_fit(
-            measure_from_drive(max(exciting, key=lambda pair: pair[1])[0], axis), rig
-        )
+        dynamics = _best_fit(measure_response(recording.voltage_V(axis), recording, axis), rig)
     except (ExcitationError, IdentificationError):
         return tuple(recordings), ()
     if not resolved_modes(dynamics).any():
@@ -104,12 +103,12 @@ def with_dynamics(
         return _with_recorded_dynamics(axis, recordings, stated_Hz)
     declared = _declared(axis.rig)
     validated = validate_response(axis, response, declared, _recorded_dynamics(axis, recordings))
-    axis = _with_remarks(axis, *validated.remarks)
-    if validated.dynamics is None or validated.measured is None:
-        return _with_recorded_dynamics(axis, recordings, stated_Hz)
-    axis = replace(axis, dynamics=validated.dynamics, response=validated.record)
+    if isinstance(validated, str):
+        return _with_recorded_dynamics(_with_remarks(axis, validated), recordings, stated_Hz)
+    text, dynamics, measured, record = validated
+    axis = replace(_with_remarks(axis, text), dynamics=dynamics, response=record)
     verdict = decide_bandwidth(
-        validated.measured,
+        measured,
         Declaration(hold="band_limited", filters=declared),
         delay_s=_delay_interval_s(axis),
         stated_Hz=stated_Hz,
@@ -168,6 +167,10 @@ def _mode_share(recording: Recording, axis: str, dynamics: LinearDynamics) -> fl
     return float(np.sqrt((change**2 * power).sum() / max(power.sum(), 1e-300)))
 
 
+def _measured(axis: AxisModel, recording: Recording) -> FrequencyResponse:
+    return measure_response(voltage_behind_hysteresis(axis, recording), recording, axis.axis)
+
+
 def _recorded_dynamics(
     axis: AxisModel, recordings: Sequence[Recording]
 ) -> tuple[LinearDynamics, str] | None:
@@ -177,7 +180,7 @@ def _recorded_dynamics(
         return None
     recording, _ = max(exciting, key=lambda pair: pair[1])
     try:
-        dynamics = _best_fit(measure_behind_hysteresis(axis, recording), axis.rig)
+        dynamics = _best_fit(_measured(axis, recording), axis.rig)
     except (ExcitationError, IdentificationError):
         return None
     return (dynamics, recording.name) if is_determined(dynamics) else None
@@ -193,7 +196,7 @@ def _with_recorded_dynamics(
         return axis if stated_Hz is None else _with_bandwidth(axis, verdict)
     recording, _ = max(exciting, key=lambda pair: pair[1])
     try:
-        measured = measure_behind_hysteresis(axis, recording)
+        measured = _measured(axis, recording)
     except ExcitationError as refusal:
         verdict = unmeasured(stated_Hz, f"{recording.name} contains {refusal.found}")
         return _with_bandwidth(_with_remarks(axis, f"no linear dynamics: {refusal}"), verdict)

@@ -9,8 +9,7 @@ amplitude; a, the middle of the operator's slope sector, only gives v the unit o
 import numpy as np
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.dynamics.frequency_response import FrequencyResponse
-from piezoid.identification.dynamics.periodic_estimate import smoothed
+from piezoid.identification.dynamics.frequency_response import FrequencyResponse, smoothed
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.records.recording import Recording
@@ -25,17 +24,20 @@ MIN_POWER = 1e-10  # of the strongest line: weaker lines are not driven
 TINY = float(np.finfo(np.float64).tiny)
 
 
-def measure_behind_hysteresis(axis: AxisModel, recording: Recording) -> FrequencyResponse:
-    """Return the response from the hysteresis' output, as a drive, to the displacement.
+def measure_response(drive_V: Array, recording: Recording, axis: str) -> FrequencyResponse:
+    """Return the response of the displacement in a recording to a drive.
+
+    drive_V  (samples,)  that of the recording, or ``voltage_behind_hysteresis``
 
     Lines that the drive did not reach or that are not coherent are marked as rejected.
     """
-    return _measured(voltage_behind_hysteresis(axis, recording), recording, axis.axis)
-
-
-def measure_from_drive(recording: Recording, axis: str) -> FrequencyResponse:
-    """Return the response from the drive to the displacement, hysteresis included."""
-    return _measured(recording.voltage_V(axis), recording, axis)
+    return estimate_response_by_coherence(
+        drive_V,
+        recording.displacement_m(axis),
+        sampling_rate_Hz=recording.sampling_rate_Hz,
+        segment_samples=2 ** int(np.log2(max(recording.samples // WINDOWS, 2))),
+        axis=axis,
+    )
 
 
 def voltage_behind_hysteresis(axis: AxisModel, recording: Recording) -> Array:
@@ -50,16 +52,6 @@ def voltage_behind_hysteresis(axis: AxisModel, recording: Recording) -> Array:
 def middle_slope_m_per_V(axis: AxisModel) -> float:
     """Return a, the middle of the slope sector."""
     return 0.5 * sum(axis.hysteresis.slope_sector_m_per_V)
-
-
-def _measured(drive_V: Array, recording: Recording, axis: str) -> FrequencyResponse:
-    return estimate_response_by_coherence(
-        drive_V,
-        recording.displacement_m(axis),
-        sampling_rate_Hz=recording.sampling_rate_Hz,
-        segment_samples=2 ** int(np.log2(max(recording.samples // WINDOWS, 2))),
-        axis=axis,
-    )
 
 
 def estimate_response_by_coherence(
@@ -82,7 +74,23 @@ def estimate_response_by_coherence(
     far below the width of a resonance. Distortion and noise cannot be told apart here. Lines are
     rejected below ``MIN_COHERENCE``, or where the drive has no power.
     """
-    U, Y = (_windowed(signal, segment_samples) for signal in (voltage_V, displacement_m))
+    count = (len(voltage_V) - segment_samples) // (segment_samples // 2) + 1
+    if count < MIN_WINDOWS:
+        raise ExcitationError(
+            f"{len(voltage_V)} samples hold {max(count, 0)} windows of {segment_samples}",
+            needed=f"at least {MIN_WINDOWS} windows, or the coherence says nothing",
+            remedy="Choose shorter segments or record longer.",
+        )
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(segment_samples) / segment_samples)
+
+    def windowed(signal: Array) -> ComplexArray:
+        """Return the spectra of Hann windows that overlap by half, (lines, windows)."""
+        pieces = np.lib.stride_tricks.sliding_window_view(signal, segment_samples)
+        pieces = pieces[:: segment_samples // 2]
+        level = pieces - pieces.mean(axis=1, keepdims=True)
+        return np.asarray(np.fft.rfft(level * window, axis=1).T)
+
+    U, Y = windowed(voltage_V), windowed(displacement_m)
     drive, output = (np.abs(U) ** 2).sum(axis=1), (np.abs(Y) ** 2).sum(axis=1)
     cross = (Y * U.conj()).sum(axis=1)
     is_driven = drive > MIN_POWER * drive.max()
@@ -112,18 +120,3 @@ def estimate_response_by_coherence(
         variance_freedom=float(np.median(freedom)),
         drive_rms_V=np.array([voltage_V.std()]),
     )
-
-
-def _windowed(signal: Array, length: int) -> ComplexArray:
-    """Return the spectra of Hann windows that overlap by half, (lines, windows)."""
-    count = (len(signal) - length) // (length // 2) + 1
-    if count < MIN_WINDOWS:
-        raise ExcitationError(
-            f"{len(signal)} samples hold {max(count, 0)} windows of {length}",
-            needed=f"at least {MIN_WINDOWS} windows, or the coherence says nothing",
-            remedy="Choose shorter segments or record longer.",
-        )
-    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
-    pieces = np.lib.stride_tricks.sliding_window_view(signal, length)[:: length // 2]
-    level = pieces - pieces.mean(axis=1, keepdims=True)
-    return np.asarray(np.fft.rfft(level * window, axis=1).T)

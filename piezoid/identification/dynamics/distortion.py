@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.dynamics.periodic_estimate import (
+from piezoid.identification.dynamics.frequency_response import (
     PeriodicData,
     estimate_response,
-    interpolated,
 )
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.repetition import FEWEST, SETTLING, STILL, Repetition, find_repetition
@@ -131,7 +131,7 @@ def detect_distortion(data: PeriodicData) -> DetectionLines:
         )
     response = estimate_response(data)
     frequency_Hz = data.frequency_Hz(silent)
-    G = interpolated(response.response, response.frequency_Hz, frequency_Hz)
+    G = make_interp_spline(response.frequency_Hz, response.response, k=1)(frequency_Hz)
     drive, displacement = data.spectra(silent)
     residual = displacement - np.einsum("koi,kirp->korp", G, drive)
     spread = residual.var(axis=3, ddof=1).mean(axis=2) / periods
@@ -164,9 +164,16 @@ def periodic_recordings(
     """
     groups: dict[tuple[float, int, bytes], list[tuple[Recording, Repetition]]] = {}
     for recording in recordings:
-        repetition = None
-        if _is_driven_alone(recording, axis):
-            repetition = find_repetition(recording.voltage_V(axis))
+        channels = [recording.find(q, axis) for q in (Quantity.VOLTAGE, Quantity.DISPLACEMENT)]
+        if recording.breaks or None in channels:
+            continue
+        reach_V = float(np.ptp(recording.voltage_V(axis)))
+        is_alone = reach_V > 0.0 and all(
+            float(np.ptp(channel.values)) <= STILL * reach_V
+            for channel in recording.channels
+            if channel.quantity is Quantity.VOLTAGE and channel.axis != axis
+        )
+        repetition = find_repetition(recording.voltage_V(axis)) if is_alone else None
         if repetition is None or repetition.periods < SETTLING + FEWEST:
             continue
         lines = _cut([(recording, repetition)], axis).excited_lines()
@@ -175,19 +182,6 @@ def periodic_recordings(
     return tuple(
         (tuple(recording.name for recording, _ in group), _cut(group, axis))
         for group in groups.values()
-    )
-
-
-def _is_driven_alone(recording: Recording, axis: str) -> bool:
-    """Tell whether a recording without breaks drives this axis and holds the others constant."""
-    channels = [recording.find(q, axis) for q in (Quantity.VOLTAGE, Quantity.DISPLACEMENT)]
-    if recording.breaks or None in channels:
-        return False
-    reach_V = float(np.ptp(recording.voltage_V(axis)))
-    return reach_V > 0.0 and all(
-        float(np.ptp(channel.values)) <= STILL * reach_V
-        for channel in recording.channels
-        if channel.quantity is Quantity.VOLTAGE and channel.axis != axis
     )
 
 

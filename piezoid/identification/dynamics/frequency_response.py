@@ -1,10 +1,14 @@
-"""FrequencyResponse: measured lines with variances, and rejected lines."""
+"""Frequency response: measured lines with variances, and its estimate from periodic data."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.special import gammainccinv
 
+from piezoid.errors import ExcitationError
 from piezoid.numerics.arrays import (
     Array,
     ComplexArray,
@@ -13,6 +17,21 @@ from piezoid.numerics.arrays import (
     frozen_complex,
     strictly_increasing,
 )
+
+_BY_LINE = (
+    "frequency_Hz",
+    "response",
+    "noise_variance",
+    "distortion_variance",
+    "coherence",
+    "is_interference",
+    "is_rejected",
+)
+EXCITED_FRACTION = 0.02  # designed lines differ by less; what leaks onto the others lies below
+WANTED_FREEDOM = 30  # smoothed over so many; the weights of a fit must not be random themselves
+LEAST_COHERENCE = 0.5
+LEVEL_LINES = 41  # the local level of a line's variance is the median of so many
+FALSE_ALARMS = 0.01  # expected per response where nothing interferes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,12 +108,177 @@ class FrequencyResponse:
         return FrequencyResponse(**{**vars(self), **cut})
 
 
-_BY_LINE = (
-    "frequency_Hz",
-    "response",
-    "noise_variance",
-    "distortion_variance",
-    "coherence",
-    "is_interference",
-    "is_rejected",
-)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PeriodicData:
+    """The steady answer to periodic drives, cut at its periods.
+
+    sampling_rate_Hz  > 0
+    inputs, outputs   names of the driven and of the measured axes
+    voltage_V         (samples, inputs, realisations, periods)
+    displacement_m    (samples, outputs, realisations, periods)
+
+    Realisations differ in their random phases; periods of one realisation only in the noise.
+    """
+
+    sampling_rate_Hz: float
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    voltage_V: Array
+    displacement_m: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "voltage_V", "displacement_m", ndim=4)
+        samples, _, realisations, periods = self.voltage_V.shape
+        expected = (
+            (samples, len(self.inputs), realisations, periods),
+            (samples, len(self.outputs), realisations, periods),
+        )
+        if (shapes := (self.voltage_V.shape, self.displacement_m.shape)) != expected:
+            raise ValueError(f"voltage_V and displacement_m have shapes {shapes}, not {expected}")
+
+    def select(self, realisations: Sequence[int]) -> "PeriodicData":
+        """Return the data of these realisations alone, for fitting or for holding out.
+
+        >>> levels[0].select([0, 1]).voltage_V.shape[2]
+        2
+        """
+        indices = list(realisations)
+        return replace(
+            self,
+            voltage_V=self.voltage_V[:, :, indices, :],
+            displacement_m=self.displacement_m[:, :, indices, :],
+        )
+
+    def spectra(self, lines: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray]:
+        """Return the Fourier coefficients of drive and response at these lines.
+
+        returned  (lines, inputs or outputs, realisations, periods)  peak amplitudes, V and m
+
+        >>> drive, response = levels[0].spectra(levels[0].excited_lines())
+        >>> drive.shape == response.shape
+        True
+        """
+        scale = 2.0 / len(self.voltage_V)
+        drive = scale * np.fft.rfft(self.voltage_V, axis=0)[lines]
+        return drive, scale * np.fft.rfft(self.displacement_m, axis=0)[lines]
+
+    def excited_lines(self) -> NDArray[np.int64]:
+        """Return the lines the drive occupies, as multiples of one over the period.
+
+        >>> bool(np.all(np.diff(levels[0].excited_lines()) > 0))
+        True
+        """
+        mean = self.voltage_V.mean(axis=3)
+        power = (np.abs(np.fft.rfft(mean, axis=0)) ** 2).sum(axis=(1, 2))
+        power[0] = 0.0
+        if len(mean) % 2 == 0:
+            power[-1] = 0.0  # the line at half the rate has no phase
+        return np.flatnonzero(power > EXCITED_FRACTION**2 * power.max()).astype(np.int64)
+
+    def frequency_Hz(self, lines: NDArray[np.int64]) -> Array:
+        """Return the frequencies of lines.
+
+        >>> levels[0].frequency_Hz(np.array([1, 2])).tolist()
+        [1.953125, 3.90625]
+        """
+        return np.asarray(lines * self.sampling_rate_Hz / len(self.voltage_V))
+
+
+def estimate_response(data: PeriodicData) -> FrequencyResponse:
+    """Return the best linear approximation and the two variances of its estimate.
+
+        G = Y U^H (U U^H)^-1,   E = Y - G U              [Pintelon & Schoukens 2012]
+
+    Y, U are means over periods, one column per realisation. What E does between the periods of
+    a realisation is noise; what is left of it between realisations is nonlinear distortion.
+
+    data             realisations >= inputs; more of either realisations or periods for variances
+    LEAST_COHERENCE  below, an output's line is rejected; so are single lines whose residual
+                     stands out of their neighbourhood, where something else interferes
+
+    Orthogonal multisines keep U U^H well conditioned. With as many realisations as inputs
+    distortion cannot be seen; with one period, noise cannot be told from it and all variance is
+    called distortion.
+    """
+    lines = data.excited_lines()
+    drive, response = data.spectra(lines)
+    inputs, realisations, periods = drive.shape[1:]
+    if realisations < inputs or (realisations == inputs and periods < 2):
+        raise ExcitationError(
+            f"{realisations} realisations of {periods} periods for {inputs} inputs",
+            needed="as many realisations as inputs, and one realisation or one period more to "
+            "see the variance",
+            remedy="Record orthogonal multisines: twice as many realisations as inputs.",
+        )
+    U, Y = drive.mean(axis=3), response.mean(axis=3)
+    adjoint = np.conj(np.swapaxes(U, 1, 2))
+    inverse = np.linalg.inv(U @ adjoint)
+    G = Y @ adjoint @ inverse
+    total, noise, freedom, is_interference = _output_variances(drive, response, G)
+    per_input = np.einsum("kjj->kj", inverse).real[:, None, :]
+    power = (np.abs(Y) ** 2).mean(axis=2)
+    coherence = np.clip(1.0 - total / np.maximum(power, np.finfo(float).tiny), 0.0, 1.0)
+    return FrequencyResponse(
+        inputs=data.inputs,
+        outputs=data.outputs,
+        sampling_rate_Hz=data.sampling_rate_Hz,
+        frequency_Hz=data.frequency_Hz(lines),
+        response=G,
+        noise_variance=noise[:, :, None] * per_input,
+        distortion_variance=np.maximum(total - noise, 0.0)[:, :, None] * per_input,
+        coherence=coherence,
+        is_interference=is_interference,
+        is_rejected=(coherence < LEAST_COHERENCE) | is_interference,
+        least_coherence=LEAST_COHERENCE,
+        variance_freedom=freedom,
+        drive_rms_V=data.voltage_V.std(axis=(0, 2, 3)),
+        realisations=realisations,
+        periods=periods,
+    )
+
+
+def _output_variances(
+    drive: ComplexArray, response: ComplexArray, G: ComplexArray
+) -> tuple[Array, Array, float, NDArray[np.bool_]]:
+    """Variances of an output's mean over periods: in all, and from noise alone, (lines, outputs).
+
+    Noise is smoothed over neighbouring lines as it is, distortion as a share of the output's
+    power: born before the dynamics, it peaks where they do, more sharply than the smoothing.
+    Then the number of complex degrees of freedom behind the first, and where single lines stand
+    out of their neighbourhood; those do not raise the variance of the lines around them.
+    """
+    inputs, realisations, periods = drive.shape[1:]
+    residual = response - np.einsum("koi,kirp->korp", G, drive)
+    noise = np.zeros(residual.shape[:2])
+    noise_freedom = realisations * (periods - 1)
+    if noise_freedom:
+        noise = residual.var(axis=3, ddof=1).mean(axis=2) / periods
+    freedom = realisations - inputs
+    draws = freedom or noise_freedom
+    odd_lines = (len(residual) - 1) // 2 * 2 + 1
+    width = max(1, min(int(np.ceil(WANTED_FREEDOM / draws)) // 2 * 2 + 1, odd_lines))
+    total = noise
+    if freedom:
+        total = (np.abs(residual.mean(axis=3)) ** 2).sum(axis=2) / freedom
+    power = (np.abs(np.einsum("koi,kirp->korp", G, drive)) ** 2).mean(axis=(2, 3))
+    # Lines far above their neighbours: mains, its harmonics, drift. They must stand out both as
+    # they are and as a share of the output's power: distortion at a sharp resonance does the
+    # first, noise between resonances the second.
+    limit = gammainccinv(draws, FALSE_ALARMS / total.size) / gammainccinv(draws, 0.5)
+    level_lines = min(LEVEL_LINES, odd_lines)
+    is_interference = np.ones(total.shape, dtype=np.bool_)
+    for quantity in (total, total / np.maximum(power, np.finfo(float).tiny)):
+        level = median_filter(quantity, (level_lines, 1), mode="mirror")
+        is_interference &= quantity > limit * level
+    is_usable = ~is_interference
+    share = smoothed(is_usable * (total - noise), width) / np.maximum(
+        smoothed(is_usable * power, width), np.finfo(float).tiny
+    )
+    noise = smoothed(noise, width)
+    variance = noise + np.maximum(share, 0.0) * power
+    return variance, noise, float(width * draws), is_interference
+
+
+def smoothed(variance: Array, width: int) -> Array:
+    """Average over ``width`` neighbouring lines, an odd number, reflecting at the ends."""
+    return np.asarray(uniform_filter1d(variance, width, axis=0, mode="mirror"))

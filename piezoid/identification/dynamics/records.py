@@ -1,6 +1,6 @@
 """Records of the dynamics beside the modes: joint fit, measured response."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -103,15 +103,6 @@ class ResponseFit:
     left_relative: float
     left_Hz: float
     slow: SlowPart | None
-
-    def scaled(self, factor: float) -> "ResponseFit":
-        """Return the record with another gain, such as that of a recording."""
-        return replace(
-            self,
-            factor=self.factor * factor,
-            gain_m_per_V=self.gain_m_per_V * factor,
-            gain_ratio=self.gain_ratio * factor,
-        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,10 +26,9 @@ from piezoid.identification.dynamics.fit_dynamics import (
     fit_with_slow_part,
     resolved_modes,
 )
-from piezoid.identification.dynamics.frequency_response import FrequencyResponse
+from piezoid.identification.dynamics.frequency_response import FrequencyResponse, smoothed
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
-from piezoid.identification.dynamics.periodic_estimate import smoothed
 from piezoid.identification.dynamics.records import MAX_LAG_deg, MAX_SLOPE_dB, SlowPart
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.records.frequency_response import (

@@ -6,7 +6,7 @@ more than ceramics do.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,41 +29,31 @@ BELOW_MODE, ABOVE_BAND = 1.0 / 3.0, 2.0  # of a mode, of the lowest line: where 
 MIN_MODE_SHARE = 0.1  # of the gain: a recording may not show a mode with less
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ValidatedResponse:
-    """A measured response as an axis uses it.
-
-    dynamics, measured, record  None where it is not used
-    remarks   sentences, the first with the result or the reason why it is not used
-    """
-
-    remarks: tuple[str, ...]
-    dynamics: LinearDynamics | None = None
-    measured: FrequencyResponse | None = None
-    record: ResponseFit | None = None
-
-
 def validate_response(
     axis: AxisModel,
     response: FrequencyResponseRecord,
     declared: tuple[Filter, ...],
     recorded: tuple[LinearDynamics, str] | None,
-) -> ValidatedResponse:
+) -> tuple[str, LinearDynamics, FrequencyResponse, ResponseFit] | str:
     """Fit a measured response, and use it where it agrees with the axis.
 
     axis      with its hysteresis
     declared  poles of the rig
     recorded  dynamics that a recording determines, and its name: where modes agree, the gain is
               that of the recording; where they do not, the response is not used
+
+    Returns:
+        The result in a sentence, the dynamics, the lines they were fitted to and the record of the
+        fit; or the reason why the response is not used.
     """
     try:
         fit = fit_response(response, axis.axis, declared)
     except (ExcitationError, IdentificationError) as refusal:
-        return ValidatedResponse(remarks=(f"{response.name} is not used: {refusal}",))
+        return f"{response.name} is not used: {refusal}"
     reason = _disagreement(axis, fit, recorded)
     if reason:
-        return ValidatedResponse(remarks=(f"{response.name} is not used: {reason}",))
-    gain = fit.dynamics.static_gain_m_per_V
+        return f"{response.name} is not used: {reason}"
+    d, gain = fit.dynamics, fit.dynamics.static_gain_m_per_V
     sign = 1 if gain * axis.polarity > 0.0 else -1
     outliers = fit.measured.is_interference[:, 0]
     record = ResponseFit(
@@ -87,26 +77,28 @@ def validate_response(
         "its own gain, and a controller is designed for both"
     )
     if recorded is not None:
-        factor = _gain_ratio(recorded[0], fit.dynamics)
-        record = record.scaled(factor)
+        factor = _gain_ratio(recorded[0], d)
+        record = replace(
+            record,
+            factor=record.factor * factor,
+            gain_m_per_V=record.gain_m_per_V * factor,
+            gain_ratio=record.gain_ratio * factor,
+        )
         gains += (
             f"; {recorded[1]} shows the same mode, and the gain is its, "
             f"{significant(factor)} times that of the response"
         )
     turned = "; its sign is turned to that of the recordings" if sign < 0 else ""
-    d = fit.dynamics
-    return ValidatedResponse(
-        remarks=(f"{response.name}, {_words(fit, record)}. {gains}{turned}",),
-        dynamics=replace(
-            d,
-            mode_gain_m_per_V=record.factor * d.mode_gain_m_per_V,
-            lag_gain_m_per_V=record.factor * d.lag_gain_m_per_V,
-            direct_gain_m_per_V=record.factor * d.direct_gain_m_per_V,
-            static_gain_std_m_per_V=abs(record.factor) * d.static_gain_std_m_per_V,
-        ),
-        measured=replace(fit.measured, response=sign * fit.measured.response),
-        record=record,
+    dynamics = replace(
+        d,
+        mode_gain_m_per_V=record.factor * d.mode_gain_m_per_V,
+        lag_gain_m_per_V=record.factor * d.lag_gain_m_per_V,
+        direct_gain_m_per_V=record.factor * d.direct_gain_m_per_V,
+        static_gain_std_m_per_V=abs(record.factor) * d.static_gain_std_m_per_V,
     )
+    measured = replace(fit.measured, response=sign * fit.measured.response)
+    text = f"{response.name}, {_words(fit, record)}. {gains}{turned}"
+    return text, dynamics, measured, record
 
 
 def _disagreement(

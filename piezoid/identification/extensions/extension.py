@@ -11,12 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array, frozen
-
-Samples = NDArray[np.int_]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -113,14 +113,6 @@ class Coordinates:
         first = self.offset_slice(piece).stop
         return slice(first, first + self.shape.plays)
 
-    def names(self) -> tuple[str, ...]:
-        """Return one name for each shared number, such as ``weight[3]``."""
-        return tuple(
-            f"{name}[{i}]"
-            for name, numbers in self.slices.items()
-            for i in range(numbers.stop - numbers.start)
-        )
-
     def bounds(self, longest_lag_s: float) -> tuple[Array, Array]:
         """Return lower and upper bounds of every number."""
         lower, upper = np.full(self.total, -np.inf), np.full(self.total, np.inf)
@@ -210,6 +202,16 @@ class Scaled:
     def dead_zones(self) -> DeadZones:
         """Psi."""
         return from_slopes(self.knot, self.slope)
+
+    def shape(self, lag: str) -> Shape:
+        """Return the shape whose vector can hold this operator, with a lag of this kind."""
+        return Shape(
+            plays=len(self.gap),
+            below=self.zero,
+            above=len(self.knot) - self.zero - 1,
+            lag=lag,
+            bends=self.envelope.zero,
+        )
 
 
 def operator_of(theta: Array, coordinates: Coordinates) -> Scaled:

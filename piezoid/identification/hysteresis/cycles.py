@@ -6,6 +6,7 @@ One fit over all cycles averages what goes on slowly; one number a cycle shows i
 noise of a sample.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from piezoid.formatting import with_unit
 from piezoid.identification.hysteresis.pieces import Piece
+from piezoid.identification.quality import Limit
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.repetition import equal_cycles
 from piezoid.numerics.robust import Trend, spread_of, trend_of
@@ -23,6 +25,7 @@ SURE = 1e-3  # false alarm probability of a trend, of four trends
 GAIN = 2e-4  # smaller changes over all cycles do not matter to a controller
 TIP = 0.02  # of the samples of a cycle at either end of the drive
 SLIDES = 0.1  # samples over all cycles: less is how a period that is no whole number is cut
+MOST_WITH_SLIDES = 50  # score, as for a lag that cannot be separated from loop width
 WANDERS = 3.0  # times the scatter of a tip by the noise of its samples
 
 
@@ -91,8 +94,7 @@ class Cycles:
 
 def cycles_of(piece: Piece) -> Cycles | None:
     """Return the equal cycles of a piece; None if they are too few to show a trend."""
-    rows = slice(piece.first, piece.last)
-    drive, response = piece.drive[rows], piece.response[rows]
+    drive, response = piece.fitted_drive, piece.fitted_response
     cycles = equal_cycles(drive, fewest=FEWEST) if np.ptp(drive) > 0.0 else None
     if cycles is None:
         return None
@@ -113,57 +115,55 @@ def trends_over_cycles(cycles: Cycles, stroke_m: float, noise: float) -> tuple[s
     """
     around = cycles.drive.mean(axis=0)
     width = max(int(TIP * len(around)), 1)
+    noise_m = noise * stroke_m / width**0.5
     order = np.argsort(around, kind="stable")
-    remarks = _gain(cycles)
-    for name, where in (("upper", order[-width:]), ("lower", order[:width])):
-        level = cycles.response[:, where].mean(axis=1)
-        remarks += _tip(cycles, name, level, (stroke_m, noise / width**0.5))
-    return tuple(remarks)
+    sentences = []
+    if cycles.gain is not None:
+        ends = (cycles.gain.slope, *cycles.gain.ci95)
+        change, low, high = (100 * end * (cycles.count - 1) for end in ends)
+        sentences.append(
+            f"{cycles.name}: cycle by cycle the sensitivity goes by {change:+.3g} % over "
+            f"{cycles.count} equal cycles (95 %: {low:.3g} to {high:.3g} %)."
+        )
+    for tip, where in (("upper", order[-width:]), ("lower", order[:width])):
+        level_m = stroke_m * cycles.response[:, where].mean(axis=1)
+        trend = cycles.trend(level_m)
+        if trend is None:
+            continue
+        change_m = trend.slope * (cycles.count - 1)
+        # the first cycles may still forget what came before them: no scatter of the others
+        scatter_m = cycles.scatter(level_m, trend)
+        parts = []
+        if trend.p_value < SURE and abs(change_m) > WANDERS * noise_m:
+            parts.append(f"goes by {with_unit(change_m, 'm')}")
+        if scatter_m > WANDERS * noise_m:
+            parts.append(
+                f"wanders by {with_unit(scatter_m, 'm')} rms about its trend, where the noise of "
+                f"its samples is {with_unit(noise_m, 'm')}"
+            )
+        if parts:
+            sentences.append(
+                f"{cycles.name}: over {cycles.count} equal cycles the {tip} tip "
+                f"{' and '.join(parts)}."
+            )
+    return tuple(sentences)
 
 
-def told_slide(cycles: Cycles) -> str:
-    """Return half a sentence on a displacement that slides against its drive, or an empty text."""
-    trend = cycles.slide
-    if trend is None:
-        return ""
-    slides_s = abs(trend.slope) * (cycles.count - 1) / cycles.sampling_rate_Hz
-    direction = "falls behind" if trend.slope > 0.0 else "gains on"
-    ppm = 1e6 * trend.slope / cycles.period_samples
-    return (
-        f"{cycles.name}: cycle by cycle the displacement {direction} its drive, by "
-        f"{with_unit(slides_s, 's')} over {cycles.count} equal cycles ({ppm:+.3g} ppm of the "
-        "time): two clocks, it seems, or a lag or a loop that changes; no one lag or width holds"
-    )
-
-
-def _gain(cycles: Cycles) -> list[str]:
-    trend = cycles.gain
-    if trend is None:
-        return []
-    change, low, high = (end * (cycles.count - 1) for end in (trend.slope, *trend.ci95))
-    return [
-        f"{cycles.name}: cycle by cycle the sensitivity goes by {100 * change:+.3g} % over "
-        f"{cycles.count} equal cycles (95 %: {100 * low:.3g} to {100 * high:.3g} %)."
-    ]
-
-
-def _tip(cycles: Cycles, tip: str, level: Array, scale: tuple[float, float]) -> list[str]:
-    stroke_m, noise = scale
-    trend = cycles.trend(level)
-    if trend is None:
-        return []
-    change = trend.slope * (cycles.count - 1)
-    # the first cycles may still forget what came before them: no scatter of the others
-    scatter = cycles.scatter(level, trend)
-    has_trend = trend.p_value < SURE and abs(change) > WANDERS * noise
-    wanders = scatter > WANDERS * noise
-    if not (has_trend or wanders):
-        return []
-    parts = [f"goes by {with_unit(change * stroke_m, 'm')}"] if has_trend else []
-    parts += [
-        f"wanders by {with_unit(scatter * stroke_m, 'm')} rms about its trend, where the noise of "
-        f"its samples is {with_unit(noise * stroke_m, 'm')}"
-    ] * wanders
-    return [
-        f"{cycles.name}: over {cycles.count} equal cycles the {tip} tip {' and '.join(parts)}."
-    ]
+def limits_of_cycles(cycles: Sequence[Cycles]) -> tuple[Limit, ...]:
+    """Return limits for displacement that slides against its drive from cycle to cycle."""
+    limits = []
+    for recorded in cycles:
+        trend = recorded.slide
+        if trend is None:
+            continue
+        slides_s = abs(trend.slope) * (recorded.count - 1) / recorded.sampling_rate_Hz
+        direction = "falls behind" if trend.slope > 0.0 else "gains on"
+        ppm = 1e6 * trend.slope / recorded.period_samples
+        reason = (
+            f"{recorded.name}: cycle by cycle the displacement {direction} its drive, by "
+            f"{with_unit(slides_s, 's')} over {recorded.count} equal cycles ({ppm:+.3g} ppm of "
+            "the time): two clocks, it seems, or a lag or a loop that changes; no one lag or "
+            "width holds"
+        )
+        limits.append(Limit(lack="slides", reason=reason, most=MOST_WITH_SLIDES))
+    return tuple(limits)

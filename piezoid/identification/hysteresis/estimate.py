@@ -8,21 +8,21 @@ import numpy as np
 from piezoid.formatting import with_unit
 from piezoid.identification.forward import Forward
 from piezoid.identification.hysteresis.applicability import (
-    AS_GOOD,
-    WIDE,
+    limits_of_lag,
     reason_in_loops,
     reason_of_error,
     reason_of_lag,
     reason_of_no_answer,
-    widest_opening,
 )
-from piezoid.identification.hysteresis.certificate import certify
 from piezoid.identification.hysteresis.coordinates import Shape
-from piezoid.identification.hysteresis.cycles import Cycles, cycles_of, trends_over_cycles
+from piezoid.identification.hysteresis.cycles import (
+    Cycles,
+    cycles_of,
+    limits_of_cycles,
+    trends_over_cycles,
+)
 from piezoid.identification.hysteresis.excluded_rows import without_outliers, without_transients
 from piezoid.identification.hysteresis.gauss_newton import minimise
-from piezoid.identification.hysteresis.jackknife import jackknife, summarise
-from piezoid.identification.hysteresis.lag_rivals import EXPLAINED, lag_rivals
 from piezoid.identification.hysteresis.order import (
     ORDERS,
     Choice,
@@ -30,8 +30,15 @@ from piezoid.identification.hysteresis.order import (
     without_bends,
 )
 from piezoid.identification.hysteresis.physical import physical, piece_start
-from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_of, scales_of
-from piezoid.identification.hysteresis.scope import limits_as_recorded, limits_of_cycles, scope_of
+from piezoid.identification.hysteresis.pieces import (
+    Piece,
+    Rig,
+    Scales,
+    pieces_of,
+    response_range,
+    scales_of,
+)
+from piezoid.identification.hysteresis.scope import limits_as_recorded
 from piezoid.identification.hysteresis.search import (
     Fitted,
     Settings,
@@ -41,13 +48,13 @@ from piezoid.identification.hysteresis.search import (
     simplified,
 )
 from piezoid.identification.hysteresis.sensor_noise import noise_is_most, sensor_noise
+from piezoid.identification.hysteresis.uncertainty import certify, jackknife, summarise
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import (
     IN_SAMPLE,
     SECOND_HALF,
     FitQuality,
-    Limit,
     Order,
     Verdict,
 )
@@ -94,7 +101,9 @@ def estimate_axis(
 
     Raises ``ExcitationError`` where drive or displacement does not move.
     """
-    ordered = by_name(recordings)
+    # Which recordings are left out together follows from their order, and in the last digit every
+    # sum over rows.
+    ordered = tuple(sorted(recordings, key=lambda recording: recording.name))
     data = _prepare(ordered, axis, rig, progress)
     in_loops = reason_in_loops(data.pieces)
     if in_loops:  # one small fit is enough to show how wrong the class is
@@ -109,7 +118,8 @@ def estimate_axis(
     lag = ""
     if not in_loops and not has_trend:
         lag = reason_of_lag(data.pieces, choice, settings, progress)
-    limits, second_order_lag = _limits(data, choice, progress)
+    longest_s = data.settings.longest_lag_s
+    limits, second_order_lag = limits_of_lag(data.pieces, choice, longest_s, progress)
     if has_trend:
         second_order_lag = ""
     if second_order_lag:
@@ -129,48 +139,6 @@ def estimate_axis(
     names = [recording.name for recording in recordings]
     starts = tuple(sorted(model.starts, key=lambda start: names.index(start.recording)))
     return replace(model, starts=starts, quality=replace(model.quality, limits=limits))
-
-
-def by_name(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
-    """Return recordings in the one order in which they are fitted.
-
-    Which are left out together follows from it, and in the last digit every sum over rows.
-    """
-    return tuple(sorted(recordings, key=lambda recording: recording.name))
-
-
-def _limits(data: Prepared, choice: Choice, progress: Progress) -> tuple[tuple[Limit, ...], str]:
-    """Return what was never measured, and why no hysteresis was seen where a lag does as well.
-
-    A lag of second order is tried where no speed was varied: only there can it be a loop. Its two
-    numbers stand beside hysteresis without an envelope, whose two dozen follow the corners that a
-    lag makes at every turn: 0.20 % for 0.57 of a positioner that is all lag, where the lag leaves
-    0.54. On thirteen published laws a lag leaves from 1.2 (loops of five sizes, Coleman and
-    Hodgdon's) to 24 times what such hysteresis does, and from 0.18 of what no lag leaves.
-    """
-    scope = scope_of(data.pieces)
-    if not scope.has_one_speed or scope.branches < 2:
-        return scope.limits(), ""
-    progress("a lag of second order, without hysteresis")
-    height = max(float(np.ptp(p.response[p.first : p.last])) for p in data.pieces)
-    lag, delayed, none = lag_rivals(data.pieces, data.settings.longest_lag_s)
-    best, plays = min(lag.held_out_rms, delayed.held_out_rms), choice.best.held_out_rms
-    straight = without_bends(choice).best.held_out_rms
-    envelope = ", an envelope" if choice.best.shape.bends else ""
-    comparison = (
-        f"held-out error: plays{envelope} and a lag {100 * plays / height:.2g} % of the range; a "
-        f"second-order lag without hysteresis {100 * lag.held_out_rms / height:.2g} % "
-        f"({with_unit(lag.frequency_Hz, 'Hz')}, damping {lag.damping:.2g}); the same lag with a "
-        f"delay {100 * delayed.held_out_rms / height:.2g} %"
-    )
-    is_wide = widest_opening(data.pieces) > WIDE * height
-    explains = lag.rises and best < EXPLAINED * none.held_out_rms
-    if not (is_wide and explains and best <= AS_GOOD * straight):
-        return scope.limits(f" ({comparison})"), ""
-    reason = f"the loop is phase lag, not hysteresis ({comparison})"
-    if straight > plays:
-        reason += f"; plays without an envelope {100 * straight / height:.2g} %"
-    return scope.limits(f" ({comparison})"), reason
 
 
 def _prepare(recordings: Sequence[Recording], axis: str, rig: Rig, progress: Progress) -> Prepared:
@@ -300,7 +268,7 @@ def remarks_on(fitted: Fitted, held_out_kind: str, rig: Rig) -> tuple[str, ...]:
         )
     operator, plays = fitted.operator, fitted.shape.plays
     for piece in fitted.task.pieces:
-        drive = piece.drive[piece.first : piece.last]
+        drive = piece.fitted_drive
         unexcited = int((forgetting_sample(drive, operator.threshold) >= len(drive)).sum())
         if unexcited:
             remarks.append(
@@ -311,26 +279,25 @@ def remarks_on(fitted: Fitted, held_out_kind: str, rig: Rig) -> tuple[str, ...]:
     if on_zero:
         remarks.append(f"{on_zero} of {plays} play weights lie on 0; only upper limits are given.")
     if fitted.shape.lag != "none" and operator.lag_s <= 0.0:
-        remarks.append(_lag_on_zero(rig))
+        poles = (rig.amplifier_bandwidth_Hz, rig.sensor_bandwidth_Hz)
+        declared = ", ".join(with_unit(pole, "Hz") for pole in poles if pole is not None)
+        check = "that both channels are sampled at the same instant"
+        if declared:
+            remarks.append(
+                f"The fitted lag lies on 0: the declared poles ({declared}) delay at least as "
+                "much as the recordings show. Check bandwidth_Hz of [amplifier] and [sensor], "
+                f"and {check}."
+            )
+        else:
+            remarks.append(
+                f"The fitted lag lies on 0: the displacement may lead the drive. Check {check}."
+            )
     if fitted.shape.lag != "none" and operator.lag_s >= 0.999 * fitted.task.longest_lag_s > 0.0:
         bound = with_unit(operator.lag_s, "s")
         remarks.append(f"The fitted lag lies on its upper bound, {bound}.")
     if fitted.kkt_gap > LOOSE_KKT:
         remarks.append(f"The convex start is optimal only to {fitted.kkt_gap:.1e}.")
     return tuple(remarks)
-
-
-def _lag_on_zero(rig: Rig) -> str:
-    """Return the possible causes of a lag on its lower bound."""
-    poles = (rig.amplifier_bandwidth_Hz, rig.sensor_bandwidth_Hz)
-    declared = ", ".join(with_unit(pole_Hz, "Hz") for pole_Hz in poles if pole_Hz is not None)
-    check = "that both channels are sampled at the same instant"
-    if not declared:
-        return f"The fitted lag lies on 0: the displacement may lead the drive. Check {check}."
-    return (
-        f"The fitted lag lies on 0: the declared poles ({declared}) delay at least as much as the "
-        f"recordings show. Check bandwidth_Hz of [amplifier] and [sensor], and {check}."
-    )
 
 
 def starts_of(fitted: Fitted, scales: Scales) -> tuple[PieceStart, ...]:
@@ -353,7 +320,6 @@ def _quality(
     fitted: Fitted, choice: Choice, pieces: Sequence[Piece], stroke_m: float
 ) -> FitQuality:
     minimum = fitted.minimum
-    height = max(float(np.ptp(piece.response[piece.first : piece.last])) for piece in pieces)
     residuals = [
         continued(fitted, index, piece) - piece.response for index, piece in enumerate(pieces)
     ]
@@ -363,7 +329,7 @@ def _quality(
         rms_m=minimum.rms * stroke_m,
         held_out_rms_m=choice.best.held_out_rms * stroke_m,
         held_out_kind=choice.kind,
-        range_m=height * stroke_m,
+        range_m=response_range(pieces) * stroke_m,
         noise_rms_m=stroke_m * float(np.sqrt(np.average(np.square(noise), weights=rows))),
         noise_is_most=any(map(noise_is_most, pieces, residuals)),
         rows=sum(rows),

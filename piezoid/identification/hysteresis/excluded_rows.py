@@ -22,8 +22,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Piece
 from piezoid.identification.hysteresis.search import Fitted, continued
-from piezoid.numerics.arrays import Array
-from piezoid.operators.chain import Samples
+from piezoid.numerics.arrays import Array, Samples
 from piezoid.operators.play import forgetting_sample
 from piezoid.records.reversals import noise_of, reversals_of
 
@@ -65,33 +64,28 @@ def without_outliers(fitted: Fitted) -> tuple[tuple[Piece, ...], tuple[str, ...]
 
 
 def without_transients(fitted: Fitted) -> tuple[tuple[Piece, ...], tuple[str, ...]]:
-    """Return the pieces without beginnings that no admissible memory explains, and remarks."""
-    pieces, remarks = [], []
+    """Return the pieces without beginnings that no admissible memory explains, and remarks.
+
+    A beginning ends where the drive has made every play forget its past. It is left out where
+    its rms residual is ``TRANSIENT`` times that of the later rows.
+    """
+    pieces, remarks, thresholds = [], [], fitted.operator.threshold
     for index, piece in enumerate(fitted.task.pieces):
-        rows, misfit = _transient(fitted, index, piece)
-        if misfit > TRANSIENT:
-            remarks.append(
-                f"{piece.name}: the first {rows} samples were left out; no initial memory "
-                f"explains them ({misfit:.1f} times the later error)."
-            )
-            piece = replace(piece, first=piece.first + rows)
+        rows = int(forgetting_sample(piece.fitted_drive, thresholds).max(initial=0))
+        if rows >= 2 and piece.rows - rows >= max(MINIMUM_SAMPLES, piece.rows // 3):
+            error = continued(fitted, index, piece) - piece.response
+            error[piece.lost] = 0.0
+            error = error[piece.first : piece.last]
+            early, later = (float(np.sqrt(np.mean(e**2))) for e in (error[:rows], error[rows:]))
+            misfit = early / max(later, 1e-300)
+            if misfit > TRANSIENT:
+                remarks.append(
+                    f"{piece.name}: the first {rows} samples were left out; no initial memory "
+                    f"explains them ({misfit:.1f} times the later error)."
+                )
+                piece = replace(piece, first=piece.first + rows)
         pieces.append(piece)
     return tuple(pieces), tuple(remarks)
-
-
-def _transient(fitted: Fitted, index: int, piece: Piece) -> tuple[int, float]:
-    """Return after how many rows the past is forgotten, and their rms residual over the later."""
-    thresholds = fitted.operator.threshold
-    if thresholds.size == 0:
-        return 0, 0.0
-    drive = piece.drive[piece.first : piece.last]
-    rows = int(forgetting_sample(drive, thresholds).max())
-    if rows < 2 or piece.rows - rows < max(MINIMUM_SAMPLES, piece.rows // 3):
-        return 0, 0.0
-    error = (continued(fitted, index, piece) - piece.response)[piece.first : piece.last]
-    error[piece.lost[(piece.lost >= piece.first) & (piece.lost < piece.last)] - piece.first] = 0.0
-    transient, later = (float(np.sqrt(np.mean(e**2))) for e in (error[:rows], error[rows:]))
-    return rows, transient / max(later, 1e-300)
 
 
 def outlying(error: Array, drive: Array, response: Array) -> Samples:
@@ -99,7 +93,16 @@ def outlying(error: Array, drive: Array, response: Array) -> Samples:
 
     error, drive, response  (samples,)  any unit; response and error in the same unit
     """
-    lag, motion = _behind_turns(drive), _motion(drive, response)
+    turns = np.array([0, *reversals_of(drive, noise_of(drive))])
+    lag = np.full(len(drive), BEHIND + 1)  # samples behind a turn; BEHIND + 1 behind none
+    if len(turns) > TURNS:
+        for behind in (*range(-BEFORE, 0), *range(BEHIND, -1, -1)):
+            sample = turns + behind
+            lag[sample[(sample >= 0) & (sample < len(drive))]] = behind
+    # The motion expected from the drive within the window of every sample.
+    levels = (0.002, 0.998)
+    gain = np.ptp(np.quantile(response, levels)) / max(np.ptp(np.quantile(drive, levels)), 1e-300)
+    motion = gain * (maximum_filter1d(drive, WIDTH) - minimum_filter1d(drive, WIDTH))
     inliers = np.arange(len(error))
     for _ in range(PASSES):
         if len(inliers) <= 4 * WIDTH:
@@ -109,25 +112,6 @@ def outlying(error: Array, drive: Array, response: Array) -> Samples:
             break
         inliers = np.delete(inliers, outliers)
     return np.setdiff1d(np.arange(len(error)), inliers)
-
-
-def _behind_turns(drive: Array) -> Samples:
-    """Return how many samples each lies behind a turn; ``BEHIND`` + 1 for those behind none."""
-    turns = np.array([0, *reversals_of(drive, noise_of(drive))])
-    lag = np.full(len(drive), BEHIND + 1)
-    if len(turns) > TURNS:
-        for behind in (*range(-BEFORE, 0), *range(BEHIND, -1, -1)):
-            sample = turns + behind
-            lag[sample[(sample >= 0) & (sample < len(drive))]] = behind
-    return lag
-
-
-def _motion(drive: Array, response: Array) -> Array:
-    """Return the motion expected from the drive within the window of every sample, (samples,)."""
-    levels = (0.002, 0.998)
-    gain = np.ptp(np.quantile(response, levels)) / max(np.ptp(np.quantile(drive, levels)), 1e-300)
-    swing = maximum_filter1d(drive, WIDTH) - minimum_filter1d(drive, WIDTH)
-    return np.asarray(gain * swing)
 
 
 def _outliers(error: Array, lag: Samples, motion: Array) -> Samples:

@@ -29,8 +29,7 @@ from piezoid.identification.quality import (
     SECOND_HALF,
     WIDEST_HALVED,
 )
-from piezoid.numerics.arrays import Array
-from piezoid.operators.chain import Samples
+from piezoid.numerics.arrays import Array, Samples
 
 ORDERS = ((2, 0), (4, 1), (8, 2), (12, 4), (16, 6))
 LAGS = ("delay", "first_order")
@@ -88,13 +87,6 @@ class Trial:
         """Return the fitted lag of the last fold."""
         return self.fitted[-1].lag_s
 
-    @classmethod
-    def of(cls, shape: Shape, folds: Sequence[tuple[Array, Scaled]]) -> "Trial":
-        """Return the trial whose folds left these residuals and found these operators."""
-        residuals = [residual for residual, _ in folds]
-        fitted = tuple(operator for _, operator in folds)
-        return cls(shape=shape, residual=np.concatenate(residuals), fitted=fitted)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Choice:
@@ -129,7 +121,9 @@ def choose_shape(
             f"{shape.plays} plays, {shape.below + shape.above} dead zones, {2 * shape.bends} "
             f"bends, {shape.lag.replace('_', ' ')}"
         )
-        return Trial.of(shape, list(_folded(pieces, shape, settings)))
+        trial = attempt(pieces, shape, settings, within=np.inf)
+        assert trial is not None  # no error is above infinity
+        return trial
 
     shapes = [Shape(plays=plays, below=zones, above=zones) for plays, zones in orders]
     trials = _fit_growing(shapes, fit, in_sample)
@@ -152,7 +146,12 @@ def choose_shape(
                     break
     trials += lagged
     best = _smallest_as_good(trials, in_sample)
-    return Choice(best=best, trials=tuple(trials), kind=_kind_of(pieces))
+    kind = OTHER_RECORDINGS if all(f.trained == 0 for f in folds_of(pieces)) else WIDEST_HALVED
+    if in_sample:
+        kind = IN_SAMPLE
+    elif _recordings(pieces) == 1:
+        kind = SECOND_HALF
+    return Choice(best=best, trials=tuple(trials), kind=kind)
 
 
 def without_bends(choice: Choice) -> Choice:
@@ -160,16 +159,6 @@ def without_bends(choice: Choice) -> Choice:
     straight = [trial for trial in choice.trials if not trial.shape.bends]
     best = _smallest_as_good(straight, choice.kind == IN_SAMPLE)
     return replace(choice, best=best)
-
-
-def _kind_of(pieces: Sequence[Piece]) -> str:
-    """Return what is held out, in the words of ``FitQuality``."""
-    if is_untested(pieces):
-        return IN_SAMPLE
-    if _recordings(pieces) == 1:
-        return SECOND_HALF
-    is_separate = all(fold.trained == 0 for fold in folds_of(pieces))
-    return OTHER_RECORDINGS if is_separate else WIDEST_HALVED
 
 
 def _fit_growing(
@@ -207,29 +196,20 @@ def attempt(
 
     A shape that is that wrong on some folds stays so whatever the others show: they are skipped.
     """
-    rows = sum(
-        len(fold.unseen_samples(number))
-        for fold in folds_of(pieces)
-        for number in range(len(fold.testing))
-    )
+    folds = list(folds_of(pieces))
+    rows = sum(len(fold.unseen_samples(k)) for fold in folds for k in range(len(fold.testing)))
     room = within**2 * rows * (1.0 + ROUNDED)
-    folds = []
-    for residual, operator in _folded(pieces, shape, settings):
-        folds.append((residual, operator))
+    residuals, operators = [], []
+    for fold in folds:
+        fitted = search(fold.training, shape, settings)
+        residual = _unseen(fitted, fold)
+        residuals.append(residual)
+        operators.append(fitted.operator)
         room -= float(residual @ residual)
         if room < 0.0:
             return None
-    trial = Trial.of(shape, folds)
-    return trial if trial.held_out_rms <= within else None
-
-
-def _folded(
-    pieces: Sequence[Piece], shape: Shape, settings: Settings
-) -> Iterator[tuple[Array, Scaled]]:
-    """Fit a shape to every fold's training part and look at the part it did not see."""
-    for fold in folds_of(pieces):
-        fitted = search(fold.training, shape, settings)
-        yield _unseen(fitted, fold), fitted.operator
+    trial = Trial(shape=shape, residual=np.concatenate(residuals), fitted=tuple(operators))
+    return None if trial.held_out_rms > within else trial
 
 
 def _recordings(pieces: Sequence[Piece]) -> int:
@@ -265,7 +245,7 @@ def _is_covered(piece: Piece, remaining: Sequence[Piece]) -> bool:
     """Tell whether other pieces go as far as this one, in one swing and to either side."""
     if not remaining:
         return False
-    drives = [p.drive[p.first : p.last] for p in (piece, *remaining)]
+    drives = [p.fitted_drive for p in (piece, *remaining)]
     (low, high), *ranges = [(float(drive.min()), float(drive.max())) for drive in drives]
     return (
         min(a for a, _ in ranges) <= low + BEYOND
@@ -280,7 +260,7 @@ def is_untested(pieces: Sequence[Piece]) -> bool:
         return False
     crossings = 0
     for piece in pieces:
-        drive = piece.drive[piece.first : piece.last]
+        drive = piece.fitted_drive
         is_low = np.signbit(drive - 0.5 * (drive.max() + drive.min()))
         crossings += int(np.count_nonzero(np.diff(is_low)))
     return crossings <= MANY and scope_of(pieces).is_untested

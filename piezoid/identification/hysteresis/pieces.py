@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.errors import ExcitationError
-from piezoid.numerics.arrays import Array, freeze
+from piezoid.numerics.arrays import Array, Samples, freeze
 from piezoid.numerics.executor import Once
-from piezoid.operators.chain import Samples
 from piezoid.operators.filters import relaxed
 from piezoid.operators.play import turns_of
 from piezoid.records.constant_drive import is_at_rest
@@ -56,6 +55,7 @@ class Piece:
     centre_m          what was subtracted from the displacement before scaling
     first, last       rows that count; states are followed from sample 0 whatever ``first`` is
     lost              (count,)  samples that are no measurement: they do not count
+    begin             sample of the recording at which the piece begins
     """
 
     name: str
@@ -67,6 +67,7 @@ class Piece:
     first: int
     last: int
     lost: Samples = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    begin: int = 0
 
     def __post_init__(self) -> None:
         freeze(self, "drive", "response")
@@ -81,10 +82,25 @@ class Piece:
         """How many samples there are from the first that counts to the last."""
         return self.last - self.first
 
+    @property
+    def fitted_drive(self) -> Array:
+        """The drive from the first sample that counts to the last, (rows,)."""
+        return self.drive[self.first : self.last]
+
+    @property
+    def fitted_response(self) -> Array:
+        """The response from the first sample that counts to the last, (rows,)."""
+        return self.response[self.first : self.last]
+
     def counting(self, stride: int = 1) -> Samples:
         """Return every ``stride``-th of the samples that count, without those lost, (rows,)."""
         sample = np.arange(self.first, self.last, stride)
         return np.setdiff1d(sample, self.lost, assume_unique=True) if len(self.lost) else sample
+
+
+def response_range(pieces: Sequence[Piece]) -> float:
+    """Return the range of the response in the piece in which it is widest."""
+    return max(float(np.ptp(piece.fitted_response)) for piece in pieces)
 
 
 def widest_swing(pieces: Sequence[Piece]) -> tuple[float, float]:
@@ -131,12 +147,29 @@ def pieces_of(
     recordings: Sequence[Recording], axis: str, scales: Scales, rig: Rig
 ) -> tuple[Piece, ...]:
     """Cut recordings into scaled pieces, without stretches that are too short."""
-    pieces = [
-        _piece(recording, number, axis, part, scales, rig)
-        for number, recording in enumerate(recordings)
-        for part in recording.pieces
-        if part.stop - part.start >= MINIMUM_SAMPLES
-    ]
+    pieces = []
+    for number, recording in enumerate(recordings):
+        rate_Hz, bridged = recording.sampling_rate_Hz, np.array(recording.bridged, dtype=np.intp)
+        scaled_V = (recording.voltage_V(axis) - scales.voltage_offset_V) / scales.voltage_V
+        for part in recording.pieces:
+            if part.stop - part.start < MINIMUM_SAMPLES:
+                continue
+            measured_m = recording.displacement_m(axis)[part]
+            centre_m = float((measured_m.max() + measured_m.min()) / 2)
+            is_inside = (bridged >= part.start) & (bridged < part.stop)
+            piece = Piece(
+                name=recording.name,
+                recording=number,
+                sampling_rate_Hz=rate_Hz,
+                drive=behind_pole(scaled_V[part], rig.amplifier_bandwidth_Hz, rate_Hz),
+                response=(measured_m - centre_m) / scales.displacement_m,
+                centre_m=centre_m,
+                first=0,
+                last=len(measured_m),
+                lost=bridged[is_inside] - part.start,
+                begin=part.start,
+            )
+            pieces.append(piece)
     if not pieces:
         raise ExcitationError(
             f"{', '.join(r.name for r in recordings)}: no uninterrupted stretch is longer than "
@@ -145,26 +178,6 @@ def pieces_of(
             remedy="Record again without losing samples.",
         )
     return tuple(pieces)
-
-
-def _piece(
-    recording: Recording, number: int, axis: str, part: slice, scales: Scales, rig: Rig
-) -> Piece:
-    drive = (recording.voltage_V(axis)[part] - scales.voltage_offset_V) / scales.voltage_V
-    measured_m = recording.displacement_m(axis)[part]
-    centre_m = float((measured_m.max() + measured_m.min()) / 2)
-    bridged = np.array(recording.bridged, dtype=np.intp) - part.start
-    return Piece(
-        name=recording.name,
-        recording=number,
-        sampling_rate_Hz=recording.sampling_rate_Hz,
-        drive=behind_pole(drive, rig.amplifier_bandwidth_Hz, recording.sampling_rate_Hz),
-        response=(measured_m - centre_m) / scales.displacement_m,
-        centre_m=centre_m,
-        first=0,
-        last=len(drive),
-        lost=bridged[(bridged >= 0) & (bridged < len(drive))],
-    )
 
 
 def behind_pole(signal: Array, bandwidth_Hz: float | None, sampling_rate_Hz: float) -> Array:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.identification.hysteresis.cycles import Cycles, told_slide
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.quality import Limit
 from piezoid.records.recording import Recording
@@ -34,7 +33,6 @@ AS_RECORDED = {
     "stands": 70,
     "zero_jump": 85,
 }
-SLIDES = 50  # as for a lag that cannot be separated from loop width
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,12 +136,6 @@ def limits_as_recorded(recordings: Sequence[Recording], axis: str) -> tuple[Limi
     )
 
 
-def limits_of_cycles(cycles: Sequence[Cycles]) -> tuple[Limit, ...]:
-    """Return limits for displacement that drifts against its drive from cycle to cycle."""
-    slides = map(told_slide, cycles)
-    return tuple(Limit(lack="slides", reason=reason, most=SLIDES) for reason in slides if reason)
-
-
 def scope_of(pieces: Sequence[Piece]) -> Scope:
     """Return the scope of pieces."""
     branches = [branch for piece in pieces for branch in branches_of(piece)]
@@ -161,7 +153,7 @@ def scope_of(pieces: Sequence[Piece]) -> Scope:
 
 def branches_of(piece: Piece) -> list[Branch]:
     """Return the monotone runs of a piece's drive, in their order."""
-    drive = piece.drive[piece.first : piece.last]
+    drive = piece.fitted_drive
     turns = reversals_of(drive, max(noise_of(drive), 0.02))
     branches = []
     for first, stop in zip((0, *turns), (*turns, len(drive) - 1), strict=True):

@@ -38,8 +38,7 @@ def sensor_noise(piece: Piece, residual: Array) -> float:
 
     residual  (samples,)  model minus measurement
     """
-    rows = slice(piece.first, piece.last)
-    drive, response = piece.drive[rows], piece.response[rows]
+    drive, response = piece.fitted_drive, piece.fitted_response
     step = step_size(np.round(response, DIGITS))
     is_lost = np.isin(np.arange(piece.first, piece.last), piece.lost)
     response = np.where(is_lost, np.nan, response)
@@ -49,7 +48,9 @@ def sensor_noise(piece: Piece, residual: Array) -> float:
         between = between[np.abs(drive[later:] - drive[:-later]) <= TOLERANCE * np.ptp(drive)]
         noise = noise_rms((between,)) / sqrt(2.0)
     else:
-        noise = noise_rms((response, np.where(is_lost, np.nan, residual[rows])))
+        noise = noise_rms(
+            (response, np.where(is_lost, np.nan, residual[piece.first : piece.last]))
+        )
     return max(noise, step / sqrt(12.0))
 
 
@@ -59,10 +60,10 @@ def noise_is_most(piece: Piece, residual: Array) -> bool:
     Where a drive that never repeats moves the stage from sample to sample, the readings' own
     differences are motion, and those of the residual are whatever the model got wrong as well.
     """
-    rows = slice(piece.first, piece.last)
-    if _one_period_later(piece.drive[rows]) is not None:
+    if _one_period_later(piece.fitted_drive) is not None:
         return False
-    return white_noise_rms(piece.response[rows]) > MOTION * white_noise_rms(residual[rows])
+    residual_noise = white_noise_rms(residual[piece.first : piece.last])
+    return white_noise_rms(piece.fitted_response) > MOTION * residual_noise
 
 
 def noise_rms(signals: Sequence[Array]) -> float:
@@ -78,15 +79,14 @@ def noise_rms(signals: Sequence[Array]) -> float:
         return float(levels[0])
     growth = levels[1:] / levels[:-1]
     octave = 0
-    while octave < len(growth) and (growth[octave] <= GROWTH or _slows(growth, octave)):
+    while octave < len(growth):
+        # The growth of a pole is never above that of a random walk, and ever slower.
+        pair = growth[octave : octave + 2]
+        slows = octave < POLE and len(pair) == 2 and bool(pair[1] < pair[0] < sqrt(2.0))
+        if growth[octave] > GROWTH and not slows:
+            break
         octave += 1
     return float(levels[: octave + 1].max())
-
-
-def _slows(growth: Array, octave: int) -> bool:
-    """Tell whether growth is that of a pole: never above that of a random walk, ever slower."""
-    pair = growth[octave : octave + 2]
-    return octave < POLE and len(pair) == 2 and bool(pair[1] < pair[0] < sqrt(2.0))
 
 
 def _one_period_later(drive: Array) -> int | None:

@@ -12,7 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.identification.hysteresis.coordinates import LEAST_GAP, LEAST_SLOPE, Scaled, Shape
+from piezoid.identification.hysteresis.coordinates import (
+    LEAST_GAP,
+    LEAST_SLOPE,
+    Scaled,
+    Shape,
+)
 from piezoid.identification.hysteresis.pieces import Piece, widest_swing
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.derivative_free import direct_search

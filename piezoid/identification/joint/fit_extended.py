@@ -7,10 +7,11 @@ left out has no say.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from piezoid.identification.extensions.extension import Extension, Samples
+from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.forward import Run
 from piezoid.identification.hysteresis.estimate import longest_lag_s
 from piezoid.identification.hysteresis.physical import physical, piece_start
@@ -25,9 +26,9 @@ from piezoid.identification.joint.vector import (
 )
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.identification.quality import BLOCKS, IN_SAMPLE, with_noise_bound
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, Samples
 from piezoid.numerics.executor import Once
-from piezoid.numerics.levenberg_marquardt import Minimum, NormalEquations, Rule, minimise
+from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
 from piezoid.records.recording import Recording
 
 STEPS = 10  # at most
@@ -90,11 +91,21 @@ def fit_extended(
         parts = parts_of(start, recordings, samples)
         state = state_of(start, parts, extensions, structure)
         bounds = state.bounds(longest_lag_s([part.piece for part in parts]))
-        searches.append((start, bounds, _search(state, parts, bounds, steps)))
+        minimum = minimise(
+            partial(_point, state, parts),
+            state.vector,
+            bounds,
+            rule=Rule(tolerance=CONVERGED, iterations=steps, tries=8, damping=1e-4),
+        )
+        searches.append((start, bounds, minimum))
     start, bounds, best = min(searches, key=lambda search: search[2].point.rms_m)
     end, stroke_m = best.point, abs(best.point.state.scales.displacement_m)
     # Sum over folds instead of total minus one fold: a column may be zero outside one fold.
-    grams = {fold: _gram_of_fold(end, fold) for fold in (NEVER_OUT, *range(FOLDS))}
+    grams = {}
+    for fold in (NEVER_OUT, *range(FOLDS)):
+        pairs = zip(end.tangents, end.parts, strict=True)
+        rows = [tangents[part.fold == fold] for tangents, part in pairs]
+        grams[fold] = sum((part.T @ part for part in rows), np.zeros((1, 1)))
     folds = []
     for fold in range(FOLDS):
         gram = sum((g for k, g in grams.items() if k != fold), np.zeros((1, 1)))
@@ -243,22 +254,8 @@ class _OnFold:
         return _with_prior(self.point.state, self.gram, slope, self.cost)
 
 
-def _search(
-    state: State, parts: Sequence[Part], bounds: tuple[Array, Array], steps: int
-) -> Minimum[_Point]:
-    """Search from a point for the least error."""
-    return minimise(
-        lambda vector: _Point(state.at(vector), parts),
-        state.vector,
-        bounds,
-        rule=Rule(tolerance=CONVERGED, iterations=steps, tries=8, damping=1e-4),
-    )
-
-
-def _gram_of_fold(end: _Point, fold: int) -> Array:
-    pairs = zip(end.tangents, end.parts, strict=True)
-    rows = [tangents[part.fold == fold] for tangents, part in pairs]
-    return sum((part.T @ part for part in rows), np.zeros((1, 1)))
+def _point(state: State, parts: Sequence[Part], vector: Array) -> _Point:
+    return _Point(state.at(vector), parts)
 
 
 def _on_fold(
@@ -273,7 +270,7 @@ def _on_fold(
 
     def at(vector: Array) -> _OnFold:
         is_start = np.array_equal(vector, start)  # saves one simulation
-        point = end if is_start else _Point(end.state.at(vector), end.parts)
+        point = end if is_start else _point(end.state, end.parts, vector)
         return _OnFold(point, is_training, end.tangents, gram)
 
     fold_minimum = minimise(at, start, bounds, rule=CHORDS)

@@ -15,12 +15,11 @@ from functools import cached_property
 import numpy as np
 
 from piezoid.identification.extensions import in_order
-from piezoid.identification.extensions.extension import Extension, Samples, Where
+from piezoid.identification.extensions.extension import Extension, Where
 from piezoid.identification.forward import Forward, Run
 from piezoid.identification.hysteresis.coordinates import (
     Coordinates,
     Scaled,
-    Shape,
     bent,
     operator_of,
     vector_of,
@@ -30,7 +29,7 @@ from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import where_of
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, Samples
 from piezoid.operators.dead_zone import LINEAR, from_slopes
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
@@ -85,35 +84,29 @@ def parts_of(
     """
     pieces = pieces_of(recordings, model.axis, scales_from(model), model.rig)
     share = max(ROWS // len(pieces), 50)
-    slices = {}
-    starts = {}
+    starts: list[list[PieceStart]] = []
     for number, recording in enumerate(recordings):
-        lengths = [len(piece.drive) for piece in pieces if piece.recording == number]
-        slices[number] = _slices_of(recording, lengths)
+        count = sum(piece.recording == number for piece in pieces)
         of_recording = [start for start in model.starts if start.recording == recording.name]
-        starts[number] = of_recording if len(of_recording) == len(lengths) else []
+        starts.append(of_recording if len(of_recording) == count else [])
     parts = []
     for number, piece in enumerate(pieces):
         start = starts[piece.recording].pop(0) if starts[piece.recording] else None
         if start is not None:
             piece = replace(piece, first=start.first, last=start.last)
-        recording = recordings[piece.recording]
-        where = where_of(recording, model.axis, slices[piece.recording].pop(0))
+        rows = slice(piece.begin, piece.begin + len(piece.drive))
+        where = where_of(recordings[piece.recording], model.axis, rows)
         sample = _thinned(piece, share) if samples is None else samples[number]
         sample = sample[(sample >= piece.first) & (sample < piece.last)]
         sample = np.setdiff1d(sample, piece.lost)
-        fold = _folds(piece, sample, number)
+        # Blocks of several seconds; of the first every other quarter is never left out.
+        duration_s = piece.rows / piece.sampling_rate_Hz
+        blocks = int(np.clip(duration_s / BLOCK_s, *BLOCKS))
+        quarter = (sample - piece.first) * blocks * 4 // piece.rows
+        first = np.where(quarter % 2 == 0, NEVER_OUT, (quarter + number) % FOLDS)
+        fold = np.where(quarter < 4, first, (quarter // 4 + number) % FOLDS)
         parts.append(Part(piece=piece, where=where, samples=sample, fold=fold, start=start))
     return parts
-
-
-def _slices_of(recording: Recording, lengths: Sequence[int]) -> list[slice]:
-    """Return the rows of the pieces with these lengths, in order."""
-    slices: list[slice] = []
-    for rows in recording.pieces:
-        if len(slices) < len(lengths) and rows.stop - rows.start == lengths[len(slices)]:
-            slices.append(rows)
-    return slices
 
 
 def _thinned(piece: Piece, share: int) -> Samples:
@@ -123,14 +116,6 @@ def _thinned(piece: Piece, share: int) -> Samples:
     spread = np.random.default_rng(piece.rows).random(share)
     steps = (np.arange(share) + spread) * (piece.rows / share)
     return np.unique(steps.astype(int)) + piece.first
-
-
-def _folds(piece: Piece, sample: Samples, number: int) -> Samples:
-    duration_s = piece.rows / piece.sampling_rate_Hz
-    blocks = int(np.clip(duration_s / BLOCK_s, *BLOCKS))
-    quarter = (sample - piece.first) * blocks * 4 // piece.rows
-    first = np.where(quarter % 2 == 0, NEVER_OUT, (quarter + number) % FOLDS)
-    return np.where(quarter < 4, first, (quarter // 4 + number) % FOLDS)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -245,13 +230,7 @@ def state_of(
     operator = _scaled(model, scales, keep_lag=structure.lag)
     if structure.bends is not None and structure.bends != operator.envelope.zero:
         operator = bent(operator, structure.bends)
-    shape = Shape(
-        plays=len(operator.gap),
-        below=operator.zero,
-        above=len(operator.knot) - operator.zero - 1,
-        lag=model.lag.kind if structure.lag else "none",
-        bends=operator.envelope.zero,
-    )
+    shape = operator.shape(model.lag.kind if structure.lag else "none")
     coordinates = Coordinates(shape=shape, offsets=(1,) * len(parts))
     theta = vector_of(operator, coordinates)
     stretch_V = envelope_stretch(operator) * scales.voltage_V
@@ -262,8 +241,11 @@ def state_of(
             theta[coordinates.offset_slice(index)] = zero_m / scales.displacement_m
             slopes = np.diff(part.start.memory_V / stretch_V) / operator.gap
             theta[memory] = np.clip(slopes, -1.0, 1.0)
-        if not structure.memory:
-            theta[memory] = _cycled(operator, float(part.piece.drive[0]))
+        if not structure.memory:  # after a drive that went down, up and then to its start
+            turns = np.array([0.0, -1.0, 1.0, float(part.piece.drive[0])])
+            inner = operator.envelope.run(turns)
+            states = play_columns(inner, operator.threshold, np.zeros(len(operator.gap)))[1]
+            theta[memory] = np.diff(states, prepend=inner[-1]) / operator.gap
     state = State(
         coordinates=coordinates,
         theta=theta,
@@ -279,13 +261,6 @@ def state_of(
     if not structure.memory:
         fixed += [coordinates.memory_slice(k) for k in range(len(parts))]
     return replace(state, fixed=tuple(fixed))
-
-
-def _cycled(operator: Scaled, first: float) -> Array:
-    """Return the memory slopes after a drive that went down, up and then to its start."""
-    turns = operator.envelope.run(np.array([0.0, -1.0, 1.0, first]))
-    memory = play_columns(turns, operator.threshold, np.zeros(len(operator.gap)))[1]
-    return np.asarray(np.diff(memory, prepend=turns[-1]) / operator.gap)
 
 
 def _scaled(model: AxisModel, scales: Scales, *, keep_lag: bool) -> Scaled:

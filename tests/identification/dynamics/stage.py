@@ -3,10 +3,9 @@
 import numpy as np
 
 from piezoid.diagnosis.planning.waveforms import multisine_period, odd_lines
-from piezoid.identification.dynamics.frequency_response import FrequencyResponse
+from piezoid.identification.dynamics.frequency_response import FrequencyResponse, PeriodicData
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
-from piezoid.identification.dynamics.periodic_estimate import PeriodicData
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.operators.play import play_columns
 

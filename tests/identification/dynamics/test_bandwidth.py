@@ -7,8 +7,7 @@ import pytest
 
 from piezoid.identification.dynamics.axis_dynamics import with_dynamics
 from piezoid.identification.dynamics.bandwidth import BandwidthVerdict, decide_bandwidth, unfitted
-from piezoid.identification.dynamics.frequency_response import FrequencyResponse
-from piezoid.identification.dynamics.periodic_estimate import estimate_response
+from piezoid.identification.dynamics.frequency_response import FrequencyResponse, estimate_response
 from piezoid.operators.linear import ContinuousSystem, cascade, first_order, resonance, sample
 from piezoid.record_json import from_json, to_json
 from tests.identification.dynamics.stage import (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.identification.dynamics.distortion import detect_distortion, distortion_of
-from piezoid.identification.dynamics.periodic_estimate import PeriodicData
+from piezoid.identification.dynamics.frequency_response import PeriodicData
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.repetition import Repetition, find_repetition
 from piezoid.records.recording import Channel, Quantity, Recording

@@ -7,9 +7,9 @@ import pytest
 
 from piezoid.errors import IdentificationError
 from piezoid.identification.dynamics.fit_dynamics import fit_dynamics, resolved_modes
+from piezoid.identification.dynamics.frequency_response import estimate_response
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
-from piezoid.identification.dynamics.periodic_estimate import estimate_response
 from tests.identification.dynamics.stage import (
     DAMPING,
     DECLARATION,

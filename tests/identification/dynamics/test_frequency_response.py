@@ -8,7 +8,7 @@ from scipy.signal import chirp
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.dynamics.behind_hysteresis import estimate_response_by_coherence
-from piezoid.identification.dynamics.periodic_estimate import estimate_response
+from piezoid.identification.dynamics.frequency_response import estimate_response
 from tests.identification.dynamics.stage import PERIOD, RATE_HZ, all_paths, record, truth
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from piezoid.identification.dynamics.periodic_estimate import PeriodicData, estimate_response
+from piezoid.identification.dynamics.frequency_response import PeriodicData, estimate_response
 
 
 def read(folder: Path, level: str) -> PeriodicData:

@@ -5,9 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezoid.identification.hysteresis.cycles import cycles_of, trends_over_cycles
+from piezoid.identification.hysteresis.cycles import (
+    cycles_of,
+    limits_of_cycles,
+    trends_over_cycles,
+)
 from piezoid.identification.hysteresis.pieces import Piece, Rig, pieces_of, scales_of
-from piezoid.identification.hysteresis.scope import limits_of_cycles
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.repetition import equal_cycles
 from tests.laws import LAWS, recorded, triangles

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from piezoid.identification.hysteresis.estimate import remarks_on
-from piezoid.identification.hysteresis.jackknife import Jackknife, left_out
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.hysteresis.search import Settings, search
+from piezoid.identification.hysteresis.uncertainty import Jackknife, left_out
 from piezoid.identification.quality import OTHER_RECORDINGS
 from piezoid.numerics.arrays import Array
 from tests.identification.hysteresis.test_order import SHAPE, pieces

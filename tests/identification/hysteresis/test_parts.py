@@ -5,17 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.identification.hysteresis.certificate import (
-    adversarial_drives,
-    distance_terms,
-    reached_difference,
-)
 from piezoid.identification.hysteresis.coordinates import Shape, operator_of
 from piezoid.identification.hysteresis.gauss_newton import rms_of
-from piezoid.identification.hysteresis.jackknife import jackknife, loop_width_m
 from piezoid.identification.hysteresis.physical import physical
 from piezoid.identification.hysteresis.pieces import Rig, Scales, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Fitted, Settings, search, simplified
+from piezoid.identification.hysteresis.uncertainty import (
+    adversarial_drives,
+    distance_terms,
+    jackknife,
+    loop_width_m,
+    reached_difference,
+)
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import LINEAR
 from tests.identification.hysteresis.stages import decaying, play_sum, recording

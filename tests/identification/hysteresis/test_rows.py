@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 from piezoid.identification.hysteresis.coordinates import Coordinates, Shape
+from piezoid.identification.hysteresis.gauss_newton import (
+    Task,
+    column_places,
+    forward_of,
+    rows_of,
+    simulate,
+)
 from piezoid.identification.hysteresis.pieces import Piece
-from piezoid.identification.hysteresis.rows import chain_of, column_places, rows_of, simulate
 from piezoid.numerics.arrays import Array
 from tests.identification.hysteresis.stages import RATE_Hz, wandering
 
@@ -39,6 +45,18 @@ def drawn_vector(rng: np.random.Generator, coordinates: Coordinates) -> Array:
     return theta
 
 
+def task_of(
+    piece: Piece, coordinates: Coordinates, sensor_Hz: float | None, stride: int = 1
+) -> Task:
+    return Task(
+        pieces=[piece],
+        coordinates=coordinates,
+        sensor_pole_Hz=sensor_Hz,
+        stride=stride,
+        longest_lag_s=1.0,
+    )
+
+
 @pytest.mark.parametrize("lag", ["none", "delay", "first_order"])
 @pytest.mark.parametrize("sensor_Hz", [None, 60.0])
 @pytest.mark.parametrize("stride", [1, 4])
@@ -50,14 +68,14 @@ def test_tangents_are_finite_differences_of_the_simulation(
         shape=Shape(plays=4, below=2, above=1, lag=lag, bends=bends), offsets=(3,)
     )
     piece, theta = drawn_piece(rng), drawn_vector(rng, coordinates)
-    rows = list(rows_of(theta, coordinates, 0, piece, sensor_pole=sensor_Hz, stride=stride))
-    tangent = np.vstack([part.tangent for part in rows])
-    sample = np.concatenate([part.sample for part in rows])
+    task = task_of(piece, coordinates, sensor_Hz, stride)
+    samples, blocks = zip(*rows_of(theta, task, 0), strict=True)
+    sample, tangent = np.concatenate(samples), np.vstack(blocks)[:, :-1]
     assert set(np.diff(sample)) == {stride}
     for j, place in enumerate(column_places(coordinates, 0)):
         step = STEP * np.eye(coordinates.total)[place]
-        up = simulate(theta + step, coordinates, 0, piece, sensor_Hz)
-        down = simulate(theta - step, coordinates, 0, piece, sensor_Hz)
+        up = simulate(theta + step, task, 0, piece)
+        down = simulate(theta - step, task, 0, piece)
         wrong = np.abs((up - down)[sample] / (2 * STEP) - tangent[:, j]) > 1e-4
         assert wrong.mean() < KINKS, f"number {place}"
 
@@ -69,9 +87,9 @@ def test_a_declared_pole_quicker_than_half_a_sample_is_a_delay(
     coordinates = Coordinates(shape=Shape(plays=2, below=0, above=0, lag="delay"), offsets=(1,))
     piece, theta = drawn_piece(rng), drawn_vector(rng, coordinates)
     pole_Hz = share_of_rate * RATE_Hz
-    chain, late = chain_of(theta, coordinates, 0, piece, pole_Hz)
-    delay = late + float(chain.share or 0.0)
-    assert (chain.sensor is not None) is is_filter
+    forward = forward_of(theta, task_of(piece, coordinates, pole_Hz), RATE_Hz)
+    delay = forward.lag_s * RATE_Hz
+    assert (forward.sensor_Hz is not None) is is_filter
     assert delay == pytest.approx(3.3 + (0.0 if is_filter else 1 / (2 * np.pi * share_of_rate)))
 
 
@@ -85,7 +103,8 @@ def test_rows_asked_for_alone_are_those_of_the_whole_simulation(
         shape=Shape(plays=4, below=2, above=1, lag=lag, bends=bends), offsets=(3,)
     )
     piece, theta = drawn_piece(rng), drawn_vector(rng, coordinates)
-    whole = simulate(theta, coordinates, 0, piece, sensor_Hz)
+    task = task_of(piece, coordinates, sensor_Hz)
+    whole = simulate(theta, task, 0, piece)
     for sample in (np.arange(0, len(whole), 9), np.array([0, 1, 4, 700, 701])):
-        few = simulate(theta, coordinates, 0, piece, sensor_Hz, sample)
+        few = simulate(theta, task, 0, piece, sample)
         np.testing.assert_array_equal(few, whole[sample])
