@@ -56,7 +56,9 @@ def test_a_file_without_time_read_at_the_rate_of_the_controller_is_named(tmp_pat
     text(lines(table=columns()[:, 1:], names=NAMES[1:]))(tmp_path / "notime.csv")
     lab = Lab(acquisition=Acquisition(sampling_rate_Hz=1000.0))
     (said,) = unfitted(collect([tmp_path / "notime.csv"], lab).recordings, lab).remarks
-    assert said.startswith("notime.csv: No time column; 1000 Hz from [acquisition]")
+    assert said.startswith("notime.csv: ")
+    assert "1000 Hz" in said
+    assert "[acquisition]" in said
 
 
 def test_a_loop_of_a_tip_has_the_rate_of_its_controller_by_definition() -> None:
