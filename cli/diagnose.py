@@ -187,12 +187,11 @@ def _show(diagnosis: "Diagnosis") -> None:
                 in_counts(with_unit(finding.held_out_rms_after_m, "m"), counted),
                 f"{significant(finding.size.value, digits)} {finding.size.unit}",
                 " .. ".join(significant(end, digits) for end in finding.size.ci95),
-                ", ".join(finding.not_separable_from),
             )
             for finding in largest_first(diagnosis)
             for digits in (interval_digits(*finding.size.ci95),)
         ]
-        headings = ("effect", "error without", "with", "size", "95 %", "not separable from")
+        headings = ("effect", "error without", "with", "size", "95 %")
         count = len(diagnosis.findings)
         title = f"axis {diagnosis.axis}: {count} {'effect' if count == 1 else 'effects'} found"
         console.print(table(title, headings, rows, n_words=5))

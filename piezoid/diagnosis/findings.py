@@ -157,7 +157,9 @@ def effect_finding(cause: Candidate, outcome: Outcome, errors: ModelErrors) -> F
             *(s.name for s in structural if s.name not in confounded),
         ),
         explanation=_explanation(cause, share, structural),
-        next_experiment=" ".join(e.experiment for e in (effect, *structural)),
+        next_experiment=" ".join(
+            [effect.experiment, *(f"For {words(e.name)}: {e.experiment}" for e in structural)]
+        ),
         parameters=dict(parameters),
     )
 

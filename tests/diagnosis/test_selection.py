@@ -106,7 +106,7 @@ def test_a_doubtful_cause_beside_structure_that_was_found_may_be_a_part_of_it() 
     assert doubtful.size.ci95[1] > doubtful.size.value
     assert "Not separable from initial state" in (doubtful.explanation)
     assert doubtful.next_experiment == (
-        f"{creep.EFFECT.experiment} {initial_state.EFFECT.experiment}"
+        f"{creep.EFFECT.experiment} For initial state: {initial_state.EFFECT.experiment}"
     )
 
 
