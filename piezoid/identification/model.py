@@ -1,7 +1,6 @@
 """AxisModel: the identified model of one axis, with its uncertainty."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,9 +21,6 @@ from piezoid.numerics.arrays import Array, freeze
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
 from piezoid.operators.preisach_plays import PreisachPlays
-
-if TYPE_CHECKING:
-    pass
 
 SCHEMA = "piezoid.model/1"
 
@@ -318,7 +314,11 @@ class AxisModel:
         """
         forward = self.forward
         driven_V = forward.driven_V(voltage_V, where.rate_Hz)
-        static_m = self.static_after_m(driven_V, memory_V, where.rate_Hz, history_weight)
+        static_m = self.static_m(driven_V, memory_V, where.rate_Hz)
+        if history_weight is not None and np.any(history_weight):
+            count = len(history_weight)
+            changes_m = self.history_changes_m(driven_V, memory_V, where.rate_Hz, count)
+            static_m = static_m + changes_m @ history_weight
         return forward.position(static_m, where)
 
     @property
@@ -355,27 +355,6 @@ class AxisModel:
         history = history_of(self.hysteresis, memory_V, self.loop_shape)
         static_m = self.loop_shape.plays_weight * static_m
         return np.asarray(static_m + self.loop_shape.response(driven_V, history))
-
-    def static_after_m(
-        self,
-        driven_V: Array,
-        memory_V: Array,
-        rate_Hz: float,
-        history_weight: Array | None = None,
-    ) -> Array:
-        """Return the static response after a memory and weighted other histories, (samples,).
-
-        history_weight  as in ``PieceStart``; None: the memory is all that is known
-
-        >>> u, memory = np.array([0.0, 5.0]), model["x"].virgin_memory_V
-        >>> model["x"].static_after_m(u, memory, 1000.0).shape
-        (2,)
-        """
-        static_m = self.static_m(driven_V, memory_V, rate_Hz)
-        if history_weight is None or not np.any(history_weight):
-            return static_m
-        changes_m = self.history_changes_m(driven_V, memory_V, rate_Hz, len(history_weight))
-        return np.asarray(static_m + changes_m @ history_weight)
 
     def invertible_m(self, driven_V: Array, memory_V: Array, rate_Hz: float) -> Array:
         """Return the response of the part that a controller inverts, (samples,).

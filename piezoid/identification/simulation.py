@@ -251,18 +251,14 @@ def _from_own_start(model: AxisModel, voltage_V: Array, measured_m: Array, where
     changes_m = model.history_changes_m(driven_V, memory_V, where.rate_Hz)
     columns_m = model.polarity * model.forward.behind(changes_m, where)
     residual_m = measured_m - model.forward.read(zero_m + model.moved(voltage_V, memory_V, where))
-    weight = _history_weight(columns_m, residual_m, model.quality.held_out_rms_m)
+    # The a with |residual - columns a|^2 / error^2 + |a|^2 least, beside a constant.
+    error_m = max(model.quality.held_out_rms_m, np.finfo(float).tiny)
+    columns = (columns_m - columns_m.mean(axis=0)) / error_m
+    normal = columns.T @ columns + np.eye(columns.shape[1])
+    weight = np.asarray(np.linalg.solve(normal, columns.T @ residual_m / error_m))
     moved_m = model.moved(voltage_V, memory_V, where, weight)
     zero_m += float(np.mean(measured_m - model.forward.read(zero_m + moved_m)))
     return model.forward.read(zero_m + moved_m)
-
-
-def _history_weight(columns_m: Array, residual_m: Array, error_m: float) -> Array:
-    """Return the a with |residual - columns a|^2 / error^2 + |a|^2 least, beside a constant."""
-    error_m = max(error_m, np.finfo(float).tiny)
-    columns = (columns_m - columns_m.mean(axis=0)) / error_m
-    normal = columns.T @ columns + np.eye(columns.shape[1])
-    return np.asarray(np.linalg.solve(normal, columns.T @ residual_m / error_m))
 
 
 def _fitted_start(

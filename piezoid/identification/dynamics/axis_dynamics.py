@@ -19,7 +19,11 @@ from piezoid.identification.dynamics.behind_hysteresis import (
     voltage_behind_hysteresis,
 )
 from piezoid.identification.dynamics.excitation import excites_dynamics
-from piezoid.identification.dynamics.fit_dynamics import fit_dynamics, resolved_modes
+from piezoid.identification.dynamics.fit_dynamics import (
+    fit_dynamics,
+    is_identifiable,
+    resolved_modes,
+)
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.joint_fit import fit_jointly
 from piezoid.identification.dynamics.modal import LinearDynamics
@@ -145,9 +149,7 @@ def is_determined(dynamics: LinearDynamics) -> bool:
     A mode must be resolved; a lag's pole must lie within twice the band. A rich structure on a
     response without features meets neither, however small its residual.
     """
-    poles_known = bool((dynamics.lag_frequency_Hz < 2 * dynamics.band_Hz[1]).all())
-    explained = dynamics.cost_ratio <= MAX_COST
-    return explained and poles_known and bool(resolved_modes(dynamics).all())
+    return dynamics.cost_ratio <= MAX_COST and is_identifiable(dynamics)
 
 
 def _mode_share(recording: Recording, axis: str, dynamics: LinearDynamics) -> float:

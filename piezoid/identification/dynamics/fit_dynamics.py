@@ -120,6 +120,12 @@ def resolved_modes(dynamics: LinearDynamics) -> NDArray[np.bool_]:
     return np.asarray(is_known & (dynamics.mode_damping < 1.0), dtype=np.bool_)
 
 
+def is_identifiable(dynamics: LinearDynamics) -> bool:
+    """Whether the data determine all modes, and all poles lie within twice the band."""
+    poles_known = bool((dynamics.lag_frequency_Hz < 2.0 * dynamics.band_Hz[1]).all())
+    return poles_known and bool(resolved_modes(dynamics).all())
+
+
 def _start_shape(
     measured: FrequencyResponse, structure: Structure, declaration: Declaration
 ) -> Array:

@@ -24,6 +24,7 @@ from piezoid.errors import ExcitationError, IdentificationError
 from piezoid.identification.dynamics.fit_dynamics import (
     fit_dynamics,
     fit_with_slow_part,
+    is_identifiable,
     resolved_modes,
 )
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse, smoothed
@@ -88,10 +89,7 @@ class FittedResponse:
     @property
     def is_determined(self) -> bool:
         """Whether all numbers are identifiable and the residual is small."""
-        lags_Hz = self.dynamics.lag_frequency_Hz
-        poles_known = bool((lags_Hz < 2.0 * self.dynamics.band_Hz[1]).all())
-        modes_known = bool(resolved_modes(self.dynamics).all())
-        return self.residual <= MAX_RESIDUAL and poles_known and modes_known
+        return self.residual <= MAX_RESIDUAL and is_identifiable(self.dynamics)
 
 
 def measured_response(

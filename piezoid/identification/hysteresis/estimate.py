@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.formatting import with_unit
-from piezoid.identification.forward import Forward
 from piezoid.identification.hysteresis.applicability import (
     limits_of_lag,
     reason_in_loops,
@@ -50,7 +49,6 @@ from piezoid.identification.hysteresis.search import (
 from piezoid.identification.hysteresis.sensor_noise import noise_is_most, sensor_noise
 from piezoid.identification.hysteresis.uncertainty import certify, jackknife, summarise
 from piezoid.identification.model import AxisModel, Lag
-from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import (
     IN_SAMPLE,
     SECOND_HALF,
@@ -210,7 +208,10 @@ def _axis_model(
     scales, theta = data.scales, fitted.minimum.theta
     stroke_m = abs(scales.displacement_m)
     jack = jackknife(theta, fitted.task)
-    starts = starts_of(fitted, scales)
+    starts = tuple(
+        piece_start(piece, index, theta, fitted.task.coordinates, scales, float(piece.drive[0]))
+        for index, piece in enumerate(fitted.task.pieces)
+    )
     zero_m = float(np.mean([start.zero_m.mean() for start in starts]))
     drives = [recording.voltage_V(axis) for recording in recordings]
     slew = max(
@@ -298,22 +299,6 @@ def remarks_on(fitted: Fitted, held_out_kind: str, rig: Rig) -> tuple[str, ...]:
     if fitted.kkt_gap > LOOSE_KKT:
         remarks.append(f"The convex start is optimal only to {fitted.kkt_gap:.1e}.")
     return tuple(remarks)
-
-
-def starts_of(fitted: Fitted, scales: Scales) -> tuple[PieceStart, ...]:
-    """Return where every piece began: its memory and its zero."""
-    coordinates, theta = fitted.task.coordinates, fitted.minimum.theta
-    forward = Forward(operator=fitted.operator)
-    return tuple(
-        piece_start(
-            piece,
-            forward.memory(piece.drive[0], theta[coordinates.memory_slice(index)]),
-            theta[coordinates.offset_slice(index)],
-            fitted.operator,
-            scales,
-        )
-        for index, piece in enumerate(fitted.task.pieces)
-    )
 
 
 def _quality(

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from piezoid.identification.forward import Forward
 from piezoid.identification.hysteresis.coordinates import Coordinates, Scaled, operator_of
 from piezoid.identification.hysteresis.pieces import Piece, Scales
 from piezoid.identification.piece_start import PieceStart
@@ -33,9 +34,16 @@ def physical(operator: Scaled, scales: Scales, offset_m: float = 0.0) -> Modifie
 
 
 def piece_start(
-    piece: Piece, memory: Array, zero: Array, operator: Scaled, scales: Scales
+    piece: Piece, index: int, theta: Array, coordinates: Coordinates, scales: Scales, first: float
 ) -> PieceStart:
-    """Return where a piece began: its memory before the first sample, and its zero."""
+    """Return where a piece began: its memory before the first sample, and its zero.
+
+    index  number of the piece in the vector
+    first  scaled drive at the ceramic at the first sample
+    """
+    operator = operator_of(theta, coordinates)
+    memory = Forward(operator=operator).memory(first, theta[coordinates.memory_slice(index)])
+    zero = theta[coordinates.offset_slice(index)]
     return PieceStart(
         recording=piece.name,
         memory_V=memory * (envelope_stretch(operator) * scales.voltage_V),

@@ -135,13 +135,7 @@ def _model(
     state = end.state
     coordinates, operator, scales = state.coordinates, state.operator, state.scales
     starts = tuple(
-        piece_start(
-            part.piece,
-            run.forward.memory(run.drive[0], run.memory_slope),
-            state.theta[coordinates.offset_slice(index)],
-            operator,
-            scales,
-        )
+        piece_start(part.piece, index, state.theta, coordinates, scales, float(run.drive[0]))
         for index, (part, run) in enumerate(zip(end.parts, end.runs, strict=True))
     )
     uncertainty, lag = model.uncertainty, coordinates.slices["lag"]

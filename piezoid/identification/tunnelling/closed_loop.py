@@ -29,7 +29,7 @@ from piezoid.identification.tunnelling.instrument_fit import (
 from piezoid.identification.tunnelling.loop_files import LoopRecord
 from piezoid.identification.tunnelling.loop_spectra import (
     LoopSpectra,
-    spectra_of_all,
+    naive_gain,
     spectra_of_dither,
 )
 from piezoid.numerics.arrays import Array
@@ -140,13 +140,15 @@ def identify_closed_loop(
     of_offset = np.zeros((3, 3))
     of_offset[0, 0] = (offset.standard_A / abs(record.set_point_A)) ** 2
     fit = replace(fit, covariance=fit.covariance + of_offset, common=fit.common + of_offset)
-    naive_gain, share = _naive(record)
+    naive, share = naive_gain(
+        record, highest_Hz=_HIGHEST_SHARE * rate_Hz, flat_Hz=_FLAT_SHARE * rate_Hz
+    )
     low, high = _intervals(fit, spectra.blocks, declared=sensor_pole_Hz is not None)
     decay = fit.plant.gain_nepers_per_V / drive_gain_m_per_V
     half_gain = float(high[0] - fit.logs[0])
     half = math.hypot(half_gain, 1.96 * drive_gain_relative_uncertainty)
     confidence, reasons = _confidence(fit, half_gain, declared=sensor_pole_Hz is not None)
-    naive_error = 100.0 * (naive_gain / fit.plant.gain_nepers_per_V - 1.0)
+    naive_error = 100.0 * (naive / fit.plant.gain_nepers_per_V - 1.0)
     return ClosedLoopFit(
         **vars(fit),
         label=record.label,
@@ -159,7 +161,7 @@ def identify_closed_loop(
             barrier_of_decay(decay * math.exp(-half)),
             barrier_of_decay(decay * math.exp(half)),
         ),
-        naive_gain=naive_gain,
+        naive_gain=naive,
         naive_reason=(
             f"{100.0 * share:.0f} % of the drive's movement is dither; the rest is converter "
             "steps and the controller's answer to noise, which mixes minus the controller's "
@@ -186,16 +188,6 @@ def _refuse_falling(spectra: LoopSpectra, record: LoopRecord) -> None:
             needed="a drive counted positive where it extends the tip",
             remedy="Change the sign of the drive's column.",
         )
-
-
-def _naive(record: LoopRecord) -> tuple[float, float]:
-    """Return the gain of a plain transfer function where the plant is flat, and dither's share."""
-    rate_Hz = record.sampling_rate_Hz
-    spectra = spectra_of_all(record, highest_Hz=_HIGHEST_SHARE * rate_Hz)
-    cross = np.sum(spectra.output * spectra.drive.conj(), axis=0)
-    gain = np.abs(cross) / np.maximum(np.sum(np.abs(spectra.drive) ** 2, axis=0), 1e-300)
-    flat = spectra.frequency_Hz <= _FLAT_SHARE * rate_Hz
-    return float(np.median(gain[flat])), spectra.dither_share
 
 
 def _intervals(fit: InstrumentFit, blocks: int, *, declared: bool) -> tuple[Array, Array]:

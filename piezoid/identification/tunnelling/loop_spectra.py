@@ -49,17 +49,6 @@ class LoopSpectra:
         """Number of blocks."""
         return len(self.reference)
 
-    @property
-    def dither_share(self) -> float:
-        """How much of the drive's power on these lines the dither explains, 0 to 1.
-
-        |S_ur|^2 / (S_uu S_rr), summed over the lines with the weight S_uu
-        """
-        cross = np.abs(np.sum(self.drive * self.reference.conj(), axis=0)) ** 2
-        reference = np.sum(np.abs(self.reference) ** 2, axis=0)
-        drive = np.sum(np.abs(self.drive) ** 2)
-        return float(np.sum(cross / np.maximum(reference, 1e-300)) / drive)
-
 
 def spectra_of_dither(
     record: LoopRecord, *, highest_Hz: float, through: JunctionPlant | None = None
@@ -103,12 +92,25 @@ def spectra_of_dither(
     return _lines(spectra, inside & (power > _LEAST_LINE * np.max(power[inside])))
 
 
-def spectra_of_all(record: LoopRecord, *, highest_Hz: float) -> LoopSpectra:
-    """Return the windowed spectra on every line, as a plain transfer function takes them."""
+def naive_gain(record: LoopRecord, *, highest_Hz: float, flat_Hz: float) -> tuple[float, float]:
+    """Return the gain of a plain transfer function where the plant is flat, and dither's share.
+
+    The share is how much of the drive's power the dither explains, 0 to 1:
+    |S_ur|^2 / (S_uu S_rr), summed over all lines with the weight S_uu
+
+    highest_Hz, flat_Hz  the lines end there; the plant is flat up to there
+    """
     length = _block_length(record)
     spectra = _cut(record, length, length // 2, np.hanning(length + 1)[:-1])
-    inside = (spectra.frequency_Hz > 0.0) & (spectra.frequency_Hz <= highest_Hz)
-    return _lines(spectra, inside)
+    f = spectra.frequency_Hz
+    spectra = _lines(spectra, (f > 0.0) & (f <= highest_Hz))
+    drive, reference = spectra.drive, spectra.reference
+    cross = np.sum(spectra.output * drive.conj(), axis=0)
+    gain = np.abs(cross) / np.maximum(np.sum(np.abs(drive) ** 2, axis=0), 1e-300)
+    explained = np.abs(np.sum(drive * reference.conj(), axis=0)) ** 2
+    explained /= np.maximum(np.sum(np.abs(reference) ** 2, axis=0), 1e-300)
+    share = float(np.sum(explained) / np.sum(np.abs(drive) ** 2))
+    return float(np.median(gain[spectra.frequency_Hz <= flat_Hz])), share
 
 
 def _block_length(record: LoopRecord) -> int:

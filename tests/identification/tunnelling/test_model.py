@@ -13,7 +13,7 @@ from piezoid.identification.tunnelling.junction import fit_junction
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig
 from piezoid.identification.tunnelling.loop_model import describe_loop_plant, spread_family
-from piezoid.identification.tunnelling.loop_spectra import spectra_of_all
+from piezoid.identification.tunnelling.loop_spectra import spectra_of_dither
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.record_json import from_json, to_json
 from piezoid.records.lab import read_lab
@@ -163,5 +163,5 @@ def test_the_slowest_line_of_a_loop_counts_however_slow(rng: np.random.Generator
         current_A=1e-9 * np.exp(0.01 * drive),
         period_samples=None,
     )
-    lines_Hz = spectra_of_all(record, highest_Hz=2.0).frequency_Hz
+    lines_Hz = spectra_of_dither(record, highest_Hz=2.0).frequency_Hz
     np.testing.assert_allclose(lines_Hz, [0.5, 1.0, 1.5, 2.0])
