@@ -18,8 +18,11 @@ from piezoid.digests import digest_of_json
 from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.coupled.coupled_stage import LEVEL_TOLERANCE, CoupledStage
 from piezoid.identification.coupled.fit_coupled import fit_coupled
-from piezoid.identification.dynamics.frequency_response import PeriodicData, estimate_response
-from piezoid.numerics.arrays import Array
+from piezoid.identification.dynamics.frequency_response import (
+    PeriodicData,
+    cut_periods,
+    estimate_response,
+)
 from piezoid.numerics.repetition import (
     FEWEST,
     STILL,
@@ -211,21 +214,8 @@ def _levels_of(
             remedy="Leave out the recordings of another period.",
         )
 
-    def cut(signal_of: Callable[[str], Array], repetition: Repetition) -> Array:
-        """Return the last periods of every axis, (samples, axes, periods)."""
-        return np.stack([repetition.last_periods(signal_of(axis), periods) for axis in axes], 1)
-
-    cuts = [(cut(r.voltage_V, rep), cut(r.displacement_m, rep)) for r, rep in periodic]
-    cuts.sort(key=lambda pair: float(pair[0].std()))
-    sizes = [float(drive_V.std()) for drive_V, _ in cuts]
-    steps = [k for k, (a, b) in enumerate(pairwise(sizes), 1) if b > LEVEL_TOLERANCE * a]
-    return [
-        PeriodicData(
-            sampling_rate_Hz=periodic[0][0].sampling_rate_Hz,
-            inputs=axes,
-            outputs=axes,
-            voltage_V=np.stack([drive_V for drive_V, _ in cuts[a:b]], axis=2),
-            displacement_m=np.stack([displacement_m for _, displacement_m in cuts[a:b]], axis=2),
-        )
-        for a, b in pairwise([0, *steps, len(cuts)])
-    ]
+    data = cut_periods(periodic, axes, periods)
+    sizes = data.voltage_V.std(axis=(0, 1, 3))
+    order = np.argsort(sizes, kind="stable")
+    steps = [k for k, (a, b) in enumerate(pairwise(sizes[order]), 1) if b > LEVEL_TOLERANCE * a]
+    return [data.select(order[a:b].tolist()) for a, b in pairwise([0, *steps, len(order)])]

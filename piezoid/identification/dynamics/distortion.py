@@ -17,6 +17,7 @@ from scipy.interpolate import make_interp_spline
 from piezoid.errors import ExcitationError
 from piezoid.identification.dynamics.frequency_response import (
     PeriodicData,
+    cut_periods,
     estimate_response,
 )
 from piezoid.numerics.arrays import Array, freeze
@@ -192,19 +193,10 @@ def _cut(group: Sequence[tuple[Recording, Repetition]], axis: str) -> PeriodicDa
     a straight line fitted to the samples themselves would take part of the motion away.
     """
     periods = min(repetition.periods for _, repetition in group) - SETTLING
-    samples = group[0][1].period_samples
+    data = cut_periods(group, (axis,), periods)
+    measured_m, samples = data.displacement_m, len(data.displacement_m)
     number = np.arange(periods) - 0.5 * (periods - 1)
     time = np.arange(samples * periods).reshape(periods, samples).T / samples
-    voltages_V, displacements_m = [], []
-    for recording, repetition in group:
-        voltages_V.append(repetition.last_periods(recording.voltage_V(axis), periods))
-        measured_m = repetition.last_periods(recording.displacement_m(axis), periods)
-        drift_m = float(number @ measured_m.mean(axis=0) / (number @ number))
-        displacements_m.append(measured_m - drift_m * (time - time.mean()))
-    return PeriodicData(
-        sampling_rate_Hz=group[0][0].sampling_rate_Hz,
-        inputs=(axis,),
-        outputs=(axis,),
-        voltage_V=np.stack(voltages_V, axis=1)[:, None],
-        displacement_m=np.stack(displacements_m, axis=1)[:, None],
-    )
+    drift_m = measured_m.mean(axis=0) @ number / (number @ number)
+    line_m = np.multiply.outer(drift_m, time - time.mean())
+    return replace(data, displacement_m=measured_m - np.moveaxis(line_m, 2, 0))
