@@ -146,7 +146,7 @@ def scope_of(pieces: Sequence[Piece]) -> Scope:
     return Scope(
         branches=len(large),
         recordings=len({piece.recording for piece in pieces}),
-        speeds=max((_speeds(large, direction) for direction in (1.0, -1.0)), default=1.0),
+        speeds=max(_speed_ratio(large, direction) for direction in (1.0, -1.0)),
         amplitudes=max(spans, default=1.0) / min(spans, default=1.0),
     )
 
@@ -175,7 +175,7 @@ def branches_of(piece: Piece) -> list[Branch]:
     return branches
 
 
-def _speeds(branches: Sequence[Branch], direction: float) -> float:
+def _speed_ratio(branches: Sequence[Branch], direction: float) -> float:
     """Return the largest speed ratio of two branches of one direction and similar span."""
     ordered = sorted((b for b in branches if b.span * direction > 0.0), key=lambda b: abs(b.span))
     largest, first = 1.0, 0

@@ -75,11 +75,6 @@ class Jackknife:
         """How many blocks the data were cut into."""
         return len(self.replicates)
 
-    @property
-    def quantile(self) -> float:
-        """Return the factor from a standard error to half a 95 % interval."""
-        return float(student_quantile(0.975, self.blocks - 1))
-
     def spread(self, functional: Callable[[Array], Array]) -> Array:
         """Return the covariance of a vector-valued function of theta."""
         values = np.array([functional(replicate) for replicate in self.replicates])
@@ -88,7 +83,8 @@ class Jackknife:
 
     def half_width(self, functional: Callable[[Array], Array]) -> Array:
         """Return half the 95 % interval of each value of a function of theta."""
-        return np.asarray(self.quantile * np.sqrt(np.diag(self.spread(functional))))
+        quantile = float(student_quantile(0.975, self.blocks - 1))
+        return np.asarray(quantile * np.sqrt(np.diag(self.spread(functional))))
 
     def upper_limit(self, index: int) -> float:
         """Return the one-sided 95 % limit of a number that lies on its lower bound.
@@ -239,18 +235,6 @@ def loop_width_m(theta: Array, coordinates: Coordinates, scales: Scales) -> floa
     return float(high_m - low_m)
 
 
-def drawn_vectors(jack: Jackknife, bounds: tuple[Array, Array], draws: int, seed: int) -> Array:
-    """Draw vectors from the fit's uncertainty, (draws, total), kept inside the bounds.
-
-    theta + sum_c xi_c sqrt((G - 1)/G) (theta_(c) - mean), xi standard normal
-    """
-    rng = np.random.default_rng(seed)
-    centred = jack.replicates - jack.replicates.mean(axis=0)
-    blocks = jack.blocks
-    xi = rng.standard_normal((draws, blocks)) * np.sqrt((blocks - 1) / blocks)
-    return np.asarray(np.clip(jack.theta + xi @ centred, *bounds))
-
-
 def certify(
     jack: Jackknife,
     coordinates: Coordinates,
@@ -262,7 +246,11 @@ def certify(
     """Return the bound for drives within the range of the data."""
     model = physical(operator_of(jack.theta, coordinates), scales)
     reach_V = scales.voltage_V
-    vectors = drawn_vectors(jack, coordinates.bounds(longest_lag_s), DRAWS, SEED)
+    # theta + sum_c xi_c sqrt((G - 1)/G) (theta_(c) - mean), xi standard normal, within the bounds
+    centred, blocks = jack.replicates - jack.replicates.mean(axis=0), jack.blocks
+    xi = np.random.default_rng(SEED).standard_normal((DRAWS, blocks))
+    xi *= np.sqrt((blocks - 1) / blocks)
+    vectors = np.clip(jack.theta + xi @ centred, *coordinates.bounds(longest_lag_s))
     drawn_models = [physical(operator_of(theta, coordinates), scales) for theta in vectors]
     terms = [distance_terms(model, alternative, reach_V) for alternative in drawn_models]
     plays_m, zones_m = np.quantile(np.array(terms), 0.95, axis=0)
