@@ -13,7 +13,7 @@ from piezoid.identification.hysteresis.pieces import (
     behind_pole,
     pieces_of,
 )
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, frozen, spread_rows
 from piezoid.numerics.executor import Once
 from piezoid.operators.filters import later
 from piezoid.operators.linear import recursive_filter
@@ -131,7 +131,7 @@ def tracks_of(
         starts[piece.recording] = first + len(piece.drive)
         bridged = np.array(recording.bridged, dtype=int) - first
         bridged = bridged[(bridged >= 0) & (bridged < len(piece.drive))]
-        rows = np.setdiff1d(rows_between(len(piece.drive), share), bridged)
+        rows = np.setdiff1d(spread_rows(len(piece.drive), share), bridged)
         rows = rows[rows >= _settled(piece, rig)]
         command, drive = _reaching(piece, unfiltered, rig, clock_Hz)
         tracks.append(
@@ -178,17 +178,6 @@ def _reaching(
     delay = 0.0 if clock_Hz is None else 0.5 * rate_Hz / clock_Hz
     command = later(piece.drive, delay) if delay else piece.drive
     return command, behind_pole(command, sensor_Hz, rate_Hz)
-
-
-def rows_between(samples: int, share: int) -> Places:
-    """Return rows spread over a track: evenly on average, at no one distance.
-
-    Rows at a fixed distance would show a hum of the grid at another frequency.
-    """
-    if samples <= share:
-        return np.arange(samples)
-    spread = np.random.default_rng(samples).random(share)
-    return np.unique(((np.arange(share) + spread) * (samples / share)).astype(int))
 
 
 def _first(recording: Recording, samples: int, earliest: int) -> int:

@@ -26,7 +26,7 @@ from piezoid.identification.loop_shape import (
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import starts_of, where_of, zero_of
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, spread_rows
 from piezoid.numerics.family_ridge import FamilyRidge, Moments
 from piezoid.operators.play import thinned_drive, turns_of
 from piezoid.operators.wide_hysteresis import (
@@ -152,8 +152,8 @@ def pieces_of(axis: AxisModel, recordings: Sequence[Recording]) -> tuple[Piece, 
             voltage_V = recording.voltage_V(axis.axis)[part]
             level = 2.0 * (voltage_V - low_V) / (high_V - low_V) - 1.0
             unknown = np.concatenate([bridged - part.start, _after_jumps(level)])
-            stride = max(1, -(-(start.last - start.first) // most))
-            rows = np.setdiff1d(np.arange(start.first, start.last, stride), unknown)
+            rows = start.first + spread_rows(start.last - start.first, most)
+            rows = np.setdiff1d(rows, unknown)
             pieces.append(
                 Piece(
                     where=where,

@@ -61,6 +61,20 @@ def runs_of(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return list(zip(edges[::2], edges[1::2], strict=True))
 
 
+def spread_rows(samples: int, most: int) -> NDArray[np.intp]:
+    """Return at most so many of some rows: evenly spread on average, at no one distance.
+
+    Rows at a fixed distance would show a hum of the grid at another frequency.
+
+    >>> len(spread_rows(1000, 100)), spread_rows(3, 100).tolist()
+    (100, [0, 1, 2])
+    """
+    if samples <= most:
+        return np.arange(samples)
+    spread = np.random.default_rng(samples).random(most)
+    return np.unique(((np.arange(most) + spread) * (samples / most)).astype(np.intp))
+
+
 def expect_shapes(record: object, expected: Mapping[str, tuple[int, ...]]) -> None:
     """Raise ``ValueError`` naming the first field whose array has another shape."""
     for name, shape in expected.items():

@@ -29,7 +29,7 @@ from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import where_of
-from piezoid.numerics.arrays import Array, Samples
+from piezoid.numerics.arrays import Array, Samples, spread_rows
 from piezoid.operators.dead_zone import LINEAR, from_slopes
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
@@ -96,7 +96,10 @@ def parts_of(
             piece = replace(piece, first=start.first, last=start.last)
         rows = slice(piece.begin, piece.begin + len(piece.drive))
         where = where_of(recordings[piece.recording], model.axis, rows)
-        sample = _thinned(piece, share) if samples is None else samples[number]
+        if samples is None:
+            sample = piece.first + spread_rows(piece.rows, share)
+        else:
+            sample = samples[number]
         sample = sample[(sample >= piece.first) & (sample < piece.last)]
         sample = np.setdiff1d(sample, piece.lost)
         # Blocks of several seconds; of the first every other quarter is never left out.
@@ -107,15 +110,6 @@ def parts_of(
         fold = np.where(quarter < 4, first, (quarter // 4 + number) % FOLDS)
         parts.append(Part(piece=piece, where=where, samples=sample, fold=fold, start=start))
     return parts
-
-
-def _thinned(piece: Piece, share: int) -> Samples:
-    """Return samples that count, at most ``share``, at random distances."""
-    if piece.rows <= share:
-        return piece.counting()
-    spread = np.random.default_rng(piece.rows).random(share)
-    steps = (np.arange(share) + spread) * (piece.rows / share)
-    return np.unique(steps.astype(int)) + piece.first
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
