@@ -11,6 +11,7 @@ from piezoid.numerics.arrays import (
     freeze,
     frozen,
     same_length,
+    spread_rows,
     strictly_increasing,
 )
 from piezoid.numerics.noise import white_noise_rms
@@ -82,3 +83,12 @@ def test_fewer_than_eight_samples_tell_no_noise() -> None:
     zigzag = np.array([1.0, -1.0] * 4)
     assert white_noise_rms(zigzag[:7]) == 0.0
     assert white_noise_rms(zigzag) > 1.0
+
+
+@pytest.mark.parametrize("most", [1000, 5000, 8000])
+def test_spread_rows_tell_harmonics_of_a_hum_apart(most: int) -> None:
+    rows = spread_rows(20_000, most)
+    assert 0.85 * most < len(rows) <= most
+    turn = 2.0 * np.pi * 50.0 * rows / 500.0
+    lines = np.column_stack([wave(n * turn) for n in (1, 2, 3) for wave in (np.cos, np.sin)])
+    assert np.linalg.cond(lines) < 1.3  # at every fourth row sines vanish, and 50 Hz is 150 Hz

@@ -5,9 +5,10 @@ What you see
 Why it happens
     Stray fields and ground loops couple the mains into sensor and amplifier.
 How it is detected
-    Lines near the mains frequency or twice or three times that, whose phase may wander, explain
-    what static hysteresis cannot, and lines near six other frequencies, sought in the same way, do
-    not. A recording in which the drive itself contains such a line is left out.
+    Lines near the mains frequency or twice, three or five times that, whose phase may wander,
+    explain what static hysteresis cannot, and lines near six other frequencies, sought in the same
+    way, do not. In a slow recording they are folded. A recording in which the drive itself
+    contains such a line is left out.
 What the extension adds
     A note for the observer; the remedy is shielding.
 Source
@@ -33,7 +34,13 @@ from piezoid.diagnosis.rest_columns import peak_Hz, waves
 from piezoid.diagnosis.segments import Places
 from piezoid.diagnosis.signals import GRIDS_Hz, added_percent, seconds_of, with_added
 from piezoid.formatting import significant, with_unit
-from piezoid.identification.extensions.mains_lines import MainsLines
+from piezoid.identification.extensions.mains_lines import (
+    HARMONICS,
+    ROWS_PER_PERIOD,
+    MainsLines,
+    folded_Hz,
+    visible_harmonics,
+)
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.recording import Recording
@@ -41,8 +48,6 @@ from piezoid.records.recording import Recording
 PLACEBOS_Hz = (41.7, 46.3, 53.9, 56.1, 63.7, 66.9)
 PHASE_TIME_s = 8.0  # for which the grid keeps a phase
 MAX_KNOTS = 6  # of the phase in a track
-ROWS_PER_PERIOD = 2.2
-HARMONICS = (1, 2, 3)
 OFFSET_Hz, OFFSET_STEP_Hz = 0.3, 0.03  # deviation of a grid from its nominal frequency
 OFFSET_AT_REST_Hz = 0.5
 AROUND_Hz = 6.0  # of a line, to compare it with
@@ -121,8 +126,8 @@ def _line_columns(driven: DrivenLines, grid_Hz: float, harmonics: tuple[int, ...
         knots = min(1 + int(track.duration_s / PHASE_TIME_s), MAX_KNOTS)
         position = time_s / max(track.duration_s, 1e-9) * (knots - 1)
         splines = np.maximum(1.0 - np.abs(position[:, None] - np.arange(knots)), 0.0)
-        for n in harmonics:
-            if track.rate_Hz < ROWS_PER_PERIOD * n * grid_Hz or driven.is_driven(k, n * grid_Hz):
+        for n in visible_harmonics(track.rate_Hz, grid_Hz, harmonics):
+            if driven.is_driven(k, folded_Hz(n * grid_Hz, track.rate_Hz)):
                 continue
             phase = 2 * np.pi * n * grid_Hz * time_s
             for wave in (np.cos(phase), np.sin(phase)):
@@ -137,8 +142,8 @@ def _strongest_line(driven: DrivenLines, nominal_Hz: float) -> tuple[float, int]
     for n in HARMONICS:
         power = np.zeros(len(trials_Hz))
         for k, track in enumerate(view.tracks):
-            is_slow = track.rate_Hz < ROWS_PER_PERIOD * n * trials_Hz[-1]
-            if is_slow or driven.is_driven(k, n * nominal_Hz):
+            is_visible = n in visible_harmonics(track.rate_Hz, nominal_Hz, HARMONICS)
+            if not is_visible or driven.is_driven(k, folded_Hz(n * nominal_Hz, track.rate_Hz)):
                 continue
             angles_rad = 2 * np.pi * n * trials_Hz / track.rate_Hz
             power += _powers(view.null.residual[view.track_rows(k)], angles_rad, track.rows)

@@ -43,17 +43,17 @@ RANGE = 4.0  # half strokes: more than any track has
 PEAK_WIDTH = 0.6  # periods on either side of a peak
 PERIODS_IN_TRACK = 3.0  # that show an error
 ROUNDS, DAMPING = 5, 0.8  # of fitting the error and correcting the position by it
-MEAN_SAMPLES = 9  # of the readings whose mean is the position
+MEAN_SAMPLES, MEAN_s = 9, 0.02  # of the readings whose mean is the position: without any hum
 PLANNED_PERIODS = 60.0  # in the stroke
 
 
 def _position(view: View, k: int, error: Array) -> Array:
     """Return the position of a track without most of the noise: reading less error, (samples,)."""
-    static = view.static[k]
-    deviation = view.tracks[k].response - static - error
-    padded = np.pad(deviation, (MEAN_SAMPLES // 2 + 1, MEAN_SAMPLES // 2), mode="edge")
-    total = np.cumsum(padded)
-    mean = (total[MEAN_SAMPLES:] - total[:-MEAN_SAMPLES]) / MEAN_SAMPLES
+    static, track = view.static[k], view.tracks[k]
+    deviation = track.response - static - error
+    count = max(MEAN_SAMPLES, round(MEAN_s * track.rate_Hz))
+    total = np.cumsum(np.pad(deviation, (count // 2 + 1, count // 2), mode="edge"))
+    mean = (total[count:] - total[:-count]) / count
     return np.asarray(static + mean[: len(deviation)])
 
 

@@ -10,10 +10,45 @@ from piezoid.identification.extensions.extension import Extension, Free, Where, 
 from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array
 
-WANDER_s = 6.0  # how long the grid keeps a phase
-MOST_KNOTS = 12
-ROWS_PER_PERIOD = 2.2
+HARMONICS = (1, 2, 3, 5)  # of rectifiers the odd ones, of transformers the second
+# With 6 s and 12 knots a stage of the laboratory kept 30 of 330 nm of hum, with these 15.
+WANDER_s = 3.0  # how long the grid keeps a phase
+MOST_KNOTS = 24
+ROWS_PER_PERIOD = 2.2  # of a line that is not folded
+FOLDED = 0.1  # of the sampling rate: below it motion and a folded line look alike
+APART = 0.02  # of the sampling rate, between two lines
 LOUDEST_m = 1.0
+SILENT = 1e-3  # weight of no hum, relative to that of the same hum at the next knot
+
+
+def folded_Hz(frequency_Hz: float, rate_Hz: float) -> float:
+    """Return where a line appears in the spectrum of readings at a rate.
+
+    >>> folded_Hz(60.0, 100.0)
+    40.0
+    """
+    return abs(frequency_Hz - rate_Hz * round(frequency_Hz / rate_Hz))
+
+
+def visible_harmonics(
+    rate_Hz: float, frequency_Hz: float, harmonics: tuple[int, ...] = HARMONICS
+) -> tuple[int, ...]:
+    """Return the harmonics that readings at a rate show as lines of their own.
+
+    Lines above half the rate are folded; no filter against that is assumed.
+
+    >>> visible_harmonics(100.0, 60.0), visible_harmonics(100.0, 50.0)
+    ((1, 2), (1,))
+    """
+    visible: dict[int, float] = {}
+    for n in harmonics:
+        line_Hz = folded_Hz(n * frequency_Hz, rate_Hz)
+        is_plain = rate_Hz > ROWS_PER_PERIOD * n * frequency_Hz
+        is_told = line_Hz > FOLDED * rate_Hz
+        is_apart = all(abs(line_Hz - other) > APART * rate_Hz for other in visible.values())
+        if is_plain or (is_told and is_apart):
+            visible[n] = line_Hz
+    return tuple(visible)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,14 +101,15 @@ class MainsLines(Extension):
 
     @classmethod
     def of(
-        cls, pieces: Sequence[Where], frequency_Hz: float, harmonics: tuple[int, ...] = (1, 2, 3)
+        cls, pieces: Sequence[Where], frequency_Hz: float, harmonics: tuple[int, ...] = HARMONICS
     ) -> Self:
-        """Return zero amplitudes for every piece whose rate resolves the first line."""
+        """Return zero amplitudes for every piece whose rate shows a line."""
+        hums: list[Hum] = []
+        for piece in pieces:
+            audible = visible_harmonics(piece.rate_Hz, frequency_Hz, harmonics)
         hums = []
         for piece in pieces:
-            audible = tuple(
-                n for n in harmonics if piece.rate_Hz > ROWS_PER_PERIOD * n * frequency_Hz
-            )
+            audible = visible_harmonics(piece.rate_Hz, frequency_Hz, harmonics)
             if audible:
                 knots = min(1 + int(piece.samples / piece.rate_Hz / WANDER_s), MOST_KNOTS)
                 silent = (0.0,) * (len(audible) * knots)
@@ -141,13 +177,17 @@ class MainsLines(Extension):
         return type(self)(frequency_Hz=self.frequency_Hz, hums=tuple(hums))
 
     def prior(self) -> Array:
-        """Return the change of every amplitude from knot to knot: a phase wanders slowly."""
+        """Return the change of every amplitude from knot to knot: a phase wanders slowly.
+
+        Of a line at half the sampling rate the sine shows in no reading: its amplitude is 0.
+        """
         from scipy.linalg import block_diag
 
         parts = []
         for hum in self.hums:
             knots = len(hum.cosine_m) // len(hum.harmonic)
-            parts += [np.diff(np.eye(knots), axis=0)] * (2 * len(hum.harmonic))
+            relations = np.vstack([np.diff(np.eye(knots), axis=0), SILENT * np.eye(knots)])
+            parts += [relations] * (2 * len(hum.harmonic))
         wide = sum(2 * len(hum.cosine_m) for hum in self.hums)
         return np.asarray(block_diag(*parts)).reshape(-1, wide)
 

@@ -83,8 +83,8 @@ def test_drift_begins_at_nothing_and_belongs_to_its_own_piece() -> None:
     assert moved.added(where(100, "short.csv")) == 0.0
 
 
-def test_mains_lines_are_left_out_where_the_rate_cannot_show_them() -> None:
-    slow = Where(recording="slow", rate_Hz=130.0, samples=400)
+def test_mains_lines_are_folded_and_left_out_where_two_would_be_one() -> None:
+    slow = Where(recording="slow", rate_Hz=100.0, samples=400)
     lines = MainsLines.of([slow, where(4000)], 50.0, harmonics=(1, 3))
     assert [hum.harmonic for hum in lines.hums] == [(1,), (1, 3)]
     loud = lines.moved_to(np.full(len(lines.free().value), 1e-8))
@@ -93,6 +93,9 @@ def test_mains_lines_are_left_out_where_the_rate_cannot_show_them() -> None:
     found_Hz = np.fft.rfftfreq(4000, 1e-3)[np.argsort(spectrum)[-2:]]
     assert sorted(found_Hz.tolist()) == pytest.approx([50.0, 150.0])
     assert loud.hums[1].amplitude_m == pytest.approx(np.sqrt(2.0) * 1e-8)
+    american = MainsLines.of([slow], 60.0, harmonics=(1,))
+    heard_m = np.asarray(american.moved_to(np.full(len(american.free().value), 1e-8)).added(slow))
+    assert np.argmax(np.abs(np.fft.rfft(heard_m))) * 100.0 / 400 == pytest.approx(40.0)
 
 
 def test_the_shares_of_even_creep_move_as_one_and_no_other_creep_is_even() -> None:
