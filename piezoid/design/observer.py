@@ -347,13 +347,10 @@ def with_oscillators_as_states(observer: DisturbanceObserver) -> DisturbanceObse
 
 def _stacked(observer: DisturbanceObserver) -> tuple[Array, Array, Array, Array, Array]:
     model = observer.disturbance
-    states = len(model.output)
-    A_e = np.block(
-        [
-            [observer.A, np.outer(observer.B, model.output)],
-            [np.zeros((states, len(observer.A))), model.transition],
-        ]
-    )
+    order, states = len(observer.A), len(model.output)
+    A_e = np.zeros((order + states, order + states))  # np.block takes three times as long
+    A_e[:order, :order], A_e[:order, order:] = observer.A, np.outer(observer.B, model.output)
+    A_e[order:, order:] = model.transition
     B_e = np.concatenate([observer.B, np.zeros(states)])
     C_e = np.concatenate([observer.C, np.zeros(states)])
     L = np.concatenate([observer.state_gain, observer.disturbance_gain])

@@ -3,11 +3,11 @@
 Landau's notation: S u = T r - R y, P = A S + B R (Longchamp exchanges R and S).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq, minimize_scalar
 
 from piezoid.design.plant import Fraction
 from piezoid.numerics.arrays import Array
@@ -24,6 +24,9 @@ from piezoid.numerics.polynomial import product, spectral_radius, total
 _LOWEST_Hz = 1e-3
 _GRID = 4000
 _REFINED_PEAKS = 3
+# Brackets of 1 % shrink to 1e-8. One plant takes 1.8 ms; bracketed root finding, one crossing at a
+# time, 4.1 ms for the same margins to 1e-7.
+_SUBDIVISIONS, _LINES = 6, 21
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -119,22 +122,20 @@ def _fine_grid_Hz(plant: Fraction) -> Array:
 
 def _largest_sensitivity(plant: Fraction, R: ArrayLike, S: ArrayLike) -> tuple[float, float]:
     """Return max |Syp| and its frequency: the highest grid points, each refined."""
+
+    def negative(f: Array) -> Array:
+        return -np.abs(sensitivities(plant, R, S, f).Syp)
+
     frequency_Hz = _fine_grid_Hz(plant)
-    magnitude = np.abs(sensitivities(plant, R, S, frequency_Hz).Syp)
-    inner = magnitude[1:-1]
-    peaks = 1 + np.flatnonzero((inner >= magnitude[:-2]) & (inner >= magnitude[2:]))
-    highest = peaks[np.argsort(magnitude[peaks])[::-1][:_REFINED_PEAKS]]
-    end = int(np.argmax(magnitude))
-    candidates = [(float(magnitude[end]), float(frequency_Hz[end]))]
-    for k in highest:
-        best = minimize_scalar(
-            lambda f: -abs(sensitivities(plant, R, S, np.array([f])).Syp[0]),
-            bounds=(frequency_Hz[k - 1], frequency_Hz[k + 1]),
-            method="bounded",
-            options={"xatol": 1e-6 * frequency_Hz[k]},
-        )
-        candidates.append((float(-best.fun), float(best.x)))
-    return max(candidates)
+    values = negative(frequency_Hz)
+    inner = values[1:-1]
+    peaks = 1 + np.flatnonzero((inner <= values[:-2]) & (inner <= values[2:]))
+    highest = peaks[np.argsort(values[peaks])[:_REFINED_PEAKS]]
+    refined_Hz = _minimisers(negative, frequency_Hz[highest - 1], frequency_Hz[highest + 1])
+    candidates_Hz = np.append(refined_Hz, frequency_Hz[np.argmin(values)])
+    values = negative(candidates_Hz)
+    best = int(np.argmin(values))
+    return -float(values[best]), float(candidates_Hz[best])
 
 
 def _delay_margin(
@@ -145,17 +146,29 @@ def _delay_margin(
     tau = min over |L(w)| = 1 of (angle(L) + pi mod 2 pi) / w, L = B R / (A S)
     """
     numerator, denominator = product(plant.B, R), product(plant.A, S)
-    rate_Hz = plant.sampling_rate_Hz
 
-    def loop(f: ArrayLike) -> Response:
-        return response(numerator, denominator, np.atleast_1d(f), rate_Hz)
+    def loop(f: Array) -> Response:
+        return response(numerator, denominator, f, plant.sampling_rate_Hz)
 
     frequency_Hz = _fine_grid_Hz(plant)
-    excess = np.abs(loop(frequency_Hz)) - 1.0
-    crossings = np.flatnonzero(np.sign(excess[:-1]) != np.sign(excess[1:]))
-    candidates: list[tuple[float, float]] = []
-    for k in crossings:
-        f = brentq(lambda f: abs(loop(f)[0]) - 1.0, frequency_Hz[k], frequency_Hz[k + 1])
-        phase = float(np.angle(-loop(f)[0])) % (2.0 * np.pi)
-        candidates.append((phase / (2.0 * np.pi * f), float(f)))
-    return min(candidates) if candidates else (None, None)
+    is_above = np.abs(loop(frequency_Hz)) > 1.0
+    k = np.flatnonzero(is_above[:-1] != is_above[1:])
+    if not len(k):
+        return None, None
+    crossings_Hz = _minimisers(
+        lambda f: np.abs(np.abs(loop(f)) - 1.0), frequency_Hz[k], frequency_Hz[k + 1]
+    )
+    delay_s = np.angle(-loop(crossings_Hz)) % (2.0 * np.pi) / (2.0 * np.pi * crossings_Hz)
+    smallest = int(np.argmin(delay_s))
+    return float(delay_s[smallest]), float(crossings_Hz[smallest])
+
+
+def _minimisers(function: Callable[[Array], Array], low_Hz: Array, high_Hz: Array) -> Array:
+    """Return the frequency of the least value in each bracket, subdivided again and again."""
+    brackets = np.arange(len(low_Hz))
+    for _ in range(_SUBDIVISIONS):
+        f = np.linspace(low_Hz, high_Hz, _LINES)
+        best = np.argmin(function(f), axis=0)
+        low_Hz = f[np.maximum(best - 1, 0), brackets]
+        high_Hz = f[np.minimum(best + 1, _LINES - 1), brackets]
+    return 0.5 * (low_Hz + high_Hz)
