@@ -56,7 +56,8 @@ def budget_lines(diagnoses: "Sequence[Diagnosis]", legend: str = "") -> list[str
             for part in visible_parts(diagnosis)
         )
         total = with_unit(diagnosis.baseline.rms_m, "m")
-        line = f"error budget {diagnosis.axis}: {total} with hysteresis alone = {terms}"
+        baseline = total if diagnosis.model is None else f"{total} with hysteresis alone"
+        line = f"error budget {diagnosis.axis}: {baseline} = {terms}"
         lines.append(in_counts(line, diagnosis.counted))
     if any("*" in line for line in lines):
         lines.append(
