@@ -7,6 +7,7 @@
     |   +-- ExcitationError           too few reversals, too small a range or band
     +-- LabFileError              lab.toml says something we cannot use
     +-- IdentificationError       the fit has no usable answer
+    |   +-- InfeasibleFitError        the constraints contradict each other
     |   +-- NotInvertibleError        weights leave the invertible region
     +-- DesignError               no controller meets the specification
     |   +-- UnstableLoopError
@@ -86,6 +87,10 @@ class IdentificationError(PiezoidError):
     """The fit has no usable answer."""
 
     exit_status = 4
+
+
+class InfeasibleFitError(IdentificationError):
+    """The constraints of a fit contradict each other."""
 
 
 class NotInvertibleError(IdentificationError):

@@ -6,15 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear, nnls
 
-from piezoid.identification.hysteresis.coordinates import LEAST_SLOPE, Shape, vector_of
+from piezoid.identification.hysteresis.coordinates import Shape, vector_of
 from piezoid.identification.hysteresis.gauss_newton import Task, rms_of, simulate
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.search import Settings, task_for
-from piezoid.identification.hysteresis.start import (
-    LEAST_INVERSE_SLOPE,
-    kuhnen_start,
-    program_optimum,
-)
+from piezoid.identification.hysteresis.start import constraints_of, kuhnen_start, optimum_of
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import bounded_step
 from piezoid.numerics.triangle import empty_triangle, gather
@@ -32,19 +28,8 @@ class Program:
 
     @property
     def limits(self) -> tuple[Array, Array, Array]:
-        """Constraint, lower and upper: weights, slopes of Psi', and a normalisation."""
-        plays, count = len(self.threshold), len(self.zones)
-        zero = int(np.flatnonzero(self.zones == 0.0)[0])
-        rows = np.zeros((plays + count + 1, self.rows.shape[1]))
-        rows[:plays, :plays] = np.eye(plays)
-        for i in range(count):
-            rows[plays + i, plays + min(i, zero) : plays + max(i, zero) + 1] = 1.0
-        rows[-1, :plays] = 1.0 - self.threshold
-        lower = np.concatenate([np.zeros(plays), np.full(count, LEAST_INVERSE_SLOPE), [1.0]])
-        lower[0] = LEAST_SLOPE
-        upper = np.full(len(rows), np.inf)
-        upper[-1] = 1.0
-        return rows, lower, upper
+        """Constraint, lower and upper."""
+        return constraints_of(self.threshold, self.zones, self.rows.shape[1])
 
 
 def triangle_of(rows: Array) -> Array:
@@ -106,7 +91,7 @@ def weights_by_others(columns: Array, target: Array) -> Mapping[str, Callable[[]
 
 def kuhnen(program: Program) -> Array:
     """Solve Kuhnen's program by way of the triangle."""
-    return program_optimum(triangle_of(program.rows), program.threshold, program.zones)[0]
+    return optimum_of(triangle_of(program.rows), program.threshold, program.zones).x
 
 
 def kuhnen_by_cvxpy(program: Program) -> Array:

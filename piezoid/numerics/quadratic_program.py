@@ -1,21 +1,96 @@
-"""Small convex least squares within bounds, and an optimality certificate."""
+"""Small convex least squares with linear constraints and an optimality certificate."""
+
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy import optimize
+from scipy import optimize, sparse
 from scipy.linalg import lapack
 
+from piezoid.errors import InfeasibleFitError
 from piezoid.numerics.arrays import Array
 
+_TOLERANCE = 1e-10
 # Of columns of norm 1, tried in turn: nearly dependent columns are separated by the smallest one
 # for which the active-set method ends.
 RIDGES = (0.0, 1e-13, 1e-11, 1e-9)
 JITTER = 1e-14  # of a column's norm squared: keeps R'R definite where rounding would not
-AT_BOUND = 1e-7  # of the largest unknown, columns of norm 1
+AT_BOUND = 1e-7  # of what is added up in a constraint
 ROUNDING = 1e-11  # of columns and a target of norm 1
 _UNBOUNDED = 1e30  # daqp's infinite bound
 _EQUALITY = 5  # daqp's constraint type of equal bounds
 _SOLVED = 1  # daqp's status
 _PRIMAL_TOLERANCE = 1e-11  # of variables of order one
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Optimum:
+    """The solution of a convex program and how far it can be from optimal.
+
+    x        (unknowns,)
+    cost     |R x - c|^2
+    kkt_gap  scaled stationarity residual: 0 at an exact optimum, dimensionless
+    """
+
+    x: Array
+    cost: float
+    kkt_gap: float
+
+
+def constrained_least_squares(
+    triangle: Array, target: Array, constraint: Array, lower: Array, upper: Array
+) -> Optimum:
+    """Minimise |R x - c|^2 subject to l <= A x <= u.
+
+    Posed to OSQP with the residual as a variable of its own, so that the conditioning is R's and
+    not that of R'R: forming R'R for play regressors and solving to default tolerances gives
+    weights wrong by half. Columns, target and constraints are scaled to norm 1, for its tolerances
+    know no units.
+
+    R     triangle    (rows, unknowns)
+    c     target      (rows,)
+    A     constraint  (constraints, unknowns)
+    l, u  lower, upper (constraints,), infinite where there is none
+
+    Raises ``InfeasibleFitError`` when the constraints contradict each other.
+    """
+    import osqp
+
+    scale = column_norms(triangle)
+    factor, height = triangle / scale, float(np.linalg.norm(target)) or 1.0
+    rows, unknowns = factor.shape
+    sides = constraint / scale * height
+    length = column_norms(sides.T)
+    # the rows R x - e = c and A x, for the unknowns x and then the residual e
+    residual = sparse.hstack([sparse.csc_matrix(factor), -sparse.eye(rows)])
+    nothing = sparse.csc_matrix((len(sides), rows))
+    limited = sparse.hstack([sparse.csc_matrix(sides / length[:, None]), nothing])
+    solver: Any = osqp.OSQP()
+    solver.setup(
+        P=sparse.csc_matrix(sparse.diags(np.repeat([0.0, 1.0], [unknowns, rows]))),
+        q=np.zeros(unknowns + rows),
+        A=sparse.csc_matrix(sparse.vstack([residual, limited])),
+        l=np.concatenate([target / height, lower / length]),
+        u=np.concatenate([target / height, upper / length]),
+        eps_abs=_TOLERANCE,
+        eps_rel=_TOLERANCE,
+        max_iter=200_000,
+        polishing=True,
+        verbose=False,
+    )
+    result = solver.solve(raise_error=False)
+    if result.info.status not in {"solved", "solved inaccurate"}:
+        raise InfeasibleFitError(
+            f"the quadratic program of the fit ended as {result.info.status!r}",
+            needed="constraints that some set of weights can meet",
+            remedy="Lower the number of plays or dead zones, or check the drive's range.",
+        )
+    x = result.x[:unknowns] * height / scale
+    return Optimum(
+        x=x,
+        cost=float(np.sum((triangle @ x - target) ** 2)),
+        kkt_gap=stationarity(triangle, x, target, constraint, (lower, upper)),
+    )
 
 
 def column_norms(columns: Array) -> Array:
@@ -25,18 +100,27 @@ def column_norms(columns: Array) -> Array:
     return np.asarray(scale)
 
 
-def stationarity(triangle: Array, x: Array, target: Array, lower: Array, upper: Array) -> float:
-    """Return the part of the gradient of |R x - c|^2 that no bound blocks, over the size of R'c.
+def stationarity(
+    triangle: Array, x: Array, target: Array, constraint: Array, limits: tuple[Array, Array]
+) -> float:
+    """Return the part of the gradient at x that no active constraint can balance, over its size.
 
-    Columns are scaled to norm 1; 0 at an exact optimum of ``bounded_step``.
+    As in ``constrained_least_squares``, the columns scaled to norm 1; 0 at an exact optimum.
     """
     scale = column_norms(triangle)
     gradient = triangle.T @ (triangle @ x - target) / scale
-    slack = AT_BOUND * float(np.abs(scale * x).max(initial=0.0)) / scale
-    is_blocked = (x <= lower + slack) & (gradient > 0.0)
-    is_blocked |= (x >= upper - slack) & (gradient < 0.0)
+    value = constraint @ x
+    # Rounding of a constraint whose terms are all as large as the largest.
+    slack = (
+        AT_BOUND * float(np.abs(scale * x).max(initial=0.0)) * np.abs(constraint / scale).sum(1)
+    )
+    at_lower, at_upper = value <= limits[0] + slack, value >= limits[1] - slack
+    # An equality is in both sets.
+    normals = np.vstack([constraint[at_lower], -constraint[at_upper]]) / scale
     size = float(np.linalg.norm(triangle.T @ target / scale)) or 1.0
-    return float(np.linalg.norm(np.where(is_blocked, 0.0, gradient))) / size
+    if len(normals) == 0:
+        return float(np.linalg.norm(gradient)) / size
+    return float(optimize.nnls(normals.T, gradient)[1]) / size
 
 
 def bounded_minimum(gram: Array, right: Array, lower: Array, upper: Array) -> Array:

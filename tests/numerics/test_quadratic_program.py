@@ -2,15 +2,18 @@
 
 from typing import Literal
 
+import daqp
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
+from piezoid.errors import InfeasibleFitError
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import (
     bounded_step,
+    constrained_least_squares,
     stationarity,
 )
 from piezoid.numerics.triangle import empty_triangle, gather
@@ -41,9 +44,12 @@ def test_nonnegative_weights_agree_with_nnls_on_all_rows(
     reference = nnls(columns, target)[0]
     factor, right = reduced(columns, target)
     none, zero = np.full(plays, np.inf), np.zeros(plays)
-    weight = bounded_step(factor, right, zero, none)
-    np.testing.assert_allclose(weight, reference, atol=1e-11)
-    assert stationarity(factor, weight, right, zero, none) < 1e-10
+    program = constrained_least_squares(factor, right, np.eye(plays), zero, none)
+    # OSQP stops at 1e-10 of its residuals; the regressors' condition of 1e4 multiplies that.
+    np.testing.assert_allclose(program.x, reference, atol=1e-6)
+    assert program.kkt_gap < 1e-10
+    assert program.cost == pytest.approx(float(np.sum((factor @ program.x - right) ** 2)))
+    np.testing.assert_allclose(bounded_step(factor, right, zero, none), reference, atol=1e-11)
 
 
 def test_the_gap_of_what_is_no_optimum_is_the_gradient_that_nothing_balances(
@@ -52,21 +58,21 @@ def test_the_gap_of_what_is_no_optimum_is_the_gradient_that_nothing_balances(
     factor, right = reduced(rng.normal(size=(60, 4)), rng.normal(size=60))
     best = np.linalg.lstsq(factor, right)[0]
     free = np.full(4, -np.inf), np.full(4, np.inf)
-    assert stationarity(factor, best, right, *free) < 1e-14
+    assert stationarity(factor, best, right, np.eye(4), free) < 1e-14
     norms = np.linalg.norm(factor, axis=0)
     gradient = factor.T @ (factor @ (best + 0.1) - right) / norms
     gap = float(np.linalg.norm(gradient) / np.linalg.norm(factor.T @ right / norms))
-    assert stationarity(factor, best + 0.1, right, *free) == pytest.approx(gap)
+    assert stationarity(factor, best + 0.1, right, np.eye(4), free) == pytest.approx(gap)
     # A target of nothing has no size to be beside.
-    nothing = stationarity(factor, best, 0.0 * right, *free)
+    nothing = stationarity(factor, best, 0.0 * right, np.eye(4), free)
     assert nothing == pytest.approx(np.linalg.norm(factor.T @ (factor @ best) / norms))
     # A bound that holds a number back balances its part, in the direction it pushes and no other.
     pushed = np.where(np.arange(4) == 2, 0.1, 0.0)
     for sign, balanced in ((1.0, False), (-1.0, True)):
         x = best + sign * pushed
         upper = np.where(np.arange(4) == 2, x[2], np.inf)
-        others = stationarity(factor, x, right, free[0], upper)
-        alone = stationarity(factor, x, right, *free)
+        others = stationarity(factor, x, right, np.eye(4), (free[0], upper))
+        alone = stationarity(factor, x, right, np.eye(4), free)
         assert (others < alone) is balanced
 
 
@@ -75,7 +81,7 @@ def test_a_bound_at_zero_holds_what_is_zero() -> None:
     upwards, below, above = np.array([2.0, 1.0]), (-none, zero), (zero, none)
     for target, held, let_go in ((upwards, below, above), (-upwards, above, below)):
         gaps = [
-            stationarity(np.eye(2), zero, target, *limits)
+            stationarity(np.eye(2), zero, target, np.eye(2), limits)
             for limits in (held, let_go, (-none, none))
         ]
         assert gaps == pytest.approx([0.0, 1.0, 1.0])
@@ -89,11 +95,11 @@ def test_the_gap_is_the_same_in_other_units(rng: np.random.Generator, unit: floa
     upper[[0, 2]] = 0.0, -0.1
     for off, held in ((1e-9, True), (-1e-9, True), (-1e-3, False)):
         x = best + np.array([off, 0.0, 0.0, 0.0])
-        known = stationarity(factor, x, right, lower, upper)
+        known = stationarity(factor, x, right, np.eye(4), (lower, upper))
         assert (known < 1e-6) is held
-        other = stationarity(factor, unit * x, unit * right, lower, unit * upper)
+        other = stationarity(factor, unit * x, unit * right, np.eye(4), (lower, unit * upper))
         assert other == pytest.approx(known, rel=1e-3, abs=1e-12)
-        columns = stationarity(unit * factor, x / unit, right, lower, upper / unit)
+        columns = stationarity(unit * factor, x / unit, right, np.eye(4), (lower, upper / unit))
         assert columns == pytest.approx(known, rel=1e-3, abs=1e-12)
 
 
@@ -130,6 +136,54 @@ def test_a_step_towards_nothing_goes_as_far_as_the_bounds_ask() -> None:
         assert not bounded_step(factor, np.zeros(2), -abs(asked), none).any()
 
 
+def test_general_constraints_agree_with_an_active_set_solver(rng: np.random.Generator) -> None:
+    factor, right = reduced(rng.normal(size=(200, 8)), rng.normal(size=200))
+    constraint = rng.normal(size=(5, 8))
+    lower, upper = np.full(5, -0.02), np.array([0.02, 0.02, np.inf, 0.01, np.inf])
+    program = constrained_least_squares(factor, right, constraint, lower, upper)
+    other, _, flag, _ = daqp.solve(
+        factor.T @ factor,
+        -factor.T @ right,
+        constraint,
+        np.where(np.isinf(upper), 1e30, upper),
+        lower,
+        np.zeros(5, dtype=np.int32),
+    )
+    assert flag == 1
+    np.testing.assert_allclose(program.x, other, atol=1e-8)
+    # What holds a number back does so to rounding, not only to where the iteration stopped.
+    room = np.minimum(constraint @ program.x - lower, upper - constraint @ program.x)
+    held = room < 1e-6
+    assert held.any()
+    assert np.abs(room[held]).max() < 1e-13
+
+
+@pytest.mark.parametrize("power", [-40, -12, -3, 3, 12, 40])
+@pytest.mark.parametrize("what", ["target", "columns", "rows"])
+def test_constraints_in_other_units_hold_the_same_numbers_back(
+    rng: np.random.Generator, power: int, what: str
+) -> None:
+    factor, right = reduced(rng.normal(size=(200, 8)), rng.normal(size=200))
+    constraint, lower, upper = rng.normal(size=(5, 8)), np.full(5, -0.02), np.full(5, 0.01)
+    known = constrained_least_squares(factor, right, constraint, lower, upper).x
+    unit = 10.0**power
+    each = rng.permutation([unit, 1.0, 1.0 / unit, unit, 1.0])
+    found = {
+        "target": lambda u: (
+            constrained_least_squares(factor, u * right, constraint, u * lower, u * upper).x / u
+        ),
+        "columns": lambda u: (
+            constrained_least_squares(u * factor, right, constraint, lower / u, upper / u).x * u
+        ),
+        "rows": lambda _: (
+            constrained_least_squares(
+                factor, right, each[:, None] * constraint, each * lower, each * upper
+            ).x
+        ),
+    }[what](unit)
+    np.testing.assert_allclose(found, known, atol=1e-9)
+
+
 def test_a_step_along_columns_almost_the_same_meets_the_conditions_of_an_optimum(
     rng: np.random.Generator,
 ) -> None:
@@ -142,6 +196,14 @@ def test_a_step_along_columns_almost_the_same_meets_the_conditions_of_an_optimum
     assert ((x >= lower) & (x <= upper)).all()
     assert (slope[x < upper] > -1e-9).all()
     assert (slope[x > lower] < 1e-9).all()
+
+
+def test_contradicting_constraints_are_refused() -> None:
+    constraint = np.array([[1.0], [1.0]])
+    with pytest.raises(InfeasibleFitError, match="infeasible"):
+        constrained_least_squares(
+            np.eye(1), np.ones(1), constraint, np.array([1.0, -np.inf]), np.array([np.inf, 0.0])
+        )
 
 
 def test_a_triangle_gathered_in_chunks_holds_the_norm_of_every_combination(

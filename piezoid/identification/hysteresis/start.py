@@ -21,9 +21,14 @@ from piezoid.identification.hysteresis.coordinates import (
 from piezoid.identification.hysteresis.pieces import Piece, widest_swing
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.derivative_free import direct_search
-from piezoid.numerics.quadratic_program import bounded_step, stationarity
+from piezoid.numerics.quadratic_program import (
+    Optimum,
+    bounded_step,
+    constrained_least_squares,
+    stationarity,
+)
 from piezoid.numerics.triangle import empty_triangle, gather
-from piezoid.operators.dead_zone import DeadZones
+from piezoid.operators.dead_zone import DeadZones, from_slopes
 from piezoid.operators.filters import lagged
 from piezoid.operators.play import play_blocks, play_columns
 
@@ -54,26 +59,31 @@ def kuhnen_start(
     threshold  (plays + 1,) scaled, from 0; None spreads them evenly over the widest swing
 
         E[k] = sum_i w_i z_i[k] - sum_j w'_j s_j(y[k]) + c_p,   min sum E^2
-        w_i >= 0 for i > 0, slopes of Psi' >= eps, (U - r)'w = U       [Kuhnen 2003]
+        w_0 >= eps, w_i >= 0, slopes of Psi' >= eps, (U - r)'w = U       [Kuhnen 2003]
 
-    with an offset c_p for every piece; Psi is the inverse of the Psi' found. Kuhnen's limit of
-    w_0 is left to the search, whose own is higher: of 90 programs on six laws it held one.
+    with an offset c_p for every piece; Psi is the inverse of the Psi' found.
     """
     if threshold is None:
         low, high = widest_swing(pieces)
         threshold = 0.5 * (high - low) * np.arange(shape.plays + 1) / (shape.plays + 1)
-    # The thresholds of Psi' lie at (j -+ 1/2) / l of the extreme displacement.
     highest = max(float(piece.response.max()) for piece in pieces)
     lowest = min(float(piece.response.min()) for piece in pieces)
-    above = (np.arange(1, shape.above + 1) - 0.5) / max(shape.above, 1) * highest
-    below = (np.arange(-shape.below, 0) + 0.5) / max(shape.below, 1) * -lowest
-    zones = np.concatenate([below, [0.0], above])
-    x, kkt_gap = program_optimum(triangle_of(pieces, threshold, zones, lag_s), threshold, zones)
-    weight, inverse_weight, offsets = np.split(x, [len(threshold), len(threshold) + len(zones)])
-    psi = DeadZones(threshold=zones, weight=inverse_weight).inverse()
-    weight = np.maximum(weight, 0.0)
-    operator, offset = recentred(threshold, weight, psi, float(np.mean(offsets)), lag_s)
-    return Start(operator=operator, offset=offset, kkt_gap=kkt_gap)
+    zones = placed_zones(lowest, highest, shape)
+    optimum = optimum_of(triangle_of(pieces, threshold, zones, lag_s), threshold, zones)
+    weight = np.maximum(optimum.x[: shape.plays + 1], 0.0)
+    inverse = DeadZones(
+        threshold=zones, weight=optimum.x[shape.plays + 1 : shape.plays + 1 + len(zones)]
+    )
+    constant = float(np.mean(optimum.x[shape.plays + 1 + len(zones) :]))
+    operator, offset = recentred(threshold, weight, inverse.inverse(), constant, lag_s)
+    return Start(operator=operator, offset=offset, kkt_gap=optimum.kkt_gap)
+
+
+def placed_zones(low: float, high: float, shape: Shape) -> Array:
+    """Place the thresholds of Psi' at (j -+ 1/2) / l of the extreme displacement."""
+    above = (np.arange(1, shape.above + 1) - 0.5) / max(shape.above, 1) * high
+    below = (np.arange(-shape.below, 0) + 0.5) / max(shape.below, 1) * -low
+    return np.concatenate([below, [0.0], above])
 
 
 def triangle_of(pieces: Sequence[Piece], threshold: Array, zones: Array, lag_s: float) -> Array:
@@ -98,8 +108,23 @@ def triangle_of(pieces: Sequence[Piece], threshold: Array, zones: Array, lag_s: 
     return triangle
 
 
-def program_optimum(triangle: Array, threshold: Array, zones: Array) -> tuple[Array, float]:
-    """Solve the program on the triangle of its rows; return the solution and its optimality gap.
+def optimum_of(triangle: Array, threshold: Array, zones: Array) -> Optimum:
+    """Solve the program on the triangle of its rows, the offsets' columns last."""
+    limits = constraints_of(threshold, zones, triangle.shape[1])
+    nothing = np.zeros(len(triangle))
+    x = within_bounds(triangle, threshold, zones)
+    if x[0] < LEAST_SLOPE:
+        return constrained_least_squares(triangle, nothing, *limits)
+    constraint, lower, upper = limits
+    return Optimum(
+        x=x,
+        cost=float(np.sum((triangle @ x) ** 2)),
+        kkt_gap=stationarity(triangle, x, nothing, constraint, (lower, upper)),
+    )
+
+
+def within_bounds(triangle: Array, threshold: Array, zones: Array) -> Array:
+    """Return the optimum without the limit of w_0, by a search that knows only bounds.
 
     Slopes instead of weights of Psi' make their limits bounds, and w_0 follows from the others:
     w_0 = 1 - sum_(i>0) (1 - r_i) w_i in scaled units, r_0 = 0.
@@ -111,14 +136,30 @@ def program_optimum(triangle: Array, threshold: Array, zones: Array) -> tuple[Ar
     for zone in range(count):
         if zone != zero:
             free[plays + zone, plays + zone + (1 if zone < zero else -1)] = -1.0
-    free = free[:, 1:]
-    lower, upper = np.full(free.shape[1], -np.inf), np.full(free.shape[1], np.inf)
+    lower = np.full(len(free) - 1, -np.inf)
     lower[: plays - 1], lower[plays - 1 : plays - 1 + count] = 0.0, LEAST_INVERSE_SLOPE
-    rows, target = triangle @ free, -triangle[:, 0]
-    step = bounded_step(rows, target, lower, upper)
-    x = free @ step
+    step = bounded_step(
+        triangle @ free[:, 1:], -triangle[:, 0], lower, np.full(len(lower), np.inf)
+    )
+    x = free[:, 1:] @ step
     x[0] += 1.0
-    return x, stationarity(rows, step, target, lower, upper)
+    return np.asarray(x)
+
+
+def constraints_of(threshold: Array, zones: Array, unknowns: int) -> tuple[Array, Array, Array]:
+    """Return A, l and u of the program: weights, slopes of Psi', and a normalisation."""
+    plays, count = len(threshold), len(zones)
+    zero = int(np.flatnonzero(zones == 0.0)[0])
+    rows = np.zeros((plays + count + 1, unknowns))
+    rows[:plays, :plays] = np.eye(plays)
+    for i in range(count):
+        rows[plays + i, plays + min(i, zero) : plays + max(i, zero) + 1] = 1.0
+    rows[-1, :plays] = 1.0 - threshold
+    lower = np.concatenate([np.zeros(plays), np.full(count, LEAST_INVERSE_SLOPE), [1.0]])
+    lower[0] = LEAST_SLOPE
+    upper = np.full(len(rows), np.inf)
+    upper[-1] = 1.0
+    return rows, lower, upper
 
 
 def recentred(
@@ -146,9 +187,9 @@ def recentred(
     return operator, offset
 
 
-def _spread(outward: Array, distance: float = 0.01) -> Array:
-    """Return kinks at a minimum distance from the origin and from each other."""
-    ladder = distance * np.arange(1, len(outward) + 1)
+def _spread(outward: Array) -> Array:
+    """Return kinks at a minimum distance of a hundredth from the origin and from each other."""
+    ladder = 0.01 * np.arange(1, len(outward) + 1)
     return np.asarray(np.maximum.accumulate(np.maximum(outward - ladder, 0.0)) + ladder)
 
 
@@ -157,12 +198,14 @@ def linear_start(pieces: Sequence[Piece], lag_s: float) -> Start:
     drive = np.concatenate([p.drive - p.drive.mean() for p in pieces])
     response = np.concatenate([p.response - p.response.mean() for p in pieces])
     gain = max(float(drive @ response / (drive @ drive)), LEAST_SLOPE)
+    empty = np.zeros(0)
+    psi = from_slopes(np.zeros(1), np.ones(2))
     operator = Scaled(
-        gap=np.zeros(0),
-        threshold=np.zeros(0),
+        gap=empty,
+        threshold=empty,
         weight=np.array([gain]),
-        knot=np.zeros(1),
-        slope=np.ones(2),
+        knot=psi.threshold,
+        slope=psi.slope,
         zero=0,
         lag_s=lag_s,
     )
@@ -174,7 +217,9 @@ def gathered_thresholds(pieces: Sequence[Piece], shape: Shape, lag_s: float) -> 
     fine = Shape(plays=GRID, below=shape.below, above=shape.above, lag=shape.lag)
     operator = kuhnen_start(pieces, fine, lag_s).operator
     centres = group_centres(operator.threshold, operator.weight[1:], shape.plays)
-    return np.concatenate([[0.0], _spread(centres, 2 * LEAST_GAP)])
+    ladder = 2 * LEAST_GAP * np.arange(1, shape.plays + 1)
+    spread = np.maximum.accumulate(np.maximum(centres - ladder, 0.0)) + ladder
+    return np.concatenate([[0.0], spread])
 
 
 def group_centres(position: Array, weight: Array, groups: int) -> Array:

@@ -1,18 +1,19 @@
 """The convex start finds what is there, and another solver agrees with its program."""
 
-import cvxpy as cp
 import numpy as np
 
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.start import (
-    LEAST_INVERSE_SLOPE,
+    constraints_of,
     find_lag,
     kuhnen_start,
-    program_optimum,
+    placed_zones,
     triangle_of,
+    within_bounds,
 )
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.quadratic_program import constrained_least_squares, stationarity
 from piezoid.operators.filters import lagged
 from tests.identification.hysteresis.stages import (
     RATE_Hz,
@@ -52,24 +53,22 @@ def test_the_lag_of_the_quick_model_is_the_lag_of_the_data() -> None:
         assert abs(found - lag_s) < 5e-4
 
 
-def test_the_program_in_slopes_is_the_program_in_weights(rng: np.random.Generator) -> None:
-    """Another solver, on the weights as they stand, cannot do better and finds the same."""
+def test_weights_that_only_know_bounds_are_those_of_the_general_program(
+    rng: np.random.Generator,
+) -> None:
     drive = decaying()
     bent = made(drive) + 0.02 * (made(drive) ** 2) / np.ptp(made(drive))
     one = recording(drive, bent + 1e-9 * rng.normal(size=len(drive)))
     pieces = pieces_of([one], "x", scales_of([one], "x"), Rig())
-    threshold, zones = np.arange(7) / 7, np.array([-0.75, -0.25, 0.0, 0.25, 0.75])
+    shape, threshold = Shape(plays=12, below=2, above=2), np.arange(13) / 13
+    zones = placed_zones(-1.0, 1.0, shape)
     triangle = triangle_of(pieces, threshold, zones, 0.0)
-    found, gap = program_optimum(triangle, threshold, zones)
-    x = cp.Variable(triangle.shape[1])
-    inverse = x[7:12]
-    slopes = [cp.sum(inverse[min(k, 2) : max(k, 2) + 1]) for k in range(5)]
-    limits = [x[1:7] >= 0, *(slope >= LEAST_INVERSE_SLOPE for slope in slopes)]
-    normal = x[:7] @ (1 - threshold) == 1
-    problem = cp.Problem(cp.Minimize(cp.sum_squares(triangle @ x)), [*limits, normal])
-    problem.solve(solver=cp.CLARABEL)
-    np.testing.assert_allclose(found, x.value, atol=1e-5)
-    assert gap < 1e-9
+    limits = constraints_of(threshold, zones, len(triangle))
+    nothing = np.zeros(len(triangle))
+    bounded = within_bounds(triangle, threshold, zones)
+    general = constrained_least_squares(triangle, nothing, *limits)
+    np.testing.assert_allclose(bounded, general.x, atol=1e-5)
+    assert stationarity(triangle, bounded, nothing, limits[0], limits[1:]) < 1e-9
 
 
 def test_a_delay_holds_the_first_value_and_is_straight_between_samples() -> None:
