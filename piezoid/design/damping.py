@@ -8,7 +8,7 @@ mode, and how wide its interval is; docs/theory/control.md has the figures.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,14 +16,13 @@ from piezoid.design.design import AxisDesign, LoopDesign
 from piezoid.design.feasibility import rounded_down, unmet
 from piezoid.design.observer import linear_controller
 from piezoid.design.plant import Fraction, PlantFamily
-from piezoid.design.rst import LIGHT
+from piezoid.design.rst import Mode, ringing_mode
 from piezoid.design.specification import MODE_SHARE, Specification
 from piezoid.design.templates import Template
 from piezoid.design.tuning import DAMPED, METHODS, tune_observer
 from piezoid.errors import TemplateError
 from piezoid.formatting import significant, with_unit
 from piezoid.numerics.frequency import decibel
-from piezoid.numerics.polynomial import roots_of
 
 HYSTERESIS = "small gain of the hysteresis"
 _RESERVE = 0.95  # of the small gain: what lies between the lines of a search's grid
@@ -31,29 +30,6 @@ _BISECTIONS = 5
 _WORTH = 1.1  # times the bandwidth: less is not worth a loop at its limits
 _STEPS_DOWN, _STEP_DOWN = 4, 0.95
 _PAST = 1e-3  # poles below are those of inputs on their way
-
-
-@dataclass(frozen=True, kw_only=True)
-class Mode:
-    """The slowest pair of poles of a plant that rings.
-
-    frequency_Hz  natural
-    damping       ratio, below ``LIGHT``
-    """
-
-    frequency_Hz: float
-    damping: float
-
-
-def ringing_mode(plant: Fraction) -> Mode | None:
-    """Return the lowest resonance of the plant, or None if it has no lightly damped mode."""
-    s = np.log(roots_of(plant.A)) * plant.sampling_rate_Hz
-    light = s[(s.imag > 0.0) & (-s.real < LIGHT * np.abs(s))]
-    if not len(light):
-        return None
-    slowest = light[np.argmin(np.abs(light))]
-    natural = float(np.abs(slowest))
-    return Mode(frequency_Hz=natural / (2.0 * np.pi), damping=float(-slowest.real) / natural)
 
 
 def must_damp(plant: Fraction, bandwidth_Hz: float) -> bool:

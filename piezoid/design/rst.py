@@ -5,10 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piezoid.design.plant import Plant, Section
+from piezoid.design.plant import Fraction, Plant, Section
 from piezoid.errors import DesignError, UnstableLoopError
 from piezoid.numerics.arrays import Array, freeze
-from piezoid.numerics.polynomial import Roots, from_roots, product, solve_bezout, spectral_radius
+from piezoid.numerics.polynomial import (
+    Roots,
+    from_roots,
+    product,
+    roots_of,
+    solve_bezout,
+    spectral_radius,
+)
 
 Poles = NDArray[np.complex128]
 
@@ -100,6 +107,29 @@ def slow_and_fast(plant: Plant) -> tuple[Poles, Poles]:
     poles = plant.poles[np.argsort(np.abs(np.log(plant.poles)), kind="stable")]
     count = 1 if abs(poles[0].imag) < 1e-9 else 2
     return poles[:count], poles[count:]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mode:
+    """The slowest pair of poles of a plant that rings.
+
+    frequency_Hz  natural
+    damping       ratio, below ``LIGHT``
+    """
+
+    frequency_Hz: float
+    damping: float
+
+
+def ringing_mode(plant: Fraction) -> Mode | None:
+    """Return the lowest resonance of the plant, or None if it has no lightly damped mode."""
+    s = np.log(roots_of(plant.A)) * plant.sampling_rate_Hz
+    light = s[(s.imag > 0.0) & (-s.real < LIGHT * np.abs(s))]
+    if not len(light):
+        return None
+    slowest = light[np.argmin(np.abs(light))]
+    natural = float(np.abs(slowest))
+    return Mode(frequency_Hz=natural / (2.0 * np.pi), damping=float(-slowest.real) / natural)
 
 
 def light_modes(plant: Plant) -> Poles:

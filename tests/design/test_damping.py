@@ -8,11 +8,12 @@ from scipy.signal import cont2discrete
 
 from benchmarks.varied_chains import varied
 from piezoid.design.certificate import Certificate
-from piezoid.design.damping import damped_mode, describe_mode, raise_bandwidth, ringing_mode
+from piezoid.design.damping import damped_mode, describe_mode, raise_bandwidth
 from piezoid.design.design import AxisDesign, LoopDesign
 from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.lateral import design_lateral
 from piezoid.design.plant import Chain, PlantFamily, Section, family_from_chains
+from piezoid.design.rst import ringing_mode
 from piezoid.design.specification import Specification, default_specification
 from piezoid.errors import TemplateError
 from piezoid.export.export_stage import observer_values

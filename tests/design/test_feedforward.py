@@ -56,6 +56,19 @@ def test_a_loop_of_two_hertz_follows_a_reference_of_a_hundred():
     assert abs(1.0 - closed * late) < 0.02  # 1.2 where the filter is fitted up to 2 Hz only
 
 
+def test_a_mode_slower_than_a_thousandth_of_the_sampling_is_not_inverted():
+    sections = (Section(frequency_Hz=15.0, damping=0.02), Section(frequency_Hz=5e3))
+    plant = plant_from_chain(replace(lateral_chain(), sections=sections))
+    o = place_observer(
+        plant,
+        feedback_poles=feedback_poles(plant, sections[0]),
+        observer_poles=observer_poles(plant, Section(frequency_Hz=30.0, damping=0.8), 1.0, ()),
+    )
+    c = linear_controller(o)
+    path = fit_reference_path([plant], c.R, c.S, c.T, band_Hz=4.0)
+    assert np.abs(path.filter).max() < 3.0
+
+
 @pytest.mark.parametrize("taps", [2, 3, 7, 9])
 def test_sections_multiply_to_the_filter_with_unit_gain_at_rest(taps, rng):
     coefficients = rng.normal(size=taps)

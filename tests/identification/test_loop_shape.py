@@ -11,6 +11,7 @@ import pytest
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.digests import seal
 from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.extensions.mains_lines import Hum, MainsLines
 from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
@@ -178,6 +179,23 @@ def test_a_periodic_error_is_fitted_beside_loop_shape() -> None:
     assert error.wavelength_m == pytest.approx(true.wavelength_m, rel=1e-3)
     assert np.hypot(*error.free().value[1:]) == pytest.approx(true.amplitude_m[0], rel=0.05)
     assert axis.quality.explained_rms_m < 1.3 * NOISE_M
+
+
+@pytest.mark.slow
+def test_a_hum_with_harmonics_is_fitted_to_more_rows_than_are_used() -> None:
+    field = np.interp(np.linspace(0.0, len(SWEEP) - 1.0, 24_000), np.arange(len(SWEEP)), SWEEP)
+    quiet = recorded("dahl", field, "sweep")
+    turn = 2.0 * np.pi * 50.0 * np.arange(len(field)) / quiet.sampling_rate_Hz
+    hum_m = 4e-8 * np.cos(turn + 0.3) + 2e-8 * np.cos(3.0 * turn)
+    heard = with_displacement(quiet, quiet.displacement_m("x") + hum_m)
+    plain = estimate_axis((heard,), "x", Rig(), orders=((8, 2),))
+    silent = (0.0, 0.0)
+    hum = Hum(recording="sweep", first=0, harmonic=(1, 3), cosine_m=silent, sine_m=silent)
+    lines = MainsLines(frequency_Hz=50.0, hums=(hum,))
+    shaped = with_loop_shape(replace(plain, extensions=(lines,)), (heard,))
+    assert shaped.loop_shape is not None
+    error_m = heard.displacement_m("x") - simulate_recording(shaped, heard)
+    assert np.sqrt(np.nanmean(error_m**2)) < 1.2 * NOISE_M
 
 
 def test_a_step_of_the_zero_is_not_taken_for_hysteresis() -> None:
