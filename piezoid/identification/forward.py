@@ -249,10 +249,13 @@ class Run:
         What is added enters exactly, other numbers by differences.
         """
         forward, extension = self.forward, self.forward.extensions[number]
-        columns = extension.added_by_number(self.where)
-        if columns is not None:
-            return np.asarray(columns[sample] / forward.scales.displacement_m)
+        of_piece = extension.added_by_number(self.where)
         free, changes = extension.free(), []
+        if of_piece is not None:
+            first, columns = of_piece
+            by_number = np.zeros((len(sample), len(free.value)))
+            by_number[:, first : first + columns.shape[1]] = columns[sample]
+            return by_number / forward.scales.displacement_m
         for j, step in enumerate(free.step.tolist()):
             # A step that would leave the range goes the other way.
             signed = step if free.value[j] + step <= free.upper[j] else -step

@@ -36,6 +36,7 @@ from piezoid.operators.wide_hysteresis import (
     HysteresisStates,
     States,
     class_columns,
+    mixed_columns,
     smooth_count,
 )
 from piezoid.records.recording import Recording
@@ -99,14 +100,13 @@ class _Path:
         plays     (columns,)  as in ``Columns``
         returned  (rows, columns)  unscaled, what the plays have beyond the class at the end
         """
-        base = np.hstack(list(class_columns(self.drive, self.states[0]).values()))
-        changes = np.zeros((len(self.drive), base.shape[1] + 1))
-        for k in np.flatnonzero(np.abs(weight) > MIN_WEIGHT):
-            table = class_columns(self.drive, self.states[k + 1])
-            changes[:, :-1] += weight[k] * (np.hstack(list(table.values())) - base)
+        used = np.flatnonzero(np.abs(weight) > MIN_WEIGHT)
+        mixture = np.concatenate([[-weight[used].sum()], weight[used]])
+        states = [self.states[k] for k in (0, *(used + 1))]
+        of_class = np.hstack(list(mixed_columns(self.drive, states, mixture).values()))
         plays_m = (self.plays_m[:, 1:] - self.plays_m[:, :1]) @ weight
-        changes[:, -1] = plays_m / half_range_m - changes[:, :-1] @ plays[:-1]
-        return changes
+        beyond = plays_m / half_range_m - of_class @ plays[:-1]
+        return np.column_stack([of_class, beyond])
 
     def interpolated_m(self, change_m: Array, samples: int) -> Array:
         """Return a change at all samples of the piece: linear between rows, 0 after the last."""

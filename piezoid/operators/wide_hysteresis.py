@@ -179,9 +179,28 @@ def smooth_response(drive: Array, states: States, coefficient: Array) -> Array:
 
 def class_columns(drive: Array, states: States) -> dict[str, Array]:
     """Return the columns of all families, {family: (rows, columns)}."""
-    smooth = smooth_columns(drive, states)
-    reversible = cells(drive)
-    density = np.hstack([cells(play) - reversible for play in states[0].T])
+    return mixed_columns(drive, (states,), np.ones(1))
+
+
+def mixed_columns(drive: Array, states: Sequence[States], weight: Array) -> dict[str, Array]:
+    """Return the weighted sum of the columns after several histories, {family: (rows, columns)}.
+
+    drive   (samples,)    the same after all histories
+    states  (histories,)  along the drive
+    weight  (histories,)
+    """
+    tables = [smooth_columns(drive, of_history) for of_history in states]
+    smooth = {
+        name: sum(w * table[name] for w, table in zip(weight, tables, strict=True))
+        for name in tables[0]
+    }
+    reversible, count = weight.sum() * cells(drive), len(EDGES) - 1
+    density = np.empty((len(drive), len(WIDTHS) * count))
+    for j in range(len(WIDTHS)):
+        below = sum(
+            w * cells(plays[:, j]) for w, (plays, _, _) in zip(weight, states, strict=True)
+        )
+        density[:, j * count : (j + 1) * count] = below - reversible
     components = {
         f"density {scale}": density @ density_components(scale) for scale in range(len(SCALES))
     }

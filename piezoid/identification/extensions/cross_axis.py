@@ -50,14 +50,14 @@ class CrossAxis(Extension):
         for value in self.free().value:
             within("cross-axis gain", float(value), -LARGEST, LARGEST)
 
-    def added_by_number(self, where: Where) -> Array | None:
-        """Return v, v^2 and the plays of v; None if the other axis rests."""
+    def added_by_number(self, where: Where) -> tuple[int, Array] | None:
+        """Return 0, and v, v^2 and the plays of v; None if the other axis rests."""
         if self.axis not in where.others_V:
             return None
         v = np.ascontiguousarray(where.others_V[self.axis] - self.centre_V)
         threshold = np.array(self.play_threshold_V)
         plays, _ = play_columns(v, threshold, np.full(len(threshold), v[:1].sum()))
-        return np.column_stack([v, v**2, plays])
+        return 0, np.column_stack([v, v**2, plays])
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
         """Return the largest answer to the other axis over the range it was recorded in."""

@@ -107,11 +107,17 @@ class Extension:
 
     def added(self, where: Where) -> Array | float:
         """Return displacement that does not depend on the drive, (samples,) in m, or 0."""
-        columns = self.added_by_number(where)
-        return 0.0 if columns is None else np.asarray(columns @ self.free().value)
+        of_piece = self.added_by_number(where)
+        if of_piece is None:
+            return 0.0
+        first, columns = of_piece
+        return np.asarray(columns @ self.free().value[first : first + columns.shape[1]])
 
-    def added_by_number(self, where: Where) -> Array | None:  # noqa: ARG002
-        """Return d added / d numbers, (samples, numbers); None where nothing is added."""
+    def added_by_number(self, where: Where) -> tuple[int, Array] | None:  # noqa: ARG002
+        """Return d added / d numbers of this piece; None where nothing is added.
+
+        They are the index of the first of its numbers and (samples, numbers of this piece).
+        """
         return None
 
     def reading(self, position_m: Array) -> Array:

@@ -124,17 +124,14 @@ class MainsLines(Extension):
                 )
         return cls(frequency_Hz=frequency_Hz, hums=tuple(hums))
 
-    def added_by_number(self, where: Where) -> Array | None:
-        """Return cosines and sines under their hats, at the places of this piece."""
-        columns, first = None, 0
-        total = sum(2 * len(hum.cosine_m) for hum in self.hums)
+    def added_by_number(self, where: Where) -> tuple[int, Array] | None:
+        """Return the index of this piece's first amplitude, and cosines and sines under hats."""
+        first = 0
         for hum in self.hums:
-            count = len(hum.cosine_m)
             if (hum.recording, hum.first) == (where.recording, where.first):
-                columns = np.zeros((where.samples, total))
-                columns[:, first : first + 2 * count] = self._waves(hum, where)
-            first += 2 * count
-        return columns
+                return first, self._waves(hum, where)
+            first += 2 * len(hum.cosine_m)
+        return None
 
     def _waves(self, hum: Hum, where: Where) -> Array:
         knots = len(hum.cosine_m) // len(hum.harmonic)

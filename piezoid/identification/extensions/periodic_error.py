@@ -43,10 +43,10 @@ class PeriodicError(Extension):
     def reading(self, position_m: Array) -> Array:
         """Return the reading of the sensor at a position."""
         turn = 2.0 * np.pi / self.wavelength_m * position_m
-        total = np.array(position_m, dtype=np.float64)
-        for n, (a, b) in enumerate(zip(self.cosine_m, self.sine_m, strict=True), start=1):
-            total += a * np.cos(n * turn) + b * np.sin(n * turn)
-        return total
+        # The sum of a cos(n t) + b sin(n t) is the real part of that of (a - i b) exp(i t)^n.
+        amplitude_m = np.array(self.cosine_m) - 1j * np.array(self.sine_m)
+        wave = np.polyval([*amplitude_m[::-1], 0.0], np.exp(1j * turn))
+        return np.asarray(position_m + wave.real)
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
         """Return the largest error: a loop follows the reading."""

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar, Self
 
 import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
 from piezoid.identification.extensions.loop_effect import LoopEffect
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, frozen
 
 KNOTS = 6
 LEAST_s = 5.0
@@ -53,17 +54,15 @@ class ThermalDrift(Extension):
         )
         return cls(curves=curves)
 
-    def added_by_number(self, where: Where) -> Array | None:
-        """Return the hats of this piece among the places of all."""
-        columns, total = None, sum(len(curve.level_m) for curve in self.curves)
+    def added_by_number(self, where: Where) -> tuple[int, Array] | None:
+        """Return the index of this piece's first level, and a spline for each of its levels."""
         first = 0
         for curve in self.curves:
             count = len(curve.level_m)
             if (curve.recording, curve.first) == (where.recording, where.first):
-                columns = np.zeros((where.samples, total))
-                columns[:, first : first + count] = _splines(count + 1, where.samples)[:, 1:]
+                return first, _splines(count + 1, where.samples)[:, 1:]
             first += count
-        return columns
+        return None
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
         """Return range and speed of the drift; knots are at least a second apart."""
@@ -98,9 +97,10 @@ class ThermalDrift(Extension):
         return np.asarray(np.kron(np.eye(len(self.curves)), rows), dtype=np.float64)
 
 
+@lru_cache(maxsize=16)
 def _splines(knots: int, samples: int) -> Array:
     """Return natural cubic splines that are 1 at one knot each, (samples, knots)."""
     from scipy.interpolate import CubicSpline
 
     spline = CubicSpline(np.arange(knots), np.eye(knots), bc_type="natural")
-    return np.asarray(spline(np.linspace(0.0, knots - 1.0, samples)))
+    return frozen(spline(np.linspace(0.0, knots - 1.0, samples)), "splines", ndim=2)
