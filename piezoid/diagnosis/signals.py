@@ -102,7 +102,7 @@ def through(recording: Recording, part: Extension) -> Recording:
     """
     where = where_of(recording, recording.axis, slice(0, recording.samples))
     moved_m = part.response(recording.displacement_m(), where)
-    return with_displacement(recording, part.reading(moved_m + part.added(where)))
+    return with_displacement(recording, part.reading(moved_m + part.added(where), where))
 
 
 def stroke_of(recording: Recording) -> float:

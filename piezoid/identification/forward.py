@@ -131,10 +131,10 @@ class Forward:
             position_m = position_m + extension.added(where)
         return np.asarray(position_m)
 
-    def read(self, position_m: Array) -> Array:
+    def read(self, position_m: Array, where: Where) -> Array:
         """Return the reading of the sensor at a position, (samples,) m."""
         for extension in self.extensions:
-            position_m = extension.reading(position_m)
+            position_m = extension.reading(position_m, where)
         return position_m
 
     def chain(self, memory_slope: Array, rate_Hz: float) -> Chain:
@@ -201,7 +201,7 @@ class Run:
     def reading(self) -> Array:
         """Scaled reading of the sensor, (samples,)."""
         position_m = self.forward.position(self.static, self.where, self.zero_m)
-        away_m = self.forward.read(position_m) - self.centre_m
+        away_m = self.forward.read(position_m, self.where) - self.centre_m
         return np.asarray(away_m / self.forward.scales.displacement_m)
 
     def by_hysteresis(self, sample: Samples) -> Array:

@@ -208,7 +208,9 @@ def columns_of(axis: AxisModel, pieces: Sequence[Piece]) -> Columns:
         late = forward.late_s(piece.where.rate_Hz) * piece.where.rate_Hz
         static_m = axis.invertible_m(piece.drive_V, piece.start.memory_V, piece.where.rate_Hz)
         zero_m = zero_of(piece.start, piece.where.samples)
-        read_m = forward.read(forward.position(static_m, piece.where, zero_m)) - zero_m
+        read_m = (
+            forward.read(forward.position(static_m, piece.where, zero_m), piece.where) - zero_m
+        )
         moved_m = read_m[piece.rows]
         drive_V, places = _path(piece.drive_V, piece.rows, late)
         history = history_of(axis.hysteresis, piece.start.memory_V, shape)

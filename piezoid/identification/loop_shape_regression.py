@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from piezoid.identification.extensions.extension import Extension, Free, free
+from piezoid.identification.extensions.extension import Extension, Free, Where, free
 from piezoid.identification.loop_shape_columns import (
     FOLDS,
     NEVER,
@@ -239,31 +239,34 @@ def with_sensor_numbers(estimate: Estimate, pieces: Sequence[Piece], columns: Co
     axis = estimate.model
     if not any(_is_sensor(extension) for extension in axis.extensions):
         return estimate
-    positions_m = []
+    positions_m, readings_m, uses = [], [], np.split(estimate.use, np.cumsum(estimate.rows)[:-1])
     for k, piece in enumerate(pieces):
         zero_m = zero_of(replace(piece.start, zero_m=estimate.zeros[k]), piece.where.samples)
         static_m, _ = _static_m(estimate, k, piece, columns)
-        positions_m.append(axis.forward.position(static_m, piece.where, zero_m)[piece.rows])
-    position_m = np.concatenate(positions_m)[estimate.use]
-    reading_m = np.concatenate([piece.measured_m[piece.rows] for piece in pieces])[estimate.use]
+        rows = piece.rows[uses[k]]
+        positions_m.append(axis.forward.position(static_m, piece.where, zero_m)[rows])
+        readings_m.append(piece.measured_m[rows])
+    places, reading_m = [piece.where for piece in pieces], np.concatenate(readings_m)
     extensions, shift = list(axis.extensions), estimate.shift
     for number, extension in enumerate(axis.extensions):
         if _is_sensor(extension):
-            extensions[number], change = _fitted_sensor(extension, position_m, reading_m)
-            position_m = extensions[number].reading(position_m)
+            sensor, change = _fitted_sensor(extension, positions_m, places, reading_m)
+            positions_m = list(map(sensor.reading, positions_m, places))
+            extensions[number] = sensor
             shift = max(shift, change)
     return replace(estimate, model=replace(axis, extensions=tuple(extensions)), shift=shift)
 
 
 def _fitted_sensor(
-    sensor: Extension, position_m: Array, reading_m: Array
+    sensor: Extension, positions_m: Sequence[Array], places: Sequence[Where], reading_m: Array
 ) -> tuple[Extension, float]:
     """Return a sensor's error fitted to readings, and its change relative to the residual."""
     numbers, scale_m = sensor.free(), float(np.std(reading_m))
 
     def error(steps: Array) -> Array:
         moved = sensor.moved_to(steps * numbers.step)
-        return np.asarray((moved.reading(position_m) - reading_m) / scale_m)
+        simulated_m = np.concatenate(list(map(moved.reading, positions_m, places)))
+        return np.asarray((simulated_m - reading_m) / scale_m)
 
     first = numbers.value / numbers.step
     bounds = (numbers.lower / numbers.step, numbers.upper / numbers.step)
@@ -287,11 +290,13 @@ def _of_unit_size(tables: Sequence[Array], rows: int) -> tuple[Array, Array]:
     return columns / size, size
 
 
-def _read_m(axis: AxisModel, piece: Piece, start: PieceStart, static_m: Array) -> Array:
-    """Return the reading at the rows of a piece, (rows,)."""
+def _read_m(
+    axis: AxisModel, piece: Piece, start: PieceStart, static_m: Array, away_m: float = 0.0
+) -> Array:
+    """Return the reading at the rows of a piece, (rows,), where everything is moved by a step."""
     forward = axis.forward
-    zero_m = zero_of(start, piece.where.samples)
-    return forward.read(forward.position(static_m, piece.where, zero_m))[piece.rows]
+    zero_m = zero_of(start, piece.where.samples) + away_m
+    return forward.read(forward.position(static_m, piece.where, zero_m), piece.where)[piece.rows]
 
 
 def _sensor_slope(axis: AxisModel, piece: Piece, start: PieceStart, static_m: Array) -> Array:
@@ -299,12 +304,10 @@ def _sensor_slope(axis: AxisModel, piece: Piece, start: PieceStart, static_m: Ar
     if not any(_is_sensor(extension) for extension in axis.extensions):
         return np.ones(len(piece.rows))
     step_m = SENSOR_STEP * abs(half_range_m(axis))
-    zero_m = zero_of(start, piece.where.samples)
     above_m, below_m = (
-        axis.forward.read(axis.forward.position(static_m, piece.where, zero_m + away_m))
-        for away_m in (step_m, -step_m)
+        _read_m(axis, piece, start, static_m, away_m) for away_m in (step_m, -step_m)
     )
-    return np.asarray((above_m - below_m)[piece.rows] / (2.0 * step_m))
+    return np.asarray((above_m - below_m) / (2.0 * step_m))
 
 
 def _numbers(axis: AxisModel) -> Free:

@@ -350,7 +350,7 @@ def _restarted_piece(
     def residual_m(slope: Array, rows: slice) -> Array:
         count, where = rows.stop - rows.start, where_of(recording, axis.axis, rows)
         moved_m = axis.moved(voltage_V[:count], memory_V(slope), where)
-        return np.asarray(measured_m[:count] - axis.forward.read(zero_m[:count] + moved_m))
+        return np.asarray(measured_m[:count] - axis.forward.read(zero_m[:count] + moved_m, where))
 
     def scaled_residual(slope: Array) -> Array:
         error_m = residual_m(slope, head)[:: max((head.stop - head.start) // ROWS, 1)]

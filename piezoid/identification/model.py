@@ -225,7 +225,8 @@ class AxisModel:
         drive_V = _drive(voltage_V, f"the drive of axis {self.axis}", "V")
         location = where or Where(recording="", rate_Hz=sampling_rate_Hz, samples=len(drive_V))
         moved_m = self.moved(drive_V, self._memory(memory_V), location)
-        return self.forward.read((self.zero_m if zero_m is None else zero_m) + moved_m)
+        position_m = (self.zero_m if zero_m is None else zero_m) + moved_m
+        return self.forward.read(position_m, location)
 
     def inverse(
         self,

@@ -61,7 +61,8 @@ def simulate_recording(axis_model: AxisModel, recording: Recording) -> Array:
         where = where_of(recording, axis_model.axis, part)
         voltage_V = recording.voltage_V(axis_model.axis)[part]
         moved_m = axis_model.moved(voltage_V, start.memory_V, where, start.history_weight)
-        displacement_m[part] = axis_model.forward.read(zero_of(start, where.samples) + moved_m)
+        position_m = zero_of(start, where.samples) + moved_m
+        displacement_m[part] = axis_model.forward.read(position_m, where)
     return displacement_m
 
 
@@ -224,7 +225,7 @@ def _followed(model: AxisModel, voltage_V: Array, measured_m: Array, where: Wher
     for start in model.starts:
         if start.recording == where.recording and start.last <= len(voltage_V):
             moved_m = model.moved(voltage_V, start.memory_V, where, start.history_weight)
-            alternative = model.forward.read(zero_of(start, where.samples) + moved_m)
+            alternative = model.forward.read(zero_of(start, where.samples) + moved_m, where)
             prediction = min(
                 prediction,
                 alternative,
@@ -241,7 +242,7 @@ def _from_own_start(model: AxisModel, voltage_V: Array, measured_m: Array, where
     """
     if model.loop_shape is None:
         memory_V, zero_m = _fitted_start(model, voltage_V, measured_m, where)
-        return model.forward.read(zero_m + model.moved(voltage_V, memory_V, where))
+        return model.forward.read(zero_m + model.moved(voltage_V, memory_V, where), where)
     plays_only, depoled_V = replace(model, loop_shape=None), model.virgin_memory_V
     shape_m = model.moved(voltage_V, depoled_V, where) - plays_only.moved(
         voltage_V, depoled_V, where
@@ -250,15 +251,16 @@ def _from_own_start(model: AxisModel, voltage_V: Array, measured_m: Array, where
     driven_V = model.forward.driven_V(voltage_V, where.rate_Hz)
     changes_m = model.history_changes_m(driven_V, memory_V, where.rate_Hz)
     columns_m = model.polarity * model.forward.behind(changes_m, where)
-    residual_m = measured_m - model.forward.read(zero_m + model.moved(voltage_V, memory_V, where))
+    moved_m = model.moved(voltage_V, memory_V, where)
+    residual_m = measured_m - model.forward.read(zero_m + moved_m, where)
     # The a with |residual - columns a|^2 / error^2 + |a|^2 least, beside a constant.
     error_m = max(model.quality.held_out_rms_m, np.finfo(float).tiny)
     columns = (columns_m - columns_m.mean(axis=0)) / error_m
     normal = columns.T @ columns + np.eye(columns.shape[1])
     weight = np.asarray(np.linalg.solve(normal, columns.T @ residual_m / error_m))
     moved_m = model.moved(voltage_V, memory_V, where, weight)
-    zero_m += float(np.mean(measured_m - model.forward.read(zero_m + moved_m)))
-    return model.forward.read(zero_m + moved_m)
+    zero_m += float(np.mean(measured_m - model.forward.read(zero_m + moved_m, where)))
+    return model.forward.read(zero_m + moved_m, where)
 
 
 def _fitted_start(
@@ -280,7 +282,7 @@ def _fitted_start(
         return model.moved(voltage_V, forward.memory(first, slope), where)
 
     def residual(numbers: Array) -> Array:
-        predicted_m = forward.read(numbers[-1] * scale_m + response(numbers[:-1]))
+        predicted_m = forward.read(numbers[-1] * scale_m + response(numbers[:-1]), where)
         return np.asarray((predicted_m - measured_m)[::every] / scale_m)
 
     def start_at(slope: float) -> Array:

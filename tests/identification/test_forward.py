@@ -147,7 +147,7 @@ def test_volts_and_metres_read_as_scaled_numbers_do(filters: str, sign: float) -
     driven_V = plain.driven_V(5.2 + 5.0 * run.command, RATE_Hz)
     memory_V = scaled.memory(run.drive[0], SLOPES) * envelope_stretch(OPERATOR) * 5.0
     static_m, _ = plain.static(driven_V - 5.2, memory_V, RATE_Hz)
-    read_m = plain.read(plain.position(static_m, HERE, ZERO_m))
+    read_m = plain.read(plain.position(static_m, HERE, ZERO_m), HERE)
     np.testing.assert_allclose(
         read_m, CENTRE_m + scales.displacement_m * run.reading, rtol=0, atol=1e-14
     )

@@ -132,7 +132,8 @@ def test_what_is_irreversible_comes_as_late_as_the_model_simulates_it(strain_m, 
 def test_a_cyclic_error_is_in_the_reading_and_not_in_the_position(rng):
     wrong = PeriodicError(wavelength_m=6e-7, cosine_m=(2e-9,), sine_m=(1e-9,))
     found = run_axis(plant_with(wrong), lateral_parameters().for_method("mpi"), hold(), rng=rng)
-    np.testing.assert_allclose(found.measured, wrong.reading(found.position), atol=1e-15)
+    here = Where(recording="", rate_Hz=1.0)
+    np.testing.assert_allclose(found.measured, wrong.reading(found.position, here), atol=1e-15)
 
 
 @pytest.mark.parametrize("extension", one_of_each(), ids=lambda extension: extension.kind)

@@ -31,7 +31,7 @@ from piezoid.diagnosis.effect import (
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.extensions.periodic_error import PeriodicError
+from piezoid.identification.extensions.periodic_error import PeriodicError, Phase
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import step_size
@@ -173,9 +173,18 @@ def inject(recording: Recording, share: float) -> Recording:
 
 
 def extend(estimate: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
-    """Return the model extension, starting from the estimate of the search."""
-    wavelength_m = 2.0 * setting.half_stroke_m / estimate.parameters["periods"]
-    return (PeriodicError(wavelength_m=wavelength_m, cosine_m=(0.0, 0.0), sine_m=(0.0, 0.0)),)
+    """Return the model extension, starting from the estimate of the search.
+
+    A counter is often set to zero before a recording: each but the first has its own phase.
+    """
+    return (
+        PeriodicError(
+            wavelength_m=2.0 * setting.half_stroke_m / estimate.parameters["periods"],
+            cosine_m=(0.0, 0.0),
+            sine_m=(0.0, 0.0),
+            phases=tuple(Phase(recording=r, angle=0.0) for r in setting.recordings[1:]),
+        ),
+    )
 
 
 EFFECT = Effect(

@@ -120,7 +120,7 @@ class Extension:
         """
         return None
 
-    def reading(self, position_m: Array) -> Array:
+    def reading(self, position_m: Array, where: Where) -> Array:  # noqa: ARG002
         """Return the reading of the sensor at a position."""
         return position_m
 

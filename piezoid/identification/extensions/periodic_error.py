@@ -1,25 +1,42 @@
 """Periodic sensor error over the displacement."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
 
-from piezoid.identification.extensions.extension import Extension, Free, free, within
+from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
 from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array
 
-LARGEST = 0.9 / (2.0 * np.pi)  # of a wavelength: beyond, a reading has several positions
+FARTHEST = 4.0 * np.pi  # rad: of a phase
+LIKELY = 1e-3  # weight of a phase's prior
+LARGEST = 1.3 / (2.0 * np.pi)  # of a wavelength: beyond, a reading has several positions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Phase:
+    """By how much a cyclic error is ahead in a recording, whose zero was set anew.
+
+    angle  rad, of the first order
+    """
+
+    recording: str
+    angle: float
+
+    def __post_init__(self) -> None:
+        within("phase", self.angle, -FARTHEST, FARTHEST)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PeriodicError(Extension):
     """A cyclic error of the sensor, of first and higher order.
 
-        y = x + sum_n a_n cos(2 pi n x / wavelength) + b_n sin(2 pi n x / wavelength)
+        y = x + sum_n a_n cos n t + b_n sin n t,    t = 2 pi x / wavelength + phase
 
     wavelength_m     m, > 0
     cosine_m, sine_m (orders,)  m                                     [Heydemann 1981]
+    phases           of recordings; 0 in others
     """
 
     kind: ClassVar[str] = "periodic_error"
@@ -27,6 +44,7 @@ class PeriodicError(Extension):
     wavelength_m: float
     cosine_m: tuple[float, ...]
     sine_m: tuple[float, ...]
+    phases: tuple[Phase, ...] = ()
 
     def __post_init__(self) -> None:
         within("wavelength_m", self.wavelength_m, 1e-12, 1.0)
@@ -40,9 +58,10 @@ class PeriodicError(Extension):
         """Return the amplitude of every order."""
         return np.hypot(self.cosine_m, self.sine_m)
 
-    def reading(self, position_m: Array) -> Array:
+    def reading(self, position_m: Array, where: Where) -> Array:
         """Return the reading of the sensor at a position."""
-        turn = 2.0 * np.pi / self.wavelength_m * position_m
+        angle = sum(phase.angle for phase in self.phases if phase.recording == where.recording)
+        turn = 2.0 * np.pi / self.wavelength_m * position_m + angle
         # The sum of a cos(n t) + b sin(n t) is the real part of that of (a - i b) exp(i t)^n.
         amplitude_m = np.array(self.cosine_m) - 1j * np.array(self.sine_m)
         wave = np.polyval([*amplitude_m[::-1], 0.0], np.exp(1j * turn))
@@ -53,17 +72,21 @@ class PeriodicError(Extension):
         return LoopEffect(reading_m=float(self.amplitude_m.sum()))
 
     def free(self) -> Free:
-        """Return wavelength and amplitudes with bounds; each amplitude is bounded by itself."""
-        value = (self.wavelength_m, *self.cosine_m, *self.sine_m)
+        """Return wavelength, amplitudes and phases; each amplitude is bounded by itself."""
+        angles = [phase.angle for phase in self.phases]
+        value = (self.wavelength_m, *self.cosine_m, *self.sine_m, *angles)
         bound = LARGEST * self.wavelength_m / np.tile(_orders(self.cosine_m), 2)
-        lower = (0.99 * self.wavelength_m, *-bound)
-        upper = (1.01 * self.wavelength_m, *bound)
-        steps = (1e-6 * self.wavelength_m, *[1e-5 * self.wavelength_m] * (len(value) - 1))
+        farthest = [FARTHEST] * len(angles)
+        lower = (0.99 * self.wavelength_m, *-bound, *np.negative(farthest))
+        upper = (1.01 * self.wavelength_m, *bound, *farthest)
+        small_m = [1e-5 * self.wavelength_m] * len(bound)
+        steps = (1e-6 * self.wavelength_m, *small_m, *[1e-5] * len(angles))
         return free(value, lower, upper, steps)
 
     def moved_to(self, value: Array) -> Self:
-        """Return another wavelength and other amplitudes, the steepest that it may be at most."""
-        wavelength_m, amplitudes_m = float(value[0]), value[1:].reshape(2, -1)
+        """Return other numbers, the steepest that the error may be at most."""
+        wavelength_m, last = float(value[0]), 1 + 2 * len(self.cosine_m)
+        amplitudes_m = value[1:last].reshape(2, -1)
         steepness_m = float(_orders(self.cosine_m) @ np.hypot(*amplitudes_m))
         allowed_m = (1.0 - 1e-12) * LARGEST * wavelength_m
         cosine_m, sine_m = amplitudes_m * min(1.0, allowed_m / max(steepness_m, 1e-300))
@@ -71,7 +94,16 @@ class PeriodicError(Extension):
             wavelength_m=wavelength_m,
             cosine_m=tuple(cosine_m.tolist()),
             sine_m=tuple(sine_m.tolist()),
+            phases=tuple(
+                replace(phase, angle=angle)
+                for phase, angle in zip(self.phases, value[last:].tolist(), strict=True)
+            ),
         )
+
+    def prior(self) -> Array:
+        """Return the phases, weakly: a recording within one period shows none."""
+        first = 1 + 2 * len(self.cosine_m)
+        return LIKELY * np.eye(first + len(self.phases))[first:]
 
 
 def _orders(amplitude_m: tuple[float, ...]) -> Array:

@@ -18,6 +18,7 @@ from piezoid.identification.extensions import (
     ThermalDrift,
 )
 from piezoid.identification.extensions.extension import Extension, Where
+from piezoid.identification.extensions.periodic_error import Phase
 
 RATE_Hz = 1000.0
 
@@ -55,5 +56,10 @@ def one_of_each() -> tuple[Extension, ...]:
         ),
         drift.moved_to(1e-8 * chance.standard_normal(len(drift.free().value))),
         mains.moved_to(1e-8 * chance.standard_normal(len(mains.free().value))),
-        PeriodicError(wavelength_m=6e-7, cosine_m=(2e-9, 5e-10), sine_m=(1e-9, 0.0)),
+        PeriodicError(
+            wavelength_m=6e-7,
+            cosine_m=(2e-9, 5e-10),
+            sine_m=(1e-9, 0.0),
+            phases=(Phase(recording="other.csv", angle=0.5),),
+        ),
     )

@@ -60,7 +60,7 @@ def test_no_extension_changes_its_input_and_each_acts_somewhere(extension: Exten
         or np.any(extension.irreversible(moved_m, RATE_Hz) != moved_m)
         or np.any(extension.response(moved_m, here) != moved_m)
         or np.any(extension.added(here) != 0.0)
-        or np.any(extension.reading(moved_m) != moved_m)
+        or np.any(extension.reading(moved_m, here) != moved_m)
     )
     assert felt
     np.testing.assert_array_equal(drive_V, before[0])

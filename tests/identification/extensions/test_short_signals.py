@@ -30,7 +30,7 @@ def test_an_extension_is_finite_and_of_the_length_of_its_signal(
         "drive": extension.drive(signal, RATE_Hz),
         "irreversible": extension.irreversible(moved, RATE_Hz),
         "response": extension.response(moved, piece),
-        "reading": extension.reading(moved),
+        "reading": extension.reading(moved, piece),
         "added": extension.added(piece) + np.zeros(len(signal)),
         "gain": extension.gain(piece) * np.ones(len(signal)),
     }
