@@ -161,10 +161,12 @@ def _next_state(state: SelectionState, executor: Executor) -> SelectionState | N
         return state.updated(clean=with_bouc_wen(state.clean, bent.nuisance.bouc_wen))
     if initial_states_explain(individual, view, min_rms):
         # not reused once effects are selected: these depend on the static response
-        return state.updated(
+        freed = state.updated(
             clean=with_free_memory(with_reversals(state.clean, individual.nuisance.reversals)),
             initial=None if state.selected else (shared, individual),
         )
+        if freed.view.rms < view.rms:  # effects fitted anew beside them may explain less
+            return freed
     if best is None:
         return _with_slips(state)
     return state.updated(selected=(*state.selected, best.selected))

@@ -141,7 +141,8 @@ def without_ringing(view: View, effects: Sequence[SelectedEffect]) -> View:
     A periodic drive puts its harmonics on a mode, and plays follow periodic ringing as if it were
     hysteresis. A mode of quality factor Q amplifies the ringing in that static response Q times,
     so that columns made from it lead away from the mode. The hysteresis is therefore taken from
-    slow recordings, or from a polynomial of the drive, which cannot ring, if there are none.
+    slow recordings, or from a polynomial of the drive, which cannot ring, if there are none or if
+    its modes explain more: what follows a few loops may be far off along other drives.
     """
     modes = [effect for effect in effects if effect.effect.may_be_absorbed]
     if not modes or view.guess is not None:
@@ -158,8 +159,12 @@ def without_ringing(view: View, effects: Sequence[SelectedEffect]) -> View:
         columns=columns[is_quiet], response=view.response[is_quiet], block=view.block[is_quiet]
     )
     weight = null.fit(null.response)[: view.nuisance.shared]
-    static = [view.nuisance.static(k, weight) for k in range(len(view.tracks))]
-    return replace(view, guess=tuple(static))
+    static = tuple(view.nuisance.static(k, weight) for k in range(len(view.tracks)))
+
+    def error(source: View) -> float:
+        return replace(view, selected=effect_columns(source, modes, source)).rms
+
+    return min(replace(view, guess=static), polynomial, key=error)
 
 
 def with_polynomial_response(view: View) -> View:
