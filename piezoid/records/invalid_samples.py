@@ -245,10 +245,11 @@ def _spikes(values: Array, invalid: Mask, noise: float, driven: Array, range_: f
     spikes = np.zeros(len(values), dtype=bool)
     bend = np.abs(np.diff(readings, 2, prepend=readings[0], append=readings[-1])) / 2.0
     for width in (1, 2):
-        mean = 0.5 * (readings[1 : -width - 2] + readings[2 + width : -1])
-        deviation = np.abs(readings[2 : -width - 1] - mean)
-        if width == 2:  # the second sample as well, from the same mean
-            deviation = np.minimum(deviation, np.abs(readings[3:-2] - mean))
+        left, right = readings[1 : -width - 2], readings[2 + width : -1]
+        step = (right - left) / (width + 1)  # from the straight line between the neighbours
+        deviation = np.abs(readings[2 : -width - 1] - left - step)
+        if width == 2:
+            deviation = np.minimum(deviation, np.abs(readings[3:-2] - left - 2.0 * step))
         starts = 2 + np.flatnonzero(deviation > limit)
         _, uncertainty = _deviations(readings, starts, starts + width)
         is_far = deviation[starts - 2] > MIN_SPIKE_DEVIATION * np.maximum(

@@ -9,6 +9,7 @@ from piezoid.diagnosis.refinement import initial_guess, refine
 from piezoid.diagnosis.refitted_view import SelectedEffect, without_ringing
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import score_test
+from piezoid.diagnosis.selection import search
 from piezoid.diagnosis.signals import mode
 from piezoid.numerics.arrays import Array
 from piezoid.records.lab import Lab
@@ -56,6 +57,30 @@ def test_a_sharp_mode_on_a_harmonic_of_the_drive_is_found_at_its_frequency_and_a
     assert one.parameters["frequency_Hz"] == pytest.approx(FREQUENCY_Hz, rel=0.005)
     assert one.parameters["quality"] == pytest.approx(QUALITY, rel=0.3)
     assert there.rms < 0.1 * view.rms
+
+
+def test_a_mode_is_refitted_where_a_few_loops_say_nothing_of_a_noisy_drive() -> None:
+    """The class that follows three loops is wild along the noise: it stood for the hysteresis."""
+    count, chance = np.arange(12_000), np.random.default_rng(3)
+    lines_Hz = np.arange(20.0, 400.0, 1.25)[:, None]
+    angles = 2 * np.pi * chance.random(lines_Hz.shape)
+    noisy = np.cos(2 * np.pi * lines_Hz * count / 10_000.0 + angles).sum(axis=0)
+    drives = {
+        ("loops", 1000.0): 0.9 * triangle(0.27 * count[:8000] / 1000.0),
+        ("middle", 4000.0): 0.95 * triangle(5.0 * count / 4000.0),
+        ("noise", 10_000.0): 0.1 * noisy / np.std(noisy),
+    }
+    recordings = []
+    for (name, rate_Hz), drive in drives.items():
+        static, _ = moved(drive, memory_after(cycled, float(drive[0])))
+        loops = static + 0.04 * np.sin(3.0 * static)  # a curve that plays follow along loops only
+        reading = mode(loops, FREQUENCY_Hz, QUALITY, rate_Hz) + NOISE * chance.normal(
+            size=len(drive)
+        )
+        recordings.append(recorded_as(name, rate_Hz, drive, HALF_STROKE_m * reading))
+    outcome = search(view_of_recordings(tuple(recordings), Lab()))
+    (mode_found,) = [cause for cause in outcome.causes if cause.effect.name == "resonance"]
+    assert mode_found.selected.parameters["frequency_Hz"] == pytest.approx(FREQUENCY_Hz, rel=0.01)
 
 
 def test_what_drives_a_mode_is_told_by_the_recordings_it_leaves_alone() -> None:

@@ -97,6 +97,12 @@ def test_rests_pulses_steps_and_ringing_are_no_losses() -> None:
         assert find_invalid_readings(reading, drive) == ()
 
 
+def test_a_mode_that_passes_its_middle_in_two_samples_loses_none() -> None:
+    time_s = np.arange(2000) / 10_000.0
+    reading = np.exp(-10.0 * time_s) * np.sin(2.0 * np.pi * 330.0 * time_s)
+    assert find_invalid_readings(reading, np.zeros(2000)) == ()
+
+
 def test_neighbours_that_are_equal_by_the_step_of_the_converter_are_kept(
     rng: np.random.Generator,
 ) -> None:
