@@ -63,6 +63,7 @@ from piezoid.records.recording import Recording, counted_in
 
 Progress = Callable[[str], None]
 AttributeErrors = Callable[[SearchResult], ModelErrors]
+WORSE = 1.1  # times the held-out error without the free curve
 
 
 def diagnose(
@@ -211,7 +212,8 @@ def _prefer_named_effects(
     """Prefer the named effects if they predict held-out data as well as the free curve.
 
     If the model is as good without the curve, the class of the search did not follow the
-    hysteresis and the model does, unless no healthy stage of any law leaves as much. Rows beyond
+    hysteresis and the model does, unless no healthy stage of any law leaves as much. A curve with
+    which the model is clearly worse is dropped even then. Rows beyond
     the end of a sensor's range are not in the search: there its error decides, which was a fifth
     of that with a limit of the amplifier on a Duhem stage whose model errors differ by 1 %.
     """
@@ -219,7 +221,9 @@ def _prefer_named_effects(
     without_structure, structure = result.without_structure, result.structure
     if without_structure is None or structure is None or structure.range_end is not None:
         return result, errors
-    if not structure.exceeds_healthy and errors.final_m >= errors.without_m[SOMETHING_ELSE]:
+    without_m = errors.without_m[SOMETHING_ELSE]
+    is_worse = errors.final_m > WORSE * without_m
+    if is_worse or (not structure.exceeds_healthy and errors.final_m >= without_m):
         return without_structure, attribute(without_structure)
     if _names_of(without_structure) - _names_of(result):
         named_errors = attribute(without_structure)

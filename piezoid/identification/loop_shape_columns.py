@@ -26,6 +26,7 @@ from piezoid.identification.loop_shape import (
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import starts_of, where_of, zero_of
+from piezoid.identification.step_rows import rows_after_steps
 from piezoid.numerics.arrays import Array, spread_rows
 from piezoid.numerics.family_ridge import FamilyRidge, Moments
 from piezoid.operators.play import thinned_drive, turns_of
@@ -45,7 +46,6 @@ ROWS = 20_000  # of all pieces together
 FOLDS = 5
 BLOCKS_OF_A_PIECE = 15
 COVERED = 0.97  # of the range of a piece: before, its initial state is unresolved
-JUMP = 0.03  # half ranges in one sample, four times the neighbouring steps: an isolated step
 JITTER = 1e-7  # of the mean diagonal: what is smaller is redundant
 FILTERED = 0.02  # of the motion, rms: less than this a delay may miss of the filters
 MANY_HISTORIES = 120  # columns of initial states of all pieces together
@@ -151,7 +151,8 @@ def pieces_of(axis: AxisModel, recordings: Sequence[Recording]) -> tuple[Piece, 
             where = where_of(recording, axis.axis, part)
             voltage_V = recording.voltage_V(axis.axis)[part]
             level = 2.0 * (voltage_V - low_V) / (high_V - low_V) - 1.0
-            unknown = np.concatenate([bridged - part.start, _after_jumps(level)])
+            after_steps = rows_after_steps(level, where.rate_Hz, axis.extensions, least=2)
+            unknown = np.concatenate([bridged - part.start, after_steps])
             rows = start.first + spread_rows(start.last - start.first, most)
             rows = np.setdiff1d(rows, unknown)
             pieces.append(
@@ -174,15 +175,6 @@ def with_drive_of(axis: AxisModel, pieces: Sequence[Piece]) -> tuple[Piece, ...]
         replace(piece, drive_V=axis.forward.driven_V(piece.voltage_V, piece.where.rate_Hz))
         for piece in pieces
     )
-
-
-def _after_jumps(level: Array) -> NDArray[np.intp]:
-    """Return the two samples after every isolated step: its instant within a sample is unknown."""
-    step = np.abs(np.diff(level))
-    padded = np.pad(step, 3)
-    neighbour = np.maximum(padded[:-6], padded[6:])
-    jumps = np.flatnonzero((step > JUMP) & (step > 4.0 * neighbour))
-    return np.concatenate([jumps + 1, jumps + 2])
 
 
 def _folds(level: Array, rows: NDArray[np.intp], number: int) -> NDArray[np.intp]:

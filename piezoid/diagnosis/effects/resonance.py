@@ -9,6 +9,8 @@ How it is detected
     share of at most the whole, a damping well below one and a frequency inside the band searched.
 What the extension adds
     One mode in parallel with the direct response; with a share of one, the mode carries all of it.
+    Where a recording has fewer than ten samples in a period of the mode, rows behind a step of the
+    drive count only after the ringing: its phase depends on the instant of the step.
 Source
     Devasia, Eleftheriou & Moheimani (2007); Fleming & Leang (2014)
 """

@@ -88,7 +88,7 @@ def fit_extended(
     """
     searches = []
     for start in (model, *further_starts):
-        parts = parts_of(start, recordings, samples)
+        parts = parts_of(start, recordings, samples, extensions)
         state = state_of(start, parts, extensions, structure)
         bounds = state.bounds(longest_lag_s([part.piece for part in parts]))
         minimum = minimise(

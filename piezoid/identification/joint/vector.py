@@ -29,6 +29,7 @@ from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import where_of
+from piezoid.identification.step_rows import rows_after_steps
 from piezoid.numerics.arrays import Array, Samples, spread_rows
 from piezoid.operators.dead_zone import LINEAR, from_slopes
 from piezoid.operators.play import play_columns
@@ -77,10 +78,12 @@ def parts_of(
     model: AxisModel,
     recordings: Sequence[Recording],
     samples: Sequence[Samples] | None = None,
+    extensions: Sequence[Extension] = (),
 ) -> list[Part]:
     """Cut recordings into parts, with the fitted starts of those that the model contains.
 
-    samples  that may be fitted, for each piece; None: thinned evenly
+    samples     that may be fitted, for each piece; None: thinned evenly
+    extensions  whose ringing no sample resolves is left out behind steps
     """
     pieces = pieces_of(recordings, model.axis, scales_from(model), model.rig)
     share = max(ROWS // len(pieces), 50)
@@ -101,7 +104,8 @@ def parts_of(
         else:
             sample = samples[number]
         sample = sample[(sample >= piece.first) & (sample < piece.last)]
-        sample = np.setdiff1d(sample, piece.lost)
+        ringing = rows_after_steps(piece.drive, piece.sampling_rate_Hz, extensions)
+        sample = np.setdiff1d(sample, np.concatenate([piece.lost, ringing]))
         # Blocks of several seconds; of the first every other quarter is never left out.
         duration_s = piece.rows / piece.sampling_rate_Hz
         blocks = int(np.clip(duration_s / BLOCK_s, *BLOCKS))
