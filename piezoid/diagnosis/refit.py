@@ -20,6 +20,7 @@ from piezoid.diagnosis.residual_structure import SearchResult, add_structure
 from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.selection import Outcome
 from piezoid.formatting import words
+from piezoid.identification.dynamics.fit_dynamics import resolved_modes
 from piezoid.identification.extensions import in_order
 from piezoid.identification.extensions.converter_hold import ConverterHold
 from piezoid.identification.extensions.creep_ladder import CreepLadder
@@ -139,20 +140,25 @@ def refit_model(
     declared = _declared_hold(lab)
     baseline = fit_extended(model, raw, declared, structure=STATIC)
     alternatives = (baseline.model,)
-    final = min(
+    known = tuple(in_order([*extensions, *_known_modes(model, extensions)]))
+    fits = [
         (
+            parts,
             fit_extended(
                 model,
                 recordings,
-                parts,
+                begun,
                 further_starts=alternatives,
                 structure=structure,
                 samples=rows,
-            )
-            for parts in _with_whole_modes(extensions)
-        ),
-        key=lambda fit: fit.held_out_rms_m,
-    )
+            ),
+        )
+        for parts, begun in (
+            *((extensions, begun) for begun in _with_whole_modes(extensions)),
+            *([] if known == extensions else [(known, known)]),
+        )
+    ]
+    extensions, final = min(fits, key=lambda fit: fit[1].held_out_rms_m)
     # A change between recordings leaves none of them with a gain on both sides of it.
     if any(e.effect == "gain_change" and e.parameters["place"] > 0.0 for e in estimates):
         final = _with_later_recordings(final, recordings, structure, rows)
@@ -217,6 +223,20 @@ def _with_effects(
         structure = _structure_of(structure, estimate, model, has_effect=True)
     parts = (part for of_effect in starts.values() for part in of_effect)
     return tuple(in_order([*_declared_hold(lab), *parts])), starts, structure
+
+
+def _known_modes(model: AxisModel, extensions: Sequence[Extension]) -> list[LinearMode]:
+    """Return the resolved modes of the dynamics, unless the search has found one."""
+    dynamics = model.dynamics
+    if dynamics is None or any(isinstance(e, LinearMode) for e in extensions):
+        return []
+    modes = resolved_modes(dynamics)
+    return [
+        LinearMode(frequency_Hz=float(frequency_Hz), quality=float(0.5 / damping))
+        for frequency_Hz, damping in zip(
+            dynamics.mode_frequency_Hz[modes], dynamics.mode_damping[modes], strict=True
+        )
+    ]
 
 
 def _with_whole_modes(extensions: tuple[Extension, ...]) -> list[tuple[Extension, ...]]:

@@ -8,7 +8,11 @@ import pytest
 
 from piezoid import diagnose, fit, read
 from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.refit import refit_model
+from piezoid.identification.extensions.linear_mode import LinearMode
+from piezoid.identification.hysteresis.pieces import scales_of
 from piezoid.operators.linear import resonance, sample
+from piezoid.records.lab import Lab
 from tests.records.responses import response, write_csv
 
 from .bench import causes
@@ -46,6 +50,24 @@ def found() -> tuple[Diagnosis, float]:
         recordings.append(recorded_as(name, rate_Hz, drive, read_m))
         added_m = HALF_STROKE_m * float(np.sqrt(np.mean((rung - still) ** 2)))
     return diagnose(recordings, model=fit(recordings)), added_m
+
+
+def test_the_model_of_the_other_recordings_rings_with_the_mode() -> None:
+    """The fast triangle rings too little to tell the mode, and more than its noise."""
+    count, chance, recordings = np.arange(5000), np.random.default_rng(2), []
+    fast = 0.8 * 2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * 8.0 * count / 5000.0))
+    for (name, rate_Hz), drive in {**drives(), ("fast", 5000.0): fast}.items():
+        still, _ = moved(drive, memory_after(cycled, float(drive[0])))
+        mode = sample(resonance(MODE_Hz, 0.5 / QUALITY), rate_Hz)
+        rung = still[0] + mode.run(still - still[0])[0]
+        read_m = HALF_STROKE_m * (rung + NOISE * chance.normal(size=len(drive)))
+        recordings.append(recorded_as(name, rate_Hz, drive, read_m))
+    axis, calm = fit(recordings).axes["x"], [r for r in recordings if r.name != "multisine"]
+    scales = scales_of(calm, "x")
+    model = refit_model(calm, (), model=axis, lab=Lab(), scales=scales, raw=calm).model
+    (mode_of_model,) = [e for e in model.extensions if isinstance(e, LinearMode)]
+    assert mode_of_model.frequency_Hz == pytest.approx(MODE_Hz, rel=0.01)
+    assert model.quality.explained_rms_m < 4.0 * NOISE * HALF_STROKE_m
 
 
 def test_the_mode_is_named_once_with_its_frequency_and_how_sharp_it_is() -> None:
