@@ -89,6 +89,7 @@ def with_budget(
     diagnosis: Diagnosis,
     errors: RemainingErrors,
     other_recordings: Mapping[str, str] = MappingProxyType({}),
+    gains: Mapping[str, float] = MappingProxyType({}),
 ) -> Diagnosis:
     """Return a diagnosis with its error budget, and with the largest remaining part named.
 
@@ -97,6 +98,8 @@ def with_budget(
         errors: of that model in sample, and of the widest class of hysteresis.
         other_recordings: findings whose errors belong to other recordings than the baseline, by
             name, with the reason; their part of this budget is 0.
+        gains: fall of the squared error by findings that were measured on other recordings and
+            are part of the model, by name.
     """
     final = FinalError(
         rms_m=diagnosis.final.rms_m,
@@ -128,7 +131,7 @@ def with_budget(
     diagnosis, remaining = _with_something_else(diagnosis, errors, remaining)
     together = total - final_power - sum(in_sequence.values())
     parts = [
-        *_effect_parts(diagnosis, together, in_sequence, remaining, other_recordings),
+        *_effect_parts(diagnosis, together, in_sequence, remaining, other_recordings, gains),
         *(_remaining_part(name, power, diagnosis, errors) for name, power in remaining.items()),
         BudgetPart(part="noise", rms_m=sqrt(noise), is_explained=False, text="Sensor noise."),
     ]
@@ -204,6 +207,7 @@ def _effect_parts(
     in_sequence: Mapping[str, float],
     remaining: Mapping[str, float],
     other_recordings: Mapping[str, str],
+    gains: Mapping[str, float],
 ) -> list[BudgetPart]:
     """Divide the gain of the model among the findings, without loop shape outside the model.
 
@@ -217,7 +221,7 @@ def _effect_parts(
         )
         for finding in diagnosis.findings
         if finding.effect not in {*other_recordings, *in_sequence, *remaining}
-    }
+    } | dict(gains)
     total_rise = sum(rises.values())
     if total_rise == 0.0 and power > 0.0:
         # the model's lag, which is no finding if it cannot be separated from a width of the loop

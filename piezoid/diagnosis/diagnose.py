@@ -320,9 +320,13 @@ def _assembled(
     gain_m_per_V = scales.displacement_m / scales.voltage_V
     diagnosis = with_creep_of_holds(diagnosis, recorded_of(recordings, axis), gain_m_per_V)
     diagnosis = with_modes(diagnosis, start, selection.mode_recordings, outcome.final)
-    effects_of_other_recordings = {
-        finding.effect for finding in diagnosis.findings
-    } - searched_names
+    final_power = errors.final_m**2
+    gains = {
+        name: max(errors.without_m[name] ** 2 - final_power, 0.0)
+        for name in sorted({*diagnosis.names} - searched_names)
+        if name in errors.without_m
+    }
+    effects_of_other_recordings = {*diagnosis.names} - searched_names - {*gains}
     note = "{}: its error is not part of the baseline's."
     return with_budget(
         diagnosis,
@@ -331,6 +335,7 @@ def _assembled(
             name: note.format(words(name).capitalize())
             for name in sorted(effects_of_other_recordings)
         },
+        gains,
     )
 
 

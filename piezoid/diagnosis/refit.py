@@ -16,6 +16,7 @@ from piezoid.diagnosis.budget import relative_scatter
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE
 from piezoid.diagnosis.effect import EffectEstimate, scaling_of
 from piezoid.diagnosis.effects import effect_named
+from piezoid.diagnosis.identified_modes import NAME as RESONANCE
 from piezoid.diagnosis.residual_structure import SearchResult, add_structure
 from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.selection import Outcome
@@ -50,7 +51,8 @@ class ModelErrors:
     baseline_m  of the static model on the recordings as they came, without every effect: with an
                 initial state of its own unless that is one of them
     final_m     with every effect, faults repaired
-    without_m   with every effect but one, by its name
+    without_m   with every effect but one, by its name; also without the modes of the dynamics, if
+                these ring in the recordings
     scatter     relative standard error of the mean square of the final error
     model       that ships: with the fitted lag where no lag or delay was found; unchanged where
                 its class does not apply
@@ -158,7 +160,7 @@ def refit_model(
             *([] if known == extensions else [(known, known)]),
         )
     ]
-    extensions, final = min(fits, key=lambda fit: fit[1].held_out_rms_m)
+    chosen, final = min(fits, key=lambda fit: fit[1].held_out_rms_m)
     # A change between recordings leaves none of them with a gain on both sides of it.
     if any(e.effect == "gain_change" and e.parameters["place"] > 0.0 for e in estimates):
         final = _with_later_recordings(final, recordings, structure, rows)
@@ -171,12 +173,15 @@ def refit_model(
     if plain != STATIC:
         baseline = refit(raw, declared, structure=plain)
     without = {}
+    if chosen != extensions:
+        others = [fit for parts, fit in fits if parts == extensions]
+        without[RESONANCE] = min(others, key=lambda fit: fit.held_out_rms_m)
     for estimate in estimates:
         progress(f"refitting without {words(estimate.effect)}")
         removed = starts.get(estimate.effect, ())
         remaining = [
             extension
-            for start, extension in zip(extensions, fitted, strict=True)
+            for start, extension in zip(chosen, fitted, strict=True)
             if not any(start is part for part in removed)
         ]
         reduced = _structure_of(structure, estimate, model, has_effect=False)

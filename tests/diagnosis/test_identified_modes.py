@@ -64,10 +64,11 @@ def test_the_model_of_the_other_recordings_rings_with_the_mode() -> None:
         recordings.append(recorded_as(name, rate_Hz, drive, read_m))
     axis, calm = fit(recordings).axes["x"], [r for r in recordings if r.name != "multisine"]
     scales = scales_of(calm, "x")
-    model = refit_model(calm, (), model=axis, lab=Lab(), scales=scales, raw=calm).model
-    (mode_of_model,) = [e for e in model.extensions if isinstance(e, LinearMode)]
+    errors = refit_model(calm, (), model=axis, lab=Lab(), scales=scales, raw=calm)
+    (mode_of_model,) = [e for e in errors.model.extensions if isinstance(e, LinearMode)]
+    assert errors.final_m < 0.5 * errors.without_m["resonance"]
     assert mode_of_model.frequency_Hz == pytest.approx(MODE_Hz, rel=0.01)
-    assert model.quality.explained_rms_m < 4.0 * NOISE * HALF_STROKE_m
+    assert errors.final_m < 4.0 * NOISE * HALF_STROKE_m
 
 
 def test_the_mode_is_named_once_with_its_frequency_and_how_sharp_it_is() -> None:
