@@ -11,7 +11,7 @@ from piezoid.numerics.arrays import Array
 
 FARTHEST = 4.0 * np.pi  # rad: of a phase
 LIKELY = 1e-3  # weight of a phase's prior
-LARGEST = 1.3 / (2.0 * np.pi)  # of a wavelength: beyond, a reading has several positions
+LARGEST = 1.3 / (2.0 * np.pi)  # of a wavelength: above 1 / 2 pi a reading has several positions
 
 
 @dataclass(frozen=True, kw_only=True)
