@@ -28,7 +28,7 @@ from piezoid.diagnosis.findings import findings_of, held_out
 from piezoid.diagnosis.forward_selection import SLIP
 from piezoid.diagnosis.identified_modes import split_known_modes, with_modes
 from piezoid.diagnosis.ingest_faults import with_ingested
-from piezoid.diagnosis.refit import ModelErrors, attribute_errors, repair_recordings
+from piezoid.diagnosis.refit import CLEARLY_WORSE, ModelErrors, attribute_errors, repair_recordings
 from piezoid.diagnosis.residual_structure import (
     SearchResult,
     add_structure,
@@ -63,7 +63,6 @@ from piezoid.records.recording import Recording, counted_in
 
 Progress = Callable[[str], None]
 AttributeErrors = Callable[[SearchResult], ModelErrors]
-WORSE = 1.1  # times the held-out error without the free curve
 
 
 def diagnose(
@@ -213,16 +212,16 @@ def _prefer_named_effects(
 
     If the model is as good without the curve, the class of the search did not follow the
     hysteresis and the model does, unless no healthy stage of any law leaves as much. A curve with
-    which the model is clearly worse is dropped even then. Rows beyond
-    the end of a sensor's range are not in the search: there its error decides, which was a fifth
-    of that with a limit of the amplifier on a Duhem stage whose model errors differ by 1 %.
+    which the model is clearly worse is dropped even then. Rows beyond the end of a sensor's range
+    are not in the search: there its error decides, which was a fifth of that with a limit of the
+    amplifier on a Duhem stage whose model errors differ by 1 %.
     """
     errors = attribute(result)
     without_structure, structure = result.without_structure, result.structure
     if without_structure is None or structure is None or structure.range_end is not None:
         return result, errors
     without_m = errors.without_m[SOMETHING_ELSE]
-    is_worse = errors.final_m > WORSE * without_m
+    is_worse = errors.final_m > CLEARLY_WORSE * without_m
     if is_worse or (not structure.exceeds_healthy and errors.final_m >= without_m):
         return without_structure, attribute(without_structure)
     if _names_of(without_structure) - _names_of(result):

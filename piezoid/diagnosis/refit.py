@@ -6,7 +6,7 @@ baseline is the static model with the declared rig and without every effect. A f
 repaired in the recordings themselves, as it was in the search.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -39,6 +39,7 @@ from piezoid.numerics.arrays import Samples
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 
+CLEARLY_WORSE = 1.1  # times the held-out error of the model without a part
 FREE_RUNGS = 0.85  # of the error: largest error with free shares of a creep ladder
 SMALL_LAG = 0.1  # of the lag of the model: start value beside a mode that the lag had represented
 STATIC = Structure(lag=False)
@@ -140,48 +141,43 @@ def refit_model(
     extensions, starts, structure = _with_effects(model, recordings, estimates, lab, scales)
     progress("refitting the simulation")
     declared = _declared_hold(lab)
-    baseline = fit_extended(model, raw, declared, structure=STATIC)
+    modes = _known_modes(model, extensions)
+    ringing = [e for e in (*extensions, *modes) if isinstance(e, LinearMode)]
+    baseline = fit_extended(model, raw, declared, structure=STATIC, ringing=ringing)
     alternatives = (baseline.model,)
-    known = tuple(in_order([*extensions, *_known_modes(model, extensions)]))
-    fits = [
-        (
-            parts,
-            fit_extended(
-                model,
-                recordings,
-                begun,
-                further_starts=alternatives,
-                structure=structure,
-                samples=rows,
-            ),
-        )
-        for parts, begun in (
-            *((extensions, begun) for begun in _with_whole_modes(extensions)),
-            *([] if known == extensions else [(known, known)]),
-        )
-    ]
-    chosen, final = min(fits, key=lambda fit: fit[1].held_out_rms_m)
+    fit = partial(
+        fit_extended,
+        model,
+        recordings,
+        further_starts=alternatives,
+        structure=structure,
+        samples=rows,
+        ringing=ringing,
+    )
+    without = {}
+    final = _best(fit(parts) for parts in _with_whole_modes(extensions))
+    if modes:
+        with_modes = in_order([*extensions, *modes])
+        ringing_fit = fit(with_modes)
+        if ringing_fit.held_out_rms_m < CLEARLY_WORSE * final.held_out_rms_m:
+            without[RESONANCE], final, extensions = final, ringing_fit, with_modes
     # A change between recordings leaves none of them with a gain on both sides of it.
     if any(e.effect == "gain_change" and e.parameters["place"] > 0.0 for e in estimates):
         final = _with_later_recordings(final, recordings, structure, rows)
     final = _with_free_rungs(final, recordings, structure, rows)
     fitted = final.model.extensions
-    refit = partial(fit_extended, final.model, further_starts=alternatives)
+    refit = partial(fit_extended, final.model, further_starts=alternatives, ringing=ringing)
     plain = STATIC
     for estimate in estimates:  # a part of the static model that was found is none of the baseline
         plain = _structure_of(plain, estimate, model, has_effect=False)
     if plain != STATIC:
         baseline = refit(raw, declared, structure=plain)
-    without = {}
-    if chosen != extensions:
-        others = [fit for parts, fit in fits if parts == extensions]
-        without[RESONANCE] = min(others, key=lambda fit: fit.held_out_rms_m)
     for estimate in estimates:
         progress(f"refitting without {words(estimate.effect)}")
         removed = starts.get(estimate.effect, ())
         remaining = [
             extension
-            for start, extension in zip(chosen, fitted, strict=True)
+            for start, extension in zip(extensions, fitted, strict=True)
             if not any(start is part for part in removed)
         ]
         reduced = _structure_of(structure, estimate, model, has_effect=False)
@@ -242,6 +238,10 @@ def _known_modes(model: AxisModel, extensions: Sequence[Extension]) -> list[Line
             dynamics.mode_frequency_Hz[modes], dynamics.mode_damping[modes], strict=True
         )
     ]
+
+
+def _best(fits: Iterable[Extended]) -> Extended:
+    return min(fits, key=lambda fit: fit.held_out_rms_m)
 
 
 def _with_whole_modes(extensions: tuple[Extension, ...]) -> list[tuple[Extension, ...]]:

@@ -100,9 +100,9 @@ class _Path:
         plays     (columns,)  as in ``Columns``
         returned  (rows, columns)  unscaled, what the plays have beyond the class at the end
         """
-        used = np.flatnonzero(np.abs(weight) > MIN_WEIGHT)
-        mixture = np.concatenate([[-weight[used].sum()], weight[used]])
-        states = [self.states[k] for k in (0, *(used + 1))]
+        histories = np.flatnonzero(np.abs(weight) > MIN_WEIGHT)
+        mixture = np.concatenate([[-weight[histories].sum()], weight[histories]])
+        states = [self.states[k] for k in (0, *(histories + 1))]
         of_class = np.hstack(list(mixed_columns(self.drive, states, mixture).values()))
         plays_m = (self.plays_m[:, 1:] - self.plays_m[:, :1]) @ weight
         beyond = plays_m / half_range_m - of_class @ plays[:-1]

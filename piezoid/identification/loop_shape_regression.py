@@ -239,33 +239,33 @@ def with_sensor_numbers(estimate: Estimate, pieces: Sequence[Piece], columns: Co
     axis = estimate.model
     if not any(_is_sensor(extension) for extension in axis.extensions):
         return estimate
-    positions_m, readings_m, uses = [], [], np.split(estimate.use, np.cumsum(estimate.rows)[:-1])
+    positions_m, readings_m, masks = [], [], np.split(estimate.use, np.cumsum(estimate.rows)[:-1])
     for k, piece in enumerate(pieces):
         zero_m = zero_of(replace(piece.start, zero_m=estimate.zeros[k]), piece.where.samples)
         static_m, _ = _static_m(estimate, k, piece, columns)
-        rows = piece.rows[uses[k]]
+        rows = piece.rows[masks[k]]
         positions_m.append(axis.forward.position(static_m, piece.where, zero_m)[rows])
         readings_m.append(piece.measured_m[rows])
-    places, reading_m = [piece.where for piece in pieces], np.concatenate(readings_m)
+    locations, reading_m = [piece.where for piece in pieces], np.concatenate(readings_m)
     extensions, shift = list(axis.extensions), estimate.shift
     for number, extension in enumerate(axis.extensions):
         if _is_sensor(extension):
-            sensor, change = _fitted_sensor(extension, positions_m, places, reading_m)
-            positions_m = list(map(sensor.reading, positions_m, places))
+            sensor, change = _fitted_sensor(extension, positions_m, locations, reading_m)
+            positions_m = list(map(sensor.reading, positions_m, locations))
             extensions[number] = sensor
             shift = max(shift, change)
     return replace(estimate, model=replace(axis, extensions=tuple(extensions)), shift=shift)
 
 
 def _fitted_sensor(
-    sensor: Extension, positions_m: Sequence[Array], places: Sequence[Where], reading_m: Array
+    sensor: Extension, positions_m: Sequence[Array], locations: Sequence[Where], reading_m: Array
 ) -> tuple[Extension, float]:
     """Return a sensor's error fitted to readings, and its change relative to the residual."""
     numbers, scale_m = sensor.free(), float(np.std(reading_m))
 
     def error(steps: Array) -> Array:
         moved = sensor.moved_to(steps * numbers.step)
-        simulated_m = np.concatenate(list(map(moved.reading, positions_m, places)))
+        simulated_m = np.concatenate(list(map(moved.reading, positions_m, locations)))
         return np.asarray((simulated_m - reading_m) / scale_m)
 
     first = numbers.value / numbers.step

@@ -10,9 +10,7 @@ from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.numerics.arrays import Array, Samples
 
 JUMP = 0.03  # half ranges in one sample, four times the neighbouring steps: an isolated step
-RESOLVED = (
-    0.1  # of the sampling rate: the instant turns the ringing of a faster mode by half a turn
-)
+RESOLVED = 0.1  # of the sampling rate: the instant of a step turns the ringing by 36 degrees
 DECAYS = 8.0  # time constants of the ringing: 3e-4 of it are left
 
 

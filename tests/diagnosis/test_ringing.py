@@ -79,8 +79,8 @@ def test_a_mode_is_refitted_where_a_few_loops_say_nothing_of_a_noisy_drive() -> 
         )
         recordings.append(recorded_as(name, rate_Hz, drive, HALF_STROKE_m * reading))
     outcome = search(view_of_recordings(tuple(recordings), Lab()))
-    (mode_found,) = [cause for cause in outcome.causes if cause.effect.name == "resonance"]
-    assert mode_found.selected.parameters["frequency_Hz"] == pytest.approx(FREQUENCY_Hz, rel=0.01)
+    (cause,) = [c for c in outcome.causes if c.effect.name == "resonance"]
+    assert cause.selected.parameters["frequency_Hz"] == pytest.approx(FREQUENCY_Hz, rel=0.01)
 
 
 def test_what_drives_a_mode_is_told_by_the_recordings_it_leaves_alone() -> None:

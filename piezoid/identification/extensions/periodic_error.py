@@ -10,13 +10,13 @@ from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array
 
 FARTHEST = 4.0 * np.pi  # rad: of a phase
-LIKELY = 1e-3  # weight of a phase's prior
+PHASE_WEIGHT = 1e-3  # of the prior, per rad
 LARGEST = 1.3 / (2.0 * np.pi)  # of a wavelength: above 1 / 2 pi a reading has several positions
 
 
 @dataclass(frozen=True, kw_only=True)
 class Phase:
-    """By how much a cyclic error is ahead in a recording, whose zero was set anew.
+    """Phase of a cyclic error in one recording: a counter may be set to zero before it.
 
     angle  rad, of the first order
     """
@@ -103,7 +103,7 @@ class PeriodicError(Extension):
     def prior(self) -> Array:
         """Return the phases, weakly: a recording within one period shows none."""
         first = 1 + 2 * len(self.cosine_m)
-        return LIKELY * np.eye(first + len(self.phases))[first:]
+        return PHASE_WEIGHT * np.eye(first + len(self.phases))[first:]
 
 
 def _orders(amplitude_m: tuple[float, ...]) -> Array:

@@ -66,6 +66,7 @@ def fit_extended(
     further_starts: Sequence[AxisModel] = (),
     structure: Structure = WHOLE,
     samples: Sequence[Samples] | None = None,
+    ringing: Sequence[Extension] = (),
     steps: int = STEPS,
 ) -> Extended:
     """Refit weights, thresholds, memory and zero of an axis together with extensions.
@@ -79,6 +80,8 @@ def fit_extended(
                     the closest fit is returned and cross-validated
     structure       parts of the hysteresis that may be used
     samples         samples that may be fitted, for each piece; None: all, thinned evenly
+    ringing         further modes whose unresolved ringing is left out, as that of ``extensions``:
+                    errors of several fits compare over the same samples only
 
     Every piece has one constant zero; slow motion belongs to ``ThermalDrift``. The held-out error
     is that of blocks of several seconds to which neither hysteresis nor extensions nor the zero,
@@ -88,7 +91,7 @@ def fit_extended(
     """
     searches = []
     for start in (model, *further_starts):
-        parts = parts_of(start, recordings, samples, extensions)
+        parts = parts_of(start, recordings, samples, (*extensions, *ringing))
         state = state_of(start, parts, extensions, structure)
         bounds = state.bounds(longest_lag_s([part.piece for part in parts]))
         minimum = minimise(
