@@ -33,7 +33,7 @@ from piezoid.diagnosis.residual_view import (
 )
 from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.segments import Track
-from piezoid.diagnosis.step_responses import modes_behind_jumps
+from piezoid.diagnosis.step_responses import modes_behind_jumps, without_unresolved_ringing
 from piezoid.formatting import words
 from piezoid.numerics.executor import Executor
 
@@ -101,6 +101,7 @@ def select_forward(
     """
     executor.report("looking for modes after steps of the drive")
     selected = modes_behind_jumps(clean)
+    clean = without_unresolved_ringing(clean, selected)
     state = SelectionState(
         clean=clean,
         selected=selected,
@@ -169,7 +170,8 @@ def _next_state(state: SelectionState, executor: Executor) -> SelectionState | N
             return freed
     if best is None:
         return _with_slips(state)
-    return state.updated(selected=(*state.selected, best.selected))
+    clean = without_unresolved_ringing(state.clean, [best.selected])
+    return state.updated(clean=clean, selected=(*state.selected, best.selected))
 
 
 def initial_states_explain(individual: View, view: View, min_rms: float) -> bool:

@@ -23,6 +23,8 @@ from piezoid.diagnosis.refitted_view import SelectedEffect
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.segments import BLOCKS, Track
+from piezoid.identification.extensions.linear_mode import LinearMode
+from piezoid.identification.step_rows import rows_after_steps
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
 
@@ -117,6 +119,24 @@ def behind_jumps(view: View) -> View | None:
     trend = Trend(histories=tuple(histories))
     static = tuple(view.static[k] for k in tracks_with_jumps)
     return replace(with_tracks(replace(view, nuisance=trend), tracks), guess=static)
+
+
+def without_unresolved_ringing(view: View, selected: Sequence[SelectedEffect]) -> View:
+    """Return the view without rows behind steps where a mode rings that no sample resolves."""
+    numbers = [effect.parameters for effect in selected if effect.effect.may_be_absorbed]
+    modes = [LinearMode(frequency_Hz=p["frequency_Hz"], quality=p["quality"]) for p in numbers]
+    tracks = [_resolved(track, modes) for track in view.tracks]
+    if all(len(new.rows) == len(old.rows) for new, old in zip(tracks, view.tracks, strict=True)):
+        return view
+    return with_tracks(view, tracks)
+
+
+def _resolved(track: Track, modes: Sequence[LinearMode]) -> Track:
+    kept = ~np.isin(track.rows, rows_after_steps(track.command, track.rate_Hz, modes))
+    if kept.all() or not kept.any():
+        return track
+    block = np.unique(track.block[kept], return_inverse=True)[1]
+    return replace(track, rows=track.rows[kept], block=block)
 
 
 def _stretches(drive: Array) -> list[Stretch]:

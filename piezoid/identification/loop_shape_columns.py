@@ -47,7 +47,6 @@ FOLDS = 5
 BLOCKS_OF_A_PIECE = 15
 COVERED = 0.97  # of the range of a piece: before, its initial state is unresolved
 JITTER = 1e-7  # of the mean diagonal: what is smaller is redundant
-FILTERED = 0.02  # of the motion, rms: less than this a delay may miss of the filters
 MANY_HISTORIES = 120  # columns of initial states of all pieces together
 TURNS, STEP = 150, 0.02  # of the reference drive, half ranges
 PLAYS = "plays"  # family of what the plays have beyond their approximation by the class
@@ -77,16 +76,18 @@ class Piece:
 class _Path:
     """A drive at the rows that may remember its initial state, with its states after histories.
 
-    place     (rows,)  in samples, as late as the filters make the rows
+    place     (rows,)  in samples, as late as the filters make the rows where they only delay
     drive     (rows,)  scaled
     plays_m   (rows, 1 + histories)  response of the plays: of the fitted memory, of each history
     states    of the wide class, likewise
+    is_late_only  whether the filters only delay
     """
 
     place: Array
     drive: Array
     plays_m: Array
     states: tuple[States, ...]
+    is_late_only: bool
 
     def changes_m(self, shape: LoopShape) -> Array:
         """Return by how much every history changes the response, (rows, histories)."""
@@ -108,11 +109,23 @@ class _Path:
         beyond = plays_m / half_range_m - of_class @ plays[:-1]
         return np.column_stack([of_class, beyond])
 
-    def interpolated_m(self, change_m: Array, samples: int) -> Array:
-        """Return a change at all samples of the piece: linear between rows, 0 after the last."""
+    def interpolated(self, change: Array, samples: int) -> Array:
+        """Return changes at all samples of the piece: linear between rows, 0 after the last."""
         if not len(self.place):
-            return np.zeros(samples)
-        return np.interp(np.arange(samples), self.place, change_m, right=0.0)
+            return np.zeros((samples, change.shape[1]))
+        every = np.arange(samples)
+        columns = [np.interp(every, self.place, column, right=0.0) for column in change.T]
+        return np.stack(columns, axis=1)
+
+    def behind_filters(self, change: Array, axis: AxisModel, piece: Piece) -> Array:
+        """Return changes of the response as they arrive at the sensor, (rows of the piece, n)."""
+        if self.is_late_only:
+            after = np.zeros((len(piece.rows) - len(change), change.shape[1]))
+            arrived = np.concatenate([change, after])
+        else:
+            everywhere = self.interpolated(change, piece.where.samples)
+            arrived = axis.forward.behind(everywhere, piece.where, instant=True)[piece.rows]
+        return np.asarray(arrived * gain_of(axis, piece))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -207,8 +220,9 @@ def columns_of(axis: AxisModel, pieces: Sequence[Piece]) -> Columns:
         drive_V, places = _path(piece.drive_V, piece.rows, late)
         history = history_of(axis.hysteresis, piece.start.memory_V, shape)
         delayed_m = axis.invertible_m(drive_V, piece.start.memory_V, piece.where.rate_Hz)[places]
-        is_late_only = np.std(moved_m - axis.polarity * delayed_m) < FILTERED * np.std(moved_m)
-        if is_late_only or forward.is_memoryless:
+        filtered_m = moved_m - axis.polarity * delayed_m
+        is_late_only = forward.is_memoryless or bool(np.std(filtered_m) < axis.quality.noise_rms_m)
+        if is_late_only:
             table = _delayed_columns(shape.scaled(piece.drive_V), piece.rows, late, history)
         else:
             everywhere = np.arange(int(piece.rows[-1]) + 1)
@@ -217,14 +231,14 @@ def columns_of(axis: AxisModel, pieces: Sequence[Piece]) -> Columns:
                 name: forward.behind(x, piece.where, instant=True)[piece.rows]
                 for name, x in unfiltered.items()
             }
+            drive_V, places = _path(piece.drive_V, piece.rows, 0.0)
         plays_m = forward.behind(static_m, piece.where, instant=True)[piece.rows]
         of_class = np.hstack(list(table.values())) @ plays[:-1]
         table[PLAYS] = (plays_m / (0.5 * axis.quality.range_m) - of_class)[:, None]
         tables.append({name: x * gain_of(axis, piece) for name, x in table.items()})
-        late_rows = np.maximum(piece.rows - late, 0.0)
-        paths.append(
-            _remembering_path(axis, shape, drive_V, places, late_rows, piece.start, number)
-        )
+        place = np.maximum(piece.rows - late, 0.0) if is_late_only else piece.rows.astype(float)
+        path = _remembering_path(axis, shape, drive_V, places, place, piece.start, number)
+        paths.append(replace(path, is_late_only=is_late_only))
     family = tuple(name for name, x in tables[0].items() for _ in range(x.shape[1]))
     x = np.concatenate([np.hstack(list(table.values())) for table in tables])
     scale, change = _without_redundancy([x, reference], np.array(family))
@@ -355,15 +369,15 @@ def _remembering_path(
     shape: LoopShape,
     drive_V: Array,
     places: NDArray[np.intp],
-    late_rows: Array,
+    place: Array,
     start: PieceStart,
     number: int,
 ) -> _Path:
     """Follow histories for as long as they show.
 
-    drive_V    (samples,)  V, at its turns and ``late_rows``
+    drive_V    (samples,)  V, at its turns and rows
     places     (rows,)     of the rows in it
-    late_rows  (rows,)     in samples of the piece
+    place      (rows,)     in samples of the piece
     """
     drive_V = drive_V[: remembered(shape.scaled(drive_V))]
     places = places[places < len(drive_V)]
@@ -374,10 +388,11 @@ def _remembering_path(
     plays_m = [axis.invertible_m(drive_V, memory_V, 1.0)[places] for memory_V, _ in memories]
     states = [_states(drive, places, history)[1] for _, history in memories]
     return _Path(
-        place=late_rows[: len(places)],
+        place=place[: len(places)],
         drive=drive[places],
         plays_m=np.stack(plays_m, axis=1),
         states=tuple(states),
+        is_late_only=True,
     )
 
 

@@ -19,7 +19,6 @@ from piezoid.identification.loop_shape_columns import (
     NEVER,
     Columns,
     Piece,
-    gain_of,
     no_loop_shape,
 )
 from piezoid.identification.model import AxisModel
@@ -169,11 +168,12 @@ def regression_of(
         zeros[rows[k] : rows[k + 1], knots[k] : knots[k + 1]] = _zero_columns(piece, start)
         static_m, history_m = _static_m(estimate, k, piece, columns)
         if not is_first:
-            changes_m = columns.paths[k].changes_m(shape)
-            histories[k][rows[k] : rows[k] + len(changes_m)] = changes_m / abs(scale_m)
+            path, here = columns.paths[k], slice(rows[k], rows[k + 1])
+            histories[k][here] = path.behind_filters(path.changes_m(shape), axis, piece) / abs(
+                scale_m
+            )
             if not has_numbers:
-                change = _history_columns(estimate, k, piece, columns)
-                x[rows[k] : rows[k] + len(change)] += change
+                x[here] += _history_columns(estimate, k, piece, columns)
         read_m = _read_m(axis, piece, start, static_m)
         error_m.append(piece.measured_m[piece.rows] - read_m)
         sensor_slope.append(_sensor_slope(axis, piece, start, static_m))
@@ -217,17 +217,17 @@ def _static_m(estimate: Estimate, k: int, piece: Piece, columns: Columns) -> tup
     axis, weight, history_m = estimate.model, estimate.weights[k], np.zeros(piece.where.samples)
     if axis.loop_shape is not None and np.any(weight):
         path = columns.paths[k]
-        change_m = path.changes_m(axis.loop_shape) @ weight
-        history_m = path.interpolated_m(change_m, piece.where.samples)
+        change_m = path.changes_m(axis.loop_shape) @ weight[:, None]
+        history_m = path.interpolated(change_m, piece.where.samples)[:, 0]
     static_m = axis.static_m(piece.drive_V, piece.start.memory_V, piece.where.rate_Hz)
     return history_m + static_m, history_m
 
 
 def _history_columns(estimate: Estimate, k: int, piece: Piece, columns: Columns) -> Array:
-    """Return the change of the class's columns by weighted histories, (first rows, columns)."""
-    scale_m, gain = abs(half_range_m(estimate.model)), gain_of(estimate.model, piece)
-    change = columns.paths[k].column_changes(estimate.weights[k], columns.plays, scale_m)
-    return change * (gain if isinstance(gain, float) else gain[: len(change)]) / columns.scale
+    """Return the change of the class's columns by weighted histories, (rows, columns)."""
+    path, scale_m = columns.paths[k], abs(half_range_m(estimate.model))
+    change = path.column_changes(estimate.weights[k], columns.plays, scale_m)
+    return path.behind_filters(change, estimate.model, piece) / columns.scale
 
 
 def with_sensor_numbers(estimate: Estimate, pieces: Sequence[Piece], columns: Columns) -> Estimate:
