@@ -140,7 +140,7 @@ def refit_model(
     """
     extensions, starts, structure = _with_effects(model, recordings, estimates, lab, scales)
     progress("refitting the simulation")
-    declared = _declared_hold(lab)
+    declared = _declared_hold(lab, model)
     modes = _known_modes(model, extensions)
     ringing = [e for e in (*extensions, *modes) if isinstance(e, LinearMode)]
     baseline = fit_extended(model, raw, declared, structure=STATIC, ringing=ringing)
@@ -202,9 +202,14 @@ def refit_model(
     )
 
 
-def _declared_hold(lab: Lab) -> tuple[ConverterHold, ...]:
+def _declared_hold(lab: Lab, model: AxisModel) -> tuple[ConverterHold, ...]:
+    """Return the hold of the declared clock, as far as the recordings are late at all.
+
+    A generator, or a voltage that was measured, moves between samples.
+    """
     clock_Hz = lab.acquisition.sampling_rate_Hz
-    return () if clock_Hz is None else (ConverterHold(hold_s=0.5 / clock_Hz),)
+    hold_s = 0.0 if clock_Hz is None else min(0.5 / clock_Hz, model.lag.time_s)
+    return (ConverterHold(hold_s=hold_s),) if hold_s > 0.0 else ()
 
 
 def _with_effects(
@@ -223,7 +228,7 @@ def _with_effects(
             starts[estimate.effect] = extend(estimate, scaling)
         structure = _structure_of(structure, estimate, model, has_effect=True)
     parts = (part for of_effect in starts.values() for part in of_effect)
-    return tuple(in_order([*_declared_hold(lab), *parts])), starts, structure
+    return tuple(in_order([*_declared_hold(lab, model), *parts])), starts, structure
 
 
 def _known_modes(model: AxisModel, extensions: Sequence[Extension]) -> list[LinearMode]:

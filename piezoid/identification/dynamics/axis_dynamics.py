@@ -269,6 +269,9 @@ def _obstacle(dynamics: LinearDynamics) -> str:
 def _best_fit(measured: FrequencyResponse, rig: Rig) -> LinearDynamics:
     """Fit every structure to some lines; return the smallest that is as good as the best.
 
+    The drive is held between samples, unless the delay would then lie on 0 and the lines are
+    followed better without a hold: it came from a generator, or was measured.
+
     Structures have at most a quarter as many parameters as there are real values. Fits that are
     determined come first: a richer one fits what little hysteresis is left with a term that means
     nothing, and must not cost the modes that are known.
@@ -284,7 +287,14 @@ def _best_fit(measured: FrequencyResponse, rig: Rig) -> LinearDynamics:
     wanted_Hz = np.geomspace(frequency_Hz[0], frequency_Hz[-1], MAX_LINES)
     nearest = np.abs(np.log(frequency_Hz[:, None] / wanted_Hz)).argmin(axis=0)
     lines = measured.at_lines(usable[np.unique(nearest)])
-    declaration = Declaration(filters=_declared(rig))
+    held = _simplest(lines, Declaration(filters=_declared(rig)))
+    if held.delay_s > 0.0:
+        return held
+    moving = _simplest(lines, Declaration(hold="band_limited", filters=_declared(rig)))
+    return min(held, moving, key=lambda fit: fit.cost_ratio)
+
+
+def _simplest(lines: FrequencyResponse, declaration: Declaration) -> LinearDynamics:
     fits = [
         fit_dynamics(lines, structure, declaration)
         for structure in STRUCTURES
