@@ -163,6 +163,15 @@ def test_recordings_with_other_initial_states_are_simulated_from_their_beginning
         assert np.sqrt(np.mean(error_m[: len(error_m) // 5] ** 2)) < 1.5 * NOISE_M
 
 
+def test_a_zero_that_wanders_within_a_left_out_block_is_no_error_of_the_class() -> None:
+    """Of 25 knots of the zero, each lies in one block: the others say nothing of it."""
+    recordings, plain, _ = fitted("dahl", 1.0)
+    starts = [replace(start, zero_m=np.full(25, start.zero_m.mean())) for start in plain.starts]
+    shaped = with_loop_shape(replace(plain, starts=tuple(starts)), recordings)
+    assert shaped.quality.explained_rms_m < 1.2 * NOISE_M
+    assert shaped.quality.held_out_rms_m < 2.0 * NOISE_M
+
+
 def test_many_recordings_are_simulated_with_fewer_histories_each() -> None:
     """Beyond ten pieces not all histories of the drive are weighed."""
     levels = np.array([-1.0, 1.0, -1.0, 0.6, -0.7, 0.3, -0.2])

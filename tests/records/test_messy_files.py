@@ -11,7 +11,7 @@ from piezoid.errors import LabFileError, RecordingError
 from piezoid.records.checks.consistency import refuse_inconsistent
 from piezoid.records.checks.copies import copies
 from piezoid.records.collection import collect
-from piezoid.records.frames import from_frame, to_frame
+from piezoid.records.frames import from_arrays, from_frame, to_frame
 from piezoid.records.inspection import inspect_files
 from piezoid.records.lab import Lab, read_lab
 from piezoid.records.lab_draft import draft_lab
@@ -209,6 +209,28 @@ def test_a_chirp_through_a_mode_and_a_small_loop_fit_a_sweep(rng: np.random.Gene
         )
     refuse_inconsistent(recordings)
     assert not copies(recordings)
+
+
+def test_a_few_slow_lines_of_a_noise_contradict_no_gain() -> None:
+    """What is left of the past of a stage comes back against its drive, in lines of their own."""
+    rng = np.random.default_rng(0)
+    turn = 2 * np.pi * np.arange(4000) / 4000
+    lines = np.arange(1, 61)
+    waves = np.cos(lines[:, None] * turn + rng.uniform(0, 2 * np.pi, (60, 1)))
+    slow_V, rest_V = 0.8 * waves[:4].sum(axis=0), waves[4:].sum(axis=0)
+    sweep_V = 30 * signal.sawtooth(2 * turn, 0.5)
+    readings = {"sweep": (sweep_V, sweep_V), "noise": (slow_V + rest_V, rest_V - 3.0 * slow_V)}
+    recordings = [
+        from_arrays(
+            voltage_V=drive_V,
+            displacement_m=1e-6 * moved + rng.normal(0, 1e-9, 4000),
+            sampling_rate_Hz=2500.0,
+            axis="x",
+            name=name,
+        )
+        for name, (drive_V, moved) in readings.items()
+    ]
+    refuse_inconsistent(recordings)
 
 
 def test_two_runs_of_one_drive_are_no_copies(tmp_path: Path, rng: np.random.Generator) -> None:

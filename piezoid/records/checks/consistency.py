@@ -28,6 +28,7 @@ from piezoid.records.sample_statistics import noise_rms
 from piezoid.statement import Statement, finding
 
 POWER_SHARE = 0.02  # of the drive, in the lowest lines
+FEWEST_LINES = 10  # the first two or three may show what is left of the stage's past, not its gain
 # Above this multiple of the lowest of these frequencies a mode may have turned the sign.
 MAX_FREQUENCY_RATIO = 10.0
 SLOW_Hz = 1.0
@@ -91,6 +92,7 @@ class LowFrequencyGain:
         power = np.abs(drive) ** 2
         # Both neighbours of the last line are included: a sine is seldom whole in the recording.
         count = int(np.searchsorted(np.cumsum(power), POWER_SHARE * power.sum())) + 2
+        count = max(count, FEWEST_LINES)
         drive, response, power = drive[:count], response[:count], power[:count]
         cross = complex(np.vdot(drive, response))
         energy = float(power.sum() * (np.abs(response) ** 2).sum())

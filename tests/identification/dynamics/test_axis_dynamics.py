@@ -6,17 +6,20 @@ import numpy as np
 import pytest
 
 import piezoid_datasets
+from piezoid.diagnosis.signals import mode as through_mode
 from piezoid.formatting import with_unit
 from piezoid.identification.dynamics.axis_dynamics import with_dynamics
 from piezoid.identification.dynamics.excitation import excites_dynamics
 from piezoid.identification.fit import rig_of
 from piezoid.identification.fit_statements import fit_statements
 from piezoid.identification.hysteresis.estimate import estimate_axis
+from piezoid.identification.hysteresis.pieces import Rig, behind_pole
 from piezoid.identification.model import AxisModel
 from piezoid.identification.store import read_model, write_model
 from piezoid.numerics.arrays import Array
 from piezoid.operators.linear import resonance, sample
 from piezoid.records.collection import collect
+from piezoid.records.frames import from_arrays
 from piezoid.records.lab import read_lab
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid.statement import Level
@@ -79,6 +82,31 @@ def test_a_mode_behind_hysteresis_of_large_amplitude_is_found(axis: AxisModel) -
         remark.startswith("chirp.csv") and with_unit(high_Hz, "Hz") in remark
         for remark in axis.verdict.remarks
     )
+
+
+def test_the_mode_is_told_where_a_generator_drives_the_stage_between_samples() -> None:
+    """The stage seems early where a hold is assumed."""
+    finer, rig = 16, Rig(amplifier_bandwidth_Hz=2600.0, sensor_bandwidth_Hz=7700.0)
+    fine_Hz = finer * RATE_Hz
+    time_s, last_s = np.arange(29_999 * finer + 1) / fine_Hz, 29_999 / RATE_Hz
+    rate = np.log(1500.0 / 5.0) / last_s
+    voltage_V = 5.0 + 2.0 * np.sin(2 * np.pi * 5.0 * np.expm1(rate * time_s) / rate)
+    driven_V = behind_pole(voltage_V, rig.amplifier_bandwidth_Hz, fine_Hz)
+    moved_m, _ = HYSTERESIS.run(driven_V, HYSTERESIS.virgin_memory())
+    rung_m = moved_m[0] + through_mode(moved_m - moved_m[0], MODE_Hz, 0.5 / DAMPING, fine_Hz)
+    read_m = behind_pole(rung_m, rig.sensor_bandwidth_Hz, fine_Hz)[::finer]
+    noise_m = 5e-9 * np.random.default_rng(3).standard_normal(len(read_m))
+    recording = from_arrays(
+        voltage_V=voltage_V[::finer],
+        displacement_m=read_m + noise_m,
+        sampling_rate_Hz=RATE_Hz,
+        axis="x",
+        name="chirp.csv",
+    )
+    dynamics = with_dynamics(replace(axis_model(), rig=rig), [recording]).dynamics
+    assert dynamics is not None
+    assert dynamics.mode_frequency_Hz == pytest.approx([MODE_Hz], rel=0.01)
+    assert dynamics.delay_s < 2e-6
 
 
 def test_a_slow_triangle_does_not_count_as_exciting_dynamics(rng: np.random.Generator) -> None:
