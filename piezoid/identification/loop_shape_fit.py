@@ -18,6 +18,7 @@ from itertools import pairwise
 from operator import add
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.identification.loop_shape import PlainFit
 from piezoid.identification.loop_shape_columns import (
@@ -32,9 +33,11 @@ from piezoid.identification.loop_shape_columns import (
 from piezoid.identification.loop_shape_regression import (
     Estimate,
     Regression,
+    between,
     first_estimate,
     half_range_m,
     regression_of,
+    residual_of,
     with_numbers,
     with_sensor_numbers,
 )
@@ -66,6 +69,8 @@ FREEDOM_FACTORS = tuple(10.0 ** (k / 2) for k in range(11))
 CLOSE = 1.03
 FAR = 7.0  # robust standard deviations
 SHIFT = 0.02  # of the residual: a larger change by lag and extensions makes columns anew
+SHARES = tuple(0.5**k for k in range(6))  # of the change by a solve
+CONFIRMED = 1.1  # times the larger error, of before and as solved: what the simulation may have
 UNPENALISED = ("zero", "number", "step")
 
 
@@ -97,7 +102,8 @@ def with_loop_shape(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMod
     best = estimate, pieces, columns
     for number in range(MOST_ROUNDS):
         regression = regression_of(estimate, pieces, columns)
-        improved = _improved(estimate, columns, regression)
+        solved = _improved(estimate, columns, regression)
+        improved = _damped(estimate, solved, pieces, columns, regression)
         present = estimate.model
         model = replace(improved.model, lag=present.lag, extensions=present.extensions)
         settled = with_sensor_numbers(replace(improved, model=model), pieces, columns)
@@ -175,6 +181,39 @@ def _improved(
         use=use,
         rows=estimate.rows,
     )
+
+
+def _damped(
+    present: Estimate,
+    solved: Estimate,
+    pieces: Sequence[Piece],
+    columns: Columns,
+    regression: Regression,
+) -> Estimate:
+    """Return a solved estimate, or the largest share of its change that the simulation confirms.
+
+    The reading is a product of the class and the weights of histories, behind a curved sensor: a
+    solve of the linearised reading may overshoot by a hundred times the residual. A step of the
+    zero is no part of the simulation.
+    """
+    scale_m, step = half_range_m(solved.model), regression.places("step")
+    step_m = scale_m * regression.design[:, step] @ solved.coefficient[step]
+    before_m = residual_of(present, pieces, columns) - step_m
+    confirmed_m = CONFIRMED * max(_rms(before_m, solved.use), _rms(solved.residual_m, solved.use))
+    damped = solved
+    for share in SHARES:
+        damped = solved if share == 1.0 else between(present, solved, share)
+        residual_m = residual_of(damped, pieces, columns) - step_m
+        if _rms(residual_m, solved.use) <= confirmed_m:
+            break
+    if damped is solved:
+        return solved
+    noise = float(np.mean((residual_m[solved.use] / scale_m) ** 2))
+    return replace(damped, residual_m=residual_m, noise=noise)
+
+
+def _rms(values: Array, use: NDArray[np.bool_]) -> float:
+    return float(np.sqrt(np.mean(values[use] ** 2)))
 
 
 def _sum(folds: Sequence[Moments]) -> Moments:
@@ -255,20 +294,22 @@ def _converged(
     """Return the estimate of the smallest simulated error, of several solves in turn.
 
     The response is a product of the class's coefficients and the weights of histories. Each solve
-    of both is linearised and may overshoot; the weights are then solved again for these
-    coefficients, of which the response is a linear function.
+    of both is linearised and damped; the weights are then solved again for these coefficients, of
+    which the response is a linear function.
     """
     solves: list[Estimate] = []
     for _ in range(LAST_ROUNDS):
         if solves:
             estimate = solves[-1]
             regression = _again(estimate, pieces, columns, regression)
-        solve = _improved(estimate, columns, regression, steps=0)
-        solves.append(_with_histories(solve, _again(solve, pieces, columns, regression)))
+        solved = _improved(estimate, columns, regression, steps=0)
+        solve = _damped(estimate, solved, pieces, columns, regression)
+        again = _again(solve, pieces, columns, regression)
+        solves.append(_with_histories(solve, columns, again))
     return min(solves, key=lambda solve: float(np.mean(solve.residual_m[solve.use] ** 2)))
 
 
-def _with_histories(estimate: Estimate, regression: Regression) -> Estimate:
+def _with_histories(estimate: Estimate, columns: Columns, regression: Regression) -> Estimate:
     """Return the estimate with the weights of histories and the zeros that fit its class best.
 
     Its residual is the error of the simulation.
@@ -276,10 +317,12 @@ def _with_histories(estimate: Estimate, regression: Regression) -> Estimate:
     total = _sum(regression.moments())
     ridge = _ridge(estimate, regression, total)
     free = np.isin(regression.family, ("initial state", *UNPENALISED))
-    fixed = regression.target - regression.design[:, ~free] @ estimate.coefficient[~free]
+    of_class = estimate.wide * columns.scale
+    fixed = regression.target - regression.design[:, ~free] @ of_class
     z, y = regression.design[regression.use][:, free], fixed[regression.use]
     sums = Moments(gram=z.T @ z, moment=z.T @ y, square=float(y @ y), count=len(y))
-    coefficient = estimate.coefficient.copy()
+    coefficient = np.zeros(len(free))
+    coefficient[~free] = of_class
     coefficient[free] = replace(ridge, family=ridge.family[free]).mean(sums)
     scale_m = half_range_m(estimate.model)
     return replace(
@@ -404,18 +447,21 @@ def _with_less_freedom(estimate: Estimate, factor: float) -> Estimate:
 def _error(
     regression: Regression, folds: Sequence[Moments], total: Moments, ridge: FamilyRidge
 ) -> float:
-    """Return the error on left-out blocks beside their own zeros, rms.
+    """Return the error on left-out blocks, rms.
 
-    Nothing predicts the zero of a block: a knot that lies in it is not determined by the others.
+    A knot of a zero that lies in one block is not determined by the others: it counts as one
+    reading that neighbouring knots are equal.
     """
-    squares, count, zeros = 0.0, 0, regression.places("zero")
+    squares, count, tied = 0.0, 0, np.zeros_like(total.gram)
+    for knots in np.split(regression.places("zero"), np.cumsum(regression.knots)[:-1]):
+        difference = np.diff(np.eye(len(knots)), axis=0)
+        tied[np.ix_(knots, knots)] = difference.T @ difference
     for number in range(FOLDS):
         rows = (regression.fold == number) & regression.use
         if rows.any():
-            fitted = regression.change @ ridge.mean(total - folds[number])
+            others = total - folds[number]
+            fitted = regression.change @ ridge.mean(replace(others, gram=others.gram + tied))
             error = regression.target[rows] - regression.design[rows] @ fitted
-            zero = regression.design[rows][:, zeros]
-            error = error - zero @ np.linalg.lstsq(zero, error)[0]
             squares, count = squares + float(error @ error), count + len(error)
     return float(np.sqrt(squares / max(count, 1)))
 
@@ -432,7 +478,8 @@ def _with_step(estimate: Estimate, regression: Regression) -> Regression | None:
     inverse = np.linalg.inv(
         total.gram * (scale[:, None] * scale) / ridge.noise + np.eye(len(scale))
     )
-    residual = np.where(estimate.use, estimate.residual_m / half_range_m(estimate.model), 0.0)
+    solved = regression.design @ (regression.change @ ridge.mean(total))
+    residual = np.where(estimate.use, regression.target - solved, 0.0)
     best, gain = None, 0.0
     edges = np.cumsum([0, *estimate.rows])
     for first, last in pairwise(edges):

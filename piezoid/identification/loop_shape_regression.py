@@ -75,6 +75,7 @@ class Regression:
     fold    (rows,)
     value, lower, upper  (numbers,)  of lag and extensions, with their bounds
     step    (numbers,)       their changes by coefficients of 1
+    knots   of the zero of every piece
     prior   sums of what is known of them beforehand
     """
 
@@ -88,6 +89,7 @@ class Regression:
     lower: Array
     upper: Array
     step: Array
+    knots: tuple[int, ...]
     prior: Moments | None = None
 
     def outward(self, coefficient: Array) -> NDArray[np.bool_]:
@@ -208,7 +210,45 @@ def regression_of(
         lower=numbers.lower,
         upper=numbers.upper,
         step=step,
+        knots=tuple(len(zero_m) for zero_m in estimate.zeros),
         prior=_prior(axis, step, design.shape[1]) if has_numbers else None,
+    )
+
+
+def residual_of(estimate: Estimate, pieces: Sequence[Piece], columns: Columns) -> Array:
+    """Return the error of the simulation at the rows of all pieces, (rows,) m."""
+    errors_m = []
+    for k, piece in enumerate(pieces):
+        static_m, _ = _static_m(estimate, k, piece, columns)
+        start = replace(piece.start, zero_m=estimate.zeros[k])
+        errors_m.append(
+            piece.measured_m[piece.rows] - _read_m(estimate.model, piece, start, static_m)
+        )
+    return np.concatenate(errors_m)
+
+
+def between(first: Estimate, second: Estimate, share: float) -> Estimate:
+    """Return the estimate that is a share of the way from one to another."""
+
+    def part(a: Array, b: Array) -> Array:
+        return np.asarray(a + share * (b - a))
+
+    shape, other = first.model.loop_shape, second.model.loop_shape
+    assert shape is not None
+    assert other is not None
+    mixed = replace(
+        other,
+        plays_weight=shape.plays_weight + share * (other.plays_weight - shape.plays_weight),
+        density_m=part(shape.density_m, other.density_m),
+        smooth_m=part(shape.smooth_m, other.smooth_m),
+    )
+    numbers = part(_numbers(first.model).value, _numbers(second.model).value)
+    return replace(
+        second,
+        model=with_numbers(replace(second.model, loop_shape=mixed), numbers),
+        weights=tuple(map(part, first.weights, second.weights)),
+        zeros=tuple(map(part, first.zeros, second.zeros)),
+        wide=part(first.wide, second.wide),
     )
 
 
