@@ -211,6 +211,29 @@ def test_a_periodic_error_is_fitted_beside_loop_shape(angle: float) -> None:
     assert axis.quality.explained_rms_m < 1.3 * NOISE_M
 
 
+def test_a_steep_periodic_error_and_unknown_histories_are_fitted_together() -> None:
+    """Solves of the linearised reading overshot: 75 times the noise were left."""
+    count = np.arange(3000)
+    fields = {
+        "loops": 0.9 * np.sin(2 * np.pi * count / 700) * np.linspace(1.0, 0.7, 3000),
+        "small": 0.04 * np.sin(count / np.linspace(40.0, 4.0, 3000)) - 0.3,
+        "noise": 0.4 * np.sin(count / 31.0) * np.sin(count / 83.0),
+    }
+    still = [recorded("dahl", field, name) for name, field in fields.items()]
+    true = PeriodicError(
+        wavelength_m=7e-7,
+        cosine_m=(6e-8, 1e-8),
+        sine_m=(8e-8, 1e-8),
+        phases=tuple(Phase(recording=name, angle=0.5) for name in ("small", "noise")),
+    )
+    read = tuple(through(recording, true) for recording in still)
+    plain = estimate_axis(read, "x", Rig(), orders=((8, 2),))
+    began = replace(true, wavelength_m=7.007e-7, cosine_m=(5e-8, 0.0), sine_m=(7e-8, 0.0))
+    shaped = with_loop_shape(replace(plain, extensions=(began,)), read)
+    assert shaped.loop_shape is not None
+    assert shaped.quality.explained_rms_m < 2.0 * NOISE_M
+
+
 def test_loop_shape_is_fitted_behind_a_mode_that_is_not_only_a_delay() -> None:
     """A delay in its place misses 1 % of the quick motion: less than its hysteresis, not noise."""
     mode = LinearMode(frequency_Hz=60.0, quality=20.0)
