@@ -184,7 +184,9 @@ def _change_files(change: str, rng: np.random.Generator, folder: Path) -> None:
     """Rewrite the CSV files as another laboratory would have stored them."""
     if change == "none":
         return
-    files = sorted(folder.glob("*.csv"))
+    files, lab = sorted(folder.glob("*.csv")), folder / "lab.toml"
+    if change == "nanometres" and lab.exists():  # it may name columns
+        lab.write_text(lab.read_text().replace("[um]", "[nm]"))
     if change == "copy":
         (folder / "copy_of.csv").write_bytes(files[0].read_bytes())
         return

@@ -208,7 +208,10 @@ def _declared_hold(lab: Lab, model: AxisModel) -> tuple[ConverterHold, ...]:
     A generator, or a voltage that was measured, moves between samples.
     """
     clock_Hz = lab.acquisition.sampling_rate_Hz
-    hold_s = 0.0 if clock_Hz is None else min(0.5 / clock_Hz, model.lag.time_s)
+    if clock_Hz is None:
+        return ()
+    late_s = np.inf if model.lag.kind == "none" else model.lag.time_s
+    hold_s = min(0.5 / clock_Hz, late_s)
     return (ConverterHold(hold_s=hold_s),) if hold_s > 0.0 else ()
 
 

@@ -237,8 +237,9 @@ def columns_of(axis: AxisModel, pieces: Sequence[Piece]) -> Columns:
         table[PLAYS] = (plays_m / (0.5 * axis.quality.range_m) - of_class)[:, None]
         tables.append({name: x * gain_of(axis, piece) for name, x in table.items()})
         place = np.maximum(piece.rows - late, 0.0) if is_late_only else piece.rows.astype(float)
-        path = _remembering_path(axis, shape, drive_V, places, place, piece.start, number)
-        paths.append(replace(path, is_late_only=is_late_only))
+        paths.append(
+            _remembering_path(axis, drive_V, places, place, piece.start, number, is_late_only)
+        )
     family = tuple(name for name, x in tables[0].items() for _ in range(x.shape[1]))
     x = np.concatenate([np.hstack(list(table.values())) for table in tables])
     scale, change = _without_redundancy([x, reference], np.array(family))
@@ -366,19 +367,21 @@ def _delayed_columns(
 
 def _remembering_path(
     axis: AxisModel,
-    shape: LoopShape,
     drive_V: Array,
     places: NDArray[np.intp],
     place: Array,
     start: PieceStart,
     number: int,
+    is_late_only: bool,
 ) -> _Path:
     """Follow histories for as long as they show.
 
     drive_V    (samples,)  V, at its turns and rows
     places     (rows,)     of the rows in it
     place      (rows,)     in samples of the piece
+    number     of histories
     """
+    shape = no_loop_shape(axis)
     drive_V = drive_V[: remembered(shape.scaled(drive_V))]
     places = places[places < len(drive_V)]
     drive = shape.scaled(drive_V)
@@ -392,7 +395,7 @@ def _remembering_path(
         drive=drive[places],
         plays_m=np.stack(plays_m, axis=1),
         states=tuple(states),
-        is_late_only=True,
+        is_late_only=is_late_only,
     )
 
 

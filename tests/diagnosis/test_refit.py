@@ -1,6 +1,7 @@
 """From what a search found to the model that ships, and what each finding is worth."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from piezoid.diagnosis.effect import EffectEstimate
 from piezoid.diagnosis.refit import refit_model
 from piezoid.identification.extensions import CreepLadder, Delay, GainChange, SlewLimit
 from piezoid.identification.hysteresis.pieces import Scales
+from piezoid.identification.model import Lag
 from piezoid.identification.simulation import simulate_recording
 from piezoid.records.lab import Acquisition, Lab
 from piezoid.records.recording import Recording
@@ -94,6 +96,14 @@ def test_the_clock_that_the_laboratory_declares_is_no_finding() -> None:
     recordings = recordings_of(Delay(delay_s=1e-3))
     declared = Lab(acquisition=Acquisition(sampling_rate_Hz=500.0))
     numbers = _refitted(recordings, (), lab=declared)
+    assert numbers.baseline_m < 1.3 * NOISE_m
+
+
+def test_a_declared_clock_makes_no_stage_late_whose_recordings_show_no_lag() -> None:
+    """Its drive moves between samples, as that of a generator does."""
+    early = replace(known_model(), lag=Lag(kind="delay", time_s=0.0))
+    declared = Lab(acquisition=Acquisition(sampling_rate_Hz=500.0))
+    numbers = _refitted(recordings_of(), (), lab=declared, model=early)
     assert numbers.baseline_m < 1.3 * NOISE_m
 
 
