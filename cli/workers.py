@@ -9,6 +9,7 @@ import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from functools import partial
 from multiprocessing import active_children, get_context
@@ -67,9 +68,14 @@ class WorkerPool:
         self._texts: dict[int, str] = {}
 
     def submit(self, work: Work[Job, Result], job: Job, index: int) -> "Future[bytes]":
-        """Give a job to a worker; the future holds the pickled result."""
+        """Give a job to a worker; the future holds the pickled result, or that the pool is broken."""
         with postponed(), unreachable_by_interrupts():
-            return self._executor.submit(_work, dumps((work, job), protocol=5), index)
+            try:
+                return self._executor.submit(_work, dumps((work, job), protocol=5), index)
+            except BrokenProcessPool as error:  # a worker was killed before this job was given
+                failed: Future[bytes] = Future()
+                failed.set_exception(error)
+                return failed
 
     def report_to(self, report: Progress) -> None:
         """Report the progress of this process and of the workers from now on."""

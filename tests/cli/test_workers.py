@@ -98,6 +98,15 @@ def test_a_killed_worker_costs_time_and_no_result() -> None:
     assert [one.words["sum"] for one in found] == [float(job.numbers.sum()) for job in jobs]
 
 
+def test_jobs_given_after_a_worker_was_killed_are_done_in_this_process() -> None:
+    jobs = [Job(numbers=frozen(count)) for count in (3, 99, 4)]
+    with worker_pool(1, load) as pool:
+        assert pool is not None
+        assert pool.submit(add, Job(numbers=frozen(1), dies=True), 0).exception() is not None
+        found = map_jobs(add, jobs, print, pool=pool, cost=lambda job: float(len(job.numbers)))
+    assert [one.is_here for one in found] == [True, True, True]
+
+
 def test_a_worker_that_cannot_load_costs_time_and_no_result() -> None:
     with worker_pool(1, sys.exit) as pool:
         jobs = [Job(numbers=frozen(3)), Job(numbers=frozen(99))]
