@@ -68,7 +68,7 @@ class WorkerPool:
         self._texts: dict[int, str] = {}
 
     def submit(self, work: Work[Job, Result], job: Job, index: int) -> "Future[bytes]":
-        """Give a job to a worker; the future holds the pickled result, or that the pool is broken."""
+        """Give a job to a worker; its future holds the pickled result, or the failure."""
         with postponed(), unreachable_by_interrupts():
             try:
                 return self._executor.submit(_work, dumps((work, job), protocol=5), index)

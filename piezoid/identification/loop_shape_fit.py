@@ -12,17 +12,24 @@ Gauss-Newton with the linear coefficients eliminated.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import reduce
-from itertools import pairwise
-from operator import add
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.identification.loop_shape import PlainFit
+from piezoid.identification.loop_shape_blocks import (
+    UNPENALISED,
+    Errors,
+    beside_step,
+    errors_of,
+    plain_errors,
+    ridge_of,
+    summed,
+    with_less_freedom,
+    with_step,
+)
 from piezoid.identification.loop_shape_columns import (
-    FOLDS,
     Columns,
     Piece,
     columns_of,
@@ -45,7 +52,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import BLOCKS, IN_SAMPLE, with_noise_bound
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.family_ridge import FamilyRidge, Moments
+from piezoid.numerics.family_ridge import Moments
 from piezoid.operators.wide_hysteresis import coefficients
 from piezoid.records.recording import Recording
 
@@ -58,32 +65,10 @@ LAST_ROUNDS = 5
 WORTH = 0.97  # each of both errors over that without loop shape: less gain is not worth the class
 WORSE = 1.02  # noise variance over the least: lag and extensions no longer improve it
 STEP_WORTH = 0.9  # held-out error with a step of the zero over that without
-STEP_PLACES = 60  # of a piece, at which a step of the zero is tried
-# Divisors of the prior variances in the last solve. Residuals of a class that is slightly wrong
-# are correlated, and less freedom predicts better: of the divisors whose error on left-out blocks
-# is close to the least, the largest is taken. Fitted to the sweep of the bundled axis y alone, it
-# predicts the other drive to 0.14 % of the range, the best one to 0.25 %, plays to 0.12 % (before
-# the columns contained the initial states). Initial states keep their variance: they show where
-# no block is left out, and with a divisor of 30 a stage left 18 times the noise there.
-FREEDOM_FACTORS = tuple(10.0 ** (k / 2) for k in range(11))
-CLOSE = 1.03
 FAR = 7.0  # robust standard deviations
 SHIFT = 0.02  # of the residual: a larger change by lag and extensions makes columns anew
 SHARES = tuple(0.5**k for k in range(6))  # of the change by a solve
-CONFIRMED = 1.1  # times the larger error, of before and as solved: what the simulation may have
-UNPENALISED = ("zero", "number", "step")
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Errors:
-    """Errors in units of half the stroke.
-
-    explained  in sample, corrected for the number of parameters of loop shape
-    held_out   on left-out blocks
-    """
-
-    explained: float
-    held_out: float
+CONFIRMED = 1.1  # times the larger error, before or as solved: accepted of a simulation
 
 
 def with_loop_shape(axis: AxisModel, recordings: Sequence[Recording]) -> AxisModel:
@@ -98,7 +83,7 @@ def with_loop_shape(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMod
         return axis
     columns = columns_of(axis, pieces)
     estimate = first_estimate(axis, pieces, columns)
-    plain = _plain_errors(axis, regression_of(estimate, pieces, columns))
+    plain = plain_errors(axis, regression_of(estimate, pieces, columns))
     best = estimate, pieces, columns
     for number in range(MOST_ROUNDS):
         regression = regression_of(estimate, pieces, columns)
@@ -134,12 +119,12 @@ def _improved(
     steps  of the fixed point of the variances
     """
     axis, scale_m = estimate.model, half_range_m(estimate.model)
-    total = _sum(regression.moments())
-    ridge = _ridge(estimate, regression, total)
+    total = summed(regression.moments())
+    ridge = ridge_of(estimate, regression, total)
     outward = regression.outward(regression.change @ ridge.mean(total))
     if outward.any():
         regression = regression.without(outward)
-        total = _sum(regression.moments())
+        total = summed(regression.moments())
     bounded = np.array([name == "initial state" for name in regression.labels])
     ceiling = np.where(bounded, 1.0, np.inf)
     ridge, reduced, parameters = ridge.maximised(total, ceiling=ceiling, steps=steps)
@@ -192,9 +177,9 @@ def _damped(
 ) -> Estimate:
     """Return a solved estimate, or the largest share of its change that the simulation confirms.
 
-    The reading is a product of the class and the weights of histories, behind a curved sensor: a
-    solve of the linearised reading may overshoot by a hundred times the residual. A step of the
-    zero is no part of the simulation.
+    The reading is a product of the class and the weights of histories, seen by a curved sensor: a
+    solve of the linearised reading may leave a hundred times the error it promises. A step of the
+    zero is in the regression and not in the simulation, and is subtracted from its error.
     """
     scale_m, step = half_range_m(solved.model), regression.places("step")
     step_m = scale_m * regression.design[:, step] @ solved.coefficient[step]
@@ -216,41 +201,25 @@ def _rms(values: Array, use: NDArray[np.bool_]) -> float:
     return float(np.sqrt(np.mean(values[use] ** 2)))
 
 
-def _sum(folds: Sequence[Moments]) -> Moments:
-    return reduce(add, folds)
-
-
-def _ridge(estimate: Estimate, regression: Regression, total: Moments) -> FamilyRidge:
-    """Return the ridge from which the fixed point starts: that of the last round."""
-    labels, power = regression.labels, total.square / total.count
-    first = {name: 0.1 * power for name in labels} | {"initial state": 0.3}
-    first |= estimate.variance | dict.fromkeys(UNPENALISED, np.inf)
-    return FamilyRidge(
-        family=np.array([labels.index(name) for name in regression.family]),
-        variance=np.array([first[name] for name in labels]),
-        noise=estimate.noise or 0.01 * power,
-    )
-
-
 def _accepted(
     axis: AxisModel,
     estimate: Estimate,
     pieces: Sequence[Piece],
     columns: Columns,
-    plain: "_Errors",
+    plain: Errors,
 ) -> AxisModel:
     """Return the axis with loop shape, or without where left-out blocks gain too little."""
     regression = regression_of(estimate, pieces, columns, has_numbers=False)
-    errors, factor = _errors(estimate, regression)
-    stepped = _with_step(estimate, regression)
+    errors, factor = errors_of(estimate, regression)
+    stepped = with_step(estimate, regression)
     if stepped is not None:
-        errors_with_step, factor_with_step = _errors(estimate, stepped)
+        errors_with_step, factor_with_step = errors_of(estimate, stepped)
         if errors_with_step.held_out < STEP_WORTH * errors.held_out:
             regression, factor = stepped, factor_with_step
-            plain, errors = _plain_errors(axis, stepped), errors_with_step
+            plain, errors = plain_errors(axis, stepped), errors_with_step
     if errors.held_out > WORTH * plain.held_out or errors.explained > WORTH * plain.explained:
         return replace(axis, loop_shape=None)
-    final = _converged(_with_less_freedom(estimate, factor), pieces, columns, regression)
+    final = _converged(with_less_freedom(estimate, factor), pieces, columns, regression)
     scale_m = abs(half_range_m(axis))
     explained_m = final.residual_m[final.use]
     step = regression.places("step")
@@ -314,8 +283,8 @@ def _with_histories(estimate: Estimate, columns: Columns, regression: Regression
 
     Its residual is the error of the simulation.
     """
-    total = _sum(regression.moments())
-    ridge = _ridge(estimate, regression, total)
+    total = summed(regression.moments())
+    ridge = ridge_of(estimate, regression, total)
     free = np.isin(regression.family, ("initial state", *UNPENALISED))
     of_class = estimate.wide * columns.scale
     fixed = regression.target - regression.design[:, ~free] @ of_class
@@ -348,20 +317,7 @@ def _again(
     """Return the regression with the histories' columns of the new estimate, and the same step."""
     fresh = regression_of(estimate, pieces, columns, has_numbers=False)
     step = regression.places("step")
-    return _beside(fresh, regression.design[:, step[0]]) if len(step) else fresh
-
-
-def _beside(regression: Regression, step: Array) -> Regression:
-    """Return the regression with a step of the zero as last column."""
-    size = len(regression.family)
-    change = np.eye(size + 1)
-    change[:size, :size] = regression.change
-    return replace(
-        regression,
-        design=np.column_stack([regression.design, step]),
-        family=(*regression.family, "step"),
-        change=change,
-    )
+    return beside_step(fresh, regression.design[:, step[0]]) if len(step) else fresh
 
 
 def _step_m(final: Estimate, explained_m: Array) -> float:
@@ -377,119 +333,3 @@ def _starts(final: Estimate, pieces: Sequence[Piece]) -> tuple[PieceStart, ...]:
         for piece, zero_m, weight in zip(pieces, final.zeros, final.weights, strict=True)
     }
     return tuple(known.get(id(start), start) for start in final.model.starts)
-
-
-def _plain_errors(axis: AxisModel, regression: Regression) -> _Errors:
-    """Return the errors of the plays with dead zones.
-
-    The plays were fitted to all blocks. What leaving blocks out adds to their error is known from
-    their own fit: on the bundled axis y 16.4 nm become 17.5, and loop shape leaves 16.6. It stands
-    on the same plays, so that on a stage of plays its error of left-out blocks is below theirs as
-    well; only the error in sample shows that it adds nothing.
-    """
-    free = np.isin(regression.family, ("zero", "step"))
-    zeros = replace(
-        regression,
-        design=regression.design[:, free],
-        family=tuple(np.array(regression.family)[free].tolist()),
-        change=np.eye(int(free.sum())),
-        value=regression.value[:0],
-        lower=regression.lower[:0],
-        upper=regression.upper[:0],
-        step=regression.step[:0],
-        prior=None,
-    )
-    folds = zeros.moments()
-    total = _sum(folds)
-    labels = zeros.labels
-    ridge = FamilyRidge(
-        family=np.array([labels.index(name) for name in zeros.family]),
-        variance=np.full(len(labels), np.inf),
-        noise=1e-6 * total.square / total.count,
-    )
-    error = zeros.target - zeros.design @ ridge.mean(total)
-    explained = float(np.sqrt(np.mean(error[zeros.use] ** 2)))
-    quality = axis.quality
-    optimism = quality.held_out_rms_m / quality.rms_m if quality.is_tested else 1.0
-    held_out = max(optimism, 1.0) * _error(zeros, folds, total, ridge)
-    return _Errors(explained=explained, held_out=held_out)
-
-
-def _errors(estimate: Estimate, regression: Regression) -> tuple[_Errors, float]:
-    """Return the errors with loop shape, and the factor of the prior variances.
-
-    Where the class is wrong, less freedom predicts better than marginal likelihood says.
-    """
-    folds = regression.moments()
-    total = _sum(folds)
-    tried = {}
-    for factor in FREEDOM_FACTORS:
-        ridge = _ridge(_with_less_freedom(estimate, factor), regression, total)
-        tried[factor] = _error(regression, folds, total, ridge)
-    close = CLOSE * min(tried.values())
-    factor = max(factor for factor, error in tried.items() if error <= close)
-    coefficient = regression.change @ _ridge(estimate, regression, total).mean(total)
-    residual = (regression.target - regression.design @ coefficient)[regression.use]
-    free = max(len(residual) - estimate.parameters, 1.0)
-    explained = float(np.sqrt(np.sum(residual**2) / free))
-    return _Errors(explained=explained, held_out=tried[factor]), factor
-
-
-def _with_less_freedom(estimate: Estimate, factor: float) -> Estimate:
-    """Return the estimate with the prior variances of the class divided by a factor."""
-    variance = {
-        name: value if name == "initial state" else value / factor
-        for name, value in estimate.variance.items()
-    }
-    return replace(estimate, variance=variance)
-
-
-def _error(
-    regression: Regression, folds: Sequence[Moments], total: Moments, ridge: FamilyRidge
-) -> float:
-    """Return the error on left-out blocks, rms.
-
-    A knot of a zero that lies in one block is not determined by the others: it counts as one
-    reading that neighbouring knots are equal.
-    """
-    squares, count, tied = 0.0, 0, np.zeros_like(total.gram)
-    for knots in np.split(regression.places("zero"), np.cumsum(regression.knots)[:-1]):
-        difference = np.diff(np.eye(len(knots)), axis=0)
-        tied[np.ix_(knots, knots)] = difference.T @ difference
-    for number in range(FOLDS):
-        rows = (regression.fold == number) & regression.use
-        if rows.any():
-            others = total - folds[number]
-            fitted = regression.change @ ridge.mean(replace(others, gram=others.gram + tied))
-            error = regression.target[rows] - regression.design[rows] @ fitted
-            squares, count = squares + float(error @ error), count + len(error)
-    return float(np.sqrt(squares / max(count, 1)))
-
-
-def _with_step(estimate: Estimate, regression: Regression) -> Regression | None:
-    """Return the regression with a step of the zero where that gains most.
-
-    A wide class follows a jump of the zero by hysteresis that does not exist. The gain of a step H
-    beside everything else is (r'H)^2 / H'(I - X P^-1 X') H, with P the posterior precision.
-    """
-    total = _sum(regression.moments())
-    ridge = _ridge(estimate, regression, total)
-    scale = np.sqrt(np.minimum(ridge.variance, 1e4 * total.square / total.count))[ridge.family]
-    inverse = np.linalg.inv(
-        total.gram * (scale[:, None] * scale) / ridge.noise + np.eye(len(scale))
-    )
-    solved = regression.design @ (regression.change @ ridge.mean(total))
-    residual = np.where(estimate.use, regression.target - solved, 0.0)
-    best, gain = None, 0.0
-    edges = np.cumsum([0, *estimate.rows])
-    for first, last in pairwise(edges):
-        places = np.linspace(first, last, STEP_PLACES + 2)[1:-1].astype(int)
-        for place in np.unique(places):
-            step = np.zeros(len(residual))
-            step[place:last] = estimate.use[place:last]
-            h = scale * (regression.change.T @ (step[place:last] @ regression.design[place:last]))
-            free = float(step @ step - h @ inverse @ h / ridge.noise)
-            tried = float(residual @ step) ** 2 / max(free, 1e-9 * float(step @ step) + 1e-300)
-            if tried > gain:
-                best, gain = step, tried
-    return None if best is None else _beside(regression, best)

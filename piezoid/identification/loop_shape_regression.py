@@ -171,17 +171,16 @@ def regression_of(
         static_m, history_m = _static_m(estimate, k, piece, columns)
         if not is_first:
             path, here = columns.paths[k], slice(rows[k], rows[k + 1])
-            histories[k][here] = path.behind_filters(path.changes_m(shape), axis, piece) / abs(
-                scale_m
-            )
+            changes_m = path.behind_filters(path.changes_m(shape), axis, piece)
+            histories[k][here] = changes_m / abs(scale_m)
             if not has_numbers:
                 x[here] += _history_columns(estimate, k, piece, columns)
         read_m = _read_m(axis, piece, start, static_m)
         error_m.append(piece.measured_m[piece.rows] - read_m)
         sensor_slope.append(_sensor_slope(axis, piece, start, static_m))
         if has_numbers:
-            changes_m = _changes_m(axis, piece, start, read_m, static_m, history_m)
-            slopes.append(changes_m / scale_m)
+            by_numbers_m = _changes_m(axis, piece, start, read_m, static_m, history_m)
+            slopes.append(by_numbers_m / scale_m)
     numbers = _numbers(axis) if has_numbers else free([], [], [], [])
     number_columns, size = _of_unit_size(slopes, int(rows[-1]))
     step = numbers.step / size
