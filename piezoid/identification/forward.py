@@ -105,6 +105,7 @@ class Forward:
         displacement  (samples,) or (samples, columns)
         instant       whether to apply only extensions that follow within samples
         """
+        displacement = np.asfortranarray(displacement)  # filters run down the columns
         for extension in self.extensions:
             if extension.instant or not instant:
                 displacement = extension.response(displacement, where)

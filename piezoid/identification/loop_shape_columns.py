@@ -26,7 +26,7 @@ from piezoid.identification.loop_shape import (
 )
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
-from piezoid.identification.simulation import starts_of, where_of, zero_of
+from piezoid.identification.simulation import starts_of, where_of
 from piezoid.identification.step_rows import rows_after_steps
 from piezoid.numerics.arrays import Array, spread_rows
 from piezoid.numerics.family_ridge import FamilyRidge, Moments
@@ -119,7 +119,7 @@ class _Path:
             return np.zeros((samples, change.shape[1]))
         every = np.arange(samples)
         columns = [np.interp(every, self.place, column, right=0.0) for column in change.T]
-        return np.stack(columns, axis=1)
+        return np.stack(columns).T
 
     def behind_filters(self, change: Array, axis: AxisModel, piece: Piece) -> Array:
         """Return changes of the response as they arrive at the sensor, (rows of the piece, n)."""
@@ -216,19 +216,14 @@ def columns_of(axis: AxisModel, pieces: Sequence[Piece]) -> Columns:
     for piece in pieces:
         late = forward.late_s(piece.where.rate_Hz) * piece.where.rate_Hz
         static_m = axis.invertible_m(piece.drive_V, piece.start.memory_V, piece.where.rate_Hz)
-        zero_m = zero_of(piece.start, piece.where.samples)
-        read_m = (
-            forward.read(forward.position(static_m, piece.where, zero_m), piece.where) - zero_m
-        )
-        moved_m = read_m[piece.rows]
+        plays_m = forward.behind(static_m, piece.where, instant=True)[piece.rows]
         drive_V, places = _path(piece.drive_V, piece.rows, late)
         history = history_of(axis.hysteresis, piece.start.memory_V, shape)
         delayed_m = axis.invertible_m(drive_V, piece.start.memory_V, piece.where.rate_Hz)[places]
-        filtered_m = moved_m - axis.polarity * delayed_m
         tolerated_m = axis.quality.noise_rms_m
         if len(plays) * int(piece.rows[-1]) > LARGEST:
-            tolerated_m = max(tolerated_m, FILTERED * float(np.std(moved_m)))
-        is_late_only = forward.is_memoryless or bool(np.std(filtered_m) < tolerated_m)
+            tolerated_m = max(tolerated_m, FILTERED * float(np.std(plays_m)))
+        is_late_only = forward.is_memoryless or bool(np.std(plays_m - delayed_m) < tolerated_m)
         if is_late_only:
             table = _delayed_columns(shape.scaled(piece.drive_V), piece.rows, late, history)
         else:
@@ -239,7 +234,6 @@ def columns_of(axis: AxisModel, pieces: Sequence[Piece]) -> Columns:
                 for name, x in unfiltered.items()
             }
             drive_V, places = _path(piece.drive_V, piece.rows, 0.0)
-        plays_m = forward.behind(static_m, piece.where, instant=True)[piece.rows]
         of_class = np.hstack(list(table.values())) @ plays[:-1]
         table[PLAYS] = (plays_m / (0.5 * axis.quality.range_m) - of_class)[:, None]
         tables.append({name: x * gain_of(axis, piece) for name, x in table.items()})

@@ -83,10 +83,12 @@ def with_loop_shape(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMod
         return axis
     columns = columns_of(axis, pieces)
     estimate = first_estimate(axis, pieces, columns)
-    plain = plain_errors(axis, regression_of(estimate, pieces, columns))
+    regression = regression_of(estimate, pieces, columns)
+    plain = plain_errors(axis, regression)
     best = estimate, pieces, columns
     for number in range(MOST_ROUNDS):
-        regression = regression_of(estimate, pieces, columns)
+        if number:
+            regression = regression_of(estimate, pieces, columns)
         solved = _improved(estimate, columns, regression)
         improved = _damped(estimate, solved, pieces, columns, regression)
         present = estimate.model
@@ -183,7 +185,7 @@ def _damped(
     """
     scale_m, step = half_range_m(solved.model), regression.places("step")
     step_m = scale_m * regression.design[:, step] @ solved.coefficient[step]
-    before_m = residual_of(present, pieces, columns) - step_m
+    before_m = regression.error_m - step_m
     confirmed_m = CONFIRMED * max(_rms(before_m, solved.use), _rms(solved.residual_m, solved.use))
     damped = solved
     for share in SHARES:
@@ -273,7 +275,7 @@ def _converged(
             regression = _again(estimate, pieces, columns, regression)
         solved = _improved(estimate, columns, regression, steps=0)
         solve = _damped(estimate, solved, pieces, columns, regression)
-        again = _again(solve, pieces, columns, regression)
+        again = _again(solve, pieces, columns, regression, has_class=False)
         solves.append(_with_histories(solve, columns, again))
     return min(solves, key=lambda solve: float(np.mean(solve.residual_m[solve.use] ** 2)))
 
@@ -313,9 +315,11 @@ def _again(
     pieces: Sequence[Piece],
     columns: Columns,
     regression: Regression,
+    *,
+    has_class: bool = True,
 ) -> Regression:
     """Return the regression with the histories' columns of the new estimate, and the same step."""
-    fresh = regression_of(estimate, pieces, columns, has_numbers=False)
+    fresh = regression_of(estimate, pieces, columns, has_numbers=False, has_class=has_class)
     step = regression.places("step")
     return beside_step(fresh, regression.design[:, step[0]]) if len(step) else fresh
 

@@ -69,6 +69,7 @@ class Regression:
 
     design  (rows, columns)  scaled
     target  (rows,)          in units of half the stroke
+    error_m (rows,)          of the simulation by the present estimate, m
     family  (columns,)       name of each column's family
     change  (columns, columns)
     use     (rows,)          whether a row counts
@@ -81,6 +82,7 @@ class Regression:
 
     design: Array
     target: Array
+    error_m: Array
     family: tuple[str, ...]
     change: Array
     use: NDArray[np.bool_]
@@ -147,13 +149,19 @@ def first_estimate(axis: AxisModel, pieces: Sequence[Piece], columns: Columns) -
 
 
 def regression_of(
-    estimate: Estimate, pieces: Sequence[Piece], columns: Columns, *, has_numbers: bool = True
+    estimate: Estimate,
+    pieces: Sequence[Piece],
+    columns: Columns,
+    *,
+    has_numbers: bool = True,
+    has_class: bool = True,
 ) -> Regression:
     """Return the rows whose coefficients are the next estimate; zeros are those of the pieces.
 
     The target is the error of the present estimate and what its linear coefficients contribute.
 
     has_numbers  whether lag and extensions may change
+    has_class    whether the class may change beside them: its columns then contain histories
     """
     axis = estimate.model
     shape = axis.loop_shape
@@ -163,8 +171,9 @@ def regression_of(
     knots = np.cumsum([0, *(len(zero_m) for zero_m in estimate.zeros)])
     zeros = np.zeros((rows[-1], knots[-1]))
     histories = [np.zeros((rows[-1], 0 if is_first else len(w))) for w in estimate.weights]
-    slopes, error_m, sensor_slope = [], [], []
-    x = columns.x if is_first or has_numbers else columns.x.copy()
+    slopes, errors_m, sensor_slope = [], [], []
+    remembers = has_class and not (is_first or has_numbers)
+    x = columns.x.copy() if remembers else columns.x
     for k, piece in enumerate(pieces):
         start = replace(piece.start, zero_m=estimate.zeros[k])
         zeros[rows[k] : rows[k + 1], knots[k] : knots[k + 1]] = _zero_columns(piece, start)
@@ -173,10 +182,10 @@ def regression_of(
             path, here = columns.paths[k], slice(rows[k], rows[k + 1])
             changes_m = path.behind_filters(path.changes_m(shape), axis, piece)
             histories[k][here] = changes_m / abs(scale_m)
-            if not has_numbers:
+            if remembers:
                 x[here] += _history_columns(estimate, k, piece, columns)
         read_m = _read_m(axis, piece, start, static_m)
-        error_m.append(piece.measured_m[piece.rows] - read_m)
+        errors_m.append(piece.measured_m[piece.rows] - read_m)
         sensor_slope.append(_sensor_slope(axis, piece, start, static_m))
         if has_numbers:
             by_numbers_m = _changes_m(axis, piece, start, read_m, static_m, history_m)
@@ -194,13 +203,15 @@ def regression_of(
         ]
     )
     design = np.hstack([linear, number_columns])
+    error_m = np.concatenate(errors_m)
     counts = (sum(table.shape[1] for table in histories), zeros.shape[1], len(step))
     names = np.repeat(["initial state", "zero", "number"], counts).tolist()
     change = np.eye(design.shape[1])
     change[: len(columns.scale), : len(columns.scale)] = columns.change
     return Regression(
         design=design,
-        target=np.concatenate(error_m) / scale_m + linear @ present,
+        target=error_m / scale_m + linear @ present,
+        error_m=error_m,
         family=(*columns.family, *names),
         change=change,
         use=estimate.use,

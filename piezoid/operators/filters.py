@@ -92,7 +92,9 @@ def later(signal: Array, samples: float, keep: slice = EVERY) -> Array:
     if early < rows:
         first += early * step - whole_samples
         newer, older = (signal[first - k : stop - whole_samples - k : step] for k in (0, 1))
-        shifted[early:] = (1.0 - part) * newer + part * older
+        columns = (np.atleast_2d(table.T) for table in (shifted[early:], newer, older))
+        for column, new, old in zip(*columns, strict=True):  # one at a time stays in the cache
+            column[:] = (1.0 - part) * new + part * old
     return shifted
 
 

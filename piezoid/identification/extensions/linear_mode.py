@@ -94,7 +94,7 @@ def rung(signal: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> 
     fraction, start = _mode(frequency_Hz, quality, rate_Hz), signal[:1]
     changes = np.atleast_2d((signal - start).T)
     rung_up = [recursive_filter(*fraction, change) for change in changes]
-    return np.asarray(np.stack(rung_up, axis=-1).reshape(signal.shape) + start)
+    return np.asarray(np.stack(rung_up).T.reshape(signal.shape) + start)
 
 
 @lru_cache(maxsize=256)
