@@ -8,7 +8,6 @@ repaired in the recordings themselves, as it was in the search.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -143,35 +142,29 @@ def refit_model(
     declared = _declared_hold(lab, model)
     modes = _known_modes(model, extensions)
     ringing = [e for e in (*extensions, *modes) if isinstance(e, LinearMode)]
-    baseline = fit_extended(model, raw, declared, structure=STATIC, ringing=ringing)
-    alternatives = (baseline.model,)
-    fit = partial(
-        fit_extended,
-        model,
-        recordings,
-        further_starts=alternatives,
-        structure=structure,
-        samples=rows,
-        ringing=ringing,
+    unrepaired = _Rows(recordings=raw, samples=None, ringing=ringing)
+    repaired = _Rows(recordings=recordings, samples=rows, ringing=ringing)
+    baseline = unrepaired.fit(model, declared, STATIC)
+    alternatives, without = (baseline.model,), {}
+    final = _best(
+        repaired.fit(model, parts, structure, alternatives)
+        for parts in _with_whole_modes(extensions)
     )
-    without = {}
-    final = _best(fit(parts) for parts in _with_whole_modes(extensions))
     if modes:
         with_modes = in_order([*extensions, *modes])
-        ringing_fit = fit(with_modes)
+        ringing_fit = repaired.fit(model, with_modes, structure, alternatives)
         if ringing_fit.held_out_rms_m < CLEARLY_WORSE * final.held_out_rms_m:
             without[RESONANCE], final, extensions = final, ringing_fit, with_modes
     # A change between recordings leaves none of them with a gain on both sides of it.
     if any(e.effect == "gain_change" and e.parameters["place"] > 0.0 for e in estimates):
-        final = _with_later_recordings(final, recordings, structure, rows)
-    final = _with_free_rungs(final, recordings, structure, rows)
+        final = _with_later_recordings(final, repaired, structure)
+    final = _with_free_rungs(final, repaired, structure)
     fitted = final.model.extensions
-    refit = partial(fit_extended, final.model, further_starts=alternatives, ringing=ringing)
     plain = STATIC
     for estimate in estimates:  # a part of the static model that was found is none of the baseline
         plain = _structure_of(plain, estimate, model, has_effect=False)
     if plain != STATIC:
-        baseline = refit(raw, declared, structure=plain)
+        baseline = unrepaired.fit(final.model, declared, plain, alternatives)
     for estimate in estimates:
         progress(f"refitting without {words(estimate.effect)}")
         removed = starts.get(estimate.effect, ())
@@ -181,15 +174,14 @@ def refit_model(
             if not any(start is part for part in removed)
         ]
         reduced = _structure_of(structure, estimate, model, has_effect=False)
-        without[estimate.effect] = refit(recordings, remaining, structure=reduced, samples=rows)
+        without[estimate.effect] = repaired.fit(final.model, remaining, reduced, alternatives)
     if faults:
-        unrepaired = refit(raw, fitted, structure=structure)
-        without |= dict.fromkeys(faults, unrepaired)
+        faulty = unrepaired.fit(final.model, fitted, structure, alternatives)
+        without |= dict.fromkeys(faults, faulty)
     if with_structure is not None:
         progress("refitting without the unnamed structure")
-        without[SOMETHING_ELSE] = refit(
-            with_structure, fitted, structure=structure, samples=structure_rows
-        )
+        structured = _Rows(recordings=with_structure, samples=structure_rows, ringing=ringing)
+        without[SOMETHING_ELSE] = structured.fit(final.model, fitted, structure, alternatives)
     # a refit without a drift would drop a zero that moves
     drifts = wandering_zeros(model.starts, model.quality.rms_m, model.quality.range_m)
     ships = starts or (not drifts and (model.verdict.applies or estimates))
@@ -198,8 +190,38 @@ def refit_model(
         final_m=final.held_out_rms_m,
         without_m={name: fit.held_out_rms_m for name, fit in without.items()},
         scatter=relative_scatter(final.held_m),
-        model=_shipped(model, recordings, final, structure, rows) if ships else model,
+        model=_shipped(model, final, repaired, structure) if ships else model,
     )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Rows:
+    """Rows over which joint fits compare.
+
+    samples  that may be fitted, for each piece; None: all, thinned evenly
+    ringing  modes whose unresolved ringing is left out of every fit
+    """
+
+    recordings: Sequence[Recording]
+    samples: Sequence[Samples] | None
+    ringing: Sequence[LinearMode]
+
+    def fit(
+        self,
+        model: AxisModel,
+        extensions: Sequence[Extension],
+        structure: Structure,
+        further_starts: Sequence[AxisModel] = (),
+    ) -> Extended:
+        return fit_extended(
+            model,
+            self.recordings,
+            extensions,
+            further_starts=further_starts,
+            structure=structure,
+            samples=self.samples,
+            ringing=self.ringing,
+        )
 
 
 def _declared_hold(lab: Lab, model: AxisModel) -> tuple[ConverterHold, ...]:
@@ -274,34 +296,23 @@ def _structure_of(
     return structural.structure(structure, model, has_effect)
 
 
-def _with_later_recordings(
-    final: Extended,
-    recordings: Sequence[Recording],
-    structure: Structure,
-    rows: Sequence[Samples] | None,
-) -> Extended:
+def _with_later_recordings(final: Extended, rows: _Rows, structure: Structure) -> Extended:
     """Decide by their gains which recordings were made after a change within one of them.
 
     Files are given in the order of their names as often as in that of their time.
     """
     extensions = final.model.extensions
     change = next((e for e in extensions if isinstance(e, GainChange)), None)
-    if change is None or len(recordings) == 1:
+    if change is None or len(rows.recordings) == 1:
         return final
 
     def refit(further: Sequence[GainChange], later: tuple[str, ...]) -> Extended:
         parts = [replace(e, later=later) if isinstance(e, GainChange) else e for e in extensions]
-        return fit_extended(
-            final.model,
-            recordings,
-            in_order([*parts, *further]),
-            structure=structure,
-            samples=rows,
-        )
+        return rows.fit(final.model, in_order([*parts, *further]), structure)
 
     free = [
         GainChange(recording=recording.name, instant_s=0.0, ratio=1.0)
-        for recording in recordings
+        for recording in rows.recordings
         if recording.name != change.recording
     ]
     fitted = refit(free, ()).model.extensions
@@ -315,12 +326,7 @@ def _with_later_recordings(
     return changed if changed.held_out_rms_m < final.held_out_rms_m else final
 
 
-def _with_free_rungs(
-    final: Extended,
-    recordings: Sequence[Recording],
-    structure: Structure,
-    rows: Sequence[Samples] | None,
-) -> Extended:
+def _with_free_rungs(final: Extended, rows: _Rows, structure: Structure) -> Extended:
     """Free the share of each rung of a creep ladder if the error is then clearly smaller.
 
     Free rungs also follow hysteresis that differs a little from the model's.
@@ -329,17 +335,11 @@ def _with_free_rungs(
     if not any(isinstance(extension, CreepLadder) for extension in extensions):
         return final
     free = [replace(e, even=False) if isinstance(e, CreepLadder) else e for e in extensions]
-    refit = fit_extended(final.model, recordings, free, structure=structure, samples=rows)
+    refit = rows.fit(final.model, free, structure)
     return refit if refit.held_out_rms_m < FREE_RUNGS * final.held_out_rms_m else final
 
 
-def _shipped(
-    model: AxisModel,
-    recordings: Sequence[Recording],
-    final: Extended,
-    structure: Structure,
-    rows: Sequence[Samples] | None,
-) -> AxisModel:
+def _shipped(model: AxisModel, final: Extended, rows: _Rows, structure: Structure) -> AxisModel:
     """Return the final model with its one lag where the runtime looks for it.
 
     A lag that was fitted before any effect was found stands for a mode as well, so beside a mode
@@ -349,14 +349,8 @@ def _shipped(
     lag = next((e for e in extensions if isinstance(e, Delay | FirstOrderLag)), None)
     if lag is None:
         small = replace(model.lag, time_s=SMALL_LAG * model.lag.time_s)
-        return fit_extended(
-            replace(final.model, lag=model.lag),
-            recordings,
-            extensions,
-            further_starts=(replace(final.model, lag=small),),
-            structure=replace(structure, lag=True),
-            samples=rows,
-        ).model
+        first, second = (replace(final.model, lag=started) for started in (model.lag, small))
+        return rows.fit(first, extensions, replace(structure, lag=True), (second,)).model
     if isinstance(lag, FirstOrderLag):
         model_lag = Lag(kind="first_order", time_s=lag.lag_s)
     elif lag.delay_samples > 0.0:
