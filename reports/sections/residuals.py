@@ -137,16 +137,3 @@ def _bands(canvas: Canvas, role: str, bins: Array) -> tuple[Layer, ...]:
     middle, low, median, high = bins.T
     line = canvas.line(role, f"{role}: median", middle, median)
     return canvas.band(f"{role}-band", f"{role}: 90 %", middle, low, high), line
-
-
-def _marks(canvas: Canvas, trace: Trace) -> tuple[Layer, ...]:
-    """Draw a bar under every run of samples that was left out, at least half a pixel wide."""
-    is_used, time_s = np.isfinite(trace.modelled_m), trace.time_s
-    if is_used.all():
-        return ()
-    ends_s = time_s[np.minimum(runs_of(~is_used), len(time_s) - 1)]
-    ends_s[:, 1] = np.maximum(ends_s[:, 1], ends_s[:, 0] + MIN_TICK * np.ptp(time_s))
-    low = canvas.y.low * canvas.y.scale.factor
-    x = np.column_stack([ends_s, np.full(len(ends_s), np.nan)]).ravel()
-    y = np.where(np.isfinite(x), low, np.nan)
-    return (canvas.line("missing", "left out of the fit", x, y),)

@@ -71,6 +71,22 @@ def test_no_file_is_named_for_nothing() -> None:
     ]
 
 
+def test_every_private_name_is_used() -> None:
+    defined, used = set(), set()
+    for path in sources():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                defined.add(node.name)
+            elif isinstance(node, ast.Attribute):
+                used.add(node.attr)
+            elif isinstance(node, ast.Name):
+                (used if isinstance(node.ctx, ast.Load) else defined).add(node.id)
+            elif isinstance(node, ast.ImportFrom):
+                used.update(alias.name for alias in node.names)
+    private = {name for name in defined if len(name) > 1 and name == "_" + name.strip("_")}
+    assert private - used == set()
+
+
 @pytest.mark.parametrize("folder", ["piezoid"])
 def test_the_library_neither_prints_nor_reads_clock_or_environment(folder: str) -> None:
     for path in sorted((ROOT / folder).rglob("*.py")):

@@ -37,7 +37,6 @@ PIECES = [part.where for part in parts_of(known_model(), recordings_of())]
 ANSWER = CrossAxis(axis="y", centre_V=5.0, gain_m_per_V=2e-8, curvature_m_per_V_per_V=1e-9)
 HUM = MainsLines.of(PIECES, 50.0, harmonics=(1,))
 DRIFT = ThermalDrift.of(PIECES)
-CHANCE = np.random.default_rng(5)
 
 # What is put in, where the fit begins, and how close it must come, in parts of the truth.
 CASES: tuple[tuple[Extension, Extension, float], ...] = (
