@@ -1,6 +1,7 @@
 """Errors of a regression for loop shape on blocks that its solve left out.
 
-They decide whether loop shape ships, with how much freedom, and beside which step of the zero.
+They decide whether loop shape ships, with how much freedom, and beside which step of the zero. Of
+a single loop no block is like those that remain: there the error in sample decides alone.
 """
 
 from collections.abc import Sequence
@@ -34,7 +35,7 @@ class Errors:
     """Errors in units of half the stroke.
 
     explained  in sample, corrected for the number of parameters of loop shape
-    held_out   on left-out blocks
+    held_out   on left-out blocks; of a single loop as explained
     """
 
     explained: float
@@ -72,9 +73,10 @@ def plain_errors(axis: AxisModel, regression: Regression) -> Errors:
     error = zeros.target - zeros.design @ ridge.mean(total)
     explained = float(np.sqrt(np.mean(error[zeros.use] ** 2)))
     quality = axis.quality
-    optimism = quality.held_out_rms_m / quality.rms_m if quality.is_tested else 1.0
-    held_out = max(optimism, 1.0) * _error(zeros, folds, total, ridge)
-    return Errors(explained=explained, held_out=held_out)
+    if not quality.is_tested:
+        return Errors(explained=explained, held_out=explained)
+    optimism = max(quality.held_out_rms_m / quality.rms_m, 1.0)
+    return Errors(explained=explained, held_out=optimism * _error(zeros, folds, total, ridge))
 
 
 def errors_of(estimate: Estimate, regression: Regression) -> tuple[Errors, float]:
@@ -84,16 +86,18 @@ def errors_of(estimate: Estimate, regression: Regression) -> tuple[Errors, float
     """
     folds = regression.moments()
     total = summed(folds)
+    coefficient = regression.change @ ridge_of(estimate, regression, total).mean(total)
+    residual = (regression.target - regression.design @ coefficient)[regression.use]
+    free = max(len(residual) - estimate.parameters, 1.0)
+    explained = float(np.sqrt(np.sum(residual**2) / free))
+    if not estimate.model.quality.is_tested:
+        return Errors(explained=explained, held_out=explained), 1.0
     tried = {}
     for factor in FREEDOM_FACTORS:
         ridge = ridge_of(with_less_freedom(estimate, factor), regression, total)
         tried[factor] = _error(regression, folds, total, ridge)
     close = CLOSE * min(tried.values())
     factor = max(factor for factor, error in tried.items() if error <= close)
-    coefficient = regression.change @ ridge_of(estimate, regression, total).mean(total)
-    residual = (regression.target - regression.design @ coefficient)[regression.use]
-    free = max(len(residual) - estimate.parameters, 1.0)
-    explained = float(np.sqrt(np.sum(residual**2) / free))
     return Errors(explained=explained, held_out=tried[factor]), factor
 
 

@@ -287,6 +287,17 @@ def test_a_step_of_the_zero_is_not_taken_for_hysteresis() -> None:
     assert jump_m == pytest.approx(step_m, rel=0.2)
 
 
+@pytest.mark.parametrize("law", ["preisach", "coleman_hodgdon", "jiles_atherton"])
+def test_of_a_single_loop_the_error_in_sample_decides(law: str) -> None:
+    ramp = np.linspace(-1.0, 1.0, 900)
+    loop = recorded(law, np.concatenate([ramp, ramp[-2::-1]]), "loop")
+    plain = estimate_axis([loop], "x", Rig(), orders=((8, 2),))
+    axis = with_loop_shape(plain, [loop])
+    assert axis.loop_shape is not None
+    assert axis.quality.rms_m < 1.05 * NOISE_M < plain.quality.rms_m
+    assert not axis.quality.is_tested
+
+
 def test_without_loop_shape_the_axis_is_what_it_was() -> None:
     recordings, plain, axis = fitted("dahl", 1.0)
     before = axis.without_loop_shape()
