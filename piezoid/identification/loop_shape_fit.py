@@ -271,8 +271,9 @@ def _converged(
     """Return the estimate of the smallest simulated error, of several solves in turn.
 
     The response is a product of the class's coefficients and the weights of histories. Each solve
-    of both is linearised and damped; the weights are then solved again for these coefficients, of
-    which the response is a linear function.
+    of both is linearised. Where it has to be damped, the class is also solved beside the present
+    weights; the weights are then solved again beside the class. The response is linear in either.
+    Of a scanner's curve damped solves alone left 5 or 10 nm, by the number of threads.
     """
     solves: list[Estimate] = []
     for _ in range(LAST_ROUNDS):
@@ -281,9 +282,39 @@ def _converged(
             regression = _again(estimate, pieces, columns, regression)
         solved = _improved(estimate, columns, regression, steps=0)
         solve = _damped(estimate, solved, pieces, columns, regression)
+        if solve is not solved:
+            of_class = _with_class(estimate, solved, columns, regression)
+            alone = _damped(estimate, of_class, pieces, columns, regression)
+            solve = min(solve, alone, key=_mean_square)
         again = _again(solve, pieces, columns, regression, has_class=False)
         solves.append(_with_histories(solve, columns, again))
-    return min(solves, key=lambda solve: float(np.mean(solve.residual_m[solve.use] ** 2)))
+    return min(solves, key=_mean_square)
+
+
+def _mean_square(estimate: Estimate) -> float:
+    return float(np.mean(estimate.residual_m[estimate.use] ** 2))
+
+
+def _with_class(
+    estimate: Estimate, joint: Estimate, columns: Columns, regression: Regression
+) -> Estimate:
+    """Return the estimate with the class that fits best beside its weights of histories.
+
+    joint  the solve of both, whose number of parameters holds
+    """
+    weights = np.concatenate(estimate.weights)
+    of_histories = regression.places("initial state")
+    fixed = regression.without(np.isin(regression.family, "initial state"))
+    known = regression.design[:, of_histories] @ weights
+    solved = _improved(estimate, columns, replace(fixed, target=fixed.target - known), steps=0)
+    coefficient = solved.coefficient.copy()
+    coefficient[of_histories] = weights
+    return replace(
+        solved,
+        weights=estimate.weights,
+        coefficient=coefficient,
+        parameters=joint.parameters,
+    )
 
 
 def _with_histories(estimate: Estimate, columns: Columns, regression: Regression) -> Estimate:
