@@ -281,13 +281,17 @@ def _converged(
             estimate = solves[-1]
             regression = _again(estimate, pieces, columns, regression)
         solved = _improved(estimate, columns, regression, steps=0)
-        solve = _damped(estimate, solved, pieces, columns, regression)
-        if solve is not solved:
+        tried = [_damped(estimate, solved, pieces, columns, regression)]
+        if tried[0] is not solved:
             of_class = _with_class(estimate, solved, columns, regression)
-            alone = _damped(estimate, of_class, pieces, columns, regression)
-            solve = min(solve, alone, key=_mean_square)
-        again = _again(solve, pieces, columns, regression, has_class=False)
-        solves.append(_with_histories(solve, columns, again))
+            tried.append(_damped(estimate, of_class, pieces, columns, regression))
+        settled = [
+            _with_histories(
+                solve, columns, _again(solve, pieces, columns, regression, has_class=False)
+            )
+            for solve in tried
+        ]
+        solves.append(min(settled, key=_mean_square))
     return min(solves, key=_mean_square)
 
 
