@@ -43,6 +43,12 @@ from piezoid.formatting import with_unit, words
 from piezoid.numerics.arrays import Array
 
 RESONANCE = "resonance"  # an unresolved mode widens loops as another loop shape does
+# Along one loop a wide class follows all of these: of plays late by 20 ms it took 46 of 59 nm, and
+# beside a drift of plays 61 nm that are not there.
+LIKE_ONE_LOOP = ("lag", "creep", "thermal_drift", "initial_state")
+ONE_LOOP_EXPERIMENT = (
+    "Record three equal cycles, and the same ten times slower: loop shape repeats in all of them."
+)
 BLOCKS = 20  # of the residual, for the standard error of its mean square
 ONE_SIDED_95 = 1.645
 ALPHA = 0.05  # of the rank among 52 healthy stages, whose smallest p-value is 1/53
@@ -322,7 +328,11 @@ def _with_loop_shape(
         power_std = max(errors.scatter, 1e-6) * before_m**2
     if before_m <= NOISE_RATIO * noise_m or power <= 0.0 or not is_named:
         return _without_loop_shape(diagnosis, sqrt(max(power, 0.0) + ONE_SIDED_95 * power_std))
-    effect = effect_named(LOOP_SHAPE)
+    effect, experiment = effect_named(LOOP_SHAPE), effect_named(LOOP_SHAPE).experiment
+    alike = [f.effect for f in diagnosis.findings if f.effect == RESONANCE and not f.held_out_gain]
+    model = diagnosis.model
+    if in_model and model is not None and not model.quality.is_tested:
+        alike, experiment = [*alike, *LIKE_ONE_LOOP], ONE_LOOP_EXPERIMENT
     low, high = (sqrt(max(power + side * 1.96 * power_std, 0.0)) for side in (-1.0, 1.0))
     evidence = (
         "The model simulates with the wider class."
@@ -338,11 +348,9 @@ def _with_loop_shape(
         p_value=0.5 * erfc(power / power_std / sqrt(2.0)) if power_std > 0.0 else 0.0,
         rms_percent=100.0 * sqrt(power) / diagnosis.stroke_m,
         size=Size(value=1e9 * sqrt(power), unit=effect.unit, ci95=(1e9 * low, 1e9 * high)),
-        not_separable_from=tuple(
-            f.effect for f in diagnosis.findings if f.effect == RESONANCE and not f.held_out_gain
-        ),
+        not_separable_from=tuple(alike),
         explanation=f"{effect.summary} {evidence}",
-        next_experiment=effect.experiment,
+        next_experiment=experiment,
         parameters={},
     )
     return with_finding(diagnosis, finding)

@@ -176,8 +176,8 @@ def refit_model(
         reduced = _structure_of(structure, estimate, model, has_effect=False)
         without[estimate.effect] = repaired.fit(final.model, remaining, reduced, alternatives)
     if faults:
-        faulty = unrepaired.fit(final.model, fitted, structure, alternatives)
-        without |= dict.fromkeys(faults, faulty)
+        with_faults = unrepaired.fit(final.model, fitted, structure, alternatives)
+        without |= dict.fromkeys(faults, with_faults)
     if with_structure is not None:
         progress("refitting without the unnamed structure")
         structured = _Rows(recordings=with_structure, samples=structure_rows, ringing=ringing)
@@ -349,7 +349,7 @@ def _shipped(model: AxisModel, final: Extended, rows: _Rows, structure: Structur
     lag = next((e for e in extensions if isinstance(e, Delay | FirstOrderLag)), None)
     if lag is None:
         small = replace(model.lag, time_s=SMALL_LAG * model.lag.time_s)
-        first, second = (replace(final.model, lag=started) for started in (model.lag, small))
+        first, second = (replace(final.model, lag=lag) for lag in (model.lag, small))
         return rows.fit(first, extensions, replace(structure, lag=True), (second,)).model
     if isinstance(lag, FirstOrderLag):
         model_lag = Lag(kind="first_order", time_s=lag.lag_s)

@@ -13,7 +13,8 @@ from operator import add
 import numpy as np
 
 from piezoid.identification.loop_shape_columns import FOLDS
-from piezoid.identification.loop_shape_regression import Estimate, Regression
+from piezoid.identification.loop_shape_estimate import Estimate
+from piezoid.identification.loop_shape_regression import Regression
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.family_ridge import FamilyRidge, Moments
@@ -63,7 +64,7 @@ def plain_errors(axis: AxisModel, regression: Regression) -> Errors:
         prior=None,
     )
     folds = zeros.moments()
-    total = summed(folds)
+    total = total_of(folds)
     labels = zeros.labels
     ridge = FamilyRidge(
         family=np.array([labels.index(name) for name in zeros.family]),
@@ -85,7 +86,7 @@ def errors_of(estimate: Estimate, regression: Regression) -> tuple[Errors, float
     Where the class is wrong, less freedom predicts better than marginal likelihood says.
     """
     folds = regression.moments()
-    total = summed(folds)
+    total = total_of(folds)
     coefficient = regression.change @ ridge_of(estimate, regression, total).mean(total)
     residual = (regression.target - regression.design @ coefficient)[regression.use]
     free = max(len(residual) - estimate.parameters, 1.0)
@@ -138,7 +139,7 @@ def with_step(estimate: Estimate, regression: Regression) -> Regression | None:
     A wide class follows a jump of the zero by hysteresis that does not exist. The gain of a step H
     beside everything else is (r'H)^2 / H'(I - X P^-1 X') H, with P the posterior precision.
     """
-    total = summed(regression.moments())
+    total = total_of(regression.moments())
     ridge = ridge_of(estimate, regression, total)
     scale = np.sqrt(np.minimum(ridge.variance, 1e4 * total.square / total.count))[ridge.family]
     inverse = np.linalg.inv(
@@ -186,6 +187,6 @@ def ridge_of(estimate: Estimate, regression: Regression, total: Moments) -> Fami
     )
 
 
-def summed(folds: Sequence[Moments]) -> Moments:
+def total_of(folds: Sequence[Moments]) -> Moments:
     """Return the moments of all folds together."""
     return reduce(add, folds)

@@ -13,6 +13,7 @@ Gauss-Newton with the linear coefficients eliminated.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from piezoid.identification.loop_shape_blocks import (
     errors_of,
     plain_errors,
     ridge_of,
-    summed,
+    total_of,
     with_less_freedom,
     with_step,
 )
@@ -37,17 +38,16 @@ from piezoid.identification.loop_shape_columns import (
     pieces_of,
     with_drive_of,
 )
-from piezoid.identification.loop_shape_regression import (
+from piezoid.identification.loop_shape_estimate import (
     Estimate,
-    Regression,
     between,
     first_estimate,
     half_range_m,
-    regression_of,
     residual_of,
     with_numbers,
     with_sensor_numbers,
 )
+from piezoid.identification.loop_shape_regression import Regression, regression_of
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import BLOCKS, IN_SAMPLE, with_noise_bound
@@ -91,8 +91,6 @@ def with_loop_shape(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMod
     plain = plain_errors(axis, regression)
     best = estimate, pieces, columns
     for number in range(MOST_ROUNDS):
-        if number:
-            regression = regression_of(estimate, pieces, columns)
         solved = _improved(estimate, columns, regression)
         improved = _damped(estimate, solved, pieces, columns, regression)
         present = estimate.model
@@ -110,6 +108,7 @@ def with_loop_shape(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMod
             estimate = settled
             if number + 1 >= FEWEST_ROUNDS and settled.shift <= SHIFT:
                 break
+        regression = regression_of(estimate, pieces, columns)
     estimate, pieces, columns = best
     return _accepted(axis, estimate, pieces, columns, plain)
 
@@ -125,12 +124,12 @@ def _improved(
     steps  of the fixed point of the variances
     """
     axis, scale_m = estimate.model, half_range_m(estimate.model)
-    total = summed(regression.moments())
+    total = total_of(regression.moments())
     ridge = ridge_of(estimate, regression, total)
     outward = regression.outward(regression.change @ ridge.mean(total))
     if outward.any():
         regression = regression.without(outward)
-        total = summed(regression.moments())
+        total = total_of(regression.moments())
     bounded = np.array([name == "initial state" for name in regression.labels])
     ceiling = np.where(bounded, 1.0, np.inf)
     ridge, reduced, parameters = ridge.maximised(total, ceiling=ceiling, steps=steps)
@@ -221,8 +220,8 @@ def _accepted(
     if stepped is not None:
         errors_with_step, factor_with_step = errors_of(estimate, stepped)
         noise = axis.quality.noise_rms_m / abs(half_range_m(axis))
-        is_last = errors_with_step.explained < STEP_EXPLAINS * noise
-        if is_last and errors_with_step.held_out < STEP_WORTH * errors.held_out:
+        reaches_noise = errors_with_step.explained < STEP_EXPLAINS * noise
+        if reaches_noise and errors_with_step.held_out < STEP_WORTH * errors.held_out:
             regression, factor = stepped, factor_with_step
             plain, errors = plain_errors(axis, stepped), errors_with_step
     if errors.held_out > WORTH * plain.held_out or errors.explained > WORTH * plain.explained:
@@ -281,17 +280,16 @@ def _converged(
             estimate = solves[-1]
             regression = _again(estimate, pieces, columns, regression)
         solved = _improved(estimate, columns, regression, steps=0)
-        tried = [_damped(estimate, solved, pieces, columns, regression)]
-        if tried[0] is not solved:
+        candidates = [_damped(estimate, solved, pieces, columns, regression)]
+        if candidates[0] is not solved:
             of_class = _with_class(estimate, solved, columns, regression)
-            tried.append(_damped(estimate, of_class, pieces, columns, regression))
-        settled = [
-            _with_histories(
-                solve, columns, _again(solve, pieces, columns, regression, has_class=False)
-            )
-            for solve in tried
+            candidates.append(_damped(estimate, of_class, pieces, columns, regression))
+        regressions = [
+            _again(candidate, pieces, columns, regression, has_class=False)
+            for candidate in candidates
         ]
-        solves.append(min(settled, key=_mean_square))
+        complete = map(_with_histories, candidates, repeat(columns), regressions)
+        solves.append(min(complete, key=_mean_square))
     return min(solves, key=_mean_square)
 
 
@@ -309,8 +307,9 @@ def _with_class(
     weights = np.concatenate(estimate.weights)
     of_histories = regression.places("initial state")
     fixed = regression.without(np.isin(regression.family, "initial state"))
-    known = regression.design[:, of_histories] @ weights
-    solved = _improved(estimate, columns, replace(fixed, target=fixed.target - known), steps=0)
+    by_histories = regression.design[:, of_histories] @ weights
+    beside = replace(fixed, target=fixed.target - by_histories)
+    solved = _improved(estimate, columns, beside, steps=0)
     coefficient = solved.coefficient.copy()
     coefficient[of_histories] = weights
     return replace(
@@ -326,7 +325,7 @@ def _with_histories(estimate: Estimate, columns: Columns, regression: Regression
 
     Its residual is the error of the simulation.
     """
-    total = summed(regression.moments())
+    total = total_of(regression.moments())
     ridge = ridge_of(estimate, regression, total)
     free = np.isin(regression.family, ("initial state", *UNPENALISED))
     of_class = estimate.wide * columns.scale

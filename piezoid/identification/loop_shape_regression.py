@@ -11,15 +11,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
-from piezoid.identification.extensions.extension import Extension, Free, Where, free
+from piezoid.identification.extensions.extension import Extension, free
 from piezoid.identification.loop_shape_columns import (
     FOLDS,
     NEVER,
     Columns,
     Piece,
-    no_loop_shape,
+)
+from piezoid.identification.loop_shape_estimate import (
+    Estimate,
+    half_range_m,
+    is_sensor,
+    numbers_of,
+    reading_of,
+    static_response_of,
+    with_numbers,
 )
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
@@ -27,40 +34,8 @@ from piezoid.identification.simulation import zero_of
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.family_ridge import Moments
 
-LAG_s = 1e-6  # step of the lag for its derivative
 SMALLEST = 1e-12  # half ranges: a number that moves the reading by less is in no reading
 SENSOR_STEP = 1e-4  # half ranges, for the derivative of a reading
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Estimate:
-    """Loop shape, initial states, zeros, lag and extensions after some rounds.
-
-    model       with loop shape, lag and extensions
-    weights     (histories,) of every piece
-    zeros       (knots,) of every piece, m
-    wide        (columns,)  coefficients of the wide class, of unscaled columns
-    coefficient (columns,)  of all columns of the last regression
-    shift       of the reading by the last change of lag and extensions, of the residual
-    variance    prior variance by family; noise, too
-    parameters  effective number of them
-    residual_m  (rows,)
-    use         (rows,)  whether a row is no outlier
-    rows        of every piece
-    """
-
-    model: AxisModel
-    weights: tuple[Array, ...]
-    zeros: tuple[Array, ...]
-    wide: Array
-    coefficient: Array
-    shift: float
-    variance: dict[str, float]
-    noise: float
-    parameters: float
-    residual_m: Array
-    use: NDArray[np.bool_]
-    rows: tuple[int, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,25 +104,6 @@ class Regression:
         return np.flatnonzero(np.array(self.family) == name)
 
 
-def first_estimate(axis: AxisModel, pieces: Sequence[Piece], columns: Columns) -> Estimate:
-    """Return the estimate of the plays alone."""
-    rows = len(columns.x)
-    return Estimate(
-        model=replace(axis, loop_shape=no_loop_shape(axis)),
-        weights=tuple(np.zeros(path.plays_m.shape[1] - 1) for path in columns.paths),
-        zeros=tuple(np.array(piece.start.zero_m) for piece in pieces),
-        wide=np.zeros(len(columns.scale)),
-        coefficient=np.zeros(0),
-        shift=0.0,
-        variance={},
-        noise=0.0,
-        parameters=0.0,
-        residual_m=np.zeros(rows),
-        use=np.ones(rows, dtype=bool),
-        rows=tuple(len(piece.rows) for piece in pieces),
-    )
-
-
 def regression_of(
     estimate: Estimate,
     pieces: Sequence[Piece],
@@ -177,20 +133,20 @@ def regression_of(
     for k, piece in enumerate(pieces):
         start = replace(piece.start, zero_m=estimate.zeros[k])
         zeros[rows[k] : rows[k + 1], knots[k] : knots[k + 1]] = _zero_columns(piece, start)
-        static_m, history_m = _static_m(estimate, k, piece, columns)
+        static_m, history_m = static_response_of(estimate, k, piece, columns)
         if not is_first:
             path, here = columns.paths[k], slice(rows[k], rows[k + 1])
             changes_m = path.behind_filters(path.changes_m(shape), axis, piece)
             histories[k][here] = changes_m / abs(scale_m)
             if remembers:
                 x[here] += _history_columns(estimate, k, piece, columns)
-        read_m = _read_m(axis, piece, start, static_m)
+        read_m = reading_of(axis, piece, start, static_m)
         errors_m.append(piece.measured_m[piece.rows] - read_m)
         sensor_slope.append(_sensor_slope(axis, piece, start, static_m))
         if has_numbers:
             by_numbers_m = _changes_m(axis, piece, start, read_m, static_m, history_m)
             slopes.append(by_numbers_m / scale_m)
-    numbers = _numbers(axis) if has_numbers else free([], [], [], [])
+    numbers = numbers_of(axis) if has_numbers else free([], [], [], [])
     number_columns, size = _of_unit_size(slopes, int(rows[-1]))
     step = numbers.step / size
     slope = np.concatenate(sensor_slope)[:, None]
@@ -225,105 +181,11 @@ def regression_of(
     )
 
 
-def residual_of(estimate: Estimate, pieces: Sequence[Piece], columns: Columns) -> Array:
-    """Return the error of the simulation at the rows of all pieces, (rows,) m."""
-    errors_m = []
-    for k, piece in enumerate(pieces):
-        static_m, _ = _static_m(estimate, k, piece, columns)
-        start = replace(piece.start, zero_m=estimate.zeros[k])
-        errors_m.append(
-            piece.measured_m[piece.rows] - _read_m(estimate.model, piece, start, static_m)
-        )
-    return np.concatenate(errors_m)
-
-
-def between(first: Estimate, second: Estimate, share: float) -> Estimate:
-    """Return the estimate that is a share of the way from one to another."""
-
-    def part(a: Array, b: Array) -> Array:
-        return np.asarray(a + share * (b - a))
-
-    shape, other = first.model.loop_shape, second.model.loop_shape
-    assert shape is not None
-    assert other is not None
-    mixed = replace(
-        other,
-        plays_weight=shape.plays_weight + share * (other.plays_weight - shape.plays_weight),
-        density_m=part(shape.density_m, other.density_m),
-        smooth_m=part(shape.smooth_m, other.smooth_m),
-    )
-    numbers = part(_numbers(first.model).value, _numbers(second.model).value)
-    return replace(
-        second,
-        model=with_numbers(replace(second.model, loop_shape=mixed), numbers),
-        weights=tuple(map(part, first.weights, second.weights)),
-        zeros=tuple(map(part, first.zeros, second.zeros)),
-        wide=part(first.wide, second.wide),
-    )
-
-
-def _static_m(estimate: Estimate, k: int, piece: Piece, columns: Columns) -> tuple[Array, Array]:
-    """Return the static response of piece k, and the part of weighted histories, (samples,)."""
-    axis, weight, history_m = estimate.model, estimate.weights[k], np.zeros(piece.where.samples)
-    if axis.loop_shape is not None and np.any(weight):
-        path = columns.paths[k]
-        change_m = path.changes_m(axis.loop_shape) @ weight[:, None]
-        history_m = path.interpolated(change_m, piece.where.samples)[:, 0]
-    static_m = axis.static_m(piece.drive_V, piece.start.memory_V, piece.where.rate_Hz)
-    return history_m + static_m, history_m
-
-
 def _history_columns(estimate: Estimate, k: int, piece: Piece, columns: Columns) -> Array:
     """Return the change of the class's columns by weighted histories, (rows, columns)."""
     path, scale_m = columns.paths[k], abs(half_range_m(estimate.model))
     change = path.column_changes(estimate.weights[k], columns.plays, scale_m)
     return path.behind_filters(change, estimate.model, piece) / columns.scale
-
-
-def with_sensor_numbers(estimate: Estimate, pieces: Sequence[Piece], columns: Columns) -> Estimate:
-    """Fit the numbers of a sensor's error to the readings at the simulated positions.
-
-    A reading is far from linear in the wavelength of a periodic error, so these numbers are not
-    among the columns of the regression.
-    """
-    axis = estimate.model
-    if not any(_is_sensor(extension) for extension in axis.extensions):
-        return estimate
-    positions_m, readings_m, masks = [], [], np.split(estimate.use, np.cumsum(estimate.rows)[:-1])
-    for k, piece in enumerate(pieces):
-        zero_m = zero_of(replace(piece.start, zero_m=estimate.zeros[k]), piece.where.samples)
-        static_m, _ = _static_m(estimate, k, piece, columns)
-        rows = piece.rows[masks[k]]
-        positions_m.append(axis.forward.position(static_m, piece.where, zero_m)[rows])
-        readings_m.append(piece.measured_m[rows])
-    locations, reading_m = [piece.where for piece in pieces], np.concatenate(readings_m)
-    extensions, shift = list(axis.extensions), estimate.shift
-    for number, extension in enumerate(axis.extensions):
-        if _is_sensor(extension):
-            sensor, change = _fitted_sensor(extension, positions_m, locations, reading_m)
-            positions_m = list(map(sensor.reading, positions_m, locations))
-            extensions[number] = sensor
-            shift = max(shift, change)
-    return replace(estimate, model=replace(axis, extensions=tuple(extensions)), shift=shift)
-
-
-def _fitted_sensor(
-    sensor: Extension, positions_m: Sequence[Array], locations: Sequence[Where], reading_m: Array
-) -> tuple[Extension, float]:
-    """Return a sensor's error fitted to readings, and its change relative to the residual."""
-    numbers, scale_m = sensor.free(), float(np.std(reading_m))
-
-    def error(steps: Array) -> Array:
-        moved = sensor.moved_to(steps * numbers.step)
-        simulated_m = np.concatenate(list(map(moved.reading, positions_m, locations)))
-        return np.asarray((simulated_m - reading_m) / scale_m)
-
-    first = numbers.value / numbers.step
-    bounds = (numbers.lower / numbers.step, numbers.upper / numbers.step)
-    fit = least_squares(error, first, bounds=bounds, x_scale="jac")
-    before, after = error(first), error(fit.x)
-    change = float(np.linalg.norm(after - before) / np.linalg.norm(before))
-    return replace(sensor.moved_to(fit.x * numbers.step), std=sensor.std), change
 
 
 def _zero_columns(piece: Piece, start: PieceStart) -> Array:
@@ -340,54 +202,15 @@ def _of_unit_size(tables: Sequence[Array], rows: int) -> tuple[Array, Array]:
     return columns / size, size
 
 
-def _read_m(
-    axis: AxisModel, piece: Piece, start: PieceStart, static_m: Array, away_m: float = 0.0
-) -> Array:
-    """Return the reading at the rows of a piece, (rows,), where everything is moved by a step."""
-    forward = axis.forward
-    zero_m = zero_of(start, piece.where.samples) + away_m
-    return forward.read(forward.position(static_m, piece.where, zero_m), piece.where)[piece.rows]
-
-
 def _sensor_slope(axis: AxisModel, piece: Piece, start: PieceStart, static_m: Array) -> Array:
     """Return by how much the reading changes with the position, (rows,)."""
-    if not any(_is_sensor(extension) for extension in axis.extensions):
+    if not any(is_sensor(extension) for extension in axis.extensions):
         return np.ones(len(piece.rows))
     step_m = SENSOR_STEP * abs(half_range_m(axis))
     above_m, below_m = (
-        _read_m(axis, piece, start, static_m, away_m) for away_m in (step_m, -step_m)
+        reading_of(axis, piece, start, static_m, away_m) for away_m in (step_m, -step_m)
     )
     return np.asarray((above_m - below_m) / (2.0 * step_m))
-
-
-def _numbers(axis: AxisModel) -> Free:
-    """Return the lag, where the model has one, and the numbers of extensions but of the sensor.
-
-    The reading of a periodic error is far from linear in its wavelength: such numbers stay.
-    """
-    late = free(axis.lag.time_s, 0.0, np.inf, LAG_s)
-    frees = [] if axis.lag.kind == "none" else [late]
-    frees += [extension.free() for extension in axis.extensions if not _is_sensor(extension)]
-    value, lower, upper, step = (
-        np.concatenate([np.zeros(0), *(getattr(numbers, name) for numbers in frees)])
-        for name in ("value", "lower", "upper", "step")
-    )
-    return Free(value=value, lower=lower, upper=upper, step=step)
-
-
-def with_numbers(axis: AxisModel, values: Array) -> AxisModel:
-    """Return the model with these numbers of lag and extensions."""
-    lag, extensions = axis.lag, []
-    if lag.kind != "none":
-        lag, values = replace(lag, time_s=float(values[0])), values[1:]
-    for extension in axis.extensions:
-        if _is_sensor(extension):
-            extensions.append(extension)
-            continue
-        count = len(extension.free().value)
-        extensions.append(replace(extension.moved_to(values[:count]), std=extension.std))
-        values = values[count:]
-    return replace(axis, lag=lag, extensions=tuple(extensions))
 
 
 def _changes_m(
@@ -403,11 +226,11 @@ def _changes_m(
     read_m     (rows,)     of the model as it is
     history_m  (samples,)  part of ``static_m`` that is of weighted histories
     """
-    numbers = _numbers(axis)
+    numbers = numbers_of(axis)
     changes = np.zeros((len(piece.rows), len(numbers.value)))
     parts: list[Extension | None] = [] if axis.lag.kind == "none" else [None]
     for extension in axis.extensions:
-        if not _is_sensor(extension):
+        if not is_sensor(extension):
             parts += [extension] * len(extension.free().value)
     for k, (part, step) in enumerate(zip(parts, numbers.step, strict=True)):
         sign = 1.0 if numbers.value[k] + step <= numbers.upper[k] else -1.0
@@ -417,12 +240,8 @@ def _changes_m(
         if part is not None and not _is_behind_hysteresis(part):
             drive_V = changed.forward.driven_V(piece.voltage_V, piece.where.rate_Hz)
             changed_m = history_m + changed.static_m(drive_V, start.memory_V, piece.where.rate_Hz)
-        changes[:, k] = sign * (_read_m(changed, piece, start, changed_m) - read_m)
+        changes[:, k] = sign * (reading_of(changed, piece, start, changed_m) - read_m)
     return changes
-
-
-def _is_sensor(extension: Extension) -> bool:
-    return type(extension).reading is not Extension.reading
 
 
 def _is_behind_hysteresis(extension: Extension) -> bool:
@@ -439,7 +258,7 @@ def _prior(axis: AxisModel, steps: Array, count: int) -> Moments:
     gram, moment, square, rows = np.zeros((count, count)), np.zeros(count), 0.0, 0
     first = int(axis.lag.kind != "none")
     for extension in axis.extensions:
-        if _is_sensor(extension):
+        if is_sensor(extension):
             continue
         last = first + len(extension.free().value)
         relations = extension.prior() / (abs(half_range_m(axis)) if extension.in_metres else 1.0)
@@ -451,8 +270,3 @@ def _prior(axis: AxisModel, steps: Array, count: int) -> Moments:
             square, rows = square + float(value @ value), rows + len(relations)
         first = last
     return Moments(gram=gram, moment=moment, square=square, count=rows)
-
-
-def half_range_m(axis: AxisModel) -> float:
-    """Return half the range of the displacement, negative where it falls as the drive rises."""
-    return axis.polarity * 0.5 * axis.quality.range_m

@@ -41,3 +41,15 @@ def test_a_lag_is_no_cause_where_speeds_hardly_differ(tmp_path: Path) -> None:
         assert unseen.reason.startswith("not separable from hysteresis")
         assert others in unseen.reason
         assert "half the speed" in unseen.next_experiment
+
+
+def test_loop_shape_of_a_single_loop_is_not_told_from_a_lag(tmp_path: Path) -> None:
+    ramp = np.linspace(-1.0, 1.0, 1500)
+    field = np.concatenate([ramp, ramp[-2::-1]])
+    cycled = np.concatenate([field, field])
+    reading_um = relaxed(10.0 * LAWS["preisach"](cycled)[len(field) :], LAG_s, RATE_Hz)
+    reading_um = reading_um + 0.002 * np.random.default_rng(3).standard_normal(len(field))
+    found = diagnose(collect([write(tmp_path / "loop.csv", field, reading_um)]).recordings)
+    (shape,) = [one for one in found.findings if one.effect == "loop_shape"]
+    assert {"lag", "creep", "thermal_drift", "initial_state"} <= set(shape.not_separable_from)
+    assert "ten times slower" in shape.next_experiment
