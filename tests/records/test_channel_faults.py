@@ -109,7 +109,9 @@ def test_a_reading_that_overflows_is_reported_with_its_first_row_and_not_fitted(
     for verb in (piezoid.fit, piezoid.diagnose):
         with pytest.raises(RecordingError) as refusal:
             verb(recording)
+        message = f"{recording.name}: column 3 'displacement [um]' jumps over its whole range"
         assert statement.text.rstrip(".") in str(refusal.value)
+        assert str(refusal.value).startswith(message)
 
 
 def test_a_coarse_counter_that_overflows_slowly_is_not_fitted(tmp_path: Path) -> None:

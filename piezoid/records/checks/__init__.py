@@ -85,8 +85,10 @@ def refuse_unusable(recordings: Sequence[Recording]) -> None:
     for recording in recordings:
         for statement in recording.statements:
             if statement.quantity in UNUSABLE:
+                # A statement about a column names the column in place of the axis.
+                axis = f", axis {statement.axis}" if statement.axis else ""
                 raise RecordingError(
-                    f"{recording.name}, axis {statement.axis}: {statement.text.rstrip('.')}",
+                    f"{recording.name}{axis}: {statement.text.rstrip('.')}",
                     needed="a displacement as the sensor measured it, within its range",
                     remedy="Correct the column or name another one in lab.toml, or leave the file "
                     "out.",
