@@ -10,7 +10,7 @@ from piezoid.identification.dynamics.response_fit import measured_response
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
-from piezoid.records.frequency_response import LEAST_COHERENCE
+from piezoid.records.frequency_response import MIN_COHERENCE
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Figure, Part
@@ -78,9 +78,9 @@ def response_parts(
         title = f"Axis {axis.axis}: coherence as measured"
         numbers = (
             f"{int(is_used.sum())} of {len(f)} lines are used; the least coherence that is "
-            f"is {significant(LEAST_COHERENCE, 2)}."
+            f"is {significant(MIN_COHERENCE, 2)}."
         )
-        parts.append(coherence_figure(title, numbers, decades, path.coherence, LEAST_COHERENCE))
+        parts.append(coherence_figure(title, numbers, decades, path.coherence, MIN_COHERENCE))
     return parts
 
 

@@ -100,8 +100,7 @@ def read_reference(path: Path, sampling_rate_Hz: float) -> Array:
     missing = np.flatnonzero(~np.isfinite(wanted_m))
     if len(missing):
         raise RecordingError(
-            f"{table.name}: no number in {lengths[0].place}, "
-            f"{table.place_of_row(int(missing[0]))}",
+            f"{table.name}: no number in {lengths[0].place}, {table.row_name(int(missing[0]))}",
             needed="a number for each point",
             remedy="Write the whole period.",
         )

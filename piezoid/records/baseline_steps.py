@@ -2,9 +2,9 @@
 
     y(t) = f(t) + sum of J_k for all t_k < t
 
-A step stands out of the changes around it and of those of the drive, and it lasts: crossings of
-one level of the drive in one direction differ from cycle to cycle by the steps between them. A
-jump that comes back on the way down (a dead spot, a converter) fails the second test.
+A step is larger than the changes around it and than the response to changes of the drive, and it
+lasts: crossings of one level of the drive in one direction differ from cycle to cycle by the steps
+between them. A jump that returns on the way down (a dead spot, a converter) fails the second test.
 """
 
 from collections.abc import Sequence
@@ -22,24 +22,24 @@ from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import robust_sigma, step_size
 from piezoid.statement import finding
 
-# In 294 healthy recordings, and in those of 60 stages of two other simulators, nothing passes both
-# tests with these values.
+# With these values no step is found in 294 healthy recordings, nor in those of 60 stages of two
+# other simulators.
 WIDTHS = (1, 4, 16)  # samples of a step, by the filter of the sensor
-NEIGHBOUR_WIDTHS = 10  # on either side, that a step is compared with
-MIN_SPREADS = 10.0  # times the spread of the changes around it, and twice the largest of them
+NEIGHBOUR_WIDTHS = 10  # on either side of a step: the changes to compare it with
+MIN_SPREADS = 10.0  # times the spread of the changes around it; also twice the largest of them
 MIN_CODES = 4.0  # converter steps
-MAX_RESPONSE = 16  # samples by which the stage may follow a step of its drive
-MAX_STEPS = 30  # in a recording; a zero with more wanders, and the pieces would be short
-MIN_TELEGRAPH_STEPS = 4  # of random signs, one set in eight alternates by chance
-TELEGRAPH_SHARE = 0.75  # of alternating steps, of which one may have been overlooked
+MAX_RESPONSE = 16  # samples: largest delay of the response to a step of the drive
+MAX_STEPS = 30  # in a recording; a zero with more steps wanders, and the pieces would be short
+MIN_TELEGRAPH_STEPS = 4  # one in eight sets of four random signs alternates by chance
+TELEGRAPH_SHARE = 0.75  # of alternating steps; one step may have been missed
 LEVELS = (0.3, 0.5, 0.7)  # of the drive's range, at which cycles are compared
 MAX_UNEXPLAINED = 0.5  # of the differences between cycles
 REST_BLOCK = 20  # samples of a mean at constant drive; also the shortest time between crossings
-# Of the mean difference between cycles that a step makes, over that of any other period.
+# Ratio of the mean difference between cycles at a step to that of any other period.
 MIN_STEP_RATIO = 5.0
-MIN_CYCLES = 4  # equal ones: two to compare on either side of a step
-MAX_SCATTER_RATIO = 1.2  # within that period, over that of the others: a step shifts all of it
-MAX_CYCLE_DIFFERENCE = 0.01  # of a cycle's rms: what equal cycles of the drive differ by
+MIN_CYCLES = 4  # equal cycles: two to compare on either side of a step
+MAX_SCATTER_RATIO = 1.2  # in the period of the step, over that of others: a step shifts all of it
+MAX_CYCLE_DIFFERENCE = 0.01  # of a cycle's rms, between equal cycles of the drive
 FRINGE_TOLERANCE = 0.1  # of a fringe; one in five steps meets a multiple by chance
 FRINGES = (
     (316.4e-9, "an interferometer with a helium-neon laser"),
@@ -76,7 +76,7 @@ class RepeatedReadings:
     difference: Array
 
     def unexplained(self, steps: Sequence[BaselineStep]) -> float:
-        """Return the mean size of the differences that remain when steps are taken out."""
+        """Return the mean size of the differences without the contribution of some steps."""
         explained = np.zeros(len(self.difference))
         for step in steps:
             explained += step.size * self._spans(step)
@@ -96,23 +96,23 @@ class RepeatedReadings:
 
 
 def split_at_baseline_steps(recording: Recording) -> Recording:
-    """Return a recording whose pieces end where the zero of a sensor steps, with a statement.
+    """Return a recording with a break at each step of a sensor's zero, and a statement.
 
-    Each piece then has a zero of its own, and the memory behind a step is unknown.
+    Each piece has a separate zero, and the state of the hysteresis behind a step is unknown.
     """
     breaks, statements = set(recording.breaks), []
     for axis in recording.complete_axes:
         drive, reading = recording.voltage_V(axis), recording.displacement_m(axis)
-        rests = is_at_rest(recording, axis)
+        is_constant = is_at_rest(recording, axis)
         steps = [
             BaselineStep(first=part.start + s.first, last=part.start + s.last, size=s.size)
             for part in recording.pieces
-            for s in baseline_steps(reading[part], drive[part], rests=rests)
+            for s in baseline_steps(reading[part], drive[part], is_drive_constant=is_constant)
         ]
         if not steps:
             continue
         breaks.update(k for step in steps for k in (step.first + 1, step.last))
-        steps_in_words = [
+        descriptions = [
             f"{'+' if step.size > 0 else ''}{with_unit(step.size, 'm')} at "
             f"{step.first / recording.sampling_rate_Hz:.4g} s"
             for step in steps[:MAX_PLACES]
@@ -121,7 +121,7 @@ def split_at_baseline_steps(recording: Recording) -> Recording:
         times = "once" if len(steps) == 1 else f"{len(steps)} times"
         text = (
             f"The zero of the displacement steps {times} while the drive does not: "
-            f"{', '.join(steps_in_words)}{further}. Likely cause: {_cause(steps)}. The spans "
+            f"{', '.join(descriptions)}{further}. Likely cause: {_likely_cause(steps)}. The spans "
             "between are fitted with separate zeros."
         )
         largest_m = max(abs(step.size) for step in steps)
@@ -134,17 +134,17 @@ def split_at_baseline_steps(recording: Recording) -> Recording:
 
 
 def baseline_steps(
-    reading: Array, drive: Array, *, rests: bool = False
+    reading: Array, drive: Array, *, is_drive_constant: bool = False
 ) -> tuple[BaselineStep, ...]:
-    """Return the lasting steps of a reading that the drive did not make, in their order.
+    """Return the lasting steps of a reading that the drive did not cause, in their order.
 
-    reading, drive  (samples,)  any unit, without gaps
-    rests           whether the drive is constant: then any two spans should read the same
+    reading, drive     (samples,)  any unit, without gaps
+    is_drive_constant  any two spans should then read the same
 
-    A reading that switches to and fro between two levels has no steps.
+    A reading that switches back and forth between two levels has no steps.
 
-    What goes wrong: a step below ten times the spread of single changes is missed, and so is one
-    after which the drive never comes back to where it was.
+    Limits: a step below ten times the spread of single changes is missed, and so is one after
+    which the drive never returns to an earlier level.
     """
     candidates: list[BaselineStep] = []
     for width in WIDTHS:
@@ -160,9 +160,11 @@ def baseline_steps(
     alternating = (is_up[1:] != is_up[:-1]).mean() if len(candidates) > 1 else 0.0
     if len(candidates) >= MIN_TELEGRAPH_STEPS and alternating >= TELEGRAPH_SHARE:
         return ()
-    readings = _readings_at_rest(reading) if rests else _readings_at_crossings(reading, drive)
+    readings = (
+        _readings_at_rest(reading) if is_drive_constant else _readings_at_crossings(reading, drive)
+    )
     readings = readings.spanning(candidates)
-    # What comes back within a cycle explains nothing between two cycles.
+    # A jump that returns within a cycle explains no difference between two cycles.
     if not len(readings.difference) or readings.unexplained(
         candidates
     ) > MAX_UNEXPLAINED * readings.unexplained(()):
@@ -183,9 +185,9 @@ def _step_between_cycles(reading: Array, drive: Array) -> tuple[BaselineStep, ..
 
         d(t) = y(t + P) - y(t) = J   for t_0 - P <= t < t_0,   else 0
 
-    P is the period of the drive and J the step at t_0, so that the mean of d over a period finds
-    steps far below the noise of single samples. The first cycle differs by its initial state and
-    is not compared. Means of the other periods must be much smaller.
+    P is the period of the drive and J the step at t_0. The mean of d over a period shows steps far
+    below the noise of single samples; the means over other periods must be much smaller. The first
+    cycle has another initial state and is not compared.
     """
     period = _period(drive)
     if period == 0 or len(drive) < MIN_CYCLES * period:
@@ -232,7 +234,7 @@ def _period(drive: Array) -> int:
 
 
 def _outstanding_steps(reading: Array, drive: Array, width: int) -> list[BaselineStep]:
-    """Return changes over ``width`` samples that exceed those around them and the drive's."""
+    """Return the changes over ``width`` samples that exceed those around them and the drive's."""
     count = 2 * NEIGHBOUR_WIDTHS * width + 1
     if len(reading) < 2 * count:
         return []
@@ -269,7 +271,7 @@ def _readings_at_crossings(reading: Array, drive: Array) -> RepeatedReadings:
             samples = np.flatnonzero((v[:-1] < 0.0) & (v[1:] >= 0.0))
             part = -v[samples] / (v[samples + 1] - v[samples])
             level = reading[samples] + part * (reading[samples + 1] - reading[samples])
-            # A drive with read-back noise crosses a level many times at once.
+            # A drive with read-back noise crosses a level several times in succession.
             is_first = np.ones(len(samples), dtype=bool)
             is_first[1:] = np.diff(samples) > REST_BLOCK
             for first, second in pairwise(np.flatnonzero(is_first).tolist()):
@@ -284,7 +286,7 @@ def _readings_at_crossings(reading: Array, drive: Array) -> RepeatedReadings:
 
 
 def _readings_at_rest(reading: Array) -> RepeatedReadings:
-    """Return means over blocks and over the next blocks but one."""
+    """Pair the means of each block and of the next block but one."""
     count = len(reading) // REST_BLOCK
     means = reading[: count * REST_BLOCK].reshape(count, REST_BLOCK).mean(axis=1)
     middle = REST_BLOCK * np.arange(count) + REST_BLOCK // 2
@@ -293,8 +295,8 @@ def _readings_at_rest(reading: Array) -> RepeatedReadings:
     )
 
 
-def _cause(steps: Sequence[BaselineStep]) -> str:
-    """Return the cause of the steps; lost fringes have one size, or multiples of it."""
+def _likely_cause(steps: Sequence[BaselineStep]) -> str:
+    """Return the likely cause of steps; lost fringes have multiples of one size."""
     sizes = np.array([abs(step.size) for step in steps])
     if len(sizes) == 1:
         return "a slip of the stage or its mount, or a lost zero of the sensor (one step only)"

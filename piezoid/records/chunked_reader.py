@@ -1,8 +1,8 @@
 """Read recordings larger than memory in chunks, and thin them while they are read.
 
-Every chunk passes the checks of an ordinary reading: ``ingest_table`` makes a recording of it.
-This module joins the chunks, and `thinning` bounds the number of rows. The result is an ordinary
-``Recording`` for each axis that has a drive and a displacement.
+``ingest_table`` makes a recording of every chunk, with the usual checks. This module joins the
+chunks, and `thinning` bounds the number of rows. The result is a ``Recording`` of each axis that
+has a drive and a displacement.
 """
 
 import sys
@@ -26,12 +26,12 @@ from piezoid.records.thinning import MAX_ROWS, ThinnedRows, Thinning
 from piezoid.statement import Statement, finding
 
 CHUNK_ROWS = 1 << 17  # some megabytes a column
-_MIN_CHUNK_ROWS = 1024  # fewer stamps with a gap among them do not show their clock
-_MIN_NUMBERS = 3  # rows of a chunk that hold numbers; fewer are a gap
+_MIN_CHUNK_ROWS = 1024  # the clock cannot be identified from fewer stamps with a gap
+_MIN_NUMBERS = 3  # rows with numbers; a chunk with fewer is a gap
 _MAX_PIECES = 1000
-_SAME_RATE = 1e-3
-# Faults that only a whole file can have: a chunk of a healthy file often looks like that.
-_THROUGHOUT = frozenset({"dead", "empty", "saturated", "equal_columns", "jitter", "counts"})
+_SAME_RATE = 1e-3  # relative difference
+# Statements that must hold in every chunk: single chunks of a healthy file often have them.
+_WHOLE_FILE = frozenset({"dead", "empty", "saturated", "equal_columns", "jitter", "counts"})
 
 
 def read_thinned(
@@ -42,16 +42,16 @@ def read_thinned(
     chunk_rows: int = CHUNK_ROWS,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Recording, ...]:
-    """Read files of any size in chunks, one thinned recording for each axis of a file.
+    """Read files of any size in chunks, into one thinned recording for each axis of a file.
 
-    lab         what the laboratory declares, as for ``collect``
-    max_rows    samples of a recording at most, a power of two
-    chunk_rows  rows that are in memory at one time; the recordings are the same
-    progress    told which file is being read
+    lab         declarations of lab.toml, as for ``collect``
+    max_rows    largest number of samples of a recording, a power of two
+    chunk_rows  number of rows in memory; the recordings do not depend on it
+    progress    called with a message before each file
 
-    Raises what ``collect`` raises, and ``RecordingError`` where the sampling rate or the meaning
-    of the columns changes inside a file, or where no axis has a drive and a displacement. A file
-    of at most ``max_rows`` samples gives the samples that ``collect`` gives.
+    Raises the errors of ``collect``, and ``RecordingError`` if the sampling rate or the meaning of
+    the columns changes inside a file, or if no axis has a drive and a displacement. The samples of
+    a file of at most ``max_rows`` samples are those of ``collect``.
     """
     lab = Lab() if lab is None else lab
     lab.check_files(paths)
@@ -68,30 +68,29 @@ def read_thinned(
 
 
 class _ThinnedFile:
-    """Joins the chunks of one entry of a file, thins their samples, counts their statements."""
+    """Chunks of one entry of a file: joins them, thins their samples, counts their statements."""
 
     def __init__(self, *, name: str, lab: Lab, entry: RecordingEntry, max_rows: int) -> None:
         if entry.reverse:
             raise LabFileError(
                 f"{lab.place}: reverse of {name} is true",
-                needed="rows in the order in which they were recorded, where a file is read in "
-                "chunks",
-                remedy="Read it without --stream, or write the file the other way round.",
+                needed="rows in the order of recording, if a file is read in chunks",
+                remedy="Read it without --stream, or write the file in the order of recording.",
             )
         self._name, self._lab, self._entry, self._max_rows = name, lab, entry, max_rows
-        # start_s and stop_s are of the whole file, not of a chunk.
-        self._whole = structs.replace(entry, start_s=None, stop_s=None)
+        # start_s and stop_s count from the start of the file, not of a chunk.
+        self._unbounded_entry = structs.replace(entry, start_s=None, stop_s=None)
         self._assignment: Assignment | None = None
         self._first: Recording | None = None
         self._thinnings: dict[str, Thinning] = {}
         self._statements: dict[tuple[str, str], tuple[Statement, int]] = {}
-        self._is_broken = True  # behind the last sample
+        self._is_broken = True  # whether a break follows the last sample
         self._read = self._selected = self._chunks = self._pieces = 0
 
     def append(self, table: RawTable) -> None:
         """Ingest the next chunk and add its samples."""
         if self._assignment is None:
-            self._assignment = assign_columns(table, self._lab, self._whole)
+            self._assignment = assign_columns(table, self._lab, self._unbounded_entry)
         numbers = {assigned.column.number for assigned in self._assignment.columns}
         has_numbers = np.logical_and.reduce(
             [np.isfinite(column.values) for column in table.columns if column.number in numbers]
@@ -99,19 +98,19 @@ class _ThinnedFile:
         if has_numbers.sum() < _MIN_NUMBERS and self._first is not None:
             self._is_broken = True
             return
-        parts = parts_of(table, self._lab, self._whole)
+        parts = parts_of(table, self._lab, self._unbounded_entry)
         if len(parts) > 1:
             earlier, later = (ingest_table(part, self._lab, entry) for part, entry in parts[:2])
             sample = self._read + earlier.samples
-            raise self._rate_changes(earlier.sampling_rate_Hz, later.sampling_rate_Hz, sample)
-        recording = ingest_table(table, self._lab, self._whole)
+            raise self._rate_change_error(earlier.sampling_rate_Hz, later.sampling_rate_Hz, sample)
+        recording = ingest_table(table, self._lab, self._unbounded_entry)
         self._chunks += 1
         for statement in recording.statements:
-            location = statement.place if statement.quantity in _THROUGHOUT else ""
+            location = statement.place if statement.quantity in _WHOLE_FILE else ""
             key = (statement.quantity, location)
             first, times = self._statements.get(key, (statement, 0))
             self._statements[key] = first, times + 1
-        self._check_same(recording)
+        self._check_unchanged(recording)
         # A chunk starts with the last row of the previous one.
         is_repeated = self._first is not None and bool(has_numbers[0])
         self._first = self._first or recording
@@ -137,7 +136,7 @@ class _ThinnedFile:
             if self._pieces > _MAX_PIECES:
                 raise RecordingError(
                     f"{self._name}: the recordings are interrupted more than {_MAX_PIECES} times",
-                    needed="uninterrupted stretches: each has a memory of its own",
+                    needed="longer uninterrupted segments: each has a separate initial state",
                     remedy="Record without losing samples, or state sampling_rate_Hz and name no "
                     "time column if the samples are known to be uniform.",
                 )
@@ -149,7 +148,7 @@ class _ThinnedFile:
                 )
 
     def recordings(self) -> list[Recording]:
-        """Return a recording of each axis, or refuse a file without samples or without a drive."""
+        """Return a recording of each axis; refuse a file without samples, drive or response."""
         if self._first is None or self._selected < 2:
             raise LabFileError(
                 f"{self._name} from {self._entry.start_s} s to {self._entry.stop_s} s holds "
@@ -162,23 +161,23 @@ class _ThinnedFile:
             raise RecordingError(
                 f"{self._name}: only {', '.join(kinds)} is recorded: no axis has a drive and a "
                 "displacement",
-                needed="both, for a fit in chunks; a tunnelling loop must fit into memory",
+                needed="both, for a fit in chunks; a tunnelling loop is read as a whole",
                 remedy="Name the columns in lab.toml, or fit without --stream.",
             )
         statements = []
         for (kind, _), (statement, times) in self._statements.items():
-            if times == self._chunks or (times == 1 and kind not in _THROUGHOUT):
+            if times == self._chunks or (times == 1 and kind not in _WHOLE_FILE):
                 statements.append(statement)
-            elif kind not in _THROUGHOUT:
-                text = f"{statement.text}; the like in {times} of {self._chunks} chunks"
+            elif kind not in _WHOLE_FILE:
+                text = f"{statement.text}; similarly in {times} of {self._chunks} chunks"
                 statements.append(replace(statement, text=text))
         return [
-            _recording(self._first, axis, thinning.result(), statements)
+            _thinned_recording(self._first, axis, thinning.result(), statements)
             for axis, thinning in sorted(self._thinnings.items())
         ]
 
-    def _check_same(self, recording: Recording) -> None:
-        """Refuse a chunk whose columns or rate are not those of the first one."""
+    def _check_unchanged(self, recording: Recording) -> None:
+        """Refuse a chunk with other columns or another rate than the first one."""
         first = self._first or recording
         columns, first_columns = (
             [(c.quantity, c.axis, c.label) for c in r.channels] for r in (recording, first)
@@ -187,23 +186,23 @@ class _ThinnedFile:
             raise RecordingError(
                 f"{recording.name}: from sample {self._read} on other columns hold numbers than "
                 "at its beginning",
-                needed="columns that mean the same from the first row to the last",
+                needed="the same columns from the first row to the last",
                 remedy="Name the columns to be read in lab.toml.",
             )
         first_Hz, rate_Hz = first.sampling_rate_Hz, recording.sampling_rate_Hz
         if abs(rate_Hz - first_Hz) > _SAME_RATE * first_Hz:
-            raise self._rate_changes(first_Hz, rate_Hz, self._read)
+            raise self._rate_change_error(first_Hz, rate_Hz, self._read)
 
-    def _rate_changes(self, before_Hz: float, after_Hz: float, sample: int) -> RecordingError:
+    def _rate_change_error(self, before_Hz: float, after_Hz: float, sample: int) -> RecordingError:
         return RecordingError(
             f"{self._name}: sampled at {before_Hz:.9g} Hz at its beginning and at "
             f"{after_Hz:.9g} Hz from sample {sample} on",
-            needed="one rate throughout, where a file is read in chunks",
+            needed="one rate throughout, if a file is read in chunks",
             remedy="Read it without --stream, or cut the file where the rate changes.",
         )
 
 
-def _recording(
+def _thinned_recording(
     first: Recording, axis: str, thinned: ThinnedRows, statements: Sequence[Statement]
 ) -> Recording:
     """Return the thinned rows as a recording with the names of the file's first chunk."""
@@ -217,7 +216,7 @@ def _recording(
         if thinned.share < 1.0:
             text += (
                 f"; they cover {100 * thinned.share:.0f} % of it, in {len(thinned.starts)} "
-                "stretches, because its drive turns too often for fewer samples"
+                "segments, because its drive turns too often for fewer samples"
             )
         statements = (*statements, finding("thinned", text, place=first.name))
     return Recording(

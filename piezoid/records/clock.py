@@ -15,36 +15,37 @@ from piezoid.records.sample_statistics import robust_sigma
 from piezoid.statement import Statement, finding
 
 Stamps = NDArray[np.int_]
-PlaceOf = Callable[[int], str]  # how messages call the row of a stamp
+RowName = Callable[[int], str]  # from the index of a stamp to the name of its row in messages
 
 MIN_JITTER = 0.01  # of the sampling interval, rms; less is not reported
 MAX_SPREAD = 0.35  # of the interval: the robust spread of the steps of a uniform clock
-# Steps are averaged over this many samples before the interval is taken: stamps printed with few
-# digits repeat and jump, their averages do not. Over fewer samples where so many are lost that
-# less than MIN_AGREEING of the averages agree.
+# Samples over which steps are averaged to find the interval: stamps printed with few digits repeat
+# and jump, their averages do not. The number is halved while fewer than MIN_AGREEING of the
+# averages agree, because samples are lost.
 AVERAGED_STEPS = 64
 MIN_AGREEING = 0.6
-MIN_BACKWARDS = 0.9  # of the steps, where the newest row is the first
-# Steps without faults sum up to the span of the stamps within this share, the uncertainty of an
-# interval among jitter of a third, and these few at ends and faults.
+MIN_BACKWARDS = 0.9  # of the steps, if the newest row is the first
+# Steps without faults sum to the span of the stamps within this share, the uncertainty of an
+# interval with a jitter of a third, and within a few more steps at ends and faults.
 MAX_UNACCOUNTED = 0.01
 SPARE_STEPS = 3
-MAX_COUNTABLE = 1e12  # units: beyond, a double rounds too coarsely to show printed digits
+MAX_COUNTABLE = 1e12  # units: larger doubles are rounded too coarsely to show printed digits
 MAX_RARE = 0.01  # of the steps
-MIN_INTERVAL_s, MAX_INTERVAL_s = 1e-13, 1e9  # of anything that is recorded
+MIN_INTERVAL_s, MAX_INTERVAL_s = 1e-13, 1e9  # of any recording
 MAX_LOST = 2.0**53  # samples in one gap: a damaged stamp may lie anywhere
 _MAX_PLACES = 3  # in a message
-CONTROLLER_RATE = "controller_rate"  # statement about a file that is read at that rate
+CONTROLLER_RATE = "controller_rate"  # quantity of the statement that a file is read at that rate
 
-# The interval is taken over BLOCK_STEPS, and a stretch lasts at least three blocks: the median of
-# 64 steps that jitter by a third of themselves is certain to 8 %, and single blocks that a gap or
-# a stall has spoilt are outvoted by their neighbours.
+# Changes of the rate are found in median intervals of blocks of steps; a segment of one rate lasts
+# at least three blocks. The median of 64 steps with a jitter of a third of the interval is certain
+# to 8 %, and a single block with a gap or a stall is outvoted by its neighbours.
 _BLOCK_STEPS = 64
 _MIN_BLOCKS = 3
-# Recorders change their rate by factors. Intervals of one clock that jitters by a third differ by
-# less than this between two blocks; slower changes are left to the clock, which refuses them.
+# Recorders change their rate by factors. Intervals of one clock with a jitter of a third differ by
+# less than this between two blocks; ``read_clock`` refuses smaller changes.
 _MIN_RATE_CHANGE = 1.5
-# Printed so coarsely (share of the interval), a block's span tells the interval, not single steps.
+# Resolution of the print, relative to the interval, above which the mean step of a block is used
+# in place of the median.
 _COARSE_PRINT = 0.2
 
 
@@ -65,23 +66,25 @@ class Clock:
     statements: tuple[Statement, ...] = ()
 
 
-def read_clock(time_s: Array, name: str, location: PlaceOf) -> Clock:
+def read_clock(time_s: Array, name: str, row_name: RowName) -> Clock:
     """Find the sampling rate and the faults of a column of time stamps.
 
-    time_s  (samples,)  s, finite
-    name    of the file, for messages
+    time_s    (samples,)  s, finite
+    name      of the file, for messages
 
-    Stamps that a uniform clock would print with these digits are uniform: few digits are no
-    jitter. Raises ``RecordingError`` for stamps that share no interval.
+    row_name  name of the row of a stamp, for messages
+
+    Stamps that a uniform clock would print with the same number of digits are uniform: rounding is
+    not jitter. Raises ``RecordingError`` for stamps without a common interval.
     """
     if len(time_s) < 3:
-        raise _no_clock(name, f"{len(time_s)} time stamps", "at least three")
-    refuse_newest_first(time_s, name, location)
+        raise _clock_error(name, f"{len(time_s)} time stamps", "at least three")
+    refuse_newest_first(time_s, name, row_name)
     resolution_s = print_resolution_s(time_s)
     uniform_s = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
     if 0 < uniform_s < MIN_INTERVAL_s or uniform_s > MAX_INTERVAL_s:
-        raise _no_clock(name, f"time stamps {uniform_s:.3g} s apart", "the steps of a clock")
-    # Rounding is off by half a unit; the fitted line may be off by a quarter more.
+        raise _clock_error(name, f"time stamps {uniform_s:.3g} s apart", "the steps of a clock")
+    # The rounding error is half a unit; that of the fitted line may be a quarter more.
     tolerance_s = 0.75 * resolution_s + 8 * np.spacing(np.abs(time_s).max())
     # The uniform clock nearest to the stamps lies in the middle of their errors.
     k = np.arange(len(time_s))
@@ -91,25 +94,25 @@ def read_clock(time_s: Array, name: str, location: PlaceOf) -> Clock:
     is_line = uniform_s > 0 and np.abs(time_s - line_s).max() <= tolerance_s
     if is_line and not _has_rare_jumps(time_s, resolution_s):
         uncertainty = 2 * tolerance_s / (time_s[-1] - time_s[0])
-        return Clock(sampling_rate_Hz=plain_rate_Hz(1 / uniform_s, uncertainty))
-    return _faulty_clock(time_s, resolution_s, name, location)
+        return Clock(sampling_rate_Hz=rounded_rate_Hz(1 / uniform_s, uncertainty))
+    return _clock_with_faults(time_s, resolution_s, name, row_name)
 
 
 def stated_clock(rate_Hz: float, name: str) -> Clock:
-    """Return the clock that is stated for a file without time stamps, or refuse an absurd rate."""
+    """Return the clock of a file without time stamps from its stated rate; refuse absurd rates."""
     if not 1 / MAX_INTERVAL_s <= rate_Hz <= 1 / MIN_INTERVAL_s:
         raise RecordingError(
             f"{name}: a sampling rate of {rate_Hz:.3g} Hz is stated",
-            needed=f"one from {1 / MAX_INTERVAL_s:.0e} to {1 / MIN_INTERVAL_s:.0e} Hz",
+            needed=f"a rate from {1 / MAX_INTERVAL_s:.0e} to {1 / MIN_INTERVAL_s:.0e} Hz",
             remedy="Correct it where it is stated, in the file's header or in lab.toml.",
         )
-    return Clock(sampling_rate_Hz=plain_rate_Hz(rate_Hz))
+    return Clock(sampling_rate_Hz=rounded_rate_Hz(rate_Hz))
 
 
-def plain_rate_Hz(rate_Hz: float, uncertainty: float = 0.0) -> float:
-    """Return the number of fewest digits within a relative uncertainty of at least 1e-9.
+def rounded_rate_Hz(rate_Hz: float, uncertainty: float = 0.0) -> float:
+    """Round a rate to the fewest digits within its relative uncertainty, which is at least 1e-9.
 
-    Two recordings of one rig then have the same rate, however their stamps were rounded.
+    Recordings of one rig then have the same rate, independent of the rounding of their stamps.
     """
     for digits in range(1, 16):
         rounded_Hz = float(f"{rate_Hz:.{digits}g}")
@@ -119,9 +122,9 @@ def plain_rate_Hz(rate_Hz: float, uncertainty: float = 0.0) -> float:
 
 
 def print_resolution_s(time_s: Array) -> float:
-    """Return the power of ten all stamps are multiples of, 0 where they are of full precision.
+    """Return the power of ten of which all stamps are multiples; 0 for stamps of full precision.
 
-    A thousand stamps spread over the file decide; the later ones carry the fewest decimals.
+    A thousand stamps spread over the file are tested; the later ones have the fewest decimals.
     """
     stamps = time_s[np.unique(np.linspace(0, len(time_s) - 1, 1000).astype(int))]
     for exponent in range(0, -16, -1):
@@ -135,13 +138,13 @@ def print_resolution_s(time_s: Array) -> float:
     return 0.0
 
 
-def refuse_newest_first(time_s: Array, name: str, location: PlaceOf) -> None:
+def refuse_newest_first(time_s: Array, name: str, row_name: RowName) -> None:
     """Refuse stamps that run backwards: every loop would have the wrong orientation."""
     if len(time_s) < 3 or np.mean(np.diff(time_s) < 0) < MIN_BACKWARDS:
         return
     raise RecordingError(
-        f"{name}: time runs backwards, from {time_s[0]:.6g} s in {location(0)} to "
-        f"{time_s[-1]:.6g} s in {location(len(time_s) - 1)}: the newest row is the first",
+        f"{name}: time runs backwards, from {time_s[0]:.6g} s in {row_name(0)} to "
+        f"{time_s[-1]:.6g} s in {row_name(len(time_s) - 1)}: the newest row is the first",
         needed="rows in the order in which they were recorded",
         remedy="Write into lab.toml, which reverses the rows:\n\n[[recording]]\n"
         f"file = {json.dumps(name)}\nreverse = true\n",
@@ -149,34 +152,34 @@ def refuse_newest_first(time_s: Array, name: str, location: PlaceOf) -> None:
 
 
 def _has_rare_jumps(time_s: Array, resolution_s: float) -> bool:
-    """Return whether samples are lost although the print resolves no more than the interval.
+    """Return whether samples are lost although the stamps fit a line within their resolution.
 
-    Of stamps 1, 2, 3, 5, 6 ms a line is never off by more than half a millisecond. A clock a
-    little slower than its print would step by two evenly, again and again; lost samples do not.
+    A line fits the stamps 1, 2, 3, 5, 6 ms to half a millisecond. The steps of a clock slightly
+    slower than its print are doubled at regular distances; lost samples are irregular.
     """
     if resolution_s == 0:
         return False
     steps = np.round(np.diff(time_s) / resolution_s).astype(np.int64)
-    usual = int(np.median(steps))
-    jumps = np.flatnonzero(2 * steps >= 3 * usual)
-    if usual < 1 or not len(jumps) or len(jumps) > MAX_RARE * len(steps):
+    typical = int(np.median(steps))
+    jumps = np.flatnonzero(2 * steps >= 3 * typical)
+    if typical < 1 or not len(jumps) or len(jumps) > MAX_RARE * len(steps):
         return False
     return len(jumps) < 3 or bool(np.ptp(np.diff(jumps)) > 1)
 
 
 @dataclass(frozen=True, eq=False)
 class _Fault:
-    """Stamps with one fault: their rows, and how many samples it lost, added or set back."""
+    """Rows of the stamps with one fault, and the number of samples lost, added or set back."""
 
     quantity: str
     sentence: str
     rows: Stamps
     samples: int
 
-    def statement(self, time_s: Array, location: PlaceOf, addition: str = "") -> Statement:
+    def statement(self, time_s: Array, row_name: RowName, addition: str = "") -> Statement:
         """State the number of faults and the first locations."""
         first = [
-            f"{location(k)}, t = {time_s[k]:.6g} s (step {time_s[k] - time_s[k - 1]:.6g} s)"
+            f"{row_name(k)}, t = {time_s[k]:.6g} s (step {time_s[k] - time_s[k - 1]:.6g} s)"
             for k in self.rows[:_MAX_PLACES].tolist()
         ]
         unlisted = len(self.rows) - _MAX_PLACES
@@ -184,46 +187,48 @@ class _Fault:
         locations = f"{len(self.rows)} places: {'; '.join(first)}{further}"
         text, row = f"{self.sentence} at {locations}{addition}", int(self.rows[0])
         samples = float(self.samples)
-        return finding(self.quantity, text, place=location(row), value=samples, unit="samples")
+        return finding(self.quantity, text, place=row_name(row), value=samples, unit="samples")
 
 
-def _faulty_clock(time_s: Array, resolution_s: float, name: str, location: PlaceOf) -> Clock:
+def _clock_with_faults(time_s: Array, resolution_s: float, name: str, row_name: RowName) -> Clock:
     """Return a clock with the faults of its stamps; refuse stamps without a common interval."""
     steps = np.diff(time_s)
     interval_s = _interval_s(time_s)
     spread_s = robust_sigma(steps)
     if not interval_s > 0 or spread_s > MAX_SPREAD * interval_s + resolution_s:
-        raise _no_clock(
+        raise _clock_error(
             name,
             f"time steps from {steps.min():.4g} s to {steps.max():.4g} s, median "
             f"{np.median(steps):.4g} s",
             "samples at a uniform rate",
         )
-    # A step may be printed as long as the next multiple of the resolution.
+    # A printed step may be rounded up to the next multiple of the resolution.
     rounding_s = 0.0
     if resolution_s > 0:
         rounding_s = math.ceil(interval_s / resolution_s - 1e-6) * resolution_s - interval_s
     max_excess_s = max(0.5 * interval_s, 6 * spread_s) + rounding_s
-    gaps, missing = _gaps(time_s, interval_s, max_excess_s)
-    repeated = _repeated(steps, interval_s, resolution_s)
+    gaps, missing = _find_gaps(time_s, interval_s, max_excess_s)
+    repeated = _repeated_stamps(steps, interval_s, resolution_s)
     backward = np.flatnonzero(steps < -max_excess_s) + 1
-    returned = np.round(np.minimum(1.0 - steps[backward - 1] / interval_s, MAX_LOST)).astype(int)
+    set_back = np.round(np.minimum(1.0 - steps[backward - 1] / interval_s, MAX_LOST)).astype(int)
     faults = [
         _Fault("gap", "time is missing", gaps, int(missing.sum())),
         _Fault("duplicate_time", "the time stamp is repeated", repeated, len(repeated)),
-        _Fault("time_reversed", "the clock steps back", backward, int(returned.sum())),
+        _Fault("time_reversed", "the clock steps back", backward, int(set_back.sum())),
     ]
-    _refuse_unaccounted_time(time_s, interval_s, faults, name, location)
-    jitter_s, jitter = _jitter(steps, interval_s, max_excess_s, resolution_s)
+    _refuse_unaccounted_time(time_s, interval_s, faults, name, row_name)
+    jitter_s, jitter = _measure_jitter(steps, interval_s, max_excess_s, resolution_s)
     single = int(np.sum(missing == 1))
-    bridged = f"; {single} of single samples, bridged by straight lines" if single else ""
+    bridged = f"; {single} of single samples, which are interpolated" if single else ""
     return Clock(
-        sampling_rate_Hz=plain_rate_Hz(1 / interval_s, (resolution_s + jitter_s) / np.ptp(time_s)),
+        sampling_rate_Hz=rounded_rate_Hz(
+            1 / interval_s, (resolution_s + jitter_s) / np.ptp(time_s)
+        ),
         breaks=tuple(sorted({*gaps[missing > 1].tolist(), *backward.tolist()})),
         bridged=tuple(gaps[missing == 1].tolist()),
         statements=(
             *(
-                fault.statement(time_s, location, bridged if fault.quantity == "gap" else "")
+                fault.statement(time_s, row_name, bridged if fault.quantity == "gap" else "")
                 for fault in faults
                 if len(fault.rows)
             ),
@@ -233,31 +238,31 @@ def _faulty_clock(time_s: Array, resolution_s: float, name: str, location: Place
 
 
 def _refuse_unaccounted_time(
-    time_s: Array, interval_s: float, faults: Sequence[_Fault], name: str, location: PlaceOf
+    time_s: Array, interval_s: float, faults: Sequence[_Fault], name: str, row_name: RowName
 ) -> None:
     """Refuse stamps whose steps do not sum up to their span.
 
     A repeated stamp may be a surplus sample, or be compensated when the clock catches up.
     """
-    missing, repeated, returned = (fault.samples for fault in faults)
-    span, expected = (time_s[-1] - time_s[0]) / interval_s, len(time_s) - 1 + missing - returned
+    missing, repeated, set_back = (fault.samples for fault in faults)
+    span, expected = (time_s[-1] - time_s[0]) / interval_s, len(time_s) - 1 + missing - set_back
     tolerance = MAX_UNACCOUNTED * max(abs(span), expected) + SPARE_STEPS
     if not expected - repeated - tolerance <= span <= expected + tolerance:
         first = int(np.argmax(np.abs(np.diff(time_s) - interval_s) > 0.25 * interval_s)) + 1
-        raise _no_clock(
+        raise _clock_error(
             name,
             f"most time steps are {interval_s:.6g} s, of which {expected} make "
             f"{expected * interval_s:.6g} s, while the stamps span "
-            f"{time_s[-1] - time_s[0]:.6g} s; the first other step is at {location(first)}",
-            "samples at a uniform rate, or long stretches of one rate",
+            f"{time_s[-1] - time_s[0]:.6g} s; the first other step is at {row_name(first)}",
+            "samples at a uniform rate, or long segments of one rate",
         )
 
 
-def _jitter(
+def _measure_jitter(
     steps: Array, interval_s: float, max_excess_s: float, resolution_s: float
 ) -> tuple[float, list[Statement]]:
-    """Return the jitter of stamps without faults, s rms, and a statement where it is not small."""
-    # Two independent stamps make one step, hence the root of two.
+    """Return the jitter of stamps without faults, s rms, and a statement if it is not small."""
+    # The variance of a step is that of two independent stamps.
     errors_s = (steps - interval_s)[np.abs(steps - interval_s) < max_excess_s]
     jitter_s = float(np.sqrt(np.mean(errors_s**2) / 2)) if len(errors_s) else 0.0
     if not (jitter_s > MIN_JITTER * interval_s and jitter_s > 0.51 * resolution_s):
@@ -272,7 +277,7 @@ def _jitter(
 def _interval_s(time_s: Array) -> float:
     """Return the interval between samples: the median step, refined over spans without faults.
 
-    Where most spans have lost a sample, shorter ones are taken: their median is right again.
+    The spans are halved as long as most of them contain a lost sample.
     """
     width = min(AVERAGED_STEPS, len(time_s) - 1)
     while True:
@@ -284,11 +289,11 @@ def _interval_s(time_s: Array) -> float:
         width //= 2
 
 
-def _gaps(time_s: Array, interval_s: float, max_excess_s: float) -> tuple[Stamps, Stamps]:
-    """Return the first samples after missing time, and how many samples each gap lost.
+def _find_gaps(time_s: Array, interval_s: float, max_excess_s: float) -> tuple[Stamps, Stamps]:
+    """Return the first sample after each gap, and the number of samples lost in each.
 
-    A late stamp, or a clock that catches up, is no gap: the time must be missing over the samples
-    around the step as well, so spans of several stamps are compared.
+    A late stamp, or a clock that catches up, is not a gap: the time must also be missing over the
+    samples around the step, so spans of several stamps are compared.
     """
     gaps, missing = [], []
     for k in (np.flatnonzero(np.diff(time_s) > interval_s + max_excess_s) + 1).tolist():
@@ -298,20 +303,20 @@ def _gaps(time_s: Array, interval_s: float, max_excess_s: float) -> tuple[Stamps
         following = min(k + 1, len(time_s) - 1)
         missing_s = time_s[following] - time_s[previous] - (following - previous) * interval_s
         if missing_s > max_excess_s:
-            # Of two gaps in a row, the next one is counted separately.
-            up_to_here_s = time_s[k] - time_s[previous] - (k - previous) * interval_s
-            missing_s = min(missing_s, up_to_here_s, MAX_LOST * interval_s)
+            # A second gap directly behind this one is counted separately.
+            missing_before_s = time_s[k] - time_s[previous] - (k - previous) * interval_s
+            missing_s = min(missing_s, missing_before_s, MAX_LOST * interval_s)
             gaps.append(k)
             missing.append(max(round(missing_s / interval_s), 1))
     return np.array(gaps, dtype=int), np.array(missing, dtype=int)
 
 
-def _repeated(steps: Array, interval_s: float, resolution_s: float) -> Stamps:
-    """Return samples that repeat the stamp before, if more do than rounding explains."""
+def _repeated_stamps(steps: Array, interval_s: float, resolution_s: float) -> Stamps:
+    """Return the samples with the stamp of the previous one, unless rounding explains them."""
     is_equal = np.abs(steps) <= 1e-9 * interval_s
     if resolution_s <= 0.5 * interval_s:
         return np.flatnonzero(is_equal) + 1
-    # A clock faster than its print repeats a stamp now and then, and no more often than this.
+    # A clock faster than its print repeats so many stamps.
     by_rounding = len(steps) * max(0.0, 1.0 - interval_s / resolution_s)
     if np.count_nonzero(is_equal) > 2 * by_rounding + 2:
         return np.flatnonzero(is_equal) + 1
@@ -320,7 +325,7 @@ def _repeated(steps: Array, interval_s: float, resolution_s: float) -> Stamps:
     return np.concatenate(runs) if runs else np.zeros(0, dtype=int)
 
 
-def _no_clock(name: str, observed: str, needed: str) -> RecordingError:
+def _clock_error(name: str, observed: str, needed: str) -> RecordingError:
     return RecordingError(
         f"{name}: {observed}",
         needed=needed,
@@ -329,11 +334,11 @@ def _no_clock(name: str, observed: str, needed: str) -> RecordingError:
     )
 
 
-def stretches_of_one_rate(time_s: Array) -> tuple[slice, ...]:
-    """Cut stamps where the sampling rate changes for good; one slice where it never does.
+def constant_rate_segments(time_s: Array) -> tuple[slice, ...]:
+    """Split time stamps where the sampling rate changes permanently.
 
     time_s    (samples,)  s, finite
-    returned  adjacent slices that together hold every sample
+    returned  adjacent slices that cover all samples
     """
     steps = np.diff(time_s)
     blocks = len(steps) // _BLOCK_STEPS
@@ -348,19 +353,19 @@ def stretches_of_one_rate(time_s: Array) -> tuple[slice, ...]:
     if not (intervals_s > 0).all():
         return (slice(0, len(time_s)),)
     edges = []
-    for block in _rate_changes(np.log(intervals_s)):
+    for block in _rate_change_blocks(np.log(intervals_s)):
         before_s, after_s = intervals_s[block - 1], intervals_s[block]
         first = max((block - 2) * _BLOCK_STEPS, 0)
-        near_s = steps[first : min((block + 2) * _BLOCK_STEPS, len(steps))]
-        log_step = np.log(np.maximum(near_s, 1e-9 * min(before_s, after_s)))
+        nearby_steps_s = steps[first : min((block + 2) * _BLOCK_STEPS, len(steps))]
+        log_step = np.log(np.maximum(nearby_steps_s, 1e-9 * min(before_s, after_s)))
         misfit = np.abs(log_step - np.log(before_s)) - np.abs(log_step - np.log(after_s))
-        # The change is where the steps that fit the earlier interval end, counted from both sides.
+        # The change minimises the misfit of the steps before and behind it to their intervals.
         edges.append(first + int(np.argmin(np.concatenate([[0.0], np.cumsum(misfit)]))) + 1)
     return tuple(slice(a, b) for a, b in itertools.pairwise((0, *edges, len(time_s))))
 
 
-def _rate_changes(log_intervals: Array) -> list[int]:
-    """Return the first block of each stretch whose interval changes lastingly."""
+def _rate_change_blocks(log_intervals: Array) -> list[int]:
+    """Return the first block of each segment with another interval."""
     changes: list[int] = []
     min_change = np.log(_MIN_RATE_CHANGE)
     if np.ptp(log_intervals) <= min_change:

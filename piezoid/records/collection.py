@@ -22,8 +22,8 @@ class Collection(Summarised):
     """Contents of the files of one stage; iterates and indexes over its recordings.
 
     recordings  samples over time
-    sweeps      tables over a height that name no clock, as a Z spectroscopy is
-    responses   over a frequency
+    sweeps      tables over a height without a clock, such as a Z spectroscopy
+    responses   frequency responses
     """
 
     recordings: tuple[Recording, ...]
@@ -69,15 +69,13 @@ def collection_of(source: object) -> Collection:
     """
     if isinstance(source, Collection):
         return source
-    several = (
-        [source] if isinstance(source, Recording) or not isinstance(source, Iterable) else source
-    )
+    is_single = isinstance(source, Recording) or not isinstance(source, Iterable)
     recordings: list[Recording] = []
-    for recording in several:
+    for recording in [source] if is_single else source:
         if not isinstance(recording, Recording):
             raise RecordingError(
                 f"{type(recording).__name__} given as a recording",
-                needed="a Recording, what piezoid.read returned, or several of them",
+                needed="a Recording, a result of piezoid.read, or several of them",
                 remedy="Read files with piezoid.read, arrays with piezoid.from_arrays, a data "
                 "frame with piezoid.from_frame.",
             )
@@ -86,10 +84,11 @@ def collection_of(source: object) -> Collection:
 
 
 def collect(paths: Iterable[Path], lab: Lab | None = None) -> Collection:
-    """Read files of any kind; a table whose columns lab.toml names is a recording.
+    """Read recordings, frequency responses and sweeps from files of any format.
 
-    Raises ``UnreadableFileError``, ``UnitError``, ``RecordingError`` or ``LabFileError``; what is
-    merely odd about a recording is in its ``statements``.
+    A table whose columns are named in lab.toml is a recording. Raises ``UnreadableFileError``,
+    ``UnitError``, ``RecordingError`` or ``LabFileError``; minor problems of a recording are in its
+    ``statements``.
     """
     declared, paths = Lab() if lab is None else lab, tuple(paths)
     declared.check_files(paths)
@@ -113,7 +112,7 @@ def collect(paths: Iterable[Path], lab: Lab | None = None) -> Collection:
 
 
 def is_over_height(table: RawTable) -> bool:
-    """Whether the table's rows follow a length instead of a time."""
+    """Return whether a table is swept over a length instead of time."""
     swept = table.find(table.independent) if table.independent else None
     unit = None if swept is None else swept.heading.unit
     return unit is not None and unit.dimension is Dimension.LENGTH

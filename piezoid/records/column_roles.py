@@ -1,4 +1,4 @@
-"""Find quantity and axis of a column from its name and its unit."""
+"""Role, quantity and axis of a column from its name and its unit."""
 
 import re
 from dataclasses import dataclass
@@ -30,8 +30,8 @@ class Meaning:
 
     role      time, a channel, or not read
     quantity  of a channel
-    axis      of a channel; None where the name does not say
-    by_name   True where the name says the quantity; False where only the unit does
+    axis      of a channel; None if the name states none
+    by_name   whether the name states the quantity; False if only the unit does
     reason    why a column is not read
     """
 
@@ -44,22 +44,11 @@ class Meaning:
 
 _TIME_WORDS = frozenset(
     {
-        "time",
-        "t",
-        "zeit",
-        "temps",
-        "timestamp",
-        "timestamps",
-        "stamp",
-        "elapsed",
-        "date",
-        "datetime",
-        "clock",
-        "uhrzeit",
-        "zeitstempel",
+        "time", "t", "zeit", "temps", "timestamp", "timestamps", "stamp", "elapsed", "date",
+        "datetime", "clock", "uhrzeit", "zeitstempel",
     }
-)
-# What oscilloscopes call a column whose unit is a time: ``X``, ``x-axis``, or nothing.
+)  # fmt: skip
+# Oscilloscopes name a column in a unit of time ``X`` or ``x-axis``, or leave the name empty.
 _ABSCISSA_WORDS = frozenset({"axis"})
 _NAME_WORDS = {
     Quantity.VOLTAGE: frozenset(
@@ -76,8 +65,9 @@ _NAME_WORDS = {
     Quantity.HUMIDITY: frozenset({"humidity", "rh", "feuchte", "feuchtigkeit"}),
 }  # fmt: skip
 
-# Columns of the right unit that are not what was applied or measured: a wish, a difference, a
-# property of an oscillation, the bias of the sample, a part of a complex response.
+# Columns of the right unit that are neither the applied drive nor a measured response: a set
+# point, a difference, a property of an oscillation, the bias of the sample, a part of a complex
+# response.
 _OTHER_WORDS = frozenset(
     {
         "setpoint", "target", "desired", "error", "reference", "ref", "command", "commanded",
@@ -92,7 +82,7 @@ _AXES = ("x", "y", "z")
 
 
 def meaning_of(heading: Heading) -> Meaning:
-    """Return the role of a column by its name, or else by its unit.
+    """Return the meaning of a column by its name, or else by its unit.
 
     A name and a unit that contradict each other are resolved in columns.py, with the sensor gain
     that lab.toml may declare.
@@ -109,22 +99,22 @@ def meaning_of(heading: Heading) -> Meaning:
             f"named {min(other_words)!r}: neither applied to the stage nor measured on it"
         )
     if quantities == [Quantity.VOLTAGE, Quantity.DISPLACEMENT]:
-        quantities = [Quantity.DISPLACEMENT]  # ``sensor voltage``: a position that comes as volts
+        quantities = [Quantity.DISPLACEMENT]  # ``sensor voltage``: a position in volts
     if len(quantities) == 1:
         return Meaning(role=Role.CHANNEL, quantity=quantities[0], axis=axis, by_name=True)
     if dimension is Dimension.TIME:
-        return _unread("a time that the name does not call the clock")
+        return _unread("a time whose name is not that of a clock")
     for quantity, expected in DIMENSION_OF.items():
         if expected is dimension and dimension is not Dimension.RATIO:
             return Meaning(role=Role.CHANNEL, quantity=quantity, axis=axis)
     if heading.unit is None:
-        return _unread("neither name nor unit says what it is")
+        return _unread("neither name nor unit identifies the quantity")
     if heading.unit.is_counted:
         return _unread(
-            f"in {heading.unit.symbol}, the steps of a converter, under a name that says neither "
-            "drive nor response: name the column in lab.toml, with scale"
+            f"in {heading.unit.symbol}, the steps of a converter, under a name of neither a drive "
+            "nor a response: name the column in lab.toml, with scale"
         )
-    return _unread(f"{heading.unit.symbol} is no unit of a stage's drive or response")
+    return _unread(f"{heading.unit.symbol} is not a unit of a stage's drive or response")
 
 
 def _unread(reason: str) -> Meaning:
@@ -132,6 +122,7 @@ def _unread(reason: str) -> Meaning:
 
 
 def _words_of(stem: str) -> tuple[frozenset[str], str | None]:
+    """Return the words of a heading without its axis, and the axis if there is exactly one."""
     tokens = [token.lower() for token in _TOKENS.findall(re.sub(r"\[.*?\]|\(.*?\)", " ", stem))]
     axes = {token for token in tokens if token in _AXES}
     words = set(tokens) - axes

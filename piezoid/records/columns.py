@@ -1,7 +1,7 @@
 """Assign columns: quantity, axis and SI unit of each, from lab.toml or the headings.
 
-A file that leaves the assignment open is refused with the columns seen and the lines of lab.toml
-that decide.
+An ambiguous file is refused, with its columns and with the lines of lab.toml that resolve the
+ambiguity.
 """
 
 import itertools
@@ -24,7 +24,7 @@ from piezoid.statement import Statement, finding
 QUANTITIES = {quantity.name.lower(): quantity for quantity in Quantity}
 _LOOP_QUANTITIES = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
 _MAX_COLUMNS, _MAX_VALUES = 8, 3  # in a message
-# Counters that overflow: their bits, and their ticks where the column is in another unit.
+# Counters that overflow: their bits, and their ticks if the column is in another unit.
 _BITS, _TICKS_s = (16, 24, 32), (1e-3, 1e-6)
 _MAX_MISS = 2.5  # intervals between a stamp at an overflow and the end of the counter
 
@@ -38,8 +38,8 @@ class AssignedColumn:
 
     quantity  None for the time column
     axis      empty for the time column
-    unit      it was converted from, of the heading or of lab.toml
-    values    (rows,)  SI units, NaN kept; counts where the unit is counted and has no scale
+    unit      of the file's numbers, from the heading or lab.toml
+    values    (rows,)  SI units, NaN for missing numbers; counts if they have no scale
     """
 
     column: Column
@@ -53,9 +53,9 @@ class AssignedColumn:
 class Assignment:
     """All columns that are read.
 
-    time        None where the table has no time column
+    time        None if the table has no time column
     channels    one per quantity and axis, in the order of the columns
-    statements  assumed units, counts, counters that begin anew
+    statements  assumed units, channels in counts, overflowing counters
     """
 
     time: AssignedColumn | None
@@ -69,15 +69,16 @@ class Assignment:
 
 
 def assign_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Assignment:
-    """Assign quantity, axis and SI unit to every column, or refuse with the lines to write.
+    """Assign quantity, axis and SI unit to every column.
 
-    Raises ``UnitError`` for a column without unit or axis, or for two that claim the same
-    quantity; ``LabFileError`` where lab.toml names a column that is not there.
+    Raises ``UnitError`` for a column without unit or axis and for two columns of one quantity and
+    axis, with the lines to write into lab.toml; ``LabFileError`` if lab.toml names a column that
+    the file does not have.
     """
     check_entry_names(lab, entry)
-    meanings = _declared(table, lab, entry) if entry.columns else _from_headings(table)
+    meanings = _declared_columns(table, lab, entry) if entry.columns else _headed_columns(table)
     clocks = [column for column, meaning in meanings if meaning.role is Role.TIME]
-    channels = _with_axes(
+    channels = _assign_axes(
         table, entry, [(c, meaning) for c, meaning in meanings if meaning.role is Role.CHANNEL]
     )
     if len(clocks) > 1:
@@ -86,16 +87,16 @@ def assign_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Assignme
         raise ambiguous_columns(table, "no column is a drive voltage or a displacement")
     statements: list[Statement] = []
     converted = [
-        _converted(table, lab, entry, column, quantity, axis, statements)
+        _convert_column(table, lab, entry, column, quantity, axis, statements)
         for column, quantity, axis in [*((c, None, "") for c in clocks), *channels]
     ]
-    time = _unwrapped(table, converted[0], statements) if clocks else None
+    time = _unwrap_counter(table, converted[0], statements) if clocks else None
     return Assignment(
         time=time, channels=tuple(converted[len(clocks) :]), statements=tuple(statements)
     )
 
 
-def _unwrapped(
+def _unwrap_counter(
     table: RawTable, time: AssignedColumn, statements: list[Statement]
 ) -> AssignedColumn:
     """Unwrap time stamps of a counter of 16, 24 or 32 bits.
@@ -104,7 +105,7 @@ def _unwrapped(
 
     The tick is one unit of the column, a millisecond or a microsecond. The last stamp before an
     overflow must lie at the end of the counter and the next one at its beginning, 0 or the lowest
-    signed number: a clock that was set back is no counter.
+    signed number; otherwise the clock was set back.
     """
     stamped = np.flatnonzero(np.isfinite(time.values))
     steps_s = np.diff(time.values[stamped])
@@ -124,7 +125,7 @@ def _unwrapped(
                 rows = stamped[backward + 1]
                 overflows_s = np.zeros(len(time.values))
                 overflows_s[rows] = period_s
-                location = table.place_of_row(int(rows[0]))
+                location = table.row_name(int(rows[0]))
                 text = (
                     f"The clock is a {bits}-bit counter that overflows {len(rows)} times, first "
                     f"at {location}."
@@ -134,11 +135,11 @@ def _unwrapped(
     return time
 
 
-def _from_headings(table: RawTable) -> Meanings:
+def _headed_columns(table: RawTable) -> Meanings:
     """Return the columns with numbers and their meaning by name and unit.
 
-    A column that is a drive or response only by its unit yields to one that is named so: in
-    ``voltage [V], position [um], Monitor [V]`` the monitor is not a drive.
+    A column that is a drive or response only by its unit is ignored if another column is one by
+    its name: in ``voltage [V], position [um], Monitor [V]`` the monitor is not a drive.
     """
     meanings = [
         (column, meaning)
@@ -149,15 +150,15 @@ def _from_headings(table: RawTable) -> Meanings:
     by_name = {(m.quantity, m.axis) for _, m in meanings if m.by_name}
     quantities = {quantity for quantity, _ in by_name}
 
-    def yields(m: Meaning) -> bool:
+    def is_superseded(m: Meaning) -> bool:
         by_unit = m.role is Role.CHANNEL and not m.by_name and m.quantity in quantities
         return by_unit and (m.axis is None or (m.quantity, m.axis) in by_name)
 
-    return [(column, m) for column, m in meanings if not yields(m)]
+    return [(column, m) for column, m in meanings if not is_superseded(m)]
 
 
-def _declared(table: RawTable, lab: Lab, entry: RecordingEntry) -> Meanings:
-    """Return the columns that lab.toml names, and a time column that its heading names."""
+def _declared_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Meanings:
+    """Return the columns that lab.toml names, and a time column identified by its heading."""
     meanings: dict[int, tuple[Column, Meaning]] = {}
     for key, name_or_number in entry.columns.items():
         column = table.find(name_or_number)
@@ -178,12 +179,12 @@ def _declared(table: RawTable, lab: Lab, entry: RecordingEntry) -> Meanings:
 
 
 def clocks_of(table: RawTable) -> list[Column]:
-    """Return the columns whose headings call them a time."""
+    """Return the columns whose headings name a time."""
     return [c for c in table.columns if meaning_of(c.heading).role is Role.TIME]
 
 
 def missing_column(table: RawTable, lab: Lab, key: str, name_or_number: str | int) -> LabFileError:
-    """Return the error about a column of lab.toml that the file does not have."""
+    """Return the error for a column that lab.toml names and the file does not have."""
     columns = ", ".join(f"{c.number} {c.label!r}" for c in table.columns[:20])
     return LabFileError(
         f"{lab.place}: {table.name} has no column {name_or_number!r} of its own for {key!r}, only "
@@ -212,10 +213,10 @@ def check_entry_names(lab: Lab, entry: RecordingEntry) -> None:
             )
 
 
-def _with_axes(
+def _assign_axes(
     table: RawTable, entry: RecordingEntry, channels: Meanings
 ) -> list[tuple[Column, Quantity, str]]:
-    """Give every channel its axis; refuse two of one quantity, and volts that may be anything."""
+    """Return the channels with their axes; refuse duplicates and volts of unknown meaning."""
     parts = [(column, m.quantity, m.axis) for column, m in channels if m.quantity]
     has_response = any(quantity is Quantity.DISPLACEMENT for _, quantity, _ in parts)
     in_volts = [c for c, m in channels if m.quantity is Quantity.VOLTAGE and not m.by_name]
@@ -223,7 +224,7 @@ def _with_axes(
         raise ambiguous_columns(
             table, f"{_locations(in_volts)} in volts may be a drive or a sensor's output"
         )
-    # A column without an axis has that of the entry, the only one of the file, or x.
+    # A column without an axis belongs to that of the entry, to the only axis of the file, or to x.
     named_axes = sorted({a for _, q, a in parts if a is not None and q in _LOOP_QUANTITIES})
     unnamed = [q for _, q, a in parts if a is None and q in _LOOP_QUANTITIES]
     with_axis = {q for _, q, a in parts if a is not None}
@@ -249,7 +250,7 @@ def _with_axes(
     return [(column, quantity, axis) for (quantity, axis), column in columns.items()]
 
 
-def _converted(
+def _convert_column(
     table: RawTable,
     lab: Lab,
     entry: RecordingEntry,
@@ -260,11 +261,11 @@ def _converted(
 ) -> AssignedColumn:
     """Convert a column to SI units, volts of a sensor by the sensor's gain.
 
-    Appends what was assumed to ``statements``. Raises ``UnitError`` for a column without unit, in
-    a unit of something else, or in volts of a sensor whose gain is not known.
+    Appends assumptions to ``statements``. Raises ``UnitError`` for a column without unit, in a
+    unit of another quantity, or in volts of a sensor of unknown gain.
     """
     name = "time" if quantity is None else quantity.name.lower()
-    symbol = _declared_for(entry.units, name, axis)
+    symbol = _declaration_for(entry.units, name, axis)
     unit = column.heading.unit if symbol is None else unit_of(symbol)
     if quantity is Quantity.REFERENCE:
         unit = unit or Unit(symbol="", dimension=Dimension.OTHER)  # only its shape is used
@@ -275,9 +276,9 @@ def _converted(
     if unit is None:
         raise ambiguous_columns(table, f"{column.place} is a {name} without a unit")
     values = column.values * unit.factor + unit.offset
-    scale = _declared_for(entry.scale, name, axis)
+    scale = _declaration_for(entry.scale, name, axis)
     if unit.is_counted and quantity is not Quantity.REFERENCE and scale is None:
-        statements.append(_in_counts(table, lab, column, quantity, axis))
+        statements.append(_counts_statement(table, lab, column, quantity, axis))
     elif quantity is Quantity.DISPLACEMENT and unit.dimension is Dimension.VOLTAGE:
         values = values / sensor_gain_V_per_m(
             lab,
@@ -287,7 +288,7 @@ def _converted(
         )
     else:
         _check_dimension(table, column, quantity, axis, unit, is_scaled=scale is not None)
-    offset = _declared_for(entry.offset, name, axis)
+    offset = _declaration_for(entry.offset, name, axis)
     if scale is not None or offset is not None:
         values = values * (1.0 if scale is None else scale) + (offset or 0.0)
         if unit.is_counted and quantity in DIMENSION_OF:
@@ -304,7 +305,7 @@ def _check_dimension(
     *,
     is_scaled: bool,
 ) -> None:
-    """Refuse a unit of another quantity; counts with a scale and references may be in any unit."""
+    """Refuse a unit of another quantity; counts and references may be in any unit."""
     if unit.is_counted or quantity is Quantity.REFERENCE:
         return
     if quantity is Quantity.VOLTAGE and unit.dimension is Dimension.LENGTH:
@@ -320,27 +321,27 @@ def _check_dimension(
         raise ambiguous_columns(table, f"{column.place} is a {name} by name but in {unit.symbol}")
 
 
-def _declared_for(by_name: Mapping[str, T], name: str, axis: str) -> T | None:
+def _declaration_for(by_name: Mapping[str, T], name: str, axis: str) -> T | None:
     """Return the declaration of an entry for a column, by its name with or without the axis."""
     return by_name.get(f"{name}_{axis}", by_name.get(name))
 
 
 def sensor_gain_V_per_m(lab: Lab, axis: str, volts: str, *, needed: str) -> float:
-    """Return the gain of a sensor, or refuse ``volts``, which cannot be converted without it."""
+    """Return the gain of a sensor; without one refuse the column that ``volts`` describes."""
     gain_V_per_m = lab.sensor_of(axis).gain_V_per_m
     if gain_V_per_m is None:
         raise UnitError(
             volts,
-            needed=f"the sensor's gain, to know it in {needed}",
+            needed=f"the sensor's gain, to convert it to {needed}",
             remedy="Write into lab.toml:\n\n[sensor]\ngain_V_per_m = ...\n",
         )
     return gain_V_per_m
 
 
-def _in_counts(
+def _counts_statement(
     table: RawTable, lab: Lab, column: Column, quantity: Quantity | None, axis: str
 ) -> Statement:
-    """State that a drive or displacement stays in counts, with its scale if lab.toml has it.
+    """Return the statement that a drive or displacement stays in counts, with a scale if possible.
 
     Raises ``UnitError`` for any other quantity in counts.
     """
@@ -353,7 +354,7 @@ def _in_counts(
             remedy=f"Write into lab.toml:\n\n[[recording]]\nfile = {json.dumps(table.name)}\n"
             f"scale = {{ {name} = ... }}\n",
         )
-    # lab.toml states the size of a count where it declares the converter.
+    # The declared converter gives the size of a count.
     acquisition, range_V = lab.acquisition, lab.acquisition.input_range_V
     is_drive = quantity is Quantity.VOLTAGE
     bits = acquisition.dac_bits if is_drive else acquisition.adc_bits

@@ -9,15 +9,16 @@ from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.recording import Recording
 
 NOISE_RANGE = 10.0  # standard deviations: a range that Gaussian noise does not reach
-# The differences of a white drive look like noise as well; there the sensor follows it. Behind a
-# lag of ten samples the largest correlation is 0.3; of two independent signals one in a million
-# exceeds five standard errors.
+# A white drive has the differences of noise, but the sensor follows it. Behind a lag of ten
+# samples the largest correlation is 0.3; one in a million pairs of independent signals exceeds
+# five standard errors.
 MIN_CORRELATION, STANDARD_ERRORS = 0.3, 5.0
-# White drives into modes of Q 0.5 to 40 give 0.3 to 0.04, wideband recordings of other simulators
-# 0.1 to 5, sensors held by servos of a gain of 0.02 to 0.6 a sample 0.001; a white drive that is
-# followed at once 1. The steps of such a servo's drive correlate by -0.33 at least.
+# Sum of squared correlations: 0.3 to 0.04 for white drives into modes of Q 0.5 to 40, 0.1 to 5 for
+# wideband recordings of other simulators, 0.001 for sensors held by servos with a gain of 0.02 to
+# 0.6 per sample. A white drive without lag gives 1 at lag 0. The steps of such a servo's drive
+# have a correlation of -0.33 or more.
 MIN_SPREAD, MIN_AT_ONCE, MAX_WHITE = 0.03, 0.3, -0.4
-LAGS = 64  # samples by which a stage may follow
+LAGS = 64  # samples: largest delay of the response
 
 
 def is_at_rest(recording: Recording, axis: str) -> bool:
@@ -27,28 +28,28 @@ def is_at_rest(recording: Recording, axis: str) -> bool:
         return True
     if np.ptp(voltage_V) > NOISE_RANGE * white_noise_rms(voltage_V):
         return False
-    return not follows(voltage_V, recording.displacement_m(axis))
+    return not has_response(voltage_V, recording.displacement_m(axis))
 
 
-def follows(drive: Array, response: Array) -> bool:
-    """Tell whether a response follows the steps of a drive, however little.
+def has_response(drive: Array, response: Array) -> bool:
+    """Return whether a response follows the steps of a drive to any extent.
 
-    It correlates more after a step than before it, or more than common hum could.
+    The correlation is larger behind the steps than before them, or larger than that of hum.
     """
     spread, forward, count = _correlations(drive, response)
-    error = sqrt(8.0 * LAGS) / count  # neighbours share a sample: twice that of white signals
+    error = sqrt(8.0 * LAGS) / count  # twice that of white signals: neighbours share a sample
     largest = float(np.abs(forward).max())
     return spread > STANDARD_ERRORS * error or largest > max(
         MIN_CORRELATION, STANDARD_ERRORS / sqrt(count)
     )
 
 
-def answers(drive: Array, response: Array) -> bool:
-    """Tell whether the steps of a response are mostly caused by those of a drive.
+def is_mostly_driven(drive: Array, response: Array) -> bool:
+    """Return whether the steps of a response are mostly caused by those of a drive.
 
     Under feedback the drive contains the noise of the sensor, and the stage follows one sample
-    later: r(1) = - r(0), whose product is subtracted. White drives, whose steps correlate by
-    - 1/2, give the same correlation without feedback and are exempt.
+    later: r(1) = -r(0), and the product is subtracted. The steps of a white drive, with a
+    correlation of -1/2, give the same without feedback; nothing is subtracted for them.
     """
     spread, forward, count = _correlations(drive, response)
     steps = np.diff(drive)
@@ -59,13 +60,13 @@ def answers(drive: Array, response: Array) -> bool:
 
 
 def _correlations(drive: Array, response: Array) -> tuple[float, Array, int]:
-    """Return the sum of squares after less before, r(0) ... r(LAGS), and the number of steps.
+    """Return the excess of squared correlations behind the steps, r(0) ... r(LAGS), and the count.
 
-    A mode spreads the response over many lags. The squares of all lags are summed,
+    A mode spreads the response over many lags. The excess is
 
-        sum of r(l)^2, l = 1 ... LAGS,   less the same of r(-l)
+        sum of r(l)^2 - sum of r(-l)^2,   l = 1 ... LAGS
 
-    where the second term is a placebo: common hum correlates in both directions.
+    where the second sum is a placebo: common hum correlates in both directions.
     """
     steps, answer = np.diff(drive), np.diff(response)
     size = sqrt(float(steps @ steps) * float(answer @ answer))

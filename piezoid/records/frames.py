@@ -1,7 +1,7 @@
 """Recordings from arrays and data frames, and back, with the same checks as files.
 
-Heading and unit decide what a column is, by the same rules as for files: ``Voltage [V]``,
-``position_um``. What they leave open is refused, never guessed.
+Heading and unit identify a column by the same rules as for files: ``Voltage [V]``,
+``position_um``. Ambiguous columns are refused.
 """
 
 from collections.abc import Mapping, Sequence
@@ -40,9 +40,9 @@ def from_arrays(
     """Return a recording of arrays in SI units, with problems in ``statements``.
 
     voltage_V, displacement_m, current_A  (samples,), or by axis: ``{"x": ..., "y": ...}``
-    time_s, sampling_rate_Hz  one of the two: (samples,) s, or Hz
-    axis  that it is about, and that bare arrays belong to
-    name  of the recording: a fit keeps results by it
+    time_s, sampling_rate_Hz  exactly one of the two: (samples,) s, or Hz
+    axis  axis of the recording, and of arrays that are not given by axis
+    name  name of the recording, by which results refer to it
 
     Raises ``RecordingError`` for arrays of other shapes or lengths, or without a clock.
 
@@ -56,12 +56,13 @@ def from_arrays(
     (2000, 1000, ('x',))
     """
     if (time_s is None) == (sampling_rate_Hz is None):
+        both = "neither time_s nor" if time_s is None else "both time_s and"
         raise RecordingError(
-            f"{name}: {'neither' if time_s is None else 'both'} time_s and sampling_rate_Hz given",
+            f"{name}: {both} sampling_rate_Hz given",
             needed="one clock",
-            remedy="Give the time of every sample, or the rate of them all.",
+            remedy="Give the time of every sample, or the common sampling rate.",
         )
-    columns = [] if time_s is None else [("time", "s", _samples(time_s, f"{name}: time_s"))]
+    columns = [] if time_s is None else [("time", "s", _as_samples(time_s, f"{name}: time_s"))]
     for quantity, channel in (
         (Quantity.VOLTAGE, voltage_V),
         (Quantity.DISPLACEMENT, displacement_m),
@@ -71,7 +72,7 @@ def from_arrays(
         for axis_of_values, values in by_axis.items():
             if values is not None:
                 label = quantity.name.lower()
-                samples = _samples(values, f"{name}: {label} of {axis_of_values}")
+                samples = _as_samples(values, f"{name}: {label} of {axis_of_values}")
                 columns.append((f"{label}_{axis_of_values}", quantity.value, samples))
     if len({len(values) for _, _, values in columns}) > 1:
         lengths = ", ".join(f"{label} {len(values)}" for label, _, values in columns)
@@ -86,7 +87,7 @@ def from_arrays(
         columns={label: number for number, (label, _, _) in enumerate(columns, 1)},
         sampling_rate_Hz=sampling_rate_Hz,
     )
-    return _recording(columns, entry)
+    return _make_recording(columns, entry)
 
 
 def from_frame(
@@ -98,18 +99,18 @@ def from_frame(
     name: str = "frame",
     sampling_rate_Hz: float | None = None,
 ) -> Recording:
-    """Return a recording of a pandas DataFrame, its headings read as those of a file.
+    """Return a recording of a pandas DataFrame, with headings interpreted as those of a file.
 
-    frame    a column for each channel, a row for each sample; NaN where there is no number.
+    frame    a column for each channel, a row for each sample; NaN for missing numbers.
              An index of times is the clock
-    units    by heading, for columns whose heading names none: ``{"piezo": "V"}``
-    columns  which is which where headings do not say it, as in lab.toml:
-             ``{"voltage": "piezo", "displacement": "gauge"}``; then nothing else is read
-    axis     that it is about; default: what the headings say, else ``x``
-    sampling_rate_Hz  where no column is a time
+    units    by heading, for columns without a unit in the heading: ``{"piezo": "V"}``
+    columns  headings by role, if the headings do not identify them, as in lab.toml:
+             ``{"voltage": "piezo", "displacement": "gauge"}``; other columns are not read
+    axis     axis of the recording; default: that of the headings, else ``x``
+    sampling_rate_Hz  if no column is a time
 
-    Raises ``UnitError`` for a column without unit or meaning, and for two that claim the same
-    part; ``RecordingError`` for what is no frame, or holds no numbers.
+    Raises ``UnitError`` for a column without unit or meaning, and for two columns of one quantity
+    and axis; ``RecordingError`` for any other object than a frame, or without numbers.
 
     >>> import pandas as pd
     >>> frame = pd.DataFrame(
@@ -130,7 +131,7 @@ def from_frame(
         raise RecordingError(
             f"{name}: headings or rows on several levels",
             needed="one heading for each column, one row for each sample",
-            remedy="Flatten it, for example with frame.droplevel(0, axis=1).",
+            remedy="Flatten them, for example with frame.droplevel(0, axis=1).",
         )
     headings = [str(heading) for heading in frame.columns]
     for heading in (*(units or {}), *(columns or {}).values()):
@@ -152,7 +153,7 @@ def from_frame(
         sampling_rate_Hz=sampling_rate_Hz,
     )
     try:
-        return _recording(
+        return _make_recording(
             [(label, declared.get(label, ""), values) for label, values in arrays], entry
         )
     except UnitError as error:
@@ -191,8 +192,8 @@ def to_frame(recording: Recording) -> "DataFrame":
     return DataFrame({label: np.insert(v, breaks, np.nan) for label, v in columns.items()})
 
 
-def _recording(columns: Sequence[tuple[str, str, Array]], entry: RecordingEntry) -> Recording:
-    """Return headings, units and samples as a recording, with the statements of a file."""
+def _make_recording(columns: Sequence[tuple[str, str, Array]], entry: RecordingEntry) -> Recording:
+    """Make a recording of headings, units and samples, with the statements of a file."""
     text = "\n".join(f"{label}\t{unit}" for label, unit, _ in columns)
     table_columns = tuple(
         Column(number=k, label=label, declared_unit=unit, values=values)
@@ -208,19 +209,19 @@ def _recording(columns: Sequence[tuple[str, str, Array]], entry: RecordingEntry)
     parts = parts_of(table, Lab(), entry)
     if len(parts) > 1:
         raise RecordingError(
-            f"{table.name}: it holds {len(parts)} stretches of different rate",
-            needed="one rate where one recording is asked for",
-            remedy="Make a recording of each stretch.",
+            f"{table.name}: it holds {len(parts)} segments with different sampling rates",
+            needed="one rate in a recording",
+            remedy="Make a recording of each segment.",
         )
     return with_checks(ingest_table(table, Lab(), entry), Lab())
 
 
-def _samples(data: ArrayLike, name: str) -> Array:
+def _as_samples(data: ArrayLike, name: str) -> Array:
     try:
         values = np.asarray(data, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise RecordingError(
-            f"{name} is {type(data).__name__} that holds other things than numbers ({error})",
+            f"{name} is {type(data).__name__} with values that are not numbers ({error})",
             needed="one number for each sample",
             remedy="Pass an array of real numbers.",
         ) from error
@@ -228,13 +229,13 @@ def _samples(data: ArrayLike, name: str) -> Array:
         raise RecordingError(
             f"{name} has shape {values.shape}",
             needed="one number for each sample, shape (samples,)",
-            remedy="Pass each channel as an array of its own.",
+            remedy="Pass each channel as a separate array.",
         )
     return values
 
 
 def _declared_unit(name: str, heading: str, symbol: str) -> str:
-    """Return a declared unit; refuse one that is unknown or contradicts the heading."""
+    """Return a declared unit; refuse an unknown unit and one that contradicts the heading."""
     unit, in_heading = unit_of(symbol), heading_of(heading).unit
     if unit is None:
         raise UnitError(
@@ -249,7 +250,7 @@ def _declared_unit(name: str, heading: str, symbol: str) -> str:
         raise UnitError(
             f"{name}: {heading!r} names the unit {in_heading.symbol}, and {symbol} is stated",
             needed="one unit for the column",
-            remedy="Leave it out of units, or rename the column.",
+            remedy="Leave the column out of units, or rename it.",
         )
     return symbol
 
@@ -267,18 +268,18 @@ def _numeric_columns(frame: "DataFrame", declared: set[str], name: str) -> list[
     if isinstance(index, DatetimeIndex | TimedeltaIndex):
         if len(index):
             elapsed: Any = index - index[0]
-            clock.append(("time_s", _samples(elapsed.total_seconds(), f"{name}: the index")))
+            clock.append(("time_s", _as_samples(elapsed.total_seconds(), f"{name}: the index")))
     elif index.name is not None and meaning_of(heading_of(str(index.name))).role is Role.TIME:
-        clock.append((str(index.name), _samples(index, f"{name}: the index {index.name!r}")))
+        clock.append((str(index.name), _as_samples(index, f"{name}: the index {index.name!r}")))
     arrays = []
     for number, heading in enumerate(map(str, frame.columns), 1):
         column: Any = frame.iloc[:, number - 1]
         role = meaning_of(heading_of(heading)).role
         if is_timedelta64_dtype(column.dtype) and role is Role.TIME:
-            arrays.append((f"{heading} [s]", _samples(column.dt.total_seconds(), heading)))
+            arrays.append((f"{heading} [s]", _as_samples(column.dt.total_seconds(), heading)))
         elif is_numeric_dtype(column.dtype) and not is_bool_dtype(column.dtype):
             arrays.append(
-                (heading, _samples(column.to_numpy(np.float64, na_value=np.nan), heading))
+                (heading, _as_samples(column.to_numpy(np.float64, na_value=np.nan), heading))
             )
         elif heading in declared or role is not Role.UNREAD:
             raise RecordingError(

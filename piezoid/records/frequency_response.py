@@ -15,8 +15,8 @@ from piezoid.numerics.arrays import (
 from piezoid.statement import Statement
 
 CHAIN = ("amplifier", "sensor")
-FEWEST_LINES = 3
-LEAST_COHERENCE = 0.8
+MIN_LINES = 3
+MIN_COHERENCE = 0.8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,7 +49,7 @@ class ResponsePath:
             )
 
     @property
-    def is_own(self) -> bool:
+    def is_self_response(self) -> bool:
         """Whether it is the response of an axis to its own drive."""
         return self.output == self.drive
 
@@ -58,7 +58,7 @@ class ResponsePath:
         """Whether each line may be used, (lines,)."""
         if self.coherence is None:
             return np.ones(len(self.response_m_per_V), dtype=np.bool_)
-        return np.asarray(self.coherence >= LEAST_COHERENCE)
+        return np.asarray(self.coherence >= MIN_COHERENCE)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,10 +86,10 @@ class FrequencyResponseRecord:
         object.__setattr__(self, "frequency_Hz", frequency_Hz)
         strictly_increasing(frequency_Hz, "frequency_Hz")
         lines = len(frequency_Hz)
-        if lines < FEWEST_LINES or not frequency_Hz[0] > 0.0:
+        if lines < MIN_LINES or not frequency_Hz[0] > 0.0:
             raise ValueError(
                 f"frequency_Hz has {lines} values from {frequency_Hz[:1]} on, expected "
-                f"{FEWEST_LINES} or more above zero"
+                f"{MIN_LINES} or more above zero"
             )
         pairs = [(path.output, path.drive) for path in self.paths]
         if not pairs or len(set(pairs)) < len(pairs):
@@ -105,7 +105,7 @@ class FrequencyResponseRecord:
     @property
     def axes(self) -> tuple[str, ...]:
         """The axes whose response to their own drive was measured."""
-        return tuple(path.output for path in self.paths if path.is_own)
+        return tuple(path.output for path in self.paths if path.is_self_response)
 
     def renamed(self, axis: str) -> "FrequencyResponseRecord":
         """Return the record under the name of an axis, if the file names none."""

@@ -1,7 +1,7 @@
 """Ingest: from a table and the declarations of lab.toml to recordings.
 
-assign_columns -> unique_rows, complete_rows -> clock -> SampleRows
-    -> find_invalid_samples -> Recording -> checks -> split_at_baseline_steps
+assign_columns -> unique_rows, complete_rows -> read_clock -> SampleRows
+    -> find_invalid_readings -> Recording -> check_recording, split_at_baseline_steps
 """
 
 from collections.abc import Sequence
@@ -19,16 +19,16 @@ from piezoid.records.checks.columns import check_columns
 from piezoid.records.clock import (
     CONTROLLER_RATE,
     Clock,
+    constant_rate_segments,
     read_clock,
     refuse_newest_first,
     stated_clock,
-    stretches_of_one_rate,
 )
 from piezoid.records.columns import Assignment, assign_columns, clocks_of, entry_template
 from piezoid.records.invalid_samples import (
     find_invalid_readings,
     find_invalid_rows,
-    interpolated,
+    interpolate_invalid,
     invalid_statement,
 )
 from piezoid.records.lab import Lab, RecordingEntry
@@ -37,25 +37,26 @@ from piezoid.records.row_alignment import (
     Rows,
     SampleRows,
     complete_rows,
-    on_common_rows,
     positions_in,
+    select_common_rows,
     unique_rows,
 )
 from piezoid.records.table import RawTable
 from piezoid.records.units import Dimension
 from piezoid.statement import Statement, finding
 
-# lab.toml and the time column may differ by this much: crystals do, mistaken rates do not.
+# Relative difference of the rates in lab.toml and in the time column: the error of a crystal is
+# smaller, a mistake larger.
 _RATE_TOLERANCE = 0.01
 
 Part = tuple[RawTable, RecordingEntry | None]
 
 
 def ingest_parts(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[Recording, ...]:
-    """Make one recording of a table, or one for each stretch in which its rate is the same.
+    """Make one recording of a table, or one of each segment with a constant sampling rate.
 
-    Raises ``UnitError``, ``RecordingError`` or ``LabFileError``; what is merely odd (gaps, jitter,
-    dead or clipped channels, rows without numbers) is in ``statements``.
+    Raises ``UnitError``, ``RecordingError`` or ``LabFileError``. Minor problems (gaps, jitter,
+    dead or clipped channels, rows without numbers) are in ``statements``.
     """
     return tuple(
         with_checks(ingest_table(part, lab, part_entry), lab)
@@ -64,7 +65,7 @@ def ingest_parts(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tup
 
 
 def with_checks(recording: Recording, lab: Lab) -> Recording:
-    """Return a recording with the statements of all checks, split where a zero steps."""
+    """Return a recording with the statements of all checks, split at steps of the zero."""
     split = split_at_baseline_steps(recording)
     new = (*check_recording(recording, lab), *split.statements[len(recording.statements) :])
     statements = (*recording.statements, *record_in_counts(new, recording.counted))
@@ -72,50 +73,50 @@ def with_checks(recording: Recording, lab: Lab) -> Recording:
 
 
 def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[Part, ...]:
-    """Cut a table where its sampling rate changes, to read each part as a recording.
+    """Split a table where its sampling rate changes; each part becomes a recording.
 
     returned  table and entry of each recording: the name of a part ends in ``(part 1 of 3)``, and
-              its start_s and stop_s count from its own first sample
+              its start_s and stop_s count from its first sample
     """
-    undivided: tuple[Part, ...] = ((table, entry),)
-    described = entry or RecordingEntry(file=table.name)
-    if table.independent or described.sampling_rate_Hz is not None:
-        return undivided
-    time = assign_columns(table, lab, described).time
+    whole_table: tuple[Part, ...] = ((table, entry),)
+    declarations = entry or RecordingEntry(file=table.name)
+    if table.independent or declarations.sampling_rate_Hz is not None:
+        return whole_table
+    time = assign_columns(table, lab, declarations).time
     if time is None:
-        return undivided
-    time_s = time.values[::-1] if described.reverse else time.values
+        return whole_table
+    time_s = time.values[::-1] if declarations.reverse else time.values
     stamped = np.flatnonzero(np.isfinite(time_s))
     stamps_s = time_s[stamped]
-    stretches = stretches_of_one_rate(stamps_s)
-    if len(stretches) < 2:
-        return undivided
+    segments = constant_rate_segments(stamps_s)
+    if len(segments) < 2:
+        return whole_table
     if entry is not None and entry.reverse:
         table, entry = table.reversed(), structs.replace(entry, reverse=False)
-    starts = [0, *(int(stamped[stretch.start]) for stretch in stretches[1:])]
+    starts = [0, *(int(stamped[segment.start]) for segment in segments[1:])]
     locations = ", ".join(
-        f"{table.place_of_row(row)} (t = {stamps_s[stretch.start]:.6g} s)"
-        for row, stretch in zip(starts, stretches, strict=True)
+        f"{table.row_name(row)} (t = {stamps_s[segment.start]:.6g} s)"
+        for row, segment in zip(starts, segments, strict=True)
     )
     text = (
-        f"The sampling rate changes: {len(stretches)} stretches begin at {locations}; each is "
+        f"The sampling rate changes: {len(segments)} segments begin at {locations}; each is "
         "read as a recording."
     )
-    statement = finding("several_rates", text, place=table.place_of_row(starts[1]))
+    statement = finding("several_rates", text, place=table.row_name(starts[1]))
     parts: list[Part] = []
     edges = pairwise((*starts, table.rows))
-    for k, (stretch, (start, stop)) in enumerate(zip(stretches, edges, strict=True), 1):
-        first_s, last_s = (stamps_s[[stretch.start, stretch.stop - 1]] - stamps_s[0]).tolist()
-        shifted = None if entry is None else _shifted(entry, first_s, last_s)
+    for k, (segment, (start, stop)) in enumerate(zip(segments, edges, strict=True), 1):
+        first_s, last_s = (stamps_s[[segment.start, segment.stop - 1]] - stamps_s[0]).tolist()
+        shifted = None if entry is None else _entry_of_part(entry, first_s, last_s)
         if entry is None or shifted is not None:
-            part = table.part(slice(start, stop), f"{table.name} (part {k} of {len(stretches)})")
+            part = table.part(slice(start, stop), f"{table.name} (part {k} of {len(segments)})")
             part = replace(part, statements=(*part.statements, statement))
             parts.append((part, shifted))
-    return tuple(parts) or undivided
+    return tuple(parts) or whole_table
 
 
-def _shifted(entry: RecordingEntry, first_s: float, last_s: float) -> RecordingEntry | None:
-    """Return an entry with start and stop relative to a part; None if it is outside the part."""
+def _entry_of_part(entry: RecordingEntry, first_s: float, last_s: float) -> RecordingEntry | None:
+    """Return an entry with start and stop relative to a part; None if they exclude the part."""
     start_s = 0.0 if entry.start_s is None else entry.start_s
     stop_s = np.inf if entry.stop_s is None else entry.stop_s
     if start_s >= last_s or stop_s <= first_s:
@@ -133,23 +134,23 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
         raise RecordingError(
             f"{table.name}: a {table.format} table over {table.independent!r}, not over time",
             needed="columns as functions of time",
-            remedy="Use it where a table is asked for (a tunnelling current against height), or "
+            remedy="Use it where a table is required (a tunnelling current against height), or "
             "name its columns and sampling_rate_Hz in lab.toml if they are samples in time.",
         )
     entry = RecordingEntry(file=table.name) if entry is None else entry
     table = table.reversed() if entry.reverse else table
     assignment = assign_columns(table, lab, entry)
-    table, slower = on_common_rows(table, assignment)
-    assignment = assign_columns(table, lab, entry) if slower else assignment
-    unique, repetitions = unique_rows(table, assignment)
-    complete, single, several, missing = complete_rows(table, assignment, unique)
+    table, rate_statements = select_common_rows(table, assignment)
+    assignment = assign_columns(table, lab, entry) if rate_statements else assignment
+    unique, repeat_statements = unique_rows(table, assignment)
+    complete, after_single, after_gap, gap_statements = complete_rows(table, assignment, unique)
     clock = _clock(table, lab, entry, assignment, complete, unique)
     segments = positions_in(complete, np.array(table.segment_starts, dtype=int))
-    bridged = set(clock.bridged)  # beside an incomplete row two samples are missing
-    breaks = {*clock.breaks, *several, *segments, *(bridged & single)}
-    rows = SampleRows.of(complete, breaks, bridged | single)
+    bridged = set(clock.bridged)  # next to an incomplete row two samples are missing
+    breaks = {*clock.breaks, *after_gap, *segments, *(bridged & after_single)}
+    rows = SampleRows.of(complete, breaks, bridged | after_single)
     rows = rows.cut(_selected_samples(entry, clock, len(rows.position)))
-    channels, invalid, invalid_statements = _channels(table, assignment, rows)
+    channels, invalid, invalid_statements = _make_channels(table, assignment, rows)
     _refuse_impossible_sizes(table, assignment, channels)
     axis, axis_statements = _select_axis(entry, channels, lab.place)
     quantities = {a.column.number: a.quantity for a in assignment.channels if a.quantity}
@@ -166,9 +167,9 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
         statements=(
             *table.statements,
             *assignment.statements,
-            *slower,
-            *repetitions,
-            *missing,
+            *rate_statements,
+            *repeat_statements,
+            *gap_statements,
             *clock.statements,
             *invalid_statements,
             *(s for s in column_statements if (s.quantity, s.place) not in reported),
@@ -177,7 +178,7 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
     )
 
 
-def _channels(
+def _make_channels(
     table: RawTable, assignment: Assignment, rows: SampleRows
 ) -> tuple[tuple[Channel, ...], list[int], list[Statement]]:
     """Return the channels, with invalid samples interpolated linearly.
@@ -186,7 +187,7 @@ def _channels(
         The channels, the invalid samples of any of them, and a statement for each column and kind.
     """
     columns = [a for a in assignment.channels if a.quantity is not None]
-    values = [rows.values(a.column.values) for a in columns]  # as the file holds them
+    values = [rows.values(a.column.values) for a in columns]  # in the file's units
     is_invalid = [np.zeros(len(rows.position), dtype=bool) for _ in columns]
     drive_of = {a.axis: k for k, a in enumerate(columns) if a.quantity is Quantity.VOLTAGE}
     statements: list[Statement] = []
@@ -196,7 +197,7 @@ def _channels(
         drive, j = None, drive_of.get(assigned.axis)
         if j is not None:
             is_invalid[j] |= find_invalid_rows(values[k], values[j])
-            drive = interpolated(values[j], is_invalid[j])
+            drive = interpolate_invalid(values[j], is_invalid[j])
         for readings in find_invalid_readings(values[k], drive):
             is_invalid[k][readings.samples] = True
             statements.append(
@@ -206,14 +207,14 @@ def _channels(
                     is_invalid[k],
                     column=assigned.column.place,
                     unit=assigned.unit,
-                    place_of=lambda k: table.place_of_row(rows.source_row(k)),
+                    place_of=lambda k: table.row_name(rows.source_row(k)),
                 )
             )
     channels = tuple(
         Channel(
             quantity=assigned.quantity,
             axis=assigned.axis,
-            values=interpolated(rows.values(assigned.values), mask),
+            values=interpolate_invalid(rows.values(assigned.values), mask),
             label=assigned.column.label or f"column {assigned.column.number}",
             is_counted=assigned.unit.is_counted and assigned.unit.dimension is Dimension.OTHER,
         )
@@ -223,7 +224,7 @@ def _channels(
     return channels, np.flatnonzero(np.any(is_invalid, axis=0)).tolist(), statements
 
 
-# Peak to peak of a channel that moves, in SI units, and the sampling rate: no laboratory has more.
+# Smallest and largest range of a moving channel, in SI units.
 _POSSIBLE = {Quantity.DISPLACEMENT: (1e-13, 1.0), Quantity.VOLTAGE: (1e-6, 1e6)}
 _USUAL_m = (1e-8, 1e-3)
 _LENGTHS_m = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
@@ -233,9 +234,8 @@ def _refuse_impossible_sizes(
     table: RawTable, assignment: Assignment, channels: Sequence[Channel]
 ) -> None:
     """Refuse a motion or voltage of impossible size, which indicates a wrong unit."""
-    read_columns = [assigned for assigned in assignment.channels if assigned.quantity is not None]
     driven = {c.axis for c in channels if c.quantity is Quantity.VOLTAGE and np.ptp(c.values) > 0}
-    for assigned, channel in zip(read_columns, channels, strict=True):
+    for assigned, channel in zip(assignment.channels, channels, strict=True):
         low, high = _POSSIBLE.get(channel.quantity, (0.0, np.inf))
         size = float(np.ptp(channel.values))
         is_moved = channel.quantity is Quantity.VOLTAGE or channel.axis in driven
@@ -260,17 +260,17 @@ def _refuse_impossible_sizes(
 def _select_axis(
     entry: RecordingEntry, channels: Sequence[Channel], lab_file: str
 ) -> tuple[str, list[Statement]]:
-    """Return the axis of a recording, with a statement if it was chosen among several.
+    """Return the axis of a recording, with a statement if there are several.
 
-    It is the axis of the entry, else the axis with drive and displacement whose drive moves most.
+    The axis is that of the entry, else the one with a displacement and the largest drive.
     """
     axes = sorted({c.axis for c in channels})
     if entry.axis is not None:
         if entry.axis not in axes:
             raise LabFileError(
-                f"{lab_file}: {entry.file} is said to be about axis {entry.axis!r}, its columns "
-                f"are of {', '.join(axes)}",
-                needed="an axis one of its columns belongs to",
+                f"{lab_file}: {entry.file} is declared as a recording of axis {entry.axis!r}, its "
+                f"columns are of {', '.join(axes)}",
+                needed="the axis of one of its columns",
                 remedy="Correct the axis, or name the columns.",
             )
         return entry.axis, []
@@ -302,16 +302,15 @@ def _clock(
 ) -> Clock:
     """Return the clock, its breaks and single losses as indices of complete rows.
 
-    It is read from every row with a stamp, so that a row that lacks another column's number is no
-    gap in time as well. A table without time column has the clock of its format, of its entry or
-    of the laboratory.
+    All rows with a stamp are read: a row without a number in another column is not a gap in time.
+    A table without time column has the clock of its format, of its entry or of the laboratory.
     """
     if assignment.time is None:
-        for column in clocks_of(table):  # not named the clock, and running backwards all the same
+        for column in clocks_of(table):  # an unused time column may also run backwards
             stamped = np.flatnonzero(np.isfinite(column.values))
-            refuse_newest_first(column.si_values[stamped], table.name, table.places_of(stamped))
-        of_file_Hz = table.sampling_rate_Hz or entry.sampling_rate_Hz
-        rate_Hz = of_file_Hz or lab.acquisition.sampling_rate_Hz
+            refuse_newest_first(column.si_values[stamped], table.name, table.row_names(stamped))
+        file_rate_Hz = table.sampling_rate_Hz or entry.sampling_rate_Hz
+        rate_Hz = file_rate_Hz or lab.acquisition.sampling_rate_Hz
         if rate_Hz is None:
             raise UnitError(
                 f"{table.name}: no column is a time and the file states no sampling rate",
@@ -321,7 +320,7 @@ def _clock(
                 f"{entry_template(table)}\n",
             )
         clock, clock_Hz = stated_clock(rate_Hz, table.name), rate_Hz
-        if of_file_Hz is None:
+        if file_rate_Hz is None:
             rounded_Hz = clock.sampling_rate_Hz
             text = (
                 f"No time column: the file is read at {rounded_Hz:.9g} Hz, the rate of the "
@@ -333,7 +332,7 @@ def _clock(
     else:
         stamped = unique[np.isfinite(assignment.time.values[unique])]
         stamps_s = assignment.time.values[stamped]
-        clock = read_clock(stamps_s, table.name, table.places_of(stamped))
+        clock = read_clock(stamps_s, table.name, table.row_names(stamped))
         clock = replace(
             clock,
             breaks=positions_in(complete, stamped[list(clock.breaks)]),
@@ -344,7 +343,7 @@ def _clock(
     if declared_Hz is not None and abs(declared_Hz - clock_Hz) > _RATE_TOLERANCE * clock_Hz:
         raise LabFileError(
             f"{lab.place}: sampling_rate_Hz of {table.name} is {declared_Hz:.9g} Hz, the file's "
-            f"own clock says {clock_Hz:.9g} Hz",
+            f"clock runs at {clock_Hz:.9g} Hz",
             needed="one rate, or no time column",
             remedy="Correct the rate or the unit of the time column.",
         )

@@ -32,28 +32,28 @@ from piezoid.records.sample_statistics import (
 from piezoid.records.table import Column, RawTable
 from piezoid.statement import Statement, finding
 
-# A turn of the drive smaller than this share of its range is no sweep.
+# Of the range of the drive: smaller turns are ignored.
 _TURN_SHARE = 0.01
-# Turning points closer than this share of the range are one level of the drive; in a group five
-# times as wide they lie everywhere.
+# Turning points closer than this share of the range are one level of the drive; if a group is five
+# times as wide, they are spread continuously.
 _LEVEL_SHARE, _WIDE = 0.02, 5.0
 _MAX_LEVELS = 12
 
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnSummary:
-    """One column, for people.
+    """Summary of one column.
 
-    number     its place in the file
-    label      its heading as found
+    number     index in the file, from 1
+    label      heading in the file
     meaning    ``time``, ``voltage of x``, or ``not read: ...`` with the reason
-    unit       as found, empty where none was
-    si_unit    of the numbers below, empty where none is known
-    minimum, maximum   of the numbers it holds; None where it holds none
-    noise_rms  robust white noise; None where there are too few samples or the signal is too fast
-    step       the smallest step of its values, 0 where there is none
-    is_dead    it never changes
-    clipped    share of samples resting on an extreme
+    unit       as written in the file, empty without one
+    si_unit    of the numbers below, empty if unknown
+    minimum, maximum   of its numbers; None without numbers
+    noise_rms  robust white noise; None for too few samples or a too fast signal
+    step       smallest step of its values, 0 without one
+    is_dead    whether it is constant
+    clipped    share of the samples at an extreme
     missing    number of rows without a number
     """
 
@@ -73,19 +73,19 @@ class ColumnSummary:
 
 @dataclass(frozen=True, kw_only=True)
 class Inspection:
-    """All that was understood of one file.
+    """Interpretation of one file.
 
     name              the file's name
-    digest, format    None where it could not be read at all
+    digest, format    None if the file could not be read
     rows, columns     of its table
-    axis              of the recording, None where it is refused
-    axis_is_named     whether a heading or lab.toml says so; it is called x here otherwise
+    axis              of the recording, None if it is refused
+    axis_is_named     whether a heading or lab.toml names the axis; otherwise it is x
     sampling_rate_Hz, duration_s, breaks, reversals, levels_V
-                      of the recording; levels are the voltages the drive turns at
-    counted           what is in counts of a converter, of ``displacement`` and ``voltage``
-    response          of a frequency response, which has no rate and no duration
-    statements          everything odd, each with its place
-    refusal           why it is no recording, None where it is one
+                      of the recording; the drive turns at the voltages levels_V
+    counted           quantities in counts of a converter, of ``displacement`` and ``voltage``
+    response          summary of a frequency response, which has no rate and no duration
+    statements        all problems of the file, each with its place
+    refusal           why the file is refused, None if it is read
     """
 
     name: str
@@ -107,12 +107,12 @@ class Inspection:
 
 
 def inspect_files(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Inspection, ...]:
-    """Inspect files, and say which of them do not fit the others.
+    """Inspect files, separately and for consistency with each other.
 
-    There is one inspection for each ``[[recording]]`` entry about a file, or just one. A file that
-    cannot be used is an inspection with a refusal, so that inspecting ten shows ten.
+    Each file has an inspection for every ``[[recording]]`` entry about it, or a single one. The
+    inspection of an unusable file contains a refusal.
 
-    Raises ``LabFileError`` for an entry about a file that is nowhere.
+    Raises ``LabFileError`` for an entry about a file that does not exist.
     """
     paths, lab = tuple(paths), lab or Lab()
     lab.check_files(paths)
@@ -128,7 +128,7 @@ def inspect_files(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Inspec
                 inspected.append((_inspect_response(table, lab, entry), None))
                 continue
             parts: tuple[Part, ...] = ((table, entry),)
-            with contextlib.suppress(PiezoidError):  # which reading the whole says as well
+            with contextlib.suppress(PiezoidError):  # _inspect_table reports the same error
                 parts = parts_of(table, lab, entry)
             inspected += [_inspect_table(part, lab, part_entry) for part, part_entry in parts]
     statements = check_set([recording for _, recording in inspected if recording is not None])
@@ -140,8 +140,8 @@ def inspect_files(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Inspec
     return tuple(inspections)
 
 
-def _of_table(table: RawTable) -> Inspection:
-    """Return what can be said of any table that was read."""
+def _table_summary(table: RawTable) -> Inspection:
+    """Return the entries of an inspection that every table has."""
     return Inspection(
         name=table.name,
         digest=table.digest,
@@ -152,8 +152,7 @@ def _of_table(table: RawTable) -> Inspection:
 
 
 def _inspect_response(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Inspection:
-    """Inspect a frequency response: the numbers as found, since rows are no samples."""
-    inspection = replace(_of_table(table), sampling_rate_Hz=None)
+    """Inspect a frequency response; its columns are summarised in the units of the file."""
     meanings: dict[int, str] = {}
     try:
         response = ingest_response(table, lab, entry)
@@ -162,7 +161,7 @@ def _inspect_response(table: RawTable, lab: Lab, entry: RecordingEntry | None) -
             c.number: f"{part}, by its name" for c in table.columns if (part := part_of(c))
         }
         inspection = replace(
-            _of_table(table),
+            _table_summary(table),
             statements=(*table.statements, *check_columns(table, {})),
             refusal=str(error),
         )
@@ -173,7 +172,8 @@ def _inspect_response(table: RawTable, lab: Lab, entry: RecordingEntry | None) -
             to = "" if output == drive else f" to a drive of {drive}"
             meanings |= {c.number: f"{part} of {output}{to}" for part, c in parts.items()}
         inspection = replace(
-            inspection,
+            _table_summary(table),
+            sampling_rate_Hz=None,
             axis_is_named=response.axis_is_named,
             response=summary_of(response),
             statements=response.statements,
@@ -183,7 +183,7 @@ def _inspect_response(table: RawTable, lab: Lab, entry: RecordingEntry | None) -
         unit = unit_in_heading(column)
         symbol = "" if unit is None else unit.symbol
         meaning = meanings.get(column.number, "not read: no part of the response")
-        summary = _summary(column, column.values, meaning, symbol, symbol)
+        summary = _summarise(column, column.values, meaning, symbol, symbol)
         summaries.append(replace(summary, noise_rms=None, step=0.0, clipped=0.0))
     return replace(inspection, columns=tuple(summaries))
 
@@ -191,33 +191,33 @@ def _inspect_response(table: RawTable, lab: Lab, entry: RecordingEntry | None) -
 def _inspect_table(
     table: RawTable, lab: Lab, entry: RecordingEntry | None
 ) -> tuple[Inspection, Recording | None]:
-    described = RecordingEntry(file=table.name) if entry is None else entry
+    declarations = RecordingEntry(file=table.name) if entry is None else entry
     try:
         recording = with_checks(ingest_table(table, lab, entry), lab)
-        assignment = assign_columns(table, lab, described)
+        assignment = assign_columns(table, lab, declarations)
     except PiezoidError as error:
         refused = replace(
-            _of_table(table),
-            columns=tuple(_column_summary(column, None) for column in table.columns),
+            _table_summary(table),
+            columns=tuple(_summarise_column(column, None) for column in table.columns),
             statements=(*table.statements, *check_columns(table, {})),
             refusal=str(error),
         )
-        if described.columns or not is_approach_curve(table):
+        if declarations.columns or not is_approach_curve(table):
             return refused, None
         text = (
-            f"a table over the height {table.independent!r}, without a time: fit takes its "
-            "currents for approach curves of the tunnelling junction"
+            f"a table over the height {table.independent!r}, without a time: fit uses its "
+            "currents as approach curves of the tunnelling junction"
         )
         curve = finding("approach_curve", text, place=table.independent)
         return replace(refused, refusal=None, statements=(curve, *refused.statements)), None
-    reversals, levels_V = _turns_of_drive(recording)
+    reversals, levels_V = _drive_turns(recording)
     headings = [meaning_of(channel.column.heading) for channel in assignment.channels]
     inspection = replace(
-        _of_table(table),
-        columns=tuple(_column_summary(column, assignment) for column in table.columns),
+        _table_summary(table),
+        columns=tuple(_summarise_column(column, assignment) for column in table.columns),
         axis=recording.axis,
-        axis_is_named=described.axis is not None
-        or any("_" in key for key in described.columns)
+        axis_is_named=declarations.axis is not None
+        or any("_" in key for key in declarations.columns)
         or any(meaning.axis is not None for meaning in headings),
         sampling_rate_Hz=recording.sampling_rate_Hz,
         duration_s=recording.duration_s,
@@ -230,26 +230,26 @@ def _inspect_table(
     return inspection, recording
 
 
-def _column_summary(column: Column, assignment: Assignment | None) -> ColumnSummary:
-    """Summarise a column by what the recording made of it, else by its heading."""
+def _summarise_column(column: Column, assignment: Assignment | None) -> ColumnSummary:
+    """Summarise a column as assigned in the recording, or by its heading if it is not read."""
     for assigned in () if assignment is None else assignment.columns:
         if assigned.column is column:
             quantity, unit = assigned.quantity, assigned.unit
             meaning = "time" if quantity is None else f"{quantity.name.lower()} of {assigned.axis}"
-            return _summary(column, assigned.values, meaning, unit.symbol, unit.si_symbol)
+            return _summarise(column, assigned.values, meaning, unit.symbol, unit.si_symbol)
     role = meaning_of(column.heading)
     if assignment is not None and role.role is not Role.UNREAD:
-        meaning = "not read: another column was taken for this part"
+        meaning = "not read: another column has this quantity and axis"
     elif role.quantity is not None:
         meaning = role.quantity.name.lower() + (f" of {role.axis}" if role.axis else "")
     else:
         meaning = f"not read: {role.reason}" if role.reason else role.role.value
     in_heading = column.heading.unit
     symbol, si = ("", "") if in_heading is None else (in_heading.symbol, in_heading.si_symbol)
-    return _summary(column, column.si_values, meaning, symbol, si)
+    return _summarise(column, column.si_values, meaning, symbol, si)
 
 
-def _summary(
+def _summarise(
     column: Column, values: Array, meaning: str, unit: str, si_unit: str
 ) -> ColumnSummary:
     numbers = values[np.isfinite(values)]
@@ -271,12 +271,12 @@ def _summary(
     )
 
 
-def _turns_of_drive(recording: Recording) -> tuple[int | None, tuple[float, ...]]:
-    """Return how often the drive turns, without noise and small turns, and at which voltages.
+def _drive_turns(recording: Recording) -> tuple[int | None, tuple[float, ...]]:
+    """Return the number of reversals of the drive, without small turns, and their levels.
 
     Returns:
-        The number of reversals, None without a drive; the distinct voltages, ascending, none
-        where they are too many to be levels.
+        The number of reversals, None without a drive; the distinct voltages, ascending, empty if
+        they are spread continuously.
     """
     drive = recording.find(Quantity.VOLTAGE, recording.axis)
     if drive is None:

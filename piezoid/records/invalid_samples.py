@@ -1,17 +1,17 @@
 """Find invalid samples: numbers that a sensor wrote without a measurement.
 
-Five kinds, found from the samples alone, without a model:
+Five kinds are found from the samples alone, without a model:
 
-* *written*: one exact value again and again, far from both neighbours (0, -1, 9999, full scale);
+* *written*: one exact value repeatedly, far from both neighbours (0, -1, 9999, full scale);
 * *held*: the previous value repeated while the stage moves on;
-* *stuck*: one exact value for long while the drive moves on, of a sensor whose readings scatter by
-  more than its step: a cable came off, a logger hung;
+* *stuck*: one exact value for a long time while the drive moves on, of a sensor whose readings
+  scatter by more than its step: a cable came off, a logger hung;
 * *spike*: one or two samples far from both neighbours, by more than a twentieth of the range;
-* *clipped*: the largest or smallest value again and again while the drive moves on, of a sensor
-  whose readings scatter. A stage that stands at the end of its own range goes on scattering.
+* *clipped*: the largest or smallest value repeatedly while the drive moves on, of a sensor whose
+  readings scatter. The readings of a stage at the end of its range continue to scatter.
 
-What the drive did at the same instant is motion, and no fault. Smaller spikes are left to the fit
-and the diagnosis, which know the response from which they stand out.
+A deviation that coincides with a step of the drive is motion. Fit and diagnosis detect smaller
+spikes by their deviation from the simulated response.
 """
 
 from collections.abc import Callable
@@ -23,8 +23,7 @@ from scipy.ndimage import median_filter
 
 from piezoid.numerics.arrays import Array, runs_of
 from piezoid.numerics.noise import white_noise_rms
-from piezoid.records.sample_statistics import clipped as clipped_samples
-from piezoid.records.sample_statistics import step_size
+from piezoid.records.sample_statistics import clipped_samples, step_size
 from piezoid.records.units import Unit
 from piezoid.statement import Statement, finding
 
@@ -32,26 +31,26 @@ Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 MIN_REPEATS = 3  # one value far from its neighbours twice may be chance
-MAX_SHARE = 0.2  # of the samples: where more are repeated, the sensor is slower than the clock
-MAX_CLIPPED = 0.5  # of the samples: beyond, what remains is no recording of the motion
+MAX_SHARE = 0.2  # of the samples: if more are repeated, the sensor is slower than the clock
+MAX_CLIPPED = 0.5  # of the samples: if more are clipped, the motion is not recorded
 MIN_NOISE = 8.0  # standard deviations: one of 1e14 Gaussian readings
 # Change of the drive per repeated reading, over that behind it: 1 in a uniform motion, 0 in a hold
 MIN_DRIVEN = 0.25
-MIN_NOISE_COARSE = 4.0  # the same where the converter step separates written values from readings
-MIN_DEVIATION = 2.0  # times what the neighbours leave open, and what the drive moved
-MIN_SPIKE = 0.05  # of the range; a smaller spike is sized by the diagnosis, beside a model
+MIN_NOISE_COARSE = 4.0  # the same if the converter step separates written values from readings
+MIN_DEVIATION = 2.0  # times the uncertainty of the neighbours' mean, and the motion by the drive
+MIN_SPIKE = 0.05  # of the range; the diagnosis estimates smaller spikes with a model
 MIN_SPIKE_NOISE = 20.0  # standard deviations
 MIN_SPIKE_DEVIATION = 4.0  # in place of MIN_DEVIATION: a spike has no repetition to confirm it
-# Samples on either side of a spike, and the quantile of their bends: where so many bend as much,
-# it rings. Each spike bends three samples.
+# Samples on either side of a spike, and the quantile of their curvatures: if so many are as large,
+# the stage rings. A spike changes the curvature of three samples.
 SPIKE_NEIGHBOURS, RINGING_QUANTILE = 10, 0.7
-MIN_EXCESS = 5.0  # equal neighbours over those made by chance, above which every one is lost
+MIN_EXCESS = 5.0  # ratio of equal neighbours to those by chance, above which all are invalid
 STEP_QUANTILE = 0.01  # of the gaps between distinct values: the step of their digits or converter
 MAX_RUN = 64  # samples: longer runs of one value may be a rest
-MAX_RESPONSE = 4  # samples by which a stage may follow its drive
-MIN_SCATTER = 1e-5  # of the range: less are the digits of a number, not the noise of a sensor
-MAX_NOISE_GROWTH = 4.0  # from neighbours to every other sample: noise stays, a motion grows by 8
-MIN_DRIVE_RANGE = 0.002  # of its range: the drive of a rest scatters by less
+MAX_RESPONSE = 4  # samples: largest delay of the response to a drive
+MIN_SCATTER = 1e-5  # of the range: a smaller scatter is rounding, not sensor noise
+MAX_NOISE_GROWTH = 4.0  # from neighbours to every other sample: 1 for noise, 8 for a motion
+MIN_DRIVE_RANGE = 0.002  # of the range of the drive: a constant drive scatters by less
 MAX_PASSES = 4  # an invalid neighbour hides an invalid sample until it is removed
 MAX_PLACES = 5  # in a message
 
@@ -71,13 +70,13 @@ class InvalidReadings:
 def find_invalid_readings(
     values: Array, drive: Array | None = None
 ) -> tuple[InvalidReadings, ...]:
-    """Return the invalid readings of one channel, by kind and, of those written, by value.
+    """Return the invalid readings of one channel by kind, and the written ones also by value.
 
     values  (samples,)  of a sensor, any unit
-    drive   (samples,)  what moved the stage, or None
+    drive   (samples,)  of the stage, any unit, or None
 
-    What goes wrong: a value written once or twice passes unless it is a spike; one within the
-    noise of the true reading is kept, and does no harm.
+    Limits: a value written once or twice is not found unless it is a spike, nor is one within the
+    noise of the true reading, which is harmless.
     """
     if len(values) < 20 or np.ptp(values) == 0.0:
         return ()
@@ -85,16 +84,16 @@ def find_invalid_readings(
     noise = max(white_noise_rms(values), 0.5 * step)
     range_ = _robust_range(values)
     driven = _driven_change(values, drive, range_)
-    # A sensor that scatters by no more than a step repeats a value whenever the stage stands.
+    # A sensor that scatters by no more than a step repeats a value while the stage stands.
     scatters = noise > max(step, MIN_SCATTER * float(np.ptp(values)))
     scatters &= white_noise_rms(values, spacing=2) < MAX_NOISE_GROWTH * noise
     scattering_drive = drive if scatters else None
-    clipped = _clipped(values, scattering_drive)
-    stuck = _stuck(values, scattering_drive) & ~clipped
+    clipped = _find_clipped(values, scattering_drive)
+    stuck = _find_stuck(values, scattering_drive) & ~clipped
     invalid: Mask = clipped | stuck
     written: dict[float, Mask] = {}
     for _ in range(MAX_PASSES):
-        new_values = _written(values, invalid, noise, driven, step)
+        new_values = _find_written(values, invalid, noise, driven, step)
         if not new_values:
             break
         for value, mask in new_values.items():
@@ -102,12 +101,12 @@ def find_invalid_readings(
             invalid |= mask
     spikes = np.zeros_like(invalid)
     for _ in range(MAX_PASSES):
-        new_spikes = _spikes(values, invalid, noise, driven, range_)
+        new_spikes = _find_spikes(values, invalid, noise, driven, range_)
         if not new_spikes.any():
             break
         spikes |= new_spikes
         invalid |= new_spikes
-    repeats = _repeats(values, invalid, noise, drive) & ~(clipped | stuck)
+    repeats = _find_repeats(values, invalid, noise, drive) & ~(clipped | stuck)
     if (invalid | repeats)[~(clipped | stuck)].mean() > MAX_SHARE:
         return ()
     masks: list[tuple[str, Mask]] = [
@@ -124,7 +123,7 @@ def find_invalid_readings(
     )
 
 
-def interpolated(values: Array, invalid: Mask) -> Array:
+def interpolate_invalid(values: Array, invalid: Mask) -> Array:
     """Interpolate invalid values linearly, (samples,)."""
     if not invalid.any():
         return values
@@ -132,24 +131,24 @@ def interpolated(values: Array, invalid: Mask) -> Array:
     return np.interp(index, index[~invalid], values[~invalid])
 
 
-def _clipped(values: Array, drive: Array | None) -> Mask:
-    """Return where the sensor rests at the end of its range although the drive does not."""
-    none = np.zeros(len(values), dtype=bool)
+def _find_clipped(values: Array, drive: Array | None) -> Mask:
+    """Return where the sensor is constant at the end of its range although the drive moves."""
+    no_samples = np.zeros(len(values), dtype=bool)
     if drive is None:
-        return none
+        return no_samples
     min_range = MIN_DRIVE_RANGE * np.ptp(drive)
     levels = [
         float(values[start])
         for start, stop in runs_of(clipped_samples(values))
         if np.ptp(drive[start:stop]) > min_range
     ]
-    # Around such a rest single readings are cut off at the same level.
+    # Single readings next to a clipped run are clipped at the same level.
     clipped = np.isin(values, levels)
-    return clipped if clipped.mean() < MAX_CLIPPED else none
+    return clipped if clipped.mean() < MAX_CLIPPED else no_samples
 
 
-def _stuck(values: Array, drive: Array | None) -> Mask:
-    """Return where the sensor repeats one value for long although the drive moves."""
+def _find_stuck(values: Array, drive: Array | None) -> Mask:
+    """Return where the sensor repeats one value for a long time although the drive moves."""
     stuck = np.zeros(len(values), dtype=bool)
     if drive is None:
         return stuck
@@ -157,7 +156,7 @@ def _stuck(values: Array, drive: Array | None) -> Mask:
     extremes = (values.min(), values.max())
     for run in np.flatnonzero(np.diff(edges) > MAX_RUN).tolist():
         start, stop = int(edges[run]), int(edges[run + 1])
-        # At the end of the range without a jump it is clipped, or the stage stands there.
+        # At the end of the range without a jump the reading is clipped, or the stage stands.
         jump = abs(values[start] - values[max(start - 1, 0)])
         if values[start] not in extremes or jump > MIN_SPIKE * np.ptp(values):
             stuck[start:stop] = np.ptp(drive[start:stop]) > MIN_DRIVE_RANGE * np.ptp(drive)
@@ -165,7 +164,7 @@ def _stuck(values: Array, drive: Array | None) -> Mask:
 
 
 def _driven_change(values: Array, drive: Array | None, range_: float) -> Array:
-    """Return how far the drive moves the stage off a straight line within a few samples."""
+    """Return the deviation from a straight line that the drive causes within a few samples."""
     if drive is None or np.ptp(drive) == 0.0:
         return np.zeros(len(values))
     bend = np.abs(np.diff(drive, 2, prepend=drive[0], append=drive[-1]))
@@ -178,13 +177,13 @@ def _driven_change(values: Array, drive: Array | None, range_: float) -> Array:
 
 
 def _robust_range(values: Array) -> float:
-    """Return the range of the motion: of medians of nine, which invalid readings do not reach."""
+    """Return the range of medians of nine samples, which single invalid readings do not affect."""
     low, high = np.quantile(median_filter(values, 9)[4:-4], (0.002, 0.998))
     return float(high - low)
 
 
 def _constant_runs(values: Array) -> tuple[Indices, Indices]:
-    """Return start and stop of runs of one value, without those at the ends and the long ones."""
+    """Return start and stop of runs of one value, except runs at the ends and long runs."""
     edges = np.flatnonzero(np.diff(values)) + 1
     starts, stops = edges[:-1], edges[1:]
     inner = (starts >= 2) & (stops <= len(values) - 2) & (stops - starts <= MAX_RUN)
@@ -192,9 +191,9 @@ def _constant_runs(values: Array) -> tuple[Indices, Indices]:
 
 
 def _deviations(values: Array, starts: Indices, stops: Indices) -> tuple[Array, Array]:
-    """Return how far runs lie from the mean of their neighbours, and how uncertain that mean is.
+    """Return the deviation of runs from the mean of their neighbours, and the mean's uncertainty.
 
-    The uncertainty is the larger miss of the two neighbours on either side, extrapolated.
+    The uncertainty is the larger error of the extrapolations from the two samples on each side.
     """
     left_neighbour, right_neighbour = values[starts - 1], values[stops]
     mean = 0.5 * (left_neighbour + right_neighbour)
@@ -208,10 +207,10 @@ def _deviations(values: Array, starts: Indices, stops: Indices) -> tuple[Array, 
     return np.abs(values[starts] - mean), np.asarray(np.abs(misses).max(axis=0))
 
 
-def _written(
+def _find_written(
     values: Array, invalid: Mask, noise: float, driven: Array, step: float
 ) -> dict[float, Mask]:
-    """Return the samples of every value that lies far from its neighbours again and again."""
+    """Return the samples of every value that lies far from its neighbours repeatedly."""
     valid = np.flatnonzero(~invalid)
     readings = values[valid]
     starts, stops = _constant_runs(readings)
@@ -220,13 +219,13 @@ def _written(
         MIN_NOISE * noise, MIN_DEVIATION * np.maximum(uncertainty, driven[valid[starts]])
     )
     repeated, counts = np.unique(readings[starts[deviation > limit]], return_counts=True)
-    # On a coarse converter a reading has the same value by itself.
+    # A valid reading of a coarse converter may have the same value.
     is_coarse = (step_size(readings) if invalid.any() else step) > 0.0
     written = {}
     for value in repeated[counts >= MIN_REPEATS].tolist():
         mask = (values == value) & ~invalid
         if is_coarse:
-            expected = interpolated(values, mask | invalid)
+            expected = interpolate_invalid(values, mask | invalid)
             mask &= np.abs(values - expected) > np.maximum(MIN_NOISE_COARSE * noise, driven)
         for start, stop in runs_of(mask):
             if stop - start > MAX_RUN:  # may be a rest
@@ -235,8 +234,8 @@ def _written(
     return written
 
 
-def _spikes(values: Array, invalid: Mask, noise: float, driven: Array, range_: float) -> Mask:
-    """Return one or two samples at a time that lie far from both neighbours and do not ring."""
+def _find_spikes(values: Array, invalid: Mask, noise: float, driven: Array, range_: float) -> Mask:
+    """Return single samples and pairs that lie far from both neighbours, except ringing."""
     valid = np.flatnonzero(~invalid)
     readings = values[valid]
     if invalid.any():
@@ -262,11 +261,11 @@ def _spikes(values: Array, invalid: Mask, noise: float, driven: Array, range_: f
     return spikes
 
 
-def _repeats(values: Array, invalid: Mask, noise: float, drive: Array | None) -> Mask:
+def _find_repeats(values: Array, invalid: Mask, noise: float, drive: Array | None) -> Mask:
     """Return samples that repeat the previous one while the stage moves on in one direction.
 
-    A drive, if known, moves by about as much during each repeat as behind them. Equal readings at
-    the end of a hold, where it moves behind them only, are no fault.
+    A drive moves by about as much during each repeat as behind them. If it moves only behind them,
+    the readings are equal because of a hold.
     """
     repeats = np.zeros(len(values), dtype=bool)
     valid = np.flatnonzero(~invalid)
@@ -301,21 +300,21 @@ def _repeats(values: Array, invalid: Mask, noise: float, drive: Array | None) ->
 
 
 def find_invalid_rows(values: Array, drive: Array) -> Mask:
-    """Return the rows in which drive and reading are one number, written again and again.
+    """Return the rows in which drive and reading are both one and the same written number.
 
-    values, drive  (samples,)  as the file holds them
+    values, drive  (samples,)  in the file's units
     """
-    is_equal, none = values == drive, np.zeros(len(values), dtype=bool)
+    is_equal, no_samples = values == drive, np.zeros(len(values), dtype=bool)
     if not MIN_REPEATS <= np.count_nonzero(is_equal) <= MAX_SHARE * len(is_equal):
-        return none
+        return no_samples
     numbers, counts = np.unique(values[is_equal], return_counts=True)
     rows = is_equal & (values == numbers[counts.argmax()])
     runs = [(a, b) for a, b in runs_of(rows) if a >= 2 and b <= len(rows) - 2]
     if not runs:
-        return none
+        return no_samples
     deviation, uncertainty = _deviations(drive, *np.array(runs).T)
     is_far = deviation > MIN_DEVIATION * uncertainty
-    return rows if np.count_nonzero(is_far) >= MIN_REPEATS else none
+    return rows if np.count_nonzero(is_far) >= MIN_REPEATS else no_samples
 
 
 def invalid_statement(
@@ -325,15 +324,15 @@ def invalid_statement(
     *,
     column: str,
     unit: Unit,
-    place_of: Callable[[int], str],
+    row_name: Callable[[int], str],
 ) -> Statement:
     """State which readings of a column are invalid.
 
-    values    (samples,)  of the column, as the file holds them
-    invalid   (samples,)  these readings and those of other kinds
+    values    (samples,)  of the column, in the file's unit
+    invalid   (samples,)  invalid readings of all kinds
     column    name of the column in messages
     unit      of the values
-    place_of  name of a sample in messages: its line or row
+    row_name  name of the line or row of a sample in messages
     """
     samples, total = readings.samples, len(values)
     levels = " and ".join(f"{x:.6g}" for x in np.unique(values[samples]).tolist())
@@ -344,12 +343,12 @@ def invalid_statement(
         "spike": "lies far from both neighbours",
         "clipped": f"is clipped at {levels} {unit.symbol} while the drive moves",
     }[readings.kind]
-    labels = [place_of(k) for k in samples.tolist()]
+    labels = [row_name(k) for k in samples.tolist()]
     if readings.kind == "stuck":
         mask = np.isin(np.arange(total), samples)
-        labels = [f"{place_of(a)} to {place_of(b - 1)}" for a, b in runs_of(mask)]
+        labels = [f"{row_name(a)} to {row_name(b - 1)}" for a, b in runs_of(mask)]
     further = f" and {len(labels) - MAX_PLACES} more" if len(labels) > MAX_PLACES else ""
-    deviation = np.abs(values - interpolated(values, invalid))[samples]
+    deviation = np.abs(values - interpolate_invalid(values, invalid))[samples]
     text = (
         f"{column} {appearance}, {len(samples)} times ({100 * len(samples) / total:.2g} % of the "
         f"samples), at {', '.join(labels[:MAX_PLACES])}{further}: left out as invalid."

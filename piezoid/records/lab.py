@@ -16,7 +16,7 @@
     [[recording]]    file, axis, columns, units, scale, offset, sampling_rate_Hz, start_s, stop_s,
                      reverse, includes, separator, decimal, heading_row
 
-Everything is optional. An unknown name is refused: it is a typing error more often than news.
+Everything is optional. An unknown name is refused, because it is usually a typing error.
 """
 
 from collections.abc import Iterable
@@ -64,8 +64,8 @@ __all__ = (
 )
 
 
-_MAX_bytes = 1 << 22  # entries about fifty thousand files
-_MAX_PARTS = 256  # each is read and judged by itself
+_MAX_bytes = 1 << 22  # entries of fifty thousand files
+_MAX_PARTS = 256  # of one file; each is read separately
 
 
 class _Contents(
@@ -93,14 +93,14 @@ class Lab:
 
     name         from ``[rig]``
     place        the file's name, for messages
-    folder       where recordings are named from
+    folder       folder to which the names of recordings are relative
     digest       of the file's bytes, empty without a file
     amplifier, actuator, sensor, acquisition, tunnelling   its tables
-    verification  limits by name; what they mean is known where they are judged
-    certificates  what certificates say of the sensor and the room
-    coupled      which axes are driven by each other's drives too
+    verification  limits by name; the verification knows the names
+    certificates  certified properties of the sensor and the room
+    coupled      axes with mutual coupling
     recordings   its ``[[recording]]`` entries
-    axes         what differs on single axes
+    axes         tables of single axes
     """
 
     name: str = ""
@@ -120,12 +120,12 @@ class Lab:
 
     @property
     def rig_digest(self) -> str:
-        """Digest of the declarations that a design uses: the rig without the guards of the tip."""
+        """Digest of the declarations that the design uses: the rig without the tip guards."""
         return self._digest_without(GUARDS)
 
     @property
     def control_digest(self) -> str:
-        """Digest of the declarations that controller and plant use: the rig and the guards."""
+        """Digest of the declarations that controller and plant use: the rig and the tip guards."""
         return self._digest_without(())
 
     def _digest_without(self, guards: tuple[str, ...]) -> str:
@@ -141,8 +141,7 @@ class Lab:
         >>> piezoid.read_lab("lab.toml").amplifier_of("x").bandwidth_Hz
         4000.0
         """
-        of_axis = self.axes.get(axis, AxisRig()).amplifier
-        return self.amplifier if of_axis is None else of_axis
+        return self.axes.get(axis, AxisRig()).amplifier or self.amplifier
 
     def actuator_of(self, axis: str) -> Actuator:
         """Return the actuator of an axis: its table, or else the common one.
@@ -150,8 +149,7 @@ class Lab:
         >>> piezoid.read_lab("lab.toml").actuator_of("x").bandwidth_Hz
         12000.0
         """
-        of_axis = self.axes.get(axis, AxisRig()).actuator
-        return self.actuator if of_axis is None else of_axis
+        return self.axes.get(axis, AxisRig()).actuator or self.actuator
 
     def sensor_of(self, axis: str) -> Sensor:
         """Return the sensor of an axis: its table, or else the common one.
@@ -159,8 +157,7 @@ class Lab:
         >>> piezoid.read_lab("lab.toml").sensor_of("x").bandwidth_Hz
         8500.0
         """
-        of_axis = self.axes.get(axis, AxisRig()).sensor
-        return self.sensor if of_axis is None else of_axis
+        return self.axes.get(axis, AxisRig()).sensor or self.sensor
 
     def entries_of(self, path: Path) -> tuple[RecordingEntry, ...]:
         """Return the entries about a file: those of its path, or else those of its bare name.
@@ -169,7 +166,7 @@ class Lab:
         >>> piezoid.read_lab("lab.toml").entries_of(Path("sweep.csv"))
         ()
         """
-        # Other than Path.resolve, this goes through links that lead back to themselves.
+        # Unlike Path.resolve, realpath accepts circular links.
         target = realpath(path)
         entries = [e for e in self.recordings if realpath(self.folder / e.file) == target]
         entries = entries or [e for e in self.recordings if Path(e.file).name == path.name]
@@ -181,7 +178,7 @@ class Lab:
         return tuple(entries)
 
     def text_format_of(self, path: Path) -> TextFormat:
-        """Return how a text table is written, which all entries about it must agree on.
+        """Return the declared layout of a text table, which must be the same in all its entries.
 
         >>> from pathlib import Path
         >>> piezoid.read_lab("lab.toml").text_format_of(Path("sweep.csv")).decimal
@@ -198,14 +195,15 @@ class Lab:
             raise lab_error(
                 f"{self.place}: the {len(formats)} entries about {path.name} differ in separator, "
                 "decimal or heading_row",
-                "one way in which the file is written, in each of its entries",
+                "the same separator, decimal and heading_row in each of its entries",
             )
         return formats.pop() if formats else TextFormat()
 
     def check_files(self, paths: Iterable[Path]) -> None:
-        """Refuse an entry about a file that is neither read now nor anywhere: a name misspelt.
+        """Refuse an entry whose file neither exists nor is read: its name is misspelt.
 
-        The copy that a fit leaves beside its model.json names files of another folder.
+        The copy of lab.toml that a fit saves next to its model.json is not checked, since it names
+        files relative to another folder.
 
         >>> from pathlib import Path
         >>> piezoid.read_lab("lab.toml").check_files([Path("sweep.csv")])
@@ -229,7 +227,7 @@ class Lab:
 
 
 def read_lab(path: Path) -> Lab:
-    """Read and check a lab.toml, refusing with the line or the table that cannot be used."""
+    """Read and check a lab.toml; errors name the invalid line or table."""
     try:
         size = regular_size(path)
         if size > _MAX_bytes:
@@ -274,7 +272,7 @@ def read_lab(path: Path) -> Lab:
 
 
 def _check_tables(lab: Lab) -> None:
-    """Refuse impossible numbers, ranges and names."""
+    """Refuse impossible numbers, ranges and file names."""
     tables: list[tuple[str, Table]] = [
         ("[amplifier]", lab.amplifier),
         ("[actuator]", lab.actuator),

@@ -1,7 +1,6 @@
 """Draft a first lab.toml: an entry for each recording, and comments for facts the user must add.
 
-What the files state is written as entries; the rest is written as comments with an example, so
-that the draft claims nothing that is not known.
+Facts that the files state are written as entries; all other keys are comments with an example.
 """
 
 import os
@@ -79,49 +78,49 @@ class LabDraft:
 
 
 def draft_lab(paths: Sequence[Path], folder: Path) -> LabDraft:
-    """Return a lab.toml for these recordings, to be written into a folder.
+    """Return a lab.toml for some recordings, to be written into a folder.
 
-    A file that is read unambiguously becomes an entry which reads it the same way again; any
-    other one becomes the entry to complete, as a comment under the reason.
+    An unambiguous file becomes an entry with which it is read the same way; any other file becomes
+    a comment with the reason and the entry to complete.
     """
     parts, incomplete = [HEAD], []
     for path in paths:
-        # Other than Path.resolve, this goes through links that lead back to themselves.
+        # Unlike Path.resolve, realpath accepts circular links.
         name = Path(os.path.relpath(os.path.realpath(path), os.path.realpath(folder))).as_posix()
-        text, is_usable = _about(path, name)
+        text, is_usable = _describe_file(path, name)
         parts.append(text)
         if not is_usable:
             incomplete.append(path.name)
     return LabDraft(text="\n".join(parts), incomplete=tuple(incomplete))
 
 
-def _about(path: Path, name: str) -> tuple[str, bool]:
-    """Return the text about one file, and whether it can be used as it stands."""
+def _describe_file(path: Path, name: str) -> tuple[str, bool]:
+    """Return the text about one file, and whether the file can be used without changes."""
     try:
         table = read_table(path)
     except PiezoidError as error:
-        return commented(f"{name}: {error}"), False
+        return as_comments(f"{name}: {error}"), False
     if is_over_height(table):
         text = f"{name}: a table over {table.independent!r}, used for the tunnelling junction."
-        return commented(text), True
+        return as_comments(text), True
     if is_response(table, None):
-        return _about_response(table, name)
+        return _describe_response(table, name)
     try:
-        return _entry(table, ingest_parts(table, Lab(), None), name), True
+        return _draft_entry(table, ingest_parts(table, Lab(), None), name), True
     except PiezoidError as error:
         reason = str(error).partition("\n")[0]
         _, header, lines = error.remedy.partition("[[recording]]")
         block = f"{header}{lines.rstrip()}" if header else entry_template(table)
-        return commented(reason) + commented(_with_file_name(block, name)), False
+        return as_comments(reason) + as_comments(_with_file_name(block, name)), False
 
 
-def _about_response(table: RawTable, name: str) -> tuple[str, bool]:
-    """Return the entry of a frequency response: to complete where it is refused."""
+def _describe_response(table: RawTable, name: str) -> tuple[str, bool]:
+    """Return the entry of a frequency response, as a comment if the response is refused."""
     block = _with_file_name(response_block(table), name)
     try:
         response = ingest_response(table, Lab(), None)
     except PiezoidError as error:
-        return commented(str(error).partition("\n")[0]) + commented(block), False
+        return as_comments(str(error).partition("\n")[0]) + as_comments(block), False
     axes = ", ".join(response.axes)
     summary = (
         f"{table.name}: a frequency response of {axes}, {response.frequency_Hz[0]:.6g} to "
@@ -131,15 +130,15 @@ def _about_response(table: RawTable, name: str) -> tuple[str, bool]:
     includes = 'includes = ["amplifier", "sensor"]  # poles it was measured through'
     entry = f"[[recording]]\nfile = {_toml(name)}\n{includes}\n"
     axis = "" if response.axis_is_named else '# axis = "x"\n'
-    return commented(summary) + entry + axis, True
+    return as_comments(summary) + entry + axis, True
 
 
 def _with_file_name(block: str, name: str) -> str:
-    """Return an entry under the file's name from the folder of lab.toml."""
+    """Return an entry with the file's name relative to the folder of lab.toml."""
     return re.sub(r"^file = .*$", lambda _: f"file = {_toml(name)}", block, count=1, flags=re.M)
 
 
-def _entry(table: RawTable, recordings: Sequence[Recording], name: str) -> str:
+def _draft_entry(table: RawTable, recordings: Sequence[Recording], name: str) -> str:
     assignment = assign_columns(table, Lab(), RecordingEntry(file=table.name))
     clock = [("time", assignment.time)] if assignment.time is not None else []
     read = [
@@ -148,11 +147,11 @@ def _entry(table: RawTable, recordings: Sequence[Recording], name: str) -> str:
     ]
     names = []
     for key, a in read:
-        # A column is named by its heading, or by its number where the heading is not its own.
+        # A column is named by its heading, or by its number if the heading is not unique.
         label = a.column.label
-        is_plain = label == label.strip() and label.isprintable()
+        is_printable = label == label.strip() and label.isprintable()
         is_unique = table.find(label) is a.column
-        names.append(f"{key} = {_toml(label) if is_plain and is_unique else a.column.number}")
+        names.append(f"{key} = {_toml(label) if is_printable and is_unique else a.column.number}")
     units = ", ".join(
         f"{key} = {_toml(a.unit.symbol)}" for key, a in read if unit_of(a.unit.symbol) == a.unit
     )
@@ -163,10 +162,10 @@ def _entry(table: RawTable, recordings: Sequence[Recording], name: str) -> str:
         f"columns = {{ {', '.join(names)} }}",
         f"units = {{ {units} }}",
     ]
-    return commented("\n".join(map(_summary, recordings))) + "\n".join(lines) + "\n"
+    return as_comments("\n".join(map(_describe_recording, recordings))) + "\n".join(lines) + "\n"
 
 
-def _summary(recording: Recording) -> str:
+def _describe_recording(recording: Recording) -> str:
     lines = [
         f"{recording.name}: {recording.samples} samples, {recording.sampling_rate_Hz:.9g} Hz, "
         f"{recording.duration_s:.6g} s"
@@ -181,8 +180,8 @@ def _summary(recording: Recording) -> str:
     return "\n".join(lines)
 
 
-def commented(text: str) -> str:
-    """Return a text as comments that no name in it can end."""
+def as_comments(text: str) -> str:
+    """Return a text as lines of comments, with control characters escaped."""
     lines = [
         "".join(c if unicodedata.category(c)[0] != "C" else ascii(c)[1:-1] for c in line)
         for line in text.splitlines() or [""]
@@ -191,6 +190,6 @@ def commented(text: str) -> str:
 
 
 def _toml(text: str) -> str:
-    """Return a TOML basic string; characters that are not printable as codes."""
+    """Return a text as a TOML basic string, with escape codes for unprintable characters."""
     escaped = (c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in text)
     return '"' + "".join(escaped) + '"'

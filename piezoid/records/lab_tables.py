@@ -6,12 +6,12 @@ import msgspec
 
 from piezoid.errors import LabFileError
 
-# Beyond these nothing on a bench is, and squares and quotients leave the range of numbers.
+# Limits of all quantities; squares and quotients of larger or smaller numbers would overflow.
 _SMALLEST, _LARGEST = 1e-30, 1e30
 _NOT_ZERO = ("gain_V_per_V", "gain_m_per_V", "gain_V_per_m", "set_point_A", "scale")
 _ABOVE_ZERO = (_SMALLEST, _LARGEST, "a number above zero")
 _ZERO_OR_MORE = (0.0, _LARGEST, "zero or more")
-# Smallest, largest and what is needed, by the name of the number or by its unit.
+# Smallest and largest number, and their description, by the key or by the unit at its end.
 _RANGES = {
     **dict.fromkeys(
         (
@@ -55,9 +55,9 @@ class Amplifier(Table, frozen=True, kw_only=True):
 
 
 class Actuator(Table, frozen=True, kw_only=True):
-    """``[actuator]``: of the data sheet; a fitted gain replaces the gain.
+    """``[actuator]``: numbers of the data sheet; the fitted gain replaces the gain.
 
-    bandwidth_Hz  as stated, pole or resonance: the fit tells which, and takes nothing out for it
+    bandwidth_Hz  a pole or a resonance; the fit finds out which, and does not compensate for it
     """
 
     gain_m_per_V: float | None = None
@@ -65,14 +65,14 @@ class Actuator(Table, frozen=True, kw_only=True):
 
 
 class Sensor(Table, frozen=True, kw_only=True):
-    """``[sensor]``: displacement to volts, where a recording holds the sensor's volts."""
+    """``[sensor]``: bandwidth, and gain of recordings in volts of the sensor."""
 
     bandwidth_Hz: float | None = None
     gain_V_per_m: float | None = None
 
 
 class Acquisition(Table, frozen=True, kw_only=True):
-    """``[acquisition]``: the controller's converters and rate; of files without a clock too."""
+    """``[acquisition]``: converters and rate of the controller, also of files without a clock."""
 
     sampling_rate_Hz: float | None = None
     dac_bits: int | None = None
@@ -81,25 +81,27 @@ class Acquisition(Table, frozen=True, kw_only=True):
 
 
 class Tunnelling(Table, frozen=True, kw_only=True):
-    """``[tunnelling]``: the loop that holds a tunnelling current.
+    """``[tunnelling]``: the loop that controls a tunnelling current.
 
-    set_point_A            the current the loop holds, with its sign
-    floor_A                > 0: below it the controller takes no logarithm, the tip is lost
-    bandwidth_Hz           of the current sensor; the fitted pole stands in where it is missing
+    set_point_A            set point of the current, with its sign
+    floor_A                > 0: smallest current of the logarithm; below it the tip is lost
+    bandwidth_Hz           of the current sensor; default: the fitted pole
     feedback_ohm           resistor of the current sensor, for its Johnson noise
     extension_uncertainty  relative standard uncertainty of the tip's extension per volt
-    barrier_range_eV       (low, high) apparent barriers to hold, beside those identified
-    ceiling_A              > 0: from here on the tip is retracted at once
-    retract_V              where a latched tip waits; the lowest command where it is missing
-    retract_m              > 0: how far one retract goes, before the tip approaches again
-    retract_s              for how long at first; each retract in a row waits twice as long
-    retract_limit          so many retracts, each soon after the last, latch: an operator must look
-    lost_s                 an unusable current for so long retracts as well
-    search_m               > 0: how far beyond its last contact the tip looks for a lost surface.
-                           A step down of the surface and a dead current sensor look the same:
-                           what this holds a tip finds again by itself, and is the way it goes on
-                           towards the surface when the sensor died. A gap is 0.4 to 1 nm wide
-    approach_m_per_s       slower than what the identified loop allows, which is the default
+    barrier_range_eV       (low, high) apparent barriers for which the loop must be stable, besides
+                           the identified ones
+    ceiling_A              > 0: current at which the tip is retracted immediately
+    retract_V              voltage at which a latched tip waits; default: the lowest command
+    retract_m              > 0: length of one retraction, before the tip approaches again
+    retract_s              duration of the first retraction; it doubles with each successive one
+    retract_limit          number of successive retractions after which the tip stays retracted
+                           (latched) until an operator intervenes
+    lost_s                 duration of an unusable current after which the tip is retracted
+    search_m               > 0: distance beyond its last contact that the tip searches for a lost
+                           surface. A step down of the surface and a dead current sensor look the
+                           same: the tip finds lower steps by itself, and moves so far towards the
+                           surface when the sensor has failed. A gap is 0.4 to 1 nm wide
+    approach_m_per_s       speed of the approach; default: the largest that the loop allows
     """
 
     set_point_A: float | None = None
@@ -118,7 +120,7 @@ class Tunnelling(Table, frozen=True, kw_only=True):
     approach_m_per_s: float | None = None
 
 
-# Of ``[tunnelling]``, what export alone takes.
+# Keys of ``[tunnelling]`` that only the export uses.
 GUARDS = (
     *("ceiling_A", "retract_V", "retract_m", "retract_s", "retract_limit"),
     *("lost_s", "search_m", "approach_m_per_s"),
@@ -126,13 +128,13 @@ GUARDS = (
 
 
 class Certificates(Table, frozen=True, kw_only=True):
-    """``[uncertainty]``: numbers of certificates and data sheets, which no recording shows.
+    """``[uncertainty]``: numbers from certificates and data sheets that recordings do not contain.
 
-    sensor_gain_relative   standard uncertainty (k = 1) of the sensor's gain, as a share of one
-    sensor_linearity_m     the sensor's error lies within plus and minus this
-    tilt_rad               the sensor's axis lies within this angle of the motion
-    temperature_range_K    the room stays within half of this of its middle
-    expansion_m_per_K      what the sensor sees of that
+    sensor_gain_relative   relative standard uncertainty (k = 1) of the sensor's gain
+    sensor_linearity_m     limits of the sensor's linearity error, plus and minus
+    tilt_rad               largest angle between the sensor's axis and the motion
+    temperature_range_K    full range of the room's temperature
+    expansion_m_per_K      apparent displacement per kelvin
     """
 
     sensor_gain_relative: float | None = None
@@ -146,7 +148,7 @@ class Coupled(Table, frozen=True, kw_only=True):
     """``[coupled]``: axes whose drives act on all of their displacements.
 
     axes              two or more, in the order of the matrix that decouples them
-    settling_periods  at the begin of every recording of a repeating drive, which are not steady
+    settling_periods  periods at the start of a periodic drive that are not yet steady
     """
 
     axes: tuple[str, ...] = ()
@@ -154,28 +156,28 @@ class Coupled(Table, frozen=True, kw_only=True):
 
 
 class RecordingEntry(Table, frozen=True, kw_only=True):
-    """``[[recording]]``: how one file is to be read.
+    """``[[recording]]``: declarations about one file.
 
-    file              its name, from lab.toml's folder
-    axis              the axis it is about
+    file              name, relative to the folder of lab.toml
+    axis              axis of the recording
     columns           ``time``, ``voltage``, ``displacement``, ``current``, ``temperature``,
                       ``humidity``, ``reference``, each also with ``_x``, ``_y``, ``_z``: a
-                      heading, or a number from 1; only what is named here is read. A reference is
-                      a dither of the set point or of the drive: it depends on nothing measured.
+                      heading, or a number from 1; other columns are not read. A reference is
+                      a dither of the set point or of the drive, independent of all measurements.
                       Of a frequency response ``frequency`` with ``magnitude`` and ``phase``,
                       ``real`` and ``imaginary``, or ``response`` (a complex array), ``coherence``
                       and ``excitation``, each also with ``_x``, or ``_xy``: x moves, y is driven
     units             by the same names
-    scale             by the same names: what a value is multiplied by after its unit. It turns a
-                      polarity (-1) and makes volts of a monitor (15) or, in SI units a count,
-                      metres or volts of counts
-    offset            by the same names: what is added then, in SI units
+    scale             by the same names: factor that is applied after the unit. It reverses a
+                      polarity (-1), converts volts of a monitor (15), or converts counts (in SI
+                      units per count)
+    offset            by the same names: constant that is added after the scale, in SI units
     sampling_rate_Hz  of this file, if it has no time column
-    start_s, stop_s   the part to use, in seconds from its first sample
-    reverse           whether the newest row stands first
+    start_s, stop_s   the part to use, in seconds from the first sample
+    reverse           whether the newest row is the first
     includes          poles of the rig that a frequency response was measured through, of
-                      ``amplifier`` and ``sensor``; both, where it is not said
-    separator, decimal, heading_row   how a text table is written: the character between fields
+                      ``amplifier`` and ``sensor``; default: both
+    separator, decimal, heading_row   layout of a text table: the character between fields
                       (a blank for any white space), ``.`` or ``,``, and the line of the headings,
                       from 1
     """
@@ -208,7 +210,7 @@ def check_number(location: str, key: str, value: object) -> None:
     """Refuse a number outside the range of its quantity; other types pass."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return
-    # Integers of TOML have any length: do not convert them to a float or a text.
+    # Integers of TOML have any length: they are not converted to a float or a text.
     if not (value == 0 or _SMALLEST <= abs(value) <= _LARGEST):
         number = value if isinstance(value, float) else "a number of very many digits"
         needed = f"a number, zero, or between {_SMALLEST:.0e} and {_LARGEST:.0e}"

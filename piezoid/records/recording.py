@@ -33,11 +33,11 @@ class Quantity(Enum):
 class Channel:
     """One column of a recording.
 
-    quantity  what it measures; decides the unit of the samples
-    axis      the axis it belongs to, ``x`` where the file names none
-    values    (samples,)  SI units, finite, read-only
-    label     the column's own name, for messages and the report
-    is_counted  whether the values are counts of a converter, in place of metres or volts
+    quantity    measured quantity; decides the unit of the samples
+    axis        name of its axis, ``x`` if the file names none
+    values      (samples,)  SI units, finite, read-only
+    label       heading of the column, for messages and the report
+    is_counted  whether the values are counts of a converter instead of metres or volts
     """
 
     quantity: Quantity
@@ -64,14 +64,13 @@ class Recording(Summarised):
     axis              the axis this recording is about
     sampling_rate_Hz  > 0
     channels          at least one; all of the same length; one per quantity and axis
-    breaks            (count,)  first sample after each gap in time, increasing; memory of what
-                      happened inside a gap is lost there
-    bridged           (count,)  samples that are no measurement, lost one at a time or written
-                      without one: on straight lines between their neighbours
-    statements          what was odd about the file, in the order of its columns
+    breaks            (count,)  first sample after each gap in time, increasing; the state of the
+                      hysteresis is unknown there
+    bridged           (count,)  single lost or invalid samples, interpolated linearly
+    statements        problems of the file, in the order of its columns
 
-    A recording holds no NaN: rows that had one were cut at the ends, bridged where they are single
-    or are behind a break.
+    A recording holds no NaN. Rows with NaN are cut off at the ends, interpolated if they are
+    single, and removed with a break otherwise.
     """
 
     name: str
@@ -100,7 +99,7 @@ class Recording(Summarised):
     def seconds(self, start_s: float = 0.0, stop_s: float | None = None) -> "Recording":
         """Return the part from ``start_s`` to ``stop_s``, excluding the end, under another name.
 
-        Raises ``RecordingError`` where less than two samples lie between.
+        Raises ``RecordingError`` for fewer than two samples.
 
         >>> part = recordings["sweep.csv"].seconds(1.0, 3.0)
         >>> round(part.duration_s, 1)
@@ -128,7 +127,7 @@ class Recording(Summarised):
 
     @property
     def time_s(self) -> Array:
-        """Time of every sample from the first, (samples,), without the duration of gaps."""
+        """Time since the first sample, without the duration of gaps, (samples,)."""
         return np.asarray(np.arange(self.samples) / self.sampling_rate_Hz)
 
     @property
@@ -143,7 +142,7 @@ class Recording(Summarised):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Names of all axes any channel belongs to, sorted."""
+        """Names of the axes of all channels, sorted."""
         return tuple(sorted({channel.axis for channel in self.channels}))
 
     @property
@@ -164,7 +163,7 @@ class Recording(Summarised):
 
     @property
     def pieces(self) -> tuple[slice, ...]:
-        """The parts between breaks: inside each, memory carries from sample to sample."""
+        """Slices between breaks; the state of the hysteresis is continuous within each."""
         edges = (0, *self.breaks, self.samples)
         return tuple(slice(a, b) for a, b in itertools.pairwise(edges))
 
@@ -201,7 +200,7 @@ class Recording(Summarised):
         return None
 
     def voltage_V(self, axis: str | None = None) -> Array:
-        """Return the drive voltage of an axis (default: the axis of the recording), or refuse.
+        """Return the drive voltage of an axis (default: the axis of the recording).
 
         >>> recordings["sweep.csv"].voltage_V().shape
         (2500,)
@@ -239,5 +238,5 @@ class Recording(Summarised):
 
 
 def counted_in(recordings: Iterable[Recording]) -> tuple[str, ...]:
-    """Return the quantities in counts in any recording: ``displacement`` and ``voltage``."""
+    """Return the quantities that any recording has in counts: ``displacement``, ``voltage``."""
     return tuple(sorted({quantity for recording in recordings for quantity in recording.counted}))

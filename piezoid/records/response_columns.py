@@ -40,7 +40,7 @@ _NAMES = (
     COMPLEX,
 )
 # A frequency that is measured, not swept; a property of a fit; a spread.
-_FOREIGN = {"shift", "std", "stddev", "error", "fit", "model", "residual", "set", "setpoint"}
+_OTHER_WORDS = {"shift", "std", "stddev", "error", "fit", "model", "residual", "set", "setpoint"}
 _TOKENS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöü]+|\d+")
 _LETTERS = "xyz"
 _AXIS_PAIR = re.compile(r"(?<![a-zA-Z])[HGhg]?_?([xyz])_?([xyz])(?![a-zA-Z])")
@@ -100,7 +100,7 @@ def response_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Respon
             remedy="Say which by naming its columns in lab.toml; for the response:\n\n"
             f"{response_block(table)}\n",
         )
-    parts = _declared_parts(table, lab, entry) if entry.columns else _parts_by_heading(table)
+    parts = _parts_by_entry(table, lab, entry) if entry.columns else _parts_by_heading(table)
     frequencies = [column for part, _, column in parts if part == "frequency"]
     paths: dict[Pair | None, dict[str, Column]] = {}
     for part, pair, column in parts:
@@ -112,7 +112,7 @@ def response_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Respon
     if len(frequencies) != 1:
         locations = " and ".join(c.place for c in frequencies) or "no column"
         raise ambiguous_response(table, f"{locations} is the frequency")
-    by_pair, is_named = _with_axes(table, entry, paths)
+    by_pair, is_named = _assign_axes(table, entry, paths)
     for pair, columns in by_pair.items():
         if not _is_complete(columns):
             of = f" of {pair[0]} to a drive of {pair[1]}" if len(by_pair) > 1 else ""
@@ -136,7 +136,7 @@ def _is_complete(parts: Iterable[str]) -> bool:
 def part_of(column: Column) -> str | None:
     """Return the part of a response that a heading names, or None."""
     words = {token.lower() for token in _TOKENS.findall(column.label)}
-    if words & _FOREIGN:
+    if words & _OTHER_WORDS:
         return None
     if column.label.startswith(("real(", "imag(")):
         return "real" if column.label.startswith("real(") else "imaginary"
@@ -171,11 +171,11 @@ def _pair_in(label: str) -> Pair | None:
     return None if match is None else (match[1], match[1])
 
 
-def _declared_parts(table: RawTable, lab: Lab, entry: RecordingEntry) -> list[Part]:
+def _parts_by_entry(table: RawTable, lab: Lab, entry: RecordingEntry) -> list[Part]:
     """Return the columns that lab.toml names."""
     parts: list[Part] = []
     for key, name_or_number in entry.columns.items():
-        name, pair = _named_part(key)
+        name, pair = _parse_name(key)
         labels: dict[str, str | int] = {name: name_or_number}
         if name == COMPLEX:
             labels = {"real": f"real({name_or_number})", "imaginary": f"imag({name_or_number})"}
@@ -187,7 +187,7 @@ def _declared_parts(table: RawTable, lab: Lab, entry: RecordingEntry) -> list[Pa
     return parts
 
 
-def _named_part(key: str) -> tuple[str, Pair | None]:
+def _parse_name(key: str) -> tuple[str, Pair | None]:
     """Parse a name of lab.toml: ``phase_xy`` is the phase of x to a drive of y."""
     name, _, axis = key.partition("_")
     if not axis:
@@ -200,7 +200,7 @@ def _named_part(key: str) -> tuple[str, Pair | None]:
 def _check_entry(lab: Lab, entry: RecordingEntry) -> None:
     """Refuse names and keys of an entry that a frequency response cannot have."""
     for key in (*entry.columns, *entry.units, *entry.scale):
-        if _named_part(key)[0] not in _NAMES:
+        if _parse_name(key)[0] not in _NAMES:
             raise LabFileError(
                 f"{lab.place}: [[recording]] {entry.file!r}, a frequency response, names {key!r}",
                 needed=f"one of {', '.join(_NAMES)}, with axes as in phase_x or phase_xy (x "
@@ -217,7 +217,7 @@ def _check_entry(lab: Lab, entry: RecordingEntry) -> None:
         )
 
 
-def _with_axes(
+def _assign_axes(
     table: RawTable, entry: RecordingEntry, paths: Mapping[Pair | None, dict[str, Column]]
 ) -> tuple[dict[Pair, dict[str, Column]], bool]:
     """Assign columns without an axis to that of the entry, or of the only response, else x."""

@@ -13,7 +13,7 @@ from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.records.columns import sensor_gain_V_per_m
 from piezoid.records.frequency_response import (
     CHAIN,
-    FEWEST_LINES,
+    MIN_LINES,
     FrequencyResponseRecord,
     ResponsePath,
 )
@@ -42,7 +42,7 @@ MAX_STRAY_rad = 10.0 * np.pi
 # stay within one turn's 6.3.
 MIN_GAIN_CHANGE_dB = 6.0
 MAX_RADIANS_deg = 2.0 * np.pi
-TAKE_OUT = "Take these rows out of the file; gaps between frequencies are allowed."
+REMOVE_ROWS = "Take these rows out of the file; gaps between frequencies are allowed."
 
 
 def ingest_response(
@@ -60,15 +60,15 @@ def ingest_response(
         if len(missing):
             raise RecordingError(
                 f"{table.name}: {len(missing)} of {table.rows} rows of {column.place} hold no "
-                f"number, the first is {table.place_of_row(int(missing[0]))}",
+                f"number, the first is {table.row_name(int(missing[0]))}",
                 needed="a number in every row of a frequency response",
-                remedy=TAKE_OUT,
+                remedy=REMOVE_ROWS,
             )
     # A complex array is read in two parts, which is no finding here.
     statements = [s for s in table.statements if s.quantity != "complex"]
     frequency_Hz, rows = _frequency_Hz(table, entry, columns, statements)
     paths = [
-        _Path(table, lab, entry, columns, pair, rows).read(frequency_Hz, statements)
+        _PathReader(table, lab, entry, columns, pair, rows).read(frequency_Hz, statements)
         for pair in columns.paths
     ]
     if columns.by_number:
@@ -99,7 +99,7 @@ def _frequency_Hz(
         row = int(np.argmax(f < 0))
         raise RecordingError(
             f"{table.name}: {int((f < 0).sum())} frequencies are negative, the first is "
-            f"{f[row]:.6g} Hz at {table.place_of_row(row)}",
+            f"{f[row]:.6g} Hz at {table.row_name(row)}",
             needed="frequencies above zero",
             remedy="Save the one-sided response; of a shift from a centre, add the centre.",
         )
@@ -113,7 +113,7 @@ def _frequency_Hz(
         row = int(np.argmax(steps <= 0)) + 1
         order = "repeats" if steps[row - 1] == 0 else "follows"
         raise RecordingError(
-            f"{table.name}: {f[rows[row]]:.6g} Hz at {table.place_of_row(int(rows[row]))} {order} "
+            f"{table.name}: {f[rows[row]]:.6g} Hz at {table.row_name(int(rows[row]))} {order} "
             f"{f[rows[row - 1]]:.6g} Hz; {int((steps <= 0).sum())} frequencies do not rise",
             needed="each frequency once, in order",
             remedy="Sort the rows; of several sweeps keep one, average them, or write each into a "
@@ -123,17 +123,17 @@ def _frequency_Hz(
         rows = rows[1:]
         text = "the line at 0 Hz is left out: it holds the offset, not a response"
         statements.append(finding("zero_frequency", text, place=column.place))
-    if len(rows) < FEWEST_LINES:
+    if len(rows) < MIN_LINES:
         raise RecordingError(
             f"{table.name}: {len(rows)} frequencies",
-            needed=f"at least {FEWEST_LINES}",
+            needed=f"at least {MIN_LINES}",
             remedy="Save the whole sweep.",
         )
     return f[rows], rows
 
 
 @dataclass(frozen=True, eq=False)
-class _Path:
+class _PathReader:
     """The columns of one path: how an output responds to a drive.
 
     rows  (lines,)  of the table
@@ -169,9 +169,9 @@ class _Path:
         if len(zero):
             raise RecordingError(
                 f"{self.table.name}: the response in {location} is zero in {len(zero)} rows, the "
-                f"first is {self.table.place_of_row(int(self.rows[zero[0]]))}",
+                f"first is {self.table.row_name(int(self.rows[zero[0]]))}",
                 needed="a response that is not zero: nothing was measured there",
-                remedy=TAKE_OUT,
+                remedy=REMOVE_ROWS,
             )
         return ResponsePath(
             output=self.pair[0],
@@ -183,13 +183,13 @@ class _Path:
     def _values(self, part: str) -> tuple[Array, ResponseUnit | None]:
         """Return a column as it was found, and its unit by lab.toml or by its heading."""
         column = self.columns.paths[self.pair][part]
-        symbol = self._declared(self.entry.units, part)
+        symbol = self._declaration(self.entry.units, part)
         unit = unit_in_heading(column) if symbol is None else response_unit(symbol)
         if symbol is not None and unit is None:
             raise ambiguous_response(self.table, f"the unit of {part} is {symbol!r}")
         return column.values[self.rows], unit
 
-    def _declared(self, by_name: Mapping[str, Any], part: str) -> Any:
+    def _declaration(self, by_name: Mapping[str, Any], part: str) -> Any:
         """Return the declaration of an entry for a column: by path, part or response."""
         names = [part, COMPLEX] if part in ("magnitude", "real", "imaginary") else [part]
         output, drive = self.pair
@@ -209,7 +209,7 @@ class _Path:
             column, row = self.columns.paths[self.pair][part], int(self.rows[is_refused.argmax()])
             raise RecordingError(
                 f"{self.table.name}: {column.place} is {column.values[row]:.6g} at "
-                f"{self.table.place_of_row(row)}",
+                f"{self.table.row_name(row)}",
                 needed=needed,
                 remedy=remedy,
             )
@@ -224,7 +224,7 @@ class _Path:
             raise self._ambiguous(part, f"{state}0 dB is")
         if unit.kind not in AMPLITUDES:
             raise self._ambiguous(part, f"is in {unit.symbol}")
-        scale = self._declared(self.entry.scale, part)
+        scale = self._declaration(self.entry.scale, part)
         has_excitation = any(key.startswith("excitation") for key in self.entry.columns)
         if unit.kind in (Kind.LENGTH, Kind.VOLTAGE) and not has_excitation and scale is None:
             raise self._ambiguous(

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
 from piezoid.records.frequency_response import (
-    FEWEST_LINES,
+    MIN_LINES,
     FrequencyResponseRecord,
     ResponsePath,
 )
@@ -93,11 +93,11 @@ def summary_of(record: FrequencyResponseRecord) -> ResponseSummary:
                 gain_m_per_V=float(np.median(np.abs(path.response_m_per_V[is_low]))),
                 has_coherence=path.coherence is not None,
                 coherent=int(path.is_coherent.sum()),
-                peaks=peaks if path.is_own else (),
+                peaks=peaks if path.is_self_response else (),
             )
         )
         self_response = record.path(path.drive, path.drive)
-        if path.is_own or self_response is None:
+        if path.is_self_response or self_response is None:
             continue
         ratio = np.abs(path.response_m_per_V / self_response.response_m_per_V)
         modes = apparent_modes(frequency_Hz, self_response)
@@ -124,7 +124,7 @@ def apparent_modes(frequency_Hz: Array, path: ResponsePath) -> tuple[Peak, ...]:
     from scipy.signal import find_peaks
 
     f, gain = frequency_Hz[path.is_coherent], np.abs(path.response_m_per_V[path.is_coherent])
-    if len(f) < FEWEST_LINES:
+    if len(f) < MIN_LINES:
         return ()
     level_dB = 20.0 * np.log10(gain / np.median(gain[:MIN_LOW_LINES]))
     peaks, _ = find_peaks(level_dB, prominence=MIN_PROMINENCE_dB, height=20.0 * np.log10(MIN_PEAK))

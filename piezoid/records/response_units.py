@@ -49,7 +49,7 @@ _ANGULAR_FREQUENCIES = {
     **dict.fromkeys(("rad/s", "rad/sec", "rad s^-1", "rad_s", "rad_per_s"), 1.0),
     "krad/s": 1e3,
 }
-_PLAIN = {
+_KINDS = {
     Dimension.FREQUENCY: Kind.FREQUENCY,
     Dimension.LENGTH: Kind.LENGTH,
     Dimension.VOLTAGE: Kind.VOLTAGE,
@@ -61,7 +61,7 @@ _DECIBEL = re.compile(r"dB\s*(?:re\.?|of|rel\.?)?\s*[(\[]?\s*1?\s*(.*?)\s*[)\]]?
 _PART = re.compile(r"^(?:real|imag)\((.*)\)$")
 _INDEX = re.compile(r"\(\d,\d\)$")
 # A unit at the end of a name: ``phase_deg``, ``gain, um/V``, ``mag um_per_V``, ``freq/Hz``.
-_AT_THE_END = (
+_UNITS_AT_END = (
     re.compile(r".*[\s,;_](rad_s|rad_per_s|[A-Za-zµμ]+_per_[A-Za-z]+)$"),
     re.compile(r".*[\s,;]([A-Za-zµμ°]+/[A-Za-zµμ]+)$"),
     re.compile(r".*[\s,;_/]([A-Za-zµμ°%]+)$"),
@@ -93,9 +93,9 @@ def response_unit(text: str) -> ResponseUnit | None:
         factor = numerator.factor / denominator.factor
         return ResponseUnit(symbol=symbol, kind=_PER_VOLT[numerator.dimension], factor=factor)
     unit = unit_of(symbol)
-    if unit is None or unit.dimension not in _PLAIN:
+    if unit is None or unit.dimension not in _KINDS:
         return None
-    return ResponseUnit(symbol=symbol, kind=_PLAIN[unit.dimension], factor=unit.factor)
+    return ResponseUnit(symbol=symbol, kind=_KINDS[unit.dimension], factor=unit.factor)
 
 
 def base_name(label: str) -> str:
@@ -110,5 +110,5 @@ def unit_in_heading(column: Column) -> ResponseUnit | None:
     # A row of units has lost its outer brackets: of ``(dB (um/V))`` the last one is missing.
     stated += [text + ")" for text in stated if text.count("(") > text.count(")")]
     stated += [a or b for a, b in reversed(BRACKETS.findall(label))]
-    stated += [match.group(1) for end in _AT_THE_END if (match := end.match(label))]
+    stated += [match.group(1) for end in _UNITS_AT_END if (match := end.match(label))]
     return next((unit for text in stated if (unit := response_unit(text)) is not None), None)

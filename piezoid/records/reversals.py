@@ -6,19 +6,19 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
 
 NOISE_BAND = 6.0  # standard deviations; the reading of a constant drive stays within it
-MAX_SHARE = 0.2  # of the drive's range: a white drive would pass for noise throughout
+MAX_SHARE = 0.2  # of the drive's range; without this limit a white drive would count as noise
 
 
 def noise_of(drive: Array) -> float:
-    """Return the largest excursion of a drive that its reading's noise makes, in its unit."""
+    """Return the largest excursion of a drive that the noise of its reading explains."""
     return min(NOISE_BAND * white_noise_rms(drive), MAX_SHARE * float(np.ptp(drive)))
 
 
 def reversals_of(voltage_V: Array, noise_V: float) -> tuple[int, ...]:
-    """Find turning points of the drive, ignoring excursions of at most ``noise_V``.
+    """Find the turning points of a drive, ignoring excursions of at most ``noise_V``.
 
-    A turning point is confirmed once the drive has come back from it by more than ``noise_V``,
-    so converter steps and read-back noise make no reversals of their own.
+    A turning point is confirmed once the drive has moved away from it by more than ``noise_V``,
+    so converter steps and read-back noise do not count as reversals.
 
     voltage_V  (samples,)  V
     noise_V    scalar      V, >= 0

@@ -13,18 +13,18 @@ from piezoid.records.table import RawTable
 from piezoid.statement import Statement, finding
 
 Rows = NDArray[np.intp]
-MIN_ROWS = 20  # measured rows by which the interval of a slower channel is known
-MAX_IRREGULAR = 0.01  # of the measured rows may be missing besides
+MIN_ROWS = 20  # measured rows needed to identify the interval of a slower channel
+MAX_IRREGULAR = 0.01  # of the expected measured rows: share that may be missing
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SampleRows:
-    """Rows in the order of their samples.
+    """Rows of a table in the order of their samples.
 
-    complete  (rows,)     of the table, with a number in every column that is read
-    position  (samples,)  index into ``complete``; a half lies between two rows, where one is lost
+    complete  (rows,)     rows with a number in every column that is read
+    position  (samples,)  index into ``complete``; k + 1/2 for a lost sample between two rows
     breaks    first sample after each break, increasing
-    bridged   samples that lie between two rows
+    bridged   lost samples, between two rows
     """
 
     complete: Rows
@@ -36,8 +36,8 @@ class SampleRows:
     def of(cls, complete: Rows, breaks: Collection[int], missing: Collection[int]) -> "SampleRows":
         """Return all complete rows, with an inserted sample for each missing one.
 
-        breaks   indices of complete rows before which memory ends
-        missing  indices in front of which exactly one sample is missing; ignored at a break
+        breaks   indices of the complete rows behind a break
+        missing  indices of the complete rows behind exactly one missing sample; ignored at a break
         """
         inserted = np.array(sorted(set(missing) - set(breaks)), dtype=int)
         edges = np.array(sorted(breaks), dtype=int)
@@ -60,33 +60,32 @@ class SampleRows:
         )
 
     def source_row(self, sample: int) -> int:
-        """Return the row of the table that a sample comes from, or the row before it."""
+        """Return the row of the table of a sample, or the row before a lost sample."""
         return int(self.complete[int(self.position[sample])])
 
     def values(self, column: Array) -> Array:
-        """Return the samples of a column, interpolated where a row is lost."""
+        """Return the samples of a column, with lost rows interpolated."""
         samples = np.interp(self.position, np.arange(len(self.complete)), column[self.complete])
         return np.asarray(samples)
 
 
-def on_common_rows(
+def select_common_rows(
     table: RawTable, assignment: Assignment
 ) -> tuple[RawTable, tuple[Statement, ...]]:
-    """Return the rows of the slowest channel where its cells are blank at a fixed interval.
+    """Select the rows of the slowest channel if it is blank in all but every n-th row.
 
     Loggers merge channels of two rates into one table. The rows in which every channel was
-    measured make a recording at the lower rate; blanks without a fixed interval stay missing.
+    measured make a recording at the lower rate; irregular blanks are missing numbers.
 
     Returns:
-        The table of every n-th row and a statement that says so, or the table as it is.
+        The table of every n-th row with a statement, or the unchanged table.
     """
-    intervals = [_interval(channel.column.values) for channel in assignment.channels]
-    slowest = max(intervals, key=lambda interval: interval[1], default=(0, 1))
-    first, step = slowest
+    intervals = [_measured_interval(channel.column.values) for channel in assignment.channels]
+    first, step = max(intervals, key=lambda interval: interval[1], default=(0, 1))
     if step == 1 or any(step % interval for _, interval in intervals):
         return table, ()
     if assignment.time is None and table.sampling_rate_Hz is None:
-        return table, ()  # a stated rate is of all rows
+        return table, ()  # the rate in lab.toml is that of all rows
     labels = [
         channel.column.place
         for channel, interval in zip(assignment.channels, intervals, strict=True)
@@ -94,7 +93,7 @@ def on_common_rows(
     ]
     text = (
         f"{' and '.join(labels)} was measured in one of {step} rows, at a lower rate than the "
-        f"other columns: only these rows are read, from {table.place_of_row(first)} on"
+        f"other columns: only these rows are read, from {table.row_name(first)} on"
     )
     return (
         replace(
@@ -108,8 +107,8 @@ def on_common_rows(
     )
 
 
-def _interval(values: np.ndarray) -> tuple[int, int]:
-    """Return first row and interval of the cells that hold numbers; (0, 1) without one."""
+def _measured_interval(values: np.ndarray) -> tuple[int, int]:
+    """Return first row and interval of the cells with numbers; (0, 1) if they are irregular."""
     measured = np.flatnonzero(np.isfinite(values))
     if not MIN_ROWS <= len(measured) <= len(values) / 2 + 1:
         return 0, 1
@@ -118,15 +117,15 @@ def _interval(values: np.ndarray) -> tuple[int, int]:
     first = int(measured[0])
     is_on_grid = bool(((measured - first) % step == 0).all())
     expected = 1 + (len(values) - 1 - first) // step
-    is_whole = len(measured) >= (1 - MAX_IRREGULAR) * expected
-    return (first, step) if step > 1 and is_on_grid and is_whole else (0, 1)
+    is_regular = len(measured) >= (1 - MAX_IRREGULAR) * expected
+    return (first, step) if step > 1 and is_on_grid and is_regular else (0, 1)
 
 
 def unique_rows(table: RawTable, assignment: Assignment) -> tuple[Rows, list[Statement]]:
-    """Return the rows without repetitions: same time stamp, same numbers.
+    """Return the rows without repetitions of the same time stamp with the same numbers.
 
-    Rows count as repeated only if all other stamps are distinct: stamps of few digits are shared
-    by many samples, some of which may be equal.
+    Rows are repetitions only if all other stamps are distinct: many samples share a stamp of few
+    digits, and some of them may be equal.
     """
     every_row = np.arange(table.rows)
     time_s = None if assignment.time is None else assignment.time.values
@@ -142,7 +141,7 @@ def unique_rows(table: RawTable, assignment: Assignment) -> tuple[Rows, list[Sta
     if not is_repeated.any() or len(np.unique(stamps_s)) < len(stamps_s):
         return every_row, []
     repeated = np.flatnonzero(is_repeated)
-    location = table.place_of_row(int(repeated[0]))
+    location = table.row_name(int(repeated[0]))
     text = (
         f"{len(repeated)} rows are repeated (same stamp, same numbers) and read once. The first "
         f"is {location}, t = {time_s[repeated[0]]:.6g} s."
@@ -156,8 +155,9 @@ def complete_rows(
     """Return the ``rows`` in which every column that is read holds a number.
 
     Returns:
-        The rows; the indices of those that follow a single row in which only some channels lack
-        a number; the indices of those that follow several such rows or a blank one; a statement.
+        The complete rows; the indices of complete rows behind a single row in which some channels
+        lack a number; the indices of complete rows behind a blank row or several incomplete rows;
+        the statements.
     """
     is_complete = np.ones(len(rows), dtype=bool)
     for assigned in assignment.columns:
@@ -171,7 +171,7 @@ def complete_rows(
             f"{table.name}: {len(complete)} of {table.rows} rows hold a number in every column "
             f"(numbers in {counts})",
             needed="at least two complete rows",
-            remedy="Leave the empty column out by naming the others in lab.toml.",
+            remedy="Name only the other columns in lab.toml, to leave the empty column out.",
         )
     incomplete = np.flatnonzero(~is_complete)
     if not len(incomplete):
@@ -181,19 +181,19 @@ def complete_rows(
     is_blank = np.all([np.isnan(c.values[rows]) for c in assignment.channels], axis=0)
     resumed = np.flatnonzero(np.diff(usable) > 1) + 1
     is_single = (np.diff(usable)[resumed - 1] == 2) & ~is_blank[usable[resumed] - 1]
-    single, several = set(resumed[is_single].tolist()), set(resumed[~is_single].tolist())
+    after_single, after_gap = (set(resumed[mask].tolist()) for mask in (is_single, ~is_single))
     row = int(rows[incomplete[0]])
     empty = [a.column.place for a in assignment.columns if not np.isfinite(a.values[row])]
-    location = table.place_of_row(row)
+    location = table.row_name(row)
     text = (
-        f"{len(incomplete)} rows lack a number: {at_ends} at the ends, {len(single)} single ones "
-        f"inside, bridged by straight lines, {len(incomplete) - at_ends - len(single)} in "
-        f"{len(several)} gaps; the first is {location}, {' and '.join(empty)}"
+        f"{len(incomplete)} rows lack a number: {at_ends} at the ends, {len(after_single)} single "
+        f"rows, which are interpolated, {len(incomplete) - at_ends - len(after_single)} in "
+        f"{len(after_gap)} gaps; the first is {location}, {' and '.join(empty)}"
     )
-    return complete, single, several, [finding("missing_values", text, place=location)]
+    return complete, after_single, after_gap, [finding("missing_values", text, place=location)]
 
 
 def positions_in(complete: Rows, rows: Rows) -> tuple[int, ...]:
-    """Return the index of the first complete row at or after each of some rows, without ends."""
+    """Return the indices of the first complete rows at or after ``rows``, without the ends."""
     indices = np.searchsorted(complete, rows)
     return tuple(sorted({int(k) for k in indices if 0 < k < len(complete)}))

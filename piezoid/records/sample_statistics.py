@@ -7,31 +7,31 @@ from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
 
-# A clipped converter rests on its last code; noise and slope let nothing else rest this long.
+# Samples: a clipped converter stays at its last code; noise and slope end other runs earlier.
 _CLIPPED_RUN = 5
-# The last code of a coarsely converted sine is held up to 2 / (sqrt(2) - 1) = 4.8 times as long as
-# the one before it, by the parabola at its top; what rests eight times as long is no sine.
+# By the parabola at its top, a coarsely converted sine stays at its last code up to
+# 2 / (sqrt(2) - 1) = 4.8 times as long as at the one before it.
 _CLIPPED_RATIO = 8
-# A drive that jumps to its extreme, in typical steps or in shares of the span, was sent there.
+# A drive that jumps to its extreme was commanded to: in typical steps, or in shares of the span.
 _JUMP = 5.0
 _JUMP_SHARE = 0.2
 # Noise by third over noise by second differences: 1.0 for white noise, 0.64 for a sine of a fifth
-# of the sampling rate. A smaller share of the range than this is not worth a remark.
+# of the sampling rate. Noise below the second constant, relative to the range, is not tested.
 _MIN_WHITE = 0.8
 _NOTICEABLE = 1e-3
-# White noise is the same in every block; a chirp through a resonance is not. Blocks of white noise
-# of 64 samples or more differ by less than a factor of 2.
+# Blocks of white noise of 64 samples or more differ by less than a factor of 2; those of a chirp
+# through a resonance differ by more.
 _BLOCKS = 8
 _MIN_BLOCK = 64
 _MAX_UNEVEN = 4.0
 
 
 def noise_rms(values: Array) -> float:
-    """Return the white noise on a smooth signal, from its second differences.
+    """Return the rms of the white noise on a smooth signal, from its second differences.
 
-    The second difference of white noise has six times its variance; a smooth signal leaves little
-    there, and the median keeps out jumps. A median of zero means noise below the converter step,
-    whose rounding error is then the bound: step / sqrt(12).
+    The second difference of white noise has six times its variance, that of a smooth signal is
+    small, and the median suppresses jumps. A median of zero means noise below the converter step,
+    whose rounding error is then returned: step / sqrt(12).
     """
     if len(values) < 5:
         return 0.0
@@ -43,9 +43,9 @@ def is_noise_hidden(values: Array) -> bool:
     """Return whether a signal is so fast that ``noise_rms`` is that of the signal.
 
     The third difference of white noise has twenty times its variance, so that both differences
-    give the same noise. A sine of w radians a sample gives 2 sin(w / 2) sqrt(6 / 20) times as much
-    by the third as by the second one. A signal that is fast in one part of the record only, as a
-    chirp through a resonance, has a noise there that is many times that of another part.
+    give the same noise. For a sine of w radians per sample the ratio of the third to the second is
+    2 sin(w / 2) sqrt(6 / 20). A signal that is fast in only one part of the record, as a chirp
+    through a resonance, shows many times the noise of the other parts there.
     """
     second, third = (robust_sigma(np.diff(values, order)) for order in (2, 3))
     is_noticeable = second / math.sqrt(6.0) > _NOTICEABLE * float(np.ptp(values))
@@ -56,7 +56,7 @@ def is_noise_hidden(values: Array) -> bool:
     if len(values) < _BLOCKS * _MIN_BLOCK:
         return False
     blocks = [robust_sigma(np.diff(block, 2)) for block in np.array_split(values, _BLOCKS)]
-    positive = [spread for spread in blocks if spread > 0.0]  # a frozen reading has no noise
+    positive = [spread for spread in blocks if spread > 0.0]  # a frozen reading shows no noise
     quietest = min(positive, default=0.0)
     return max(blocks) > _MAX_UNEVEN * max(quietest, step_size(values))
 
@@ -69,7 +69,7 @@ def robust_sigma(values: Array) -> float:
 def step_size(values: Array) -> float:
     """Return the smallest step of which all values are multiples, or 0.
 
-    Values printed with few digits have a step as well: it is the resolution of what was written.
+    The step of values printed with few digits is the resolution of the print.
     """
     distinct = np.unique(values)
     if len(distinct) < 3 or 2 * len(distinct) > len(values):
@@ -86,22 +86,22 @@ def step_size(values: Array) -> float:
 
 
 def is_dead(values: Array) -> bool:
-    """Tell whether a channel is constant."""
+    """Return whether a channel is constant."""
     return bool(np.ptp(values) == 0)
 
 
 def clipped_share(values: Array, *, idle_value: float | None = None) -> float:
     """Return the share of samples clipped at the largest or smallest value.
 
-    idle_value  a value the channel may hold on purpose (0 V between two motions), or None
+    idle_value  a value at which the channel may stay on purpose (0 V between two motions), or None
 
-    Clipped samples reach the extreme without a jump and stay for at least five samples, and for
-    eight times as long as at any other level. A staircase stays elsewhere too; a step is a jump.
+    Clipped samples reach the extreme without a jump, unlike a step, and stay there for at least
+    five samples and eight times as long as at any other level, unlike a staircase.
     """
-    return float(clipped(values, idle_value=idle_value).mean()) if len(values) else 0.0
+    return float(clipped_samples(values, idle_value=idle_value).mean()) if len(values) else 0.0
 
 
-def clipped(values: Array, *, idle_value: float | None = None) -> NDArray[np.bool_]:
+def clipped_samples(values: Array, *, idle_value: float | None = None) -> NDArray[np.bool_]:
     """Return which samples are clipped, (samples,), as ``clipped_share`` counts them."""
     is_clipped = np.zeros(len(values), dtype=bool)
     if len(values) < 4 * _CLIPPED_RUN or is_dead(values):

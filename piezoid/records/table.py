@@ -12,25 +12,26 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.units import MAX_HEADING, Heading, heading_of, unit_of
 from piezoid.statement import Statement
 
-# Instruments write 9.9e37 (SCPI) or 1e308 for a reading out of range; neither is a number.
+# Larger values mean "out of range": instruments write 9.9e37 (SCPI) or 1e308.
 LARGEST = 9e36
-_SHORTEST_s, _LONGEST_s = 1e-30, 1e30  # beyond, the rate leaves the range of numbers
+_SHORTEST_s, _LONGEST_s = 1e-30, 1e30  # limits of a valid interval
 
 
 def rate_of(interval_s: float | None) -> float | None:
     """Return the sampling rate of a stated interval; None if the interval is invalid."""
-    is_one = interval_s is not None and _SHORTEST_s <= interval_s <= _LONGEST_s
-    return 1 / interval_s if interval_s is not None and is_one else None
+    if interval_s is None or not _SHORTEST_s <= interval_s <= _LONGEST_s:
+        return None
+    return 1 / interval_s
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Column:
     """One column of a file.
 
-    number         its place in the file, from 1
-    label          its heading as found, empty where it has none
-    declared_unit  the unit the format states apart from the heading, empty where none
-    values         (rows,)  in the unit found; NaN where the file holds no number
+    number         index in the file, from 1
+    label          heading in the file, empty without one
+    declared_unit  unit that the format states outside the heading, empty without one
+    values         (rows,)  in the file's unit; NaN for missing numbers
     """
 
     number: int
@@ -71,16 +72,16 @@ class RawTable:
     columns           all of the same length
     name              the file's name without its folder
     digest            of the file's bytes
-    format            a name for people: ``Nanonis``, ``text table``, ...
-    sampling_rate_Hz  where the format states a clock instead of a time column
-    independent       label of the column everything else is a function of, for formats that sweep
-                      something other than time; empty otherwise
-    segment_starts    (count,)  first row of each further segment of a file that holds several
-    first_line        line of the first row in a text file, 0 where there are no lines
-    first_row         rows of the file in front of these, where the table is a part of it
-    is_reversed       whether the rows stand the other way round than in the file
-    metadata          what the file says beside its table
-    statements        what the reader met
+    format            name of the format in messages: ``Nanonis``, ``text table``, ...
+    sampling_rate_Hz  if the format states a clock instead of a time column
+    independent       label of the swept column in formats that sweep another quantity than time;
+                      empty otherwise
+    segment_starts    (count,)  first row of each segment after the first
+    first_line        line of the first row in a text file, 0 if it is unknown
+    first_row         number of rows of the file in front of the table, if it is a part of the file
+    is_reversed       whether the order of the rows is opposite to that of the file
+    metadata          entries of the file outside its table
+    statements        problems that the reader found
     """
 
     columns: tuple[Column, ...]
@@ -118,7 +119,7 @@ class RawTable:
         return matches[0] if len(matches) == 1 else None
 
     def si(self, name_or_number: str | int) -> Array:
-        """Return a column's values in SI units, NaN kept, or refuse naming what there is."""
+        """Return a column's values in SI units, with NaN for missing numbers."""
         column = self.find(name_or_number)
         if column is None:
             columns = ", ".join(repr(c.label) if c.label else str(c.number) for c in self.columns)
@@ -129,16 +130,16 @@ class RawTable:
             )
         return column.si_values
 
-    def place_of_row(self, row: int) -> str:
+    def row_name(self, row: int) -> str:
         """Name a row in messages: its line in a text file, its number elsewhere."""
         row = self.rows - 1 - row if self.is_reversed else row
         if self.first_line:
             return f"line {self.first_line + row}"
         return f"row {self.first_row + row + 1}"
 
-    def places_of(self, rows: NDArray[np.intp]) -> Callable[[int], str]:
-        """Return a function that names the k-th of some rows in messages."""
-        return lambda k: self.place_of_row(int(rows[k]))
+    def row_names(self, rows: NDArray[np.intp]) -> Callable[[int], str]:
+        """Return a function from k to the name of the k-th of some rows in messages."""
+        return lambda k: self.row_name(int(rows[k]))
 
     def reversed(self) -> "RawTable":
         """Return the table in reverse order, for files with the newest row first."""

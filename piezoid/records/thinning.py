@@ -1,10 +1,10 @@
 """Reduce a recording of any length to a bounded number of rows while it is read.
 
 While there are too many rows, every second one is dropped, as long as the fastest branches of the
-drive keep ``MIN_BRANCH_ROWS``. A turning point of the drive is never dropped: the row next to it
-takes its place, so that the play operators see the extremes they saw before, and the clock stays
-uniform to within one row there. Where thinning would leave branches too short, every second of
-``STRETCHES`` stretches is dropped instead; each remaining one is a piece with a memory of its own.
+drive keep ``MIN_BRANCH_ROWS``. Turning points of the drive are never dropped but replace a
+neighbouring row: play operators then have the same extremes, and the clock is uniform to within
+one row. If branches would become too short, every second of ``SEGMENTS`` segments is dropped
+instead; the remaining ones are pieces with separate initial states.
 """
 
 import itertools
@@ -19,12 +19,12 @@ from piezoid.records.reversals import noise_of, reversals_of
 
 # A fit takes about 740 bytes a row: with 2^18 rows it stays below 400 MB.
 MAX_ROWS = 1 << 18
-STRETCHES = 16
-# At 24 rows a branch, straight lines between rows miss 5 % of what a lag shorter than a row does.
+SEGMENTS = 16
+# At 24 rows a branch, linear interpolation misses 5 % of the effect of a lag shorter than a row.
 MIN_BRANCH_ROWS = 24
 _BRANCH_QUANTILE = 0.1  # the fastest tenth of the branches may be shorter
 _SMALLEST_TURN = 0.02  # of the drive's range
-_NOISE_BAND = 4.0  # standard deviations of the drive's noise: less is no turning point
+_NOISE_BAND = 4.0  # standard deviations of the drive's noise: smaller maxima are noise
 _NOISE_ROWS = 4096
 
 
@@ -32,9 +32,9 @@ _NOISE_ROWS = 4096
 class _Block:
     """Rows of a fixed number of samples of the file.
 
-    number           in the file
-    rows             (2, samples) V and m
-    before_V, after_V  drive of the samples beside the block, NaN at the ends of a piece
+    number             index of the block in the file
+    rows               (2, samples) V and m
+    before_V, after_V  drive of the samples next to the block, NaN at the ends of a piece
     """
 
     number: int
@@ -49,8 +49,8 @@ class ThinnedRows:
 
     rows     (2, samples) V and m
     starts   (pieces,) first sample of each uninterrupted piece, from 0
-    stride   samples of the file for one sample here
-    share    of the file that the rows cover
+    stride   number of samples of the file per row
+    share    share of the file that the rows cover
     """
 
     rows: Array
@@ -66,18 +66,18 @@ class Thinning:
     """
 
     def __init__(self, max_rows: int = MAX_ROWS) -> None:
-        """Start without samples; ``max_rows`` is a power of two, at least ``STRETCHES``."""
+        """Start without samples; ``max_rows`` is a power of two, at least ``SEGMENTS``."""
         self._max_rows = max_rows
-        self._block = max_rows // STRETCHES  # samples of the file
+        self._block = max_rows // SEGMENTS  # samples of the file
         self._blocks: list[_Block] = []
         self._before_V = np.nan
         self._pending = np.empty((2, 0))
         self._number = self._samples = self._rows = 0
-        self._level = self._skip = 0  # powers of two: stride, and one stretch in so many is kept
+        self._level = self._skip = 0  # exponents of two: stride, and one segment in 2^skip is kept
         self._noise_V: float | None = None
 
     def append(self, voltage_V: Array, displacement_m: Array, *, is_new_piece: bool) -> None:
-        """Add samples; ``is_new_piece`` tells whether a gap in time lies in front of them."""
+        """Add samples; ``is_new_piece`` is true behind a gap in time."""
         if is_new_piece and self._samples:
             self._end_piece()
         self._samples += len(voltage_V)
@@ -88,7 +88,7 @@ class Thinning:
             self._pending = self._pending[:, self._block :]
 
     def result(self) -> ThinnedRows:
-        """Return the rows of all samples that were appended."""
+        """Return the thinned rows of all appended samples."""
         self._end_piece()
         lengths = [block.rows.shape[1] for block in self._blocks]
         stops = np.cumsum(lengths)
@@ -116,7 +116,7 @@ class Thinning:
             self._noise_V = white_noise_rms(samples[0, :_NOISE_ROWS])
         block = _Block(number=self._number, rows=samples, before_V=self._before_V, after_V=after_V)
         for _ in range(self._level):
-            block = self._halved(block)
+            block = self._halve(block)
         if self._is_kept(block.number) and block.rows.size:
             self._blocks.append(block)
             self._rows += block.rows.shape[1]
@@ -125,7 +125,7 @@ class Thinning:
         while self._rows > self._max_rows:
             can_halve = self._skip == 0 and self._block >> self._level > 1
             if can_halve and self._fastest_branch() >= 2 * MIN_BRANCH_ROWS:
-                halved = map(self._halved, self._blocks)
+                halved = map(self._halve, self._blocks)
                 self._blocks = [block for block in halved if block.rows.size]
                 self._level += 1
             else:
@@ -137,29 +137,31 @@ class Thinning:
         return (number >> self._level) % (1 << self._skip) == 0
 
     def _fastest_branch(self) -> float:
-        """Return the rows of the shorter branches of the drive."""
+        """Return the number of rows of the fastest tenth of the branches of the drive."""
         drive_V = np.concatenate([block.rows[0] for block in self._blocks])
         smallest_V = max(noise_of(drive_V), _SMALLEST_TURN * float(np.ptp(drive_V)))
         turns = reversals_of(drive_V, smallest_V)
         lengths = np.diff([0, *turns, len(drive_V)])
         return float(np.quantile(lengths, _BRANCH_QUANTILE))
 
-    def _halved(self, block: _Block) -> _Block:
-        """Return the first of every two rows, or the turning point of the drive among them."""
+    def _halve(self, block: _Block) -> _Block:
+        """Keep the first of every two rows, or the second if the drive turns there."""
         rows = block.rows
         pairs = rows[:, : rows.shape[1] // 2 * 2].reshape(2, -1, 2)
         margin_V = _NOISE_BAND * (self._noise_V or 0.0)
-        is_second = _is_top(pairs[0], block.before_V, block.after_V, margin_V) | _is_top(
+        is_second = _is_maximum(pairs[0], block.before_V, block.after_V, margin_V) | _is_maximum(
             -pairs[0], -block.before_V, -block.after_V, margin_V
         )
         choice = is_second.astype(int)[None, :, None]
         return replace(block, rows=np.take_along_axis(pairs, choice, axis=2)[:, :, 0])
 
 
-def _is_top(drive_V: Array, before_V: float, after_V: float, margin_V: float) -> NDArray[np.bool_]:
-    """Tell which pairs hold a maximum in their second value only.
+def _is_maximum(
+    drive_V: Array, before_V: float, after_V: float, margin_V: float
+) -> NDArray[np.bool_]:
+    """Return which pairs have a maximum of the drive in their second value.
 
-    before_V, after_V  neighbours of the first and last pair; NaN: that pair is no maximum
+    before_V, after_V  neighbours of the first and last pair; NaN: no maximum in that pair
     """
     high_V = drive_V.max(axis=1)
     previous = np.concatenate([[before_V], high_V[:-1]])

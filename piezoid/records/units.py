@@ -22,10 +22,10 @@ class Dimension(Enum):
 class Unit:
     """One unit: ``SI = factor * value + offset``.
 
-    symbol     as it was found
-    dimension  what it measures; OTHER for units that are none of a piezo stage's quantities
-    factor     to SI; 1 for OTHER, whose values stay as they are
-    offset     added after scaling; only the degree Celsius has one
+    symbol     as written in the file
+    dimension  OTHER for units of quantities that a piezo stage does not have
+    factor     to SI; 1 for OTHER, whose values are not converted
+    offset     added after scaling; zero except for the degree Celsius
     """
 
     symbol: str
@@ -40,7 +40,7 @@ class Unit:
 
     @property
     def is_counted(self) -> bool:
-        """Whether it is the step of a converter, which is of no size by itself."""
+        """Whether the unit is the step of a converter, of unknown size."""
         return self.symbol.lower().removesuffix("s") in ("count", "code", "lsb", "digit", "tick")
 
 
@@ -49,7 +49,7 @@ class Heading:
     """Heading of a column, split: ``Current [bwd] (nA)`` is ``Current [bwd]`` in ``nA``.
 
     stem  the heading without its unit
-    unit  None where the heading names none
+    unit  None if the heading names none
     """
 
     stem: str
@@ -70,7 +70,7 @@ _BASES = {
     "Hz": Dimension.FREQUENCY,
 }
 
-# Whole words, compared without regard to case; a plural s is dropped first.
+# Whole words, compared without case; a plural s is dropped first.
 _WORDS = {
     "second": "s", "sec": "s", "millisecond": "ms", "msec": "ms", "microsecond": "us",
     "usec": "us", "nanosecond": "ns", "volt": "V", "millivolt": "mV", "kilovolt": "kV",
@@ -92,14 +92,14 @@ _SPECIAL = {
     "%": (Dimension.RATIO, 1e-2, 0.0),
 }
 
-# Recognised so that a column of newtons is known to be one, but never converted or read.
+# Recognised to exclude columns of other quantities (newtons); never converted.
 _OTHER = re.compile(
     r"(?:[fpnuµμmckMG]?(?:N|Pa|g|W|J|F|C|H|T|rad|deg|ohm|Ohm|Ω|l|L|bar|cps)|counts?|codes?|LSB|digits?|ticks?|°|deg|degree|dB"
     r"|arcsec|a\.?u\.?|arb\.?|rpm|[A-Za-zµμ°Ω%]+\s?/\s?[A-Za-z√µμ²³^0-9*·]+|[A-Za-z]+\^?-?[23²³]"
     r"|[A-Za-zµμ°Ω%]+\s?/\s?(?:sqrt|rt|√)\s?\(?[A-Za-z]+\)?)"
 )
 
-# Round brackets may hold others: of ``(A/sqrt(Hz))`` the unit is not the inner one.
+# Round brackets may be nested: the unit in ``(A/sqrt(Hz))`` is not that of the inner ones.
 BRACKETS = re.compile(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)")
 MAX_HEADING = 1000  # characters of a heading that are interpreted
 _AFTER_SLASH = re.compile(r"^(.*\S)\s*/\s*([^\s/]+)$")
@@ -110,7 +110,7 @@ _AFTER_UNDERSCORE = re.compile(r"^(.*[^\s_])_([^\s_]+)$")
 def unit_of(symbol: str) -> Unit | None:
     """Return the unit of a symbol or word, or None if it is unknown.
 
-    Case counts in symbols (``mV`` is not ``MV``, ``s`` is not ``S``) and not in words (``Volts``).
+    Case matters in symbols (``mV`` is not ``MV``, ``s`` is not ``S``), not in words (``Volts``).
     """
     text = symbol.strip()
     text = _WORDS.get(text.lower(), _WORDS.get(text.lower().removesuffix("s"), text))
@@ -129,8 +129,8 @@ def unit_of(symbol: str) -> Unit | None:
 def heading_of(label: str) -> Heading:
     """Split a heading into its name and its unit.
 
-    Understood: ``time [s]``, ``Voltage (V)``, ``U/V``, ``Position_um``, ``current, nA``. Brackets
-    win over the other forms. A lone symbol (``V``) is a name, not a unit: it may be either.
+    Recognised forms: ``time [s]``, ``Voltage (V)``, ``U/V``, ``Position_um``, ``current, nA``.
+    Brackets take precedence. A heading of a single symbol (``V``) is ambiguous and read as a name.
     """
     label = " ".join(label[:MAX_HEADING].split())
     for brackets in reversed(list(BRACKETS.finditer(label))):
@@ -144,8 +144,8 @@ def heading_of(label: str) -> Heading:
         if match is None:
             continue
         unit = unit_of(match.group(2))
-        # After an underscore a letter is too often an index (``sensor_h``) to be a rare unit.
-        common = unit is not None and unit.dimension is not Dimension.OTHER
-        if common and match.group(2) not in ("h", "min"):
+        # A letter after an underscore is usually an index (``sensor_h``), seldom a rare unit.
+        is_common = unit is not None and unit.dimension is not Dimension.OTHER
+        if is_common and match.group(2) not in ("h", "min"):
             return Heading(stem=match.group(1), unit=unit)
     return Heading(stem=label, unit=None)

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 import piezoid_datasets
 from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
-from piezoid.records.lab_draft import commented, draft_lab
+from piezoid.records.lab_draft import as_comments, draft_lab
 from piezoid_cli.main import app
 
 HOSTILE = ('po"s [um]', "pos\\n [um]", "pos # [um]", "pos\u202e [um]", "pos 'x' [um]")
@@ -127,7 +127,7 @@ def test_files_are_named_from_the_folder_of_the_lab_file(tmp_path: Path) -> None
 
 
 def test_no_line_of_a_name_escapes_its_comment() -> None:
-    text = commented("one\ntwo\r[rig]\u2028three\x0bfour\x00")
+    text = as_comments("one\ntwo\r[rig]\u2028three\x0bfour\x00")
     assert all(line.startswith("# ") for line in text.split("\n")[:-1])
     assert tomllib.loads(text) == {}
 

@@ -111,8 +111,8 @@ def test_what_is_ambiguous_is_refused(table: pd.DataFrame, options: dict, said: 
     [
         ({"voltage_V": VOLTAGE_V[:-1]}, "different length: time 200, voltage_x 199"),
         ({"voltage_V": np.zeros((200, 2))}, r"shape \(200, 2\)"),
-        ({"voltage_V": ["high"] * 200}, "holds other things than numbers"),
-        ({"time_s": None}, "neither time_s and sampling_rate_Hz"),
+        ({"voltage_V": ["high"] * 200}, "values that are not numbers"),
+        ({"time_s": None}, "neither time_s nor sampling_rate_Hz"),
         ({"sampling_rate_Hz": 1000.0}, "both time_s and sampling_rate_Hz"),
     ],
 )

@@ -33,7 +33,7 @@ from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Str
 from piezoid.identification.dynamics.records import MAX_LAG_deg, MAX_SLOPE_dB, SlowPart
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.records.frequency_response import (
-    LEAST_COHERENCE,
+    MIN_COHERENCE,
     FrequencyResponseRecord,
     ResponsePath,
 )
@@ -123,7 +123,7 @@ def fit_response(
     if is_coherent.sum() < MIN_LINES:
         raise ExcitationError(
             f"{record.name}: {int(is_coherent.sum())} of {len(f)} lines of axis {axis} are "
-            f"coherent ({LEAST_COHERENCE:g} or more)",
+            f"coherent ({MIN_COHERENCE:g} or more)",
             needed=f"at least {MIN_LINES}",
             remedy="Measure with a larger drive, longer, or at more frequencies.",
         )
@@ -200,7 +200,7 @@ def _lines(
         coherence=coherence[:, None],
         is_interference=is_outlier[:, None],
         is_rejected=(~path.is_coherent | is_outlier)[:, None],
-        least_coherence=LEAST_COHERENCE,
+        least_coherence=MIN_COHERENCE,
         variance_freedom=float(len(response)),
         drive_rms_V=np.zeros(1),
     )

@@ -28,7 +28,7 @@ from piezoid.numerics.arrays import Array, Samples, freeze
 from piezoid.numerics.derivative_free import direct_search
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.operators.filters import later
-from piezoid.records.constant_drive import answers
+from piezoid.records.constant_drive import is_mostly_driven
 from piezoid.records.reversals import noise_of, reversals_of
 
 ROWS = 3000  # of all pieces together: three numbers need no more
@@ -443,7 +443,7 @@ def reason_of_no_answer(pieces: Sequence[Piece], choice: Choice, scales: Scales)
 def _follows(piece: Piece) -> bool:
     """Tell whether the response follows its drive, at once or at equal drive levels."""
     response = piece.fitted_response
-    if answers(piece.fitted_drive, response):
+    if is_mostly_driven(piece.fitted_drive, response):
         return True
     # not by direction as well: a servo's drive rises where its sensor reads too little
     half = len(response) // 2

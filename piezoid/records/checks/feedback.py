@@ -11,7 +11,7 @@ import numpy as np
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.records.checks.gain import MIN_MOTION_NOISE
-from piezoid.records.constant_drive import answers
+from piezoid.records.constant_drive import is_mostly_driven
 from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import noise_rms
 from piezoid.statement import Statement, finding
@@ -77,7 +77,7 @@ def held_span(recording: Recording, axis: str) -> slice | None:
         return None
     span = slice(first * size, stop * size)
     # Block means do not show a drive that oscillates within a block.
-    return None if answers(voltage_V[span], displacement_m[span]) else span
+    return None if is_mostly_driven(voltage_V[span], displacement_m[span]) else span
 
 
 def is_held_throughout(recording: Recording, axis: str) -> bool:
