@@ -25,7 +25,7 @@ class ResponsePath:
 
     output, drive      names of the axes
     response_m_per_V   (lines,)  complex, never zero
-    coherence          (lines,)  magnitude squared, 0 to 1; None where it was not measured
+    coherence          (lines,)  magnitude squared, 0 to 1; None if it was not measured
     """
 
     output: str
@@ -50,12 +50,12 @@ class ResponsePath:
 
     @property
     def is_self_response(self) -> bool:
-        """Whether it is the response of an axis to its own drive."""
+        """Whether output and drive belong to the same axis."""
         return self.output == self.drive
 
     @property
     def is_coherent(self) -> NDArray[np.bool_]:
-        """Whether each line may be used, (lines,)."""
+        """Whether the coherence of each line is sufficient, (lines,)."""
         if self.coherence is None:
             return np.ones(len(self.response_m_per_V), dtype=np.bool_)
         return np.asarray(self.coherence >= MIN_COHERENCE)
@@ -68,9 +68,9 @@ class FrequencyResponseRecord:
     name, digest    of the file
     frequency_Hz    (lines,)  > 0, increasing
     paths           no two of the same output and drive
-    axis_is_named   whether the file or lab.toml says which axis; it is called x here otherwise
-    includes        poles of the rig that the measurement went through, of ``CHAIN``
-    statements        what was met on reading
+    axis_is_named   whether the file or lab.toml names the axis; otherwise it is x
+    includes        poles of the rig within the measured response, of ``CHAIN``
+    statements      problems of the file
     """
 
     name: str
@@ -104,11 +104,11 @@ class FrequencyResponseRecord:
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """The axes whose response to their own drive was measured."""
+        """Names of the axes with a measured response to their own drive."""
         return tuple(path.output for path in self.paths if path.is_self_response)
 
     def renamed(self, axis: str) -> "FrequencyResponseRecord":
-        """Return the record under the name of an axis, if the file names none."""
+        """Return the record of a single axis under another name of the axis."""
         paths = tuple(replace(path, output=axis, drive=axis) for path in self.paths)
         return replace(self, paths=paths, axis_is_named=True)
 

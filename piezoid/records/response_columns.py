@@ -1,6 +1,7 @@
 """Assign the columns of a frequency response, from lab.toml or from headings.
 
-A file is one where a column is a frequency, swept, and no column is a time, or lab.toml says so.
+A file is a frequency response if a column is a swept frequency and no column is a time, or if
+lab.toml declares one.
 """
 
 import re
@@ -19,7 +20,7 @@ from piezoid.records.response_units import AMPLITUDES, Kind, base_name, unit_in_
 from piezoid.records.table import Column, RawTable
 
 _GAINS = AMPLITUDES | {Kind.DECIBEL}
-# Words that name a part, and the units it may be in.
+# Words that name a part of a response, and the units it may have.
 _PARTS: dict[str, tuple[set[str], frozenset[Kind]]] = {
     "frequency": (
         {"frequency", "freq", "f", "frequenz", "omega"},
@@ -34,12 +35,12 @@ _PARTS: dict[str, tuple[set[str], frozenset[Kind]]] = {
     "imaginary": ({"imaginary", "imag", "im"}, _GAINS),
     "coherence": ({"coherence", "coh", "msc", "koh", "kohärenz"}, frozenset({Kind.SHARE})),
 }
-COMPLEX = "response"  # one name of lab.toml for both columns a complex array is read as
+COMPLEX = "response"  # name in lab.toml of a complex array, which is read as two columns
 _NAMES = (
     *("frequency", "magnitude", "phase", "real", "imaginary", "coherence", "excitation"),
     COMPLEX,
 )
-# A frequency that is measured, not swept; a property of a fit; a spread.
+# Words of columns that are no part of a response: a measured frequency, a fit, a spread.
 _OTHER_WORDS = {"shift", "std", "stddev", "error", "fit", "model", "residual", "set", "setpoint"}
 _TOKENS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöü]+|\d+")
 _LETTERS = "xyz"
@@ -48,16 +49,16 @@ _AXIS = re.compile(r"(?<![a-zA-Z])[HGhg]?_?([xyz])(?![a-zA-Z])")
 _AXIS_NUMBERS = re.compile(r"\((\d),(\d)\)|(?<![a-zA-Z])[HGhg]_?([1-3])([1-3])(?!\d)")
 
 Pair = tuple[str, str]  # axis that moves, axis that is driven
-Part = tuple[str, Pair | None, Column]  # name, axes if it names any, column
+Part = tuple[str, Pair | None, Column]  # name, axes or None without any, column
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ResponseColumns:
     """The columns of one response.
 
-    frequency  what the others are a function of
-    paths      by output and drive, the columns by their part
-    by_number  whether axes were numbered, and 1, 2, 3 are read as x, y, z
+    frequency  the swept column
+    paths      columns by their part, by output and drive
+    by_number  whether the axes are numbered; 1, 2, 3 are read as x, y, z
     is_named   whether the file or lab.toml names an axis
     """
 
@@ -68,7 +69,7 @@ class ResponseColumns:
 
 
 def is_response(table: RawTable, entry: RecordingEntry | None) -> bool:
-    """Whether a table is a frequency response: by the names in lab.toml, else by its headings."""
+    """Return whether a table is a frequency response, by the entry or else by its headings."""
     if entry is not None and entry.columns:
         return "frequency" in entry.columns
     parts = _parts_by_heading(table)
@@ -78,7 +79,7 @@ def is_response(table: RawTable, entry: RecordingEntry | None) -> bool:
         names_of_pair.setdefault(pair, set()).add(part)
     is_complete = any(map(_is_complete, names_of_pair.values()))
     if swept and clocks_of(table):
-        # Beside a clock a frequency is swept where it goes one way only.
+        # In a table with a clock a swept frequency rises or falls throughout.
         steps = [np.diff(c.values[np.isfinite(c.values)]) for c in swept]
         return is_complete and any(len(s) and ((s > 0).all() or (s < 0).all()) for s in steps)
     quantities = {
@@ -89,15 +90,15 @@ def is_response(table: RawTable, entry: RecordingEntry | None) -> bool:
 
 
 def response_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> ResponseColumns:
-    """Assign a role to each column, or refuse with the columns and the lines to write."""
+    """Assign a role to each column; errors contain the lines to write into lab.toml."""
     _check_entry(lab, entry)
     clocks = clocks_of(table)
     if clocks and not entry.columns:
         raise RecordingError(
-            f"{table.name}: {clocks[0].place} is a time, and beside it there is a frequency with "
-            "a response: a recording over time and a frequency response in one file",
+            f"{table.name}: {clocks[0].place} is a time, and there is also a frequency with a "
+            "response: a recording over time and a frequency response in one file",
             needed="one of the two",
-            remedy="Say which by naming its columns in lab.toml; for the response:\n\n"
+            remedy="Name the columns of one of them in lab.toml; for the response:\n\n"
             f"{response_block(table)}\n",
         )
     parts = _parts_by_entry(table, lab, entry) if entry.columns else _parts_by_heading(table)
@@ -142,7 +143,7 @@ def part_of(column: Column) -> str | None:
         return "real" if column.label.startswith("real(") else "imaginary"
     unit = unit_in_heading(column)
     if unit is None and column.heading.unit is not None:
-        return None  # of forces, times and currents
+        return None  # a force, a time or a current
     for part, (names, kinds) in _PARTS.items():
         if words & names and (unit is None or unit.kind in kinds):
             return part
@@ -160,7 +161,7 @@ def _parts_by_heading(table: RawTable) -> list[Part]:
 
 
 def _pair_in(label: str) -> Pair | None:
-    """Return the output and the drive that a heading names."""
+    """Return the output and the drive that a heading names, or None."""
     if match := _AXIS_NUMBERS.search(label):
         i, j = (int(number) - 1 for number in match.groups() if number is not None)
         return (_LETTERS[i], _LETTERS[j]) if max(i, j) < len(_LETTERS) else None
@@ -198,7 +199,7 @@ def _parse_name(key: str) -> tuple[str, Pair | None]:
 
 
 def _check_entry(lab: Lab, entry: RecordingEntry) -> None:
-    """Refuse names and keys of an entry that a frequency response cannot have."""
+    """Refuse the names and keys of an entry that frequency responses do not have."""
     for key in (*entry.columns, *entry.units, *entry.scale):
         if _parse_name(key)[0] not in _NAMES:
             raise LabFileError(
@@ -220,7 +221,10 @@ def _check_entry(lab: Lab, entry: RecordingEntry) -> None:
 def _assign_axes(
     table: RawTable, entry: RecordingEntry, paths: Mapping[Pair | None, dict[str, Column]]
 ) -> tuple[dict[Pair, dict[str, Column]], bool]:
-    """Assign columns without an axis to that of the entry, or of the only response, else x."""
+    """Return the columns by path, and whether an axis is named.
+
+    Columns without an axis belong to the axis of the entry, to the only response, or else to x.
+    """
     by_pair = {pair: columns for pair, columns in paths.items() if pair is not None}
     unnamed = paths.get(None, {})
     if not unnamed:
@@ -231,7 +235,7 @@ def _assign_axes(
             return {pair: {**columns, **unnamed}}, True
     if by_pair and entry.axis is None:
         locations = " and ".join(column.place for column in unnamed.values())
-        raise ambiguous_response(table, f"{locations} names no axis, beside others that do")
+        raise ambiguous_response(table, f"{locations} names no axis, unlike other columns")
     axis = entry.axis or "x"
     return {(axis, axis): unnamed, **by_pair}, entry.axis is not None
 
@@ -239,7 +243,7 @@ def _assign_axes(
 def ambiguous_response(table: RawTable, reason: str) -> UnitError:
     """Return an error with the columns and the lines of lab.toml that resolve the ambiguity."""
     return UnitError(
-        f"{table.name}: a frequency response, of which {reason} (seen: {first_values(table)})",
+        f"{table.name}: a frequency response: {reason} (seen: {first_values(table)})",
         needed="a frequency in Hz, kHz or rad/s; magnitude in m/V, um/V, nm/V, V/V or decibels of "
         "one of these, with phase in deg or rad; or real and imaginary part",
         remedy="Write into lab.toml, with the headings or numbers (from 1) and units of your "
@@ -253,7 +257,7 @@ def response_block(table: RawTable) -> str:
     column_of = {part: column for column in table.columns if (part := part_of(column))}
     labels = {part: column.label for part, column in column_of.items()}
     parts = ["real", "imaginary"] if "real" in column_of else ["magnitude", "phase"]
-    if labels.get("real", "").startswith("real("):  # of a complex array
+    if labels.get("real", "").startswith("real("):  # a complex array
         parts, labels[COMPLEX] = [COMPLEX], labels["real"][len("real(") : -1]
     symbols = {}
     for part in ("frequency", *parts):

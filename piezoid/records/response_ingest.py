@@ -35,14 +35,15 @@ from piezoid.records.response_units import (
 from piezoid.records.table import RawTable
 from piezoid.statement import Statement, finding
 
-# A mode turns the phase by half a turn, a delay along a straight line: the phase of ten modes
-# strays from its own line by less. Degrees taken for radians stray by 180 for each mode.
+# Range of the phase about its regression line. A mode turns the phase by half a turn, a delay
+# along a straight line: the phase of ten modes deviates by less. Degrees read as radians deviate
+# by 180 for each mode.
 MAX_STRAY_rad = 10.0 * np.pi
-# A gain that changes so much turns the phase by tens of degrees (Bode); radians taken for degrees
-# stay within one turn's 6.3.
+# With such a change of the gain the phase changes by tens of degrees (Bode); radians read as
+# degrees stay within 6.3.
 MIN_GAIN_CHANGE_dB = 6.0
 MAX_RADIANS_deg = 2.0 * np.pi
-REMOVE_ROWS = "Take these rows out of the file; gaps between frequencies are allowed."
+REMOVE_ROWS = "Remove these rows from the file; gaps between frequencies are allowed."
 
 
 def ingest_response(
@@ -50,8 +51,8 @@ def ingest_response(
 ) -> FrequencyResponseRecord:
     """Make a frequency response of a table that ``is_response`` recognises.
 
-    Raises ``UnitError`` for what has no unit or meaning, ``RecordingError`` for numbers that are
-    no response, ``LabFileError`` where lab.toml names what is not there.
+    Raises ``UnitError`` for a column without unit or meaning, ``RecordingError`` for invalid
+    numbers, ``LabFileError`` if lab.toml names a column that the file does not have.
     """
     entry = RecordingEntry(file=table.name) if entry is None else entry
     columns = response_columns(table, lab, entry)
@@ -64,7 +65,7 @@ def ingest_response(
                 needed="a number in every row of a frequency response",
                 remedy=REMOVE_ROWS,
             )
-    # A complex array is read in two parts, which is no finding here.
+    # A complex array is valid input here.
     statements = [s for s in table.statements if s.quantity != "complex"]
     frequency_Hz, rows = _frequency_Hz(table, entry, columns, statements)
     paths = [
@@ -88,7 +89,7 @@ def ingest_response(
 def _frequency_Hz(
     table: RawTable, entry: RecordingEntry, columns: ResponseColumns, statements: list[Statement]
 ) -> tuple[Array, NDArray[np.intp]]:
-    """Return the frequencies above zero, rising, and their rows of the table."""
+    """Return the frequencies above zero in rising order, and their rows of the table."""
     column, symbol = columns.frequency, entry.units.get("frequency")
     unit = unit_in_heading(column) if symbol is None else response_unit(symbol)
     if unit is None or unit.kind is not Kind.FREQUENCY:
@@ -134,7 +135,7 @@ def _frequency_Hz(
 
 @dataclass(frozen=True, eq=False)
 class _PathReader:
-    """The columns of one path: how an output responds to a drive.
+    """Reader of the columns of one path: the response of an output to a drive.
 
     rows  (lines,)  of the table
     """
@@ -153,7 +154,7 @@ class _PathReader:
             location = parts["real"].place
             response = self._amplitude("real") + 1j * self._amplitude("imaginary")
             if "magnitude" in parts:
-                text = "real and imaginary part are read; magnitude and phase say the same again"
+                text = "real and imaginary part are read; magnitude and phase are redundant"
                 statements.append(finding("said_twice", text, place=location))
         else:
             location, size = parts["magnitude"].place, self._amplitude("magnitude")
@@ -161,8 +162,8 @@ class _PathReader:
                 size < 0,
                 "magnitude",
                 needed="a magnitude above zero",
-                remedy="If it is in decibels, say so in lab.toml: units = { magnitude = "
-                '"dB re 1 um/V" }, or of whatever its 0 dB is.',
+                remedy="If it is in decibels, write units = { magnitude = "
+                '"dB re 1 um/V" }, or the actual reference of 0 dB, into lab.toml.',
             )
             response = size * np.exp(1j * self._angle_rad(size, frequency_Hz))
         zero = np.flatnonzero(response == 0)
@@ -181,7 +182,7 @@ class _PathReader:
         )
 
     def _values(self, part: str) -> tuple[Array, ResponseUnit | None]:
-        """Return a column as it was found, and its unit by lab.toml or by its heading."""
+        """Return the values of a column, and its unit from lab.toml or its heading."""
         column = self.columns.paths[self.pair][part]
         symbol = self._declaration(self.entry.units, part)
         unit = unit_in_heading(column) if symbol is None else response_unit(symbol)
@@ -204,7 +205,7 @@ class _PathReader:
     def _refuse_rows(
         self, is_refused: NDArray[np.bool_], part: str, *, needed: str, remedy: str
     ) -> None:
-        """Refuse a column by the first of its values that cannot be."""
+        """Refuse a column with an impossible value; the error names the first one."""
         if is_refused.any():
             column, row = self.columns.paths[self.pair][part], int(self.rows[is_refused.argmax()])
             raise RecordingError(
@@ -215,13 +216,16 @@ class _PathReader:
             )
 
     def _amplitude(self, part: str) -> Array:
-        """Return magnitude, real or imaginary part in m/V, or in m beside an excitation."""
+        """Return magnitude, real or imaginary part in m/V, or in m if there is an excitation."""
         values, unit = self._values(part)
         if unit is None:
             raise self._ambiguous(part, "has no unit")
         if unit.kind is Kind.DECIBEL:
-            state = "is in dB, and nothing says of what: write 'dB re 1 um/V', or of whatever its "
-            raise self._ambiguous(part, f"{state}0 dB is")
+            raise self._ambiguous(
+                part,
+                "is in dB without a reference: write 'dB re 1 um/V', or the actual reference of "
+                "0 dB",
+            )
         if unit.kind not in AMPLITUDES:
             raise self._ambiguous(part, f"is in {unit.symbol}")
         scale = self._declaration(self.entry.scale, part)
@@ -229,8 +233,8 @@ class _PathReader:
         if unit.kind in (Kind.LENGTH, Kind.VOLTAGE) and not has_excitation and scale is None:
             raise self._ambiguous(
                 part,
-                f"is in {unit.symbol}, an amplitude and not yet a response: the drive's is "
-                "needed, as a column 'excitation' or as scale = { response = 1 / volts }",
+                f"is in {unit.symbol}, an amplitude and not a response: the amplitude of the "
+                "drive is needed, as a column 'excitation' or as scale = { response = 1 / volts }",
             )
         values = 10.0 ** (values / 20.0) if unit.is_decibel else values
         if unit.kind in (Kind.VOLTAGE, Kind.VOLTAGE_GAIN):
@@ -243,7 +247,7 @@ class _PathReader:
         return np.asarray(values * unit.factor * (1.0 if scale is None else scale))
 
     def _angle_rad(self, size: Array, frequency_Hz: Array) -> Array:
-        """Return the phase, or refuse a phase that is obviously in the other unit."""
+        """Return the phase; refuse one that is obviously in the other unit."""
         values, unit = self._values("phase")
         if unit is None or unit.kind is not Kind.ANGLE:
             state = "has no unit" if unit is None else f"is in {unit.symbol}"
@@ -260,17 +264,16 @@ class _PathReader:
         if is_wrong:
             location = self.columns.paths[self.pair]["phase"].place
             raise UnitError(
-                f"{self.table.name}: {location} is said to be in {unit.symbol} and reaches "
-                f"{largest:.4g} while the gain changes by {changed_dB:.3g} dB: obviously other "
-                "units",
-                needed=f"the phase in the unit it is written in; {likely} would fit",
-                remedy="If it is, write into lab.toml:\n\n[[recording]]\n"
+                f"{self.table.name}: {location} is declared in {unit.symbol} and reaches "
+                f"{largest:.4g} while the gain changes by {changed_dB:.3g} dB: the unit is wrong",
+                needed=f"the true unit of the phase; {likely} is plausible",
+                remedy="If that is the unit, write into lab.toml:\n\n[[recording]]\n"
                 f'file = {dumps(self.table.name)}\nunits = {{ phase = "{likely}" }}\n',
             )
         return np.asarray(angle_rad)
 
     def _per_excitation(self, response: ComplexArray) -> ComplexArray:
-        """Return the response of a displacement's amplitude over that of the drive."""
+        """Return the response: the amplitude of the displacement over that of the drive."""
         values, unit = self._values("excitation")
         if unit is None or unit.kind is not Kind.VOLTAGE:
             raise self._ambiguous("excitation", "is an excitation that is not in volts")
@@ -278,7 +281,7 @@ class _PathReader:
             ~(values > 0),
             "excitation",
             needed="an amplitude above zero: the response is divided by it",
-            remedy="Take these rows out of the file, or name another column.",
+            remedy="Remove these rows from the file, or name another column.",
         )
         return np.asarray(response / (values * unit.factor))
 

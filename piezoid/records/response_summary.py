@@ -13,18 +13,18 @@ from piezoid.records.frequency_response import (
 )
 
 MIN_PROMINENCE_dB = 3.0  # of a peak above both of its sides
-MIN_PEAK = 0.1  # of the gain of the lowest lines: noise far above all modes has peaks as well
-LOW_FREQUENCY = 0.1  # of a mode's frequency: there it lifts the response by 1 % at most
-MIN_LOW_LINES = 3  # stand for low frequency where none is so far below
+MIN_PEAK = 0.1  # of the gain of the lowest lines: noise above all modes has peaks, too
+LOW_FREQUENCY = 0.1  # of a mode's frequency; below, the mode raises the response by 1 % at most
+MIN_LOW_LINES = 3  # lowest lines that count as low frequency in any case
 
 
 @dataclass(frozen=True, kw_only=True)
 class Peak:
-    """A maximum of a response that looks like a mode, without a fit.
+    """A maximum of a response that is probably a mode.
 
     frequency_Hz  of the highest line
-    quality       frequency over the width at which the gain is 3 dB lower; None where a side does
-                  not fall so far
+    quality       frequency over the width at which the gain is 3 dB lower; None if a side does not
+                  fall so far
     """
 
     frequency_Hz: float
@@ -33,12 +33,12 @@ class Peak:
 
 @dataclass(frozen=True, kw_only=True)
 class PathSummary:
-    """One path, at first sight.
+    """Summary of one path.
 
-    gain_m_per_V  size of the response far below the first peak, or of its lowest lines
-    has_coherence whether it was measured
-    coherent      lines that may be used
-    peaks         that look like modes
+    gain_m_per_V   gain far below the first peak, or of the lowest lines
+    has_coherence  whether the coherence was measured
+    coherent       number of usable lines
+    peaks          maxima that are probably modes
     """
 
     output: str
@@ -53,8 +53,8 @@ class PathSummary:
 class Coupling:
     """Motion of another axis by the same drive, relative to that of the axis of the drive.
 
-    low          median of |G_od / G_dd| far below the first apparent mode, or of the lowest lines
-    at_mode      at the first apparent mode of the drive's axis; None where there is none
+    low      median of |G_od / G_dd| far below the first apparent mode, or of the lowest lines
+    at_mode  |G_od / G_dd| at the first apparent mode of the drive's axis, or None
     """
 
     output: str
@@ -65,7 +65,7 @@ class Coupling:
 
 @dataclass(frozen=True, kw_only=True)
 class ResponseSummary:
-    """One frequency response, at first sight.
+    """Summary of one frequency response.
 
     lowest_Hz, highest_Hz, lines  its band
     includes   poles of the rig it was measured through
@@ -119,7 +119,7 @@ def summary_of(record: FrequencyResponseRecord) -> ResponseSummary:
 def apparent_modes(frequency_Hz: Array, path: ResponsePath) -> tuple[Peak, ...]:
     """Return the coherent maxima that rise by ``MIN_PROMINENCE_dB`` above both of their sides.
 
-    Those below ``MIN_PEAK`` of the gain of the lowest lines do not count.
+    Maxima below ``MIN_PEAK`` of the gain of the lowest lines are ignored.
     """
     from scipy.signal import find_peaks
 
@@ -148,7 +148,7 @@ def _quality(frequency_Hz: Array, gain: Array, peak: int) -> float | None:
 
 
 def _is_low(frequency_Hz: Array, peaks: tuple[Peak, ...]) -> NDArray[np.bool_]:
-    """Tell which lines lie far below the first peak, or else the lowest ones."""
+    """Return which lines lie far below the first peak; the lowest lines are included."""
     first_Hz = min((peak.frequency_Hz for peak in peaks), default=frequency_Hz[-1])
     is_low = np.asarray(frequency_Hz < LOW_FREQUENCY * first_Hz)
     is_low[:MIN_LOW_LINES] = True

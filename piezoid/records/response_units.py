@@ -11,7 +11,7 @@ from piezoid.records.units import BRACKETS, Dimension, unit_of
 
 
 class Kind(Enum):
-    """Kind of a unit: a share is a ratio, a decibel one of an unknown reference."""
+    """Quantity of a unit: SHARE is a ratio, DECIBEL a gain with an unknown reference."""
 
     FREQUENCY = auto()
     ANGLE = auto()
@@ -69,7 +69,7 @@ _UNITS_AT_END = (
 
 
 def response_unit(text: str) -> ResponseUnit | None:
-    """Return the unit of a text; None if it is no unit of a frequency response."""
+    """Return the unit that a text names; None if it is not a unit of a frequency response."""
     symbol = " ".join(text.split())
     name = symbol.lower()
     if name in _ANGLES:
@@ -104,10 +104,10 @@ def base_name(label: str) -> str:
 
 
 def unit_in_heading(column: Column) -> ResponseUnit | None:
-    """Return the unit of a column by what the format or its heading states, else None."""
+    """Return the unit of a column that the format or its heading states, else None."""
     stated = [column.declared_unit] if column.declared_unit.strip() else []
     label = base_name(" ".join(column.label.split()))
-    # A row of units has lost its outer brackets: of ``(dB (um/V))`` the last one is missing.
+    # Units from a row of units lack the outer brackets: ``(dB (um/V))`` becomes ``dB (um/V``.
     stated += [text + ")" for text in stated if text.count("(") > text.count(")")]
     stated += [a or b for a, b in reversed(BRACKETS.findall(label))]
     stated += [match.group(1) for end in _UNITS_AT_END if (match := end.match(label))]

@@ -101,7 +101,7 @@ def test_decibels_of_nothing_are_refused_with_the_line_that_mends_it(tmp_path: P
         "Frequency (Hz),Magnitude (dB),Phase (deg)",
         *(FREQUENCY_Hz, DECIBEL, ANGLE_deg),
     )
-    with pytest.raises(RecordingError, match="is in dB, and nothing says of what"):
+    with pytest.raises(RecordingError, match="is in dB without a reference"):
         collect([path])
     lab = lab_of(tmp_path, 'file = "a.csv"\nunits = { magnitude = "dB re 1 um/V" }\n')
     assert_true(only(path, lab))
@@ -123,7 +123,7 @@ def test_an_amplitude_of_a_lock_in_is_divided_by_its_excitation(tmp_path: Path) 
     rows = np.column_stack([FREQUENCY_Hz, np.abs(G) * excitation, ANGLE_deg, excitation])
     text = "\n".join("\t".join(f"{x:.10e}" for x in row) for row in rows)
     (tmp_path / name).write_text(f"{head}{names}\n{text}\n")
-    with pytest.raises(RecordingError, match="an amplitude and not yet a response"):
+    with pytest.raises(RecordingError, match="an amplitude and not a response"):
         collect([tmp_path / name])
     assert_true(only(tmp_path / name, lab_of(tmp_path, f'file = "{name}"\n{columns}')))
 
@@ -200,7 +200,7 @@ WRONG = {
     "below zero": (changed(1, -3.0), "is -3 at line 42. Needed: a magnitude above zero"),
     "radians called degrees": (
         [FREQUENCY_Hz, SIZE_um, np.angle(G)],
-        r"obviously other units\. .*rad would fit",
+        r"the unit is wrong\. .*rad is plausible",
     ),
 }
 
@@ -221,7 +221,7 @@ def test_numbers_that_are_no_response_are_refused_with_their_place(
 def test_degrees_called_radians_are_refused(tmp_path: Path) -> None:
     heading = "f [Hz],gain [um/V],phase [rad]"
     path = write_csv(tmp_path / "a.csv", heading, FREQUENCY_Hz, SIZE_um, ANGLE_deg)
-    with pytest.raises(RecordingError, match="deg would fit"):
+    with pytest.raises(RecordingError, match="deg is plausible"):
         collect([path])
 
 
