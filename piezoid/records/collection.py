@@ -69,9 +69,11 @@ def collection_of(source: object) -> Collection:
     """
     if isinstance(source, Collection):
         return source
-    is_single = isinstance(source, Recording) or not isinstance(source, Iterable)
+    items = (
+        [source] if isinstance(source, Recording) or not isinstance(source, Iterable) else source
+    )
     recordings: list[Recording] = []
-    for recording in [source] if is_single else source:
+    for recording in items:
         if not isinstance(recording, Recording):
             raise RecordingError(
                 f"{type(recording).__name__} given as a recording",

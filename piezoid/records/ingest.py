@@ -207,7 +207,7 @@ def _make_channels(
                     is_invalid[k],
                     column=assigned.column.place,
                     unit=assigned.unit,
-                    place_of=lambda k: table.row_name(rows.source_row(k)),
+                    row_name=lambda k: table.row_name(rows.source_row(k)),
                 )
             )
     channels = tuple(

@@ -1,10 +1,10 @@
 """Checks of recordings: each reports a problem of the data and changes nothing.
 
 Start at gain.py. A check is a function that returns a list of statements, empty for clean data:
-``check_...(recording, axis)`` of an axis with drive and displacement,
-``check_...(recording, lab)`` of a recording, or ``check_...(recordings)`` of the recordings of a
+``check_...(recording, axis)`` for an axis with drive and displacement,
+``check_...(recording, lab)`` for a recording, or ``check_...(recordings)`` for the recordings of a
 stage together.
-May import recordings, the laboratory and signal statistics; never the ingest that calls it.
+May import recordings, the laboratory and signal statistics, but not ingest.py, which calls it.
 To add a check, add a file and its line in ``AXIS_CHECKS``, ``CHECKS`` or ``SET_CHECKS``;
 ``tests/records/test_checks.py`` runs them all over clean recordings.
 """
@@ -46,10 +46,10 @@ AXIS_CHECKS: tuple[Callable[[Recording, str], list[Statement]], ...] = (
     check_saturation,
     check_commanded_displacement,
 )
-# Statements about a displacement to which no model may be fitted.
+# Quantities of statements about a displacement that is not fitted.
 UNUSABLE = frozenset({"not_measured", "wrapped"})
 SetCheck = Callable[[Sequence[Recording]], list[Statement]]
-# Recordings that contradict the others are left out of the comparisons of the second list.
+# The second list compares only recordings that do not contradict the others.
 SET_CHECKS: tuple[SetCheck, ...] = (check_mixed_units, check_consistency, check_copies)
 SET_CHECKS_OF_CONSISTENT: tuple[SetCheck, ...] = (
     check_drive_ranges,
@@ -78,7 +78,7 @@ def check_set(recordings: Sequence[Recording]) -> list[Statement]:
 
 
 def refuse_unusable(recordings: Sequence[Recording]) -> None:
-    """Refuse a displacement that no sensor measured, and recordings that contradict each other.
+    """Refuse a displacement that was not measured, and recordings that contradict each other.
 
     Raises ``RecordingError`` with the sentence that ``piezoid inspect`` shows.
     """

@@ -11,9 +11,9 @@ from piezoid.records.sample_statistics import clipped_samples, clipped_share, is
 from piezoid.records.table import Column, RawTable
 from piezoid.statement import Statement, finding
 
-# A counter that overflows jumps over nearly its whole range while the drive makes no step. Within
-# NEIGHBOURS samples on either side it does not jump back, and within MAX_CONSTANT it does not stay
-# at one value, as a lost reading does.
+# An overflowing counter jumps over nearly its whole range while the drive makes no step. Unlike a
+# lost reading it does not jump back within NEIGHBOURS samples on either side, and is not constant
+# over MAX_CONSTANT.
 MIN_JUMP, MIN_DRIVE_STEP = 0.8, 0.1  # of the range
 NEIGHBOURS, MAX_CONSTANT = 5, 500
 
@@ -21,7 +21,8 @@ NEIGHBOURS, MAX_CONSTANT = 5, 500
 def check_columns(table: RawTable, quantities: Mapping[int, Quantity]) -> list[Statement]:
     """Report faults of single columns, including columns that are not read.
 
-    quantities  of the columns that become channels, by number; only these can be clipped
+    quantities  by the number of the column, of columns that become channels; only these are
+                tested for clipping
     """
     statements: list[Statement] = []
     first_with_values: dict[bytes, Column] = {}
@@ -66,8 +67,8 @@ def check_columns(table: RawTable, quantities: Mapping[int, Quantity]) -> list[S
 def overflows(values: Array, drives: Sequence[Array]) -> Array:
     """Return the samples at which a reading jumps from one end of its range to the other.
 
-    drives  (samples,) each, of any axis, NaN where invalid: jumps near a step or an invalid sample
-            of a drive are legitimate; without a drive the result is empty
+    drives  (samples,) each, of any axis, NaN for invalid samples. Jumps near a step or an invalid
+            sample of a drive do not count; without a drive the result is empty
     """
     range_ = float(np.ptp(values))
     jump_samples = np.flatnonzero(np.abs(np.diff(values)) > MIN_JUMP * range_) + 1

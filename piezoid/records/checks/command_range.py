@@ -1,7 +1,7 @@
 """Report a drive outside the range of the controller: it was recorded behind the amplifier.
 
-Between converter and ceramic stands an amplifier. A loop is designed for, ships and is clipped to
-the voltage at its input; a recording of its output is off by the gain.
+The controller commands the input of the amplifier between converter and ceramic. A recording of
+the amplifier's output differs from the command by its gain.
 """
 
 import re
@@ -18,7 +18,7 @@ DRIVE_VOLTAGE_NOTE = (
     "not the high voltage at the ceramic."
 )
 HIGH_VOLTAGE = re.compile(r"(?<![A-Za-z])HV(?![A-Za-z])|high.?voltage", re.IGNORECASE)
-MAY_BE_HIGH_VOLTAGE = "may_be_high_voltage"  # statement about a heading
+MAY_BE_HIGH_VOLTAGE = "may_be_high_voltage"  # quantity of the statement about a heading
 ROUNDING = 1e-6  # of the range
 MONITOR_ERROR = 0.02  # of the range: noise and calibration of a monitor of the command
 
@@ -62,10 +62,10 @@ def check_command_range(recording: Recording, lab: Lab) -> list[Statement]:
 
 
 def command_range_V(lab: Lab, axis: str) -> Range_V | None:
-    """Return the admissible commands of an axis; None if lab.toml declares neither end.
+    """Return the range of admissible commands of an axis; None if lab.toml declares neither end.
 
-    They lie within the range of the converter and within the amplifier's output over its gain,
-    which is one if none is declared. An end that is not declared is infinite.
+    Commands lie within the range of the converter and within the amplifier's output over its gain,
+    which is 1 by default. An undeclared end is infinite.
     """
     amplifier = lab.amplifier_of(axis)
     low_V, high_V, gain = amplifier.output_min_V, amplifier.output_max_V, gain_of(amplifier)
@@ -85,7 +85,7 @@ def gain_of(amplifier: Amplifier) -> float:
 
 
 def exceeds_range(drive_V: Range_V, command_V: Range_V, *, tolerance: float = ROUNDING) -> bool:
-    """Tell whether a drive exceeds a range of commands by more than ``tolerance`` of it."""
+    """Return whether a drive exceeds a range of commands by more than ``tolerance`` of it."""
     span_V = command_V[1] - command_V[0]
     tolerance_V = tolerance * (span_V if isfinite(span_V) else drive_V[1] - drive_V[0])
     return drive_V[0] < command_V[0] - tolerance_V or drive_V[1] > command_V[1] + tolerance_V

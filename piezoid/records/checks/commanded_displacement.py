@@ -1,7 +1,7 @@
 """Report a displacement that was not measured: a command, or a column computed from the drive.
 
-Sorted by the drive, a displacement computed from it never falls. That of a measurement falls by
-its noise and, between rising and falling branches, by its hysteresis.
+Sorted by the drive, a displacement computed from it never falls. A measured one falls because of
+its noise and, between rising and falling branches, its hysteresis.
 """
 
 import numpy as np
@@ -14,9 +14,9 @@ from piezoid.statement import Statement, finding
 # Share of samples below an earlier one: at least 0.28 in 20 measured or simulated recordings that
 # go up and down, 1e-4 in a command on a grid of 12 bits behind a drive of six decimals.
 MAX_FALLING = 0.03
-MAX_SHIFT = 2  # samples between a command and the drive that it becomes
-MIN_LEVELS = 100  # a coarser reading hides its hysteresis within a step
-MIN_BRANCH = 0.2  # of the samples, rising and falling: a single branch never falls
+MAX_SHIFT = 2  # samples between a command and its output as the drive
+MIN_LEVELS = 100  # the hysteresis of a coarser reading may be smaller than a step
+MIN_BRANCH = 0.2  # of the samples, rising and falling: the displacement of one branch never falls
 
 
 def check_commanded_displacement(recording: Recording, axis: str) -> list[Statement]:
@@ -34,7 +34,7 @@ def check_commanded_displacement(recording: Recording, axis: str) -> list[Statem
 
 
 def is_function_of(drive: Array, displacement: Array) -> bool:
-    """Tell whether a displacement is an increasing function of its drive, without hysteresis.
+    """Return whether a displacement is an increasing function of its drive, without hysteresis.
 
     drive, displacement  (samples,)  any unit
     """
@@ -46,7 +46,7 @@ def is_function_of(drive: Array, displacement: Array) -> bool:
         stop = len(drive) - abs(shift)
         v, y = drive[max(-shift, 0) :][:stop], displacement[max(shift, 0) :][:stop]
         sign = np.sign(np.dot(v - v.mean(), y - y.mean()))
-        # Samples of one drive stay in the order of time, so that noise shows in a hold as well.
+        # A stable sort keeps the order in time at equal drive, to show the noise in a hold.
         by_drive = sign * y[np.argsort(v, kind="stable")]
         if np.mean(by_drive < np.maximum.accumulate(by_drive)) < MAX_FALLING:
             return True

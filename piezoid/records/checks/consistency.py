@@ -1,10 +1,10 @@
-"""Report recordings of a stage that do not fit the others: gain, unit or range of the drive.
+"""Report recordings of a stage that are inconsistent in gain, unit or range of the drive.
 
-A gain that contradicts the others has its cause in another unit, monitor, polarity or stage.
+A contradictory gain is caused by another unit, monitor, polarity or stage.
 
-The gain of each recording is estimated at the lowest frequencies of its drive, which hold a small
-share of the drive's power: a mode lies far above them in a sweep, and above tens of hertz in a
-chirp. Recordings are compared only where drive and displacement are coherent there.
+The gain of each recording is estimated at the lowest frequencies of its drive, with a small share
+of the drive's power: a mode lies far above them in a sweep, and above tens of hertz in a chirp.
+Only recordings with coherent drive and displacement at these frequencies are compared.
 """
 
 import json
@@ -28,16 +28,16 @@ from piezoid.records.sample_statistics import noise_rms
 from piezoid.statement import Statement, finding
 
 POWER_SHARE = 0.02  # of the drive, in the lowest lines
-FEWEST_LINES = 10  # the first two or three may show what is left of the stage's past, not its gain
-# Above this multiple of the lowest of these frequencies a mode may have turned the sign.
+MIN_LINES = 10  # the initial state of the stage may dominate the first two or three
+# Above this multiple of the lowest of the frequencies a mode may have reversed the sign.
 MAX_FREQUENCY_RATIO = 10.0
 SLOW_Hz = 1.0
 # A rest longer than this share of a recording is left out. A sine of one period stays within a
 # hundredth of its range for 0.06 of it, a step of a staircase mostly for less than a twentieth.
 MAX_REST = 0.1
 MIN_COHERENCE = 0.8
-# Ceramics move up to twice as far per volt over their full range as in small loops; a monitor has
-# a fifth of the drive at most.
+# Ceramics move up to twice as far per volt over their full range as in small loops; the output of
+# a monitor is a fifth of the drive at most.
 MAX_GAIN_RATIO = 3.0
 UNIT_TOLERANCE = 0.1  # decades over three, of a factor of a thousand
 MONITORS = (5, 10, 15, 20, 25, 30, 40, 50, 100, 200)
@@ -45,7 +45,7 @@ MONITORS = (5, 10, 15, 20, 25, 30, 40, 50, 100, 200)
 # size or speed differ more: by 1.17 between sweep and check of the bundled stage.
 MONITOR_TOLERANCE = 0.03
 LOOP_TOLERANCE = 0.25
-MIN_RANGE = 0.01  # of the widest drive; a smaller one shows nothing of the hysteresis
+MIN_RANGE = 0.01  # of the widest drive; the hysteresis cannot be identified from a smaller one
 _MAX_NAMES = 3  # in a message
 
 Range_V = tuple[float, float]
@@ -72,7 +72,7 @@ class LowFrequencyGain:
 
     @classmethod
     def of(cls, recording: Recording, axis: str) -> Self | None:
-        """Estimate it; None where the drive rests, the sensor shows noise or is under feedback."""
+        """Estimate the gain; None if the drive rests, or if there is no motion or a feedback."""
         moves = is_moving(recording.voltage_V(axis))
         voltage_V = recording.voltage_V(axis)[moves]
         displacement_m = recording.displacement_m(axis)[moves]
@@ -82,17 +82,17 @@ class LowFrequencyGain:
         is_motion = range_m > MIN_MOTION_NOISE * noise_rms(displacement_m)
         if not is_motion or held_span(recording, axis) is not None:
             return None
-        # A recording is seldom whole periods: without a window the lines of a multisine leak into
-        # the lowest ones. The means are those under the window; others would leak as well.
+        # A recording seldom has whole periods: without a window the lines of a multisine leak into
+        # the lowest ones. The window weights the means as well, since other means would leak.
         window = np.hanning(len(voltage_V) + 2)[1:-1]
         drive, response = (
             np.fft.rfft(window * (values - np.average(values, weights=window)))[1:]
             for values in (voltage_V, displacement_m)
         )
         power = np.abs(drive) ** 2
-        # Both neighbours of the last line are included: a sine is seldom whole in the recording.
+        # Both neighbours of the last line are included, since a sine seldom has whole periods.
         count = int(np.searchsorted(np.cumsum(power), POWER_SHARE * power.sum())) + 2
-        count = max(count, FEWEST_LINES)
+        count = max(count, MIN_LINES)
         drive, response, power = drive[:count], response[:count], power[:count]
         cross = complex(np.vdot(drive, response))
         energy = float(power.sum() * (np.abs(response) ** 2).sum())
@@ -114,10 +114,10 @@ class LowFrequencyGain:
 
 
 def is_moving(voltage_V: Array) -> NDArray[np.bool_]:
-    """Return which samples lie in no long rest of the drive, (samples,).
+    """Return which samples lie outside long rests of the drive, (samples,).
 
-    A stage creeps while its drive rests for minutes: the lowest frequencies of the whole recording
-    would show the creep, with any sign.
+    During a rest of minutes the stage creeps, and the lowest frequencies of the whole recording
+    would show the creep, of either sign.
     """
     length = max(int(MAX_REST * len(voltage_V)), 1)
     range_V = maximum_filter1d(voltage_V, length) - minimum_filter1d(voltage_V, length)
@@ -195,7 +195,7 @@ def _inconsistencies(recordings: Sequence[Recording]) -> list[tuple[Statement, s
 
 
 def refuse_inconsistent(recordings: Sequence[Recording]) -> None:
-    """Refuse recordings that contradict each other: one model of them would be of no stage.
+    """Refuse recordings that contradict each other, since no single model represents them.
 
     Raises ``RecordingError`` with the lines of lab.toml that would reconcile them.
     """
@@ -224,15 +224,15 @@ def refuse_inconsistent(recordings: Sequence[Recording]) -> None:
 
 
 def _entry(name: str, line: str) -> str:
-    """Return an entry of lab.toml about the file, of which the recording may be a part."""
+    """Return an entry of lab.toml about the file of a recording, which may be a part of it."""
     return f"[[recording]]\nfile = {json.dumps(name.partition(' (part ')[0])}\n{line}"
 
 
 def contradicts(gain: LowFrequencyGain, typical: LowFrequencyGain) -> bool:
-    """Return whether gain and range are those of another stage, unit or polarity.
+    """Return whether both gain and ratio of ranges differ, or whether the polarity is opposite.
 
-    Between two holds of nearly one level the lowest frequencies show hysteresis and creep more
-    than gain; the ratio of the ranges is then the better measure.
+    Between two holds of nearly one level the lowest frequencies show hysteresis and creep rather
+    than the gain; the ratio of the ranges is then the better measure.
     """
     if gain.gain_m_per_V * typical.gain_m_per_V <= 0.0:
         return True
@@ -243,7 +243,7 @@ def contradicts(gain: LowFrequencyGain, typical: LowFrequencyGain) -> bool:
 def typical_gain(gains: Sequence[LowFrequencyGain]) -> LowFrequencyGain:
     """Return the gain that agrees with most others.
 
-    Ties: a gain that stages have, then a positive one, then that of the widest drive range.
+    Ties are resolved by a plausible gain, then by a positive gain, then by the drive range.
     """
 
     def agreement(gain: LowFrequencyGain) -> tuple[int, bool, bool, float]:
@@ -265,7 +265,7 @@ def inconsistency(
     """Return the statement about one recording, and the line of lab.toml that would correct it."""
     ratio = gain.gain_m_per_V / typical.gain_m_per_V
     spans_V = [g.voltage_V[1] - g.voltage_V[0] for g in (gain, typical)]
-    # The drive is off, not the displacement, where its range is off by as much as the gain.
+    # If the range of the drive differs by the same factor as the gain, the drive is wrong.
     is_drive = abs(math.log(abs(ratio) * spans_V[0] / spans_V[1])) < abs(
         math.log(spans_V[0] / spans_V[1])
     )
@@ -323,7 +323,7 @@ def likely_cause(ratio: float, *, is_drive: bool) -> tuple[str, str]:
 
 
 def monitors_near(size: float) -> tuple[int, ...]:
-    """Return the ratios of monitors that a ratio of gains may come from; one if it is exact."""
+    """Return the ratios of monitors that may explain a ratio of gains; only one if it is exact."""
     distance = {monitor: abs(math.log(size / monitor)) for monitor in MONITORS}
     exact = tuple(m for m in MONITORS if distance[m] < MONITOR_TOLERANCE)
     return exact or tuple(m for m in MONITORS if distance[m] < LOOP_TOLERANCE)

@@ -1,7 +1,7 @@
 """Report recordings that duplicate another one.
 
-A copy differs by its printing or its unit alone; two recordings of one drive differ by the noise.
-A part of a file, or an export that overlaps, shares its rows.
+A copy differs only in its digits or its unit; two recordings of one drive differ by the noise. A
+part of a file, or an overlapping export, has common rows with it.
 """
 
 from collections.abc import Sequence
@@ -14,11 +14,11 @@ from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import noise_rms
 from piezoid.statement import Statement, finding
 
-MAX_DIFFERENCE = 0.3  # standard deviations of the noise; of two recordings it is 1.4
-MIN_ROWS = 100  # readings with noise in their digits do not agree in so many rows by chance
-MIN_SHARED = 0.5  # of the rows of the shorter recording, from which it is left out
+MAX_DIFFERENCE = 0.3  # standard deviations of the noise; two recordings differ by 1.4
+MIN_ROWS = 100  # noisy readings do not agree in so many rows by chance
+MIN_SHARED = 0.5  # of the rows of the shorter recording, which is then left out
 SAME_DRIVE = 1e-3  # rms of the difference of the standardised drives
-_FIRST_SAMPLES = 1000  # compared before whole recordings are
+_FIRST_SAMPLES = 1000  # compared before all samples are
 
 
 def check_copies(recordings: Sequence[Recording]) -> list[Statement]:
@@ -32,8 +32,8 @@ def check_copies(recordings: Sequence[Recording]) -> list[Statement]:
 def copies(recordings: Sequence[Recording]) -> dict[str, str]:
     """Return the name of the original by the name of each copy.
 
-    Of two equal recordings the later one is the copy; of two that share half of the rows of the
-    shorter one, the shorter.
+    The copy is the later of two equal recordings, or the shorter of two recordings that share half
+    of its rows.
     """
     original_of: dict[str, str] = {}
     for first, second in combinations(recordings, 2):
@@ -49,10 +49,10 @@ def copies(recordings: Sequence[Recording]) -> dict[str, str]:
 
 
 def shared_rows(first: Recording, second: Recording) -> int:
-    """Return how many successive rows of two recordings agree in drive and displacement.
+    """Return the number of successive rows of two recordings that agree.
 
-    The rows are compared at the offset at which most single rows agree. 0 where fewer than
-    ``MIN_ROWS`` rows in succession agree, or where one has no drive or displacement.
+    The rows are compared at the offset at which most single rows agree. The result is 0 for fewer
+    than ``MIN_ROWS`` rows, and without a drive or a displacement.
     """
     if first.axis != second.axis or not all(
         first.axis in recording.complete_axes for recording in (first, second)
@@ -76,7 +76,7 @@ def shared_rows(first: Recording, second: Recording) -> int:
 
 
 def is_copy(first: Recording, second: Recording) -> bool:
-    """Return whether two recordings have the same samples, whatever their unit."""
+    """Return whether two recordings have the same samples, in any unit."""
     axis = first.axis
     kinds = [{(c.quantity, c.axis) for c in r.channels} for r in (first, second)]
     if first.samples != second.samples or kinds[0] != kinds[1] or axis not in first.complete_axes:

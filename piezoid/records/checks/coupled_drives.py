@@ -3,8 +3,7 @@
     Y_i(f) = sum over axes j of H_ij(f) U_j(f)
 
 H is fitted by least squares to bands of neighbouring lines, in which it hardly changes. The
-contribution of a drive is the rms of H_ij U_j. Drives that are multiples of one another cannot be
-told apart, and nothing is reported.
+contribution of a drive is the rms of H_ij U_j. Nothing is reported for collinear drives.
 """
 
 from collections.abc import Mapping
@@ -17,10 +16,10 @@ from piezoid.records.recording import Quantity, Recording
 from piezoid.statement import Statement, finding
 
 MIN_SHARE = 0.3  # of the contribution of the axis' own drive; parasitic coupling is 0.01 to 0.1
-MIN_EXPLAINED = 0.5  # of the power that the axis' own drive leaves: hysteresis stays
-LINES_PER_DRIVE = 8  # of a band
-MIN_POWER = 1e-5  # of the strongest line of all drives: weaker lines carry noise
-MAX_CONDITION = 30.0  # of the drives in a band, of rms 1 each
+MIN_EXPLAINED = 0.5  # of the power that its own drive does not explain; the rest is hysteresis
+LINES_PER_DRIVE = 8  # in a band
+MIN_POWER = 1e-5  # of the strongest line of all drives: weaker lines are noise
+MAX_CONDITION = 30.0  # of the drives in a band, each scaled to rms 1
 MAX_SAMPLES = 1 << 17
 
 
@@ -53,8 +52,8 @@ def check_coupled_drives(recording: Recording, lab: Lab) -> list[Statement]:
     )
     names = ", ".join(f'"{axis}"' for axis in coupled)
     text = (
-        f"Several drives move one displacement: {pairs}. A model of each axis by itself cannot "
-        f"hold. Write into lab.toml: [coupled] axes = [{names}]"
+        f"Several drives move one displacement: {pairs}. Separate models of the axes are "
+        f"invalid. Write into lab.toml: [coupled] axes = [{names}]"
     )
     return [finding("coupled_drives", text, axis=coupled[0], value=max(shares.values()), unit="1")]
 
@@ -77,7 +76,7 @@ def drive_shares(drives: Mapping[str, Array], displacement: Array, axis: str) ->
     bands = np.array_split(
         driven_lines, max(len(driven_lines) // (LINES_PER_DRIVE * len(names)), 1)
     )
-    contributions, left_by_own, residual_power = np.zeros(len(names)), 0.0, 0.0
+    contributions, own_residual_power, residual_power = np.zeros(len(names)), 0.0, 0.0
     for band in bands:
         columns, target = lines[:-1, band].T, lines[-1, band]
         if np.linalg.cond(columns) > MAX_CONDITION:
@@ -85,8 +84,9 @@ def drive_shares(drives: Mapping[str, Array], displacement: Array, axis: str) ->
         response, residual = _least_squares(columns, target)
         contributions += np.abs(response) ** 2 * np.sum(np.abs(columns) ** 2, axis=0)
         residual_power += residual
-        left_by_own += _least_squares(columns[:, :1], target)[1]
-    if residual_power > (1.0 - MIN_EXPLAINED) * left_by_own or not contributions[0] > 0.0:
+        own_residual_power += _least_squares(columns[:, :1], target)[1]
+    is_explained = residual_power <= (1.0 - MIN_EXPLAINED) * own_residual_power
+    if not is_explained or not contributions[0] > 0.0:
         return {}
     ratios = np.sqrt(contributions / contributions[0])
     return {
@@ -97,5 +97,6 @@ def drive_shares(drives: Mapping[str, Array], displacement: Array, axis: str) ->
 
 
 def _least_squares(columns: ComplexArray, target: ComplexArray) -> tuple[ComplexArray, float]:
+    """Return the coefficients and the power of the residual."""
     response = np.asarray(np.linalg.lstsq(columns, target, rcond=None)[0], dtype=np.complex128)
     return response, float(np.sum(np.abs(target - columns @ response) ** 2))

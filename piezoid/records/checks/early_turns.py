@@ -1,13 +1,13 @@
 """Report displacement that turns before its drive: smoothed readings, or a drive sampled late.
 
-At a corner of the drive no causal stage, whatever its hysteresis and lag, moves ahead of the turn.
-With s_3, s_2, s_1 the mean slopes of the displacement over three spans of L samples before a turn
-and s_+ behind it,
+At a corner of the drive no causal stage moves ahead of the turn, for any hysteresis and lag. With
+s_3, s_2, s_1 the mean slopes of the displacement over three spans of L samples before a turn and
+s_+ behind it,
 
     phi(L) = sum over turns of (2 s_2 - s_3 - s_1) / sum over turns of (s_2 - s_+)
 
-is the share of the turn made L samples early, less the curvature of the branch. A centred window
-of 2 L samples gives a quarter, a drive stamped L samples late all of it.
+is the share of the turn made L samples early, less the curvature of the branch. It is a quarter
+for a centred window of 2 L samples, and 1 for a drive stamped L samples late.
 """
 
 from dataclasses import dataclass
@@ -22,22 +22,22 @@ from piezoid.records.reversals import noise_of, reversals_of
 from piezoid.statement import Statement, finding
 
 # In 273 recordings, of 30 stages of two other simulators and 39 healthy ones of the zoo, a share
-# above MIN_SHARE is at most 0.8 times the bends elsewhere, and the noise there grows 1.25 times;
-# readings smoothed by a centred window have 3 times the noise.
-MIN_TURNS = 2  # of each kind, upper and lower
+# above MIN_SHARE is at most 0.8 times the largest bend elsewhere, and the noise grows 1.25 times.
+# In readings smoothed by a centred window it grows 3 times.
+MIN_TURNS = 2  # upper and lower turns each
 MIN_SPAN = 4  # samples
 SPANS_PER_BRANCH = 8
 MIN_SHARE = 0.1
 MIN_CONTRAST = 2.0  # over the largest bend of the branch elsewhere: ringing, fringes, codes
-MAX_DRIVE_SHARE = 0.03  # of the drive itself: a drive without corners, as a sine, is not judged
+MAX_DRIVE_SHARE = 0.03  # phi of the drive itself: a drive without corners (a sine) is not tested
 NEAR_MAXIMUM = 0.9  # of the largest product of share and span
 MIN_NOISE_GROWTH = 2.0  # white noise is equal over any distance; smoothed noise grows
-LATE_SHARE = 0.5  # more than a window makes: the drive is late
+LATE_SHARE = 0.5  # larger than by a window: the drive is late
 
 
 @dataclass(frozen=True, kw_only=True)
 class EarlyTurn:
-    """How much of a turn the displacement makes how early.
+    """Share of the turns that the displacement makes a number of samples early.
 
     samples       L
     share         phi(L), the smaller of upper and lower turns
@@ -80,8 +80,8 @@ def early_turn(drive: Array, displacement: Array) -> EarlyTurn | None:
 
     drive, displacement  (samples,)  any unit, without gaps
 
-    The span is the shortest whose product with the share is near the maximum: beyond half the
-    window of a filter, the share falls as 1 / L.
+    The result is for the shortest span with a product of share and span near the maximum: for
+    spans longer than half the window of a filter the share falls as 1 / L.
     """
     if not np.ptp(drive) > 0.0 or not np.ptp(displacement) > 0.0:
         return None

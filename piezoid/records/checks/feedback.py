@@ -19,9 +19,9 @@ from piezoid.statement import Statement, finding
 BLOCKS = 100
 MIN_HELD_BLOCKS = 10
 MIN_MISSING_NOISE = 5.0  # standard deviations of the noise
-# Where no motion shows the gain: share of the drive's range. 0.57 in the hold of a real approach.
+# Of the drive's range, if the gain is unknown for lack of motion; 0.57 in the hold of an approach.
 MIN_DRIVE_SHARE = 0.3
-MIN_THROUGHOUT = 0.9  # of the samples; in the rest the loop settles. 0.98 in that real hold
+MIN_THROUGHOUT = 0.9  # of the samples; the loop settles in the others. 0.98 in the same hold
 
 
 def check_feedback(recording: Recording, axis: str) -> list[Statement]:
@@ -68,7 +68,7 @@ def held_span(recording: Recording, axis: str) -> slice | None:
     )
     noise_m, range_m = noise_rms(displacement_m), float(np.ptp(block_m))
     first, stop = _longest_within(block_m, noise_m)
-    # The same number throughout is a dead channel, which is reported elsewhere.
+    # check_columns reports a channel that is constant throughout.
     if stop - first < MIN_HELD_BLOCKS or not np.ptp(block_m[first:stop]) > 0.0:
         return None
     shows_gain = range_m > MIN_MOTION_NOISE * noise_m
@@ -76,7 +76,7 @@ def held_span(recording: Recording, axis: str) -> slice | None:
     if not np.ptp(block_V) > 0.0 or np.ptp(block_V[first:stop]) < min_share * np.ptp(block_V):
         return None
     span = slice(first * size, stop * size)
-    # Block means do not show a drive that oscillates within a block.
+    # Block means hide a drive that oscillates within a block.
     return None if is_mostly_driven(voltage_V[span], displacement_m[span]) else span
 
 

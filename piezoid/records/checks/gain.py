@@ -10,8 +10,8 @@ from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import noise_rms
 from piezoid.statement import Statement, finding
 
-# Tubes move some nm per volt of their electrodes, stacks 0.1 to 1 um, levers and benders 10 um;
-# an objective moves 40 um per volt of the command at its amplifier's input.
+# Gain per volt: tubes some nm, stacks 0.1 to 1 um, levers and benders 10 um; an objective 40 um
+# per volt at the amplifier's input.
 MIN_GAIN_m_per_V, MAX_GAIN_m_per_V = 1e-10, 5e-5
 MIN_MOTION_NOISE = 20.0  # standard deviations of the noise; a smaller range may be noise alone
 

@@ -2,8 +2,8 @@
 
     A = sgn(r) * closed integral of v dy / (range v * range y * cycles),   r correlation of v and y
 
-A is positive for hysteresis and for any lag. Only slow loops are judged, which are narrow: above a
-resonance any phase is possible.
+A is positive for hysteresis and for any lag. Only narrow loops are tested, since above a resonance
+any phase is possible.
 """
 
 import json
@@ -14,10 +14,10 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Quantity, Recording
 from piezoid.statement import Statement, finding
 
-# Loops of thirteen published laws enclose 4.3 to 7.7 % of their box (the negative with the columns
-# exchanged), those of the bundled stage 3.4 to 7.8 %; a lag makes them wider.
+# Share of their box that loops enclose: 4.3 to 7.7 % for thirteen published laws (negative with
+# exchanged columns), 3.4 to 7.8 % for the bundled stage; a lag makes loops wider.
 MIN_AREA = 0.01
-MIN_CORRELATION = 0.9  # of the same loops: at least 0.986
+MIN_CORRELATION = 0.9  # at least 0.986 for the same loops
 
 
 def check_loop_direction(recording: Recording, axis: str) -> list[Statement]:
@@ -40,7 +40,7 @@ def check_loop_direction(recording: Recording, axis: str) -> list[Statement]:
 
 
 def loop_area(drive: Array, displacement: Array) -> float:
-    """Return the enclosed area A over whole cycles, 0 where there is no narrow loop."""
+    """Return the enclosed area A over whole cycles, 0 without a narrow loop."""
     middle = 0.5 * float(drive.max() + drive.min())
     rises = np.flatnonzero((drive[:-1] < middle) & (drive[1:] >= middle))
     if len(rises) < 2:

@@ -1,4 +1,4 @@
-"""Report a recording without a drive or a displacement: it cannot be fitted alone."""
+"""Report a recording without a drive or a displacement, which cannot be fitted alone."""
 
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording

@@ -1,12 +1,12 @@
 """Report displacement that saturates at the upper or lower end of the drive.
 
-A turning point counts as saturated if, on the branch that leads to it, the displacement stays
-within the sensor noise s of its final value although the drive moves far enough to displace the
-stage visibly at the gain g of that branch:
+A turning point is saturated if, on the branch before it, the displacement stays within the sensor
+noise s of its final value although the drive would move the stage visibly at the gain g of that
+branch:
 
     |y - y_end| < 4 s  for v in [v_stop, v_end],   g |v_end - v_stop| > max(20 s, 3 % of range)
 
-Unlike a clipped reading, such a displacement may be true: it is reported and stays in the fit.
+Unlike a clipped reading, such a displacement may be true: it is reported and fitted.
 """
 
 from dataclasses import dataclass
@@ -24,17 +24,17 @@ from piezoid.statement import Statement, finding
 NOISE_BAND = 4.0  # standard deviations; a Gaussian sample leaves it once in 16,000
 MIN_MISSING_NOISE = 20.0  # missing displacement in standard deviations of the noise
 MIN_MISSING_SHARE = 0.03  # of the range; no false alarm in 936 healthy recordings, thirteen laws
-MIN_TURNS = 2  # at a similar level, which may drift: a single one may be an intended pause
-MAX_DRIVE_STEP = 0.25  # of the missing drive: after a step of the drive the stage is still moving
-MIN_CORRELATION = 0.8  # of drive and displacement: a butterfly loop has no end stop
+MIN_TURNS = 2  # at a similar level, which may drift; a single turn may be an intended pause
+MAX_DRIVE_STEP = 0.25  # of the missing drive: behind a step of the drive the stage still moves
+MIN_CORRELATION = 0.8  # of drive and displacement; butterfly loops are excluded
 
 
 @dataclass(frozen=True, kw_only=True)
 class SaturatedTurn:
     """Upper turning point before which the displacement stopped.
 
-    stop_V, turn_V  drive where the displacement stopped, and at the turning point
-    level           displacement there
+    stop_V, turn_V  drive at which the displacement stopped, and at the turning point
+    level           displacement at the turning point
     """
 
     stop_V: float
