@@ -83,7 +83,7 @@ def test_a_packed_file_without_seeking_is_refused_with_the_way_out(
 ) -> None:
     packed = write(name).with_name(f"{name}.gz")
     packed.write_bytes(gzip.compress(write(name).read_bytes()))
-    with pytest.raises(UnreadableFileError, match=r"packed by gzip.* gunzip") as refusal:
+    with pytest.raises(UnreadableFileError, match=r"compressed by gzip.* gunzip") as refusal:
         read_one(packed)
     assert "damaged" not in str(refusal.value)
     assert "Copy" not in str(refusal.value)

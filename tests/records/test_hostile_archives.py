@@ -13,7 +13,7 @@ from piezoid.errors import UnreadableFileError
 from piezoid.records.chunked_reader import read_thinned
 from piezoid.records.lab import Acquisition, Lab
 from piezoid.records.readers import read_table
-from piezoid.records.readers.source import FREE_SIZE, MOST_COLUMNS, MOST_GROWTH, growth_limit
+from piezoid.records.readers.source import FREE_SIZE, MAX_COLUMNS, MAX_GROWTH, growth_limit
 from tests.records.tables import said
 
 LAB = Lab(acquisition=Acquisition(sampling_rate_Hz=1000.0))
@@ -25,7 +25,7 @@ def test_a_gzip_bomb_is_refused_in_proportion_to_its_size(tmp_path: Path) -> Non
     path.write_bytes(gzip.compress(bytes(FREE_SIZE + 1), 1, mtime=0))
     assert growth_limit(path.stat().st_size) == FREE_SIZE
     assert f"at most {FREE_SIZE} bytes" in said(path)
-    assert growth_limit(10 * FREE_SIZE // MOST_GROWTH) == 10 * FREE_SIZE // MOST_GROWTH * 200
+    assert growth_limit(10 * FREE_SIZE // MAX_GROWTH) == 10 * FREE_SIZE // MAX_GROWTH * 200
 
 
 def _npz(path: Path) -> None:
@@ -82,7 +82,7 @@ def test_an_archive_that_grows_out_of_proportion_is_refused(
     name: str, write: Callable[[Path], None], tmp_path: Path
 ) -> None:
     write(tmp_path / name)
-    assert (tmp_path / name).stat().st_size < FREE_SIZE // MOST_GROWTH
+    assert (tmp_path / name).stat().st_size < FREE_SIZE // MAX_GROWTH
     assert "bytes once unpacked. Needed: at most" in said(tmp_path / name)
 
 
@@ -105,7 +105,7 @@ def test_a_packed_text_is_read_in_blocks_up_to_its_limit(tmp_path: Path) -> None
     path = tmp_path / "run.csv.gz"
     text, rows = _steady(FREE_SIZE)
     path.write_bytes(gzip.compress(text, 9))
-    assert path.stat().st_size < FREE_SIZE // MOST_GROWTH
+    assert path.stat().st_size < FREE_SIZE // MAX_GROWTH
     (recording,) = read_thinned([path], LAB)
     assert recording.samples == rows
     path.write_bytes(gzip.compress(text + b"\n", 9))
@@ -163,6 +163,6 @@ def test_datasets_without_number_are_not_compared_with_one_another(tmp_path: Pat
     import h5py
 
     with h5py.File(tmp_path / "many.h5", "w") as file:
-        for k in range(MOST_COLUMNS + 1):
+        for k in range(MAX_COLUMNS + 1):
             file[f"v{k}"] = 1.0
-    assert f"more than {MOST_COLUMNS} datasets" in said(tmp_path / "many.h5")
+    assert f"more than {MAX_COLUMNS} datasets" in said(tmp_path / "many.h5")

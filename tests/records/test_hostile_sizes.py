@@ -13,7 +13,8 @@ import pytest
 from piezoid.errors import PiezoidError, UnreadableFileError
 from piezoid.records.inspection import inspect_files
 from piezoid.records.readers import read_table, source
-from piezoid.records.readers.reader import reading
+from piezoid.records.readers.numpy_files import NPY
+from piezoid.records.readers.reader import library_errors
 from piezoid.records.readers.source import open_source, text_of
 from tests.records.tables import said
 
@@ -63,7 +64,7 @@ def test_a_reader_short_of_memory_is_named_and_no_reason_made_up(tmp_path: Path)
     expected = pytest.raises(
         UnreadableFileError, match=r"stopped with MemoryError\. Needed: a whole npy"
     )
-    with expected, reading(opened, "npy"):
+    with expected, library_errors(opened, NPY):
         raise MemoryError
 
 

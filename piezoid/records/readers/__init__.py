@@ -4,6 +4,7 @@ A new format is one file here and one line in `READERS`.
 """
 
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,13 +26,13 @@ from piezoid.records.readers import (
     tektronix,
     text_table,
 )
-from piezoid.records.readers.reader import Reader, reading
+from piezoid.records.readers.reader import Reader, library_errors
 from piezoid.records.readers.source import Source, TextFormat, open_source, unreadable
 from piezoid.records.table import RawTable
 from piezoid.records.units import Dimension
 
-# Asked in this order, by content; the first that recognises a file reads it. The text table takes
-# whatever is left, so it stands last.
+# The first reader that recognises the content of a file reads it. The text table accepts every
+# other file and is the last.
 READERS: tuple[Reader, ...] = (
     numpy_files.NPY,
     numpy_files.NPZ,
@@ -56,10 +57,10 @@ READERS: tuple[Reader, ...] = (
 def read_table(path: Path, text: TextFormat | None = None) -> RawTable:
     """Read a file of any known format as a table of labelled columns, with NaN for missing cells.
 
-    text  how lab.toml says that it is written
+    text  layout of a text table, as declared in lab.toml
 
     Raises ``UnreadableFileError`` for a file that is missing, damaged or of no known format, and
-    ``LabFileError`` where something is said of the writing of a file that is no text.
+    ``LabFileError`` for a declared layout of a file in another format than a text table.
     """
     source = replace(open_source(path), text=text or TextFormat())
     reader = next((reader for reader in READERS if reader.recognises(source)), None)
@@ -70,27 +71,24 @@ def read_table(path: Path, text: TextFormat | None = None) -> RawTable:
             needed=f"one of {', '.join(reader.name for reader in READERS)}",
             remedy="Export the recording as CSV.",
         )
-    if source.text.keys and not reader.is_written:
+    if source.text.entries and not reader.has_text_layout:
         raise LabFileError(
-            f"lab.toml: {', '.join(source.text.keys)} of {source.name} is declared, which is "
+            f"lab.toml: {', '.join(source.text.entries)} of {source.name} is declared, which is "
             f"{reader.name}",
-            needed="a text table: every other format says itself how it is written",
+            needed="a text table: the layout of every other format is fixed",
             remedy="Leave it out.",
         )
-    if reader.library:
-        with reading(source, reader.name, reader.extra):
-            table = reader.read(source)
-    else:
+    with library_errors(source, reader) if reader.library else nullcontext():
         table = reader.read(source)
-    table = _of_file(table, source, reader)
+    table = _with_origin(table, source, reader)
     is_swept = not table.independent and is_approach_curve(table)
     return replace(table, independent=table.columns[0].label) if is_swept else table
 
 
 def read_table_in_chunks(source: Source, rows: int) -> Iterator[RawTable]:
-    """Yield the chunks of a file, or refuse a format that is only read whole.
+    """Yield the chunks of a file; refuse formats that are only read as a whole.
 
-    rows  of a chunk, about
+    rows  approximate number of rows of a chunk
     """
     reader = next((reader for reader in READERS if reader.recognises(source)), None)
     if reader is None or reader.read_chunks is None:
@@ -102,24 +100,24 @@ def read_table_in_chunks(source: Source, rows: int) -> Iterator[RawTable]:
             remedy="Export the recording in one of these formats, or cut it into files that fit "
             "into memory.",
         )
-    if source.packed and not reader.reads_gzip:
+    if source.is_gzip and not reader.reads_gzip:
         raise unreadable(
             source.name,
-            f"it is {reader.name} packed by gzip, which can only be read from front to back",
+            f"it is {reader.name} compressed by gzip, which can only be read from front to back",
             needed="the file itself, to be read in chunks",
-            remedy="Unpack it with gunzip; or read it whole where it fits into memory.",
+            remedy="Unpack it with gunzip; or read it whole if it fits into memory.",
         )
-    with reading(source, reader.name, reader.extra):
+    with library_errors(source, reader):
         for table in reader.read_chunks(source, rows):
-            yield _of_file(table, source, reader)
+            yield _with_origin(table, source, reader)
 
 
-def _of_file(table: RawTable, source: Source, reader: Reader) -> RawTable:
+def _with_origin(table: RawTable, source: Source, reader: Reader) -> RawTable:
     return replace(table, name=source.name, digest=source.digest, format=reader.name)
 
 
 def is_approach_curve(table: RawTable) -> bool:
-    """Tell whether a table holds a height and currents, without a clock."""
+    """Return whether a table holds a height and currents, without a clock."""
     units = [column.heading.unit for column in table.columns]
     height, *further = [None if unit is None else unit.dimension for unit in units]
     is_clocked = table.sampling_rate_Hz is not None

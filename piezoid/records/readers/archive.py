@@ -1,4 +1,4 @@
-"""Recognise archives and files of other programs that are not read, to refuse them by name."""
+"""Refuse archives and files of other formats that are not read, with the name of the format."""
 
 import re
 import zipfile
@@ -14,7 +14,7 @@ _AFM = (
     "height."
 )
 _MAX_NAMES = 3
-# By the first bytes, which these formats define, and by the suffix where the bytes alone are weak.
+# Formats by their first bytes, and by the suffix if the bytes are not distinctive.
 _OTHER_FORMATS: tuple[tuple[re.Pattern[bytes], str, str, str], ...] = (
     (re.compile(rb'\s*(?:\{\s*"|\[\s*[\[{])'), "", "it is JSON", "Write its arrays as columns "
      "of a CSV file, with pandas.DataFrame(json.load(...)).to_csv(...), say."),
@@ -32,7 +32,7 @@ _OTHER_FORMATS: tuple[tuple[re.Pattern[bytes], str, str, str], ...] = (
 
 
 def members(source: Source) -> tuple[str, ...]:
-    """Return the names in a zip archive; of a damaged one the first, empty for anything else."""
+    """Return the names in a zip archive, only the first if damaged; empty for other files."""
     if not source.head.startswith(ZIP):
         return ()
     try:
@@ -44,13 +44,13 @@ def members(source: Source) -> tuple[str, ...]:
 
 
 def check_unpacked_size(source: Source) -> None:
-    """Refuse a zip archive whose parts grow beyond any measurement, by the sizes it declares."""
+    """Refuse a zip archive with parts of implausible size, by the sizes that it declares."""
     with source.open() as stream, zipfile.ZipFile(stream) as archive:
         check_growth(source, sum(item.file_size for item in archive.infolist()))
 
 
 def recognises(source: Source) -> bool:
-    """Recognise zip archives that no other reader has taken, and other known formats."""
+    """Recognise zip archives that no other reader recognises, and other formats."""
     return source.head.startswith(ZIP) or _other_format(source) is not None
 
 
@@ -63,7 +63,7 @@ def _other_format(source: Source) -> tuple[str, str] | None:
 
 
 def read(source: Source) -> RawTable:
-    """Refuse a file that is not a recording, with its format in the message."""
+    """Refuse the file; the message names its format."""
     names = members(source)
     listed = ", ".join(map(repr, names[:_MAX_NAMES])) + (
         ", ..." if len(names) > _MAX_NAMES else ""

@@ -5,16 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from piezoid.records.readers.named_arrays import complex_statement
 from piezoid.records.readers.text_layout import HEAD_LINES
 from piezoid.records.table import Column, RawTable
-from piezoid.statement import finding
 
-TESTED_LINES = 10  # at the end of the head; comments and headings stand above them
+TESTED_LINES = 10  # at the end of the head, below comments and headings
 
 
 def _pattern(digits: str) -> re.Pattern[str]:
-    # A number is matched as a whole or not at all (++): a run of digits is searched once.
-    # The sign stands close to both parts or apart from both: "1.0 -0.3i" are two fields.
+    # Possessive quantifiers (++): a run of digits is searched once. The sign has white space on
+    # both sides or on neither: "1.0 -0.3i" are two fields.
     return re.compile(
         rf"(?<![\w.])\(?(?P<real>[+-]?{digits})(?:\s{{1,9}}(?P<apart>[+-])\s{{1,9}}|\+?(?P<sign>[+-]))"
         rf"(?P<imaginary>{digits})\s?\*?[ijIJ](?![a-zA-Z\d])\)?"
@@ -22,7 +22,7 @@ def _pattern(digits: str) -> re.Pattern[str]:
 
 
 _WITH_POINTS = _pattern(r"(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][+-]?\d++)?")
-# A comma is a decimal one only where something else parts the fields.
+# A comma marks decimals only if the fields have another separator.
 _WITH_COMMAS = _pattern(r"(?:\d++(?:[.,]\d*+)?|[.,]\d++)(?:[eE][+-]?\d++)?")
 
 
@@ -36,12 +36,12 @@ def real_and_imaginary_text(text: str) -> tuple[str, str] | None:
     pattern = _WITH_COMMAS if {";", "\t"} & set(head[-1]) else _WITH_POINTS
     if not all(map(pattern.search, head[1:] or head)):
         return None
-    # Only one of the two groups for the sign takes part in a match.
+    # Only one of the two groups of the sign matches.
     return pattern.sub(r"\g<real>", text), pattern.sub(r"\g<apart>\g<sign>\g<imaginary>", text)
 
 
 def join_complex_columns(real: RawTable, imaginary: RawTable) -> RawTable:
-    """Join two tables, splitting complex columns in two, named like those of MATLAB files."""
+    """Join two tables; complex columns become two columns, named like those of MATLAB files."""
     columns: list[Column] = []
     complex_columns: list[Column] = []
     for column, imaginary_column in zip(real.columns, imaginary.columns, strict=True):
@@ -58,9 +58,5 @@ def join_complex_columns(real: RawTable, imaginary: RawTable) -> RawTable:
         return real
     locations = ", ".join(column.place for column in complex_columns[:3])
     suffix = ", ..." if len(complex_columns) > 3 else ""
-    text = (
-        f"{locations}{suffix} holds complex numbers: real and imaginary part are the columns of a "
-        "frequency response, and of no recording over time"
-    )
-    statement = finding("complex", text, place=complex_columns[0].place)
+    statement = complex_statement(f"{locations}{suffix}", complex_columns[0].place)
     return replace(real, columns=tuple(columns), statements=(*real.statements, statement))

@@ -15,21 +15,21 @@ from piezoid.records.readers.text_table import read_text
 from piezoid.records.table import RawTable
 from piezoid.statement import finding
 
-_LOOKED_AT = 100  # rows in which a formula is looked for
+_TESTED_ROWS = 100  # searched for formulas
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 
 def recognises(source: Source) -> bool:
-    """Recognise a workbook by its parts, a damaged archive by its remaining part or its suffix."""
+    """Recognise a workbook by its parts, a damaged archive by its first part or its suffix."""
     names = members(source)
     return "xl/workbook.xml" in names or (bool(names) and source.suffix in (".xlsx", ".xlsm"))
 
 
 def read(source: Source) -> RawTable:
-    """Read the first sheet that holds rows of numbers, and name the others that do."""
-    import openpyxl  # noqa: F401 -- pandas reads with it, and says less where it is missing
+    """Read the first sheet with rows of numbers; a statement names further ones."""
+    import openpyxl  # noqa: F401 -- used by pandas, whose error for a missing package is unclear
     import pandas as pd
 
     with source.open() as stream:
@@ -48,7 +48,7 @@ def read(source: Source) -> RawTable:
     for name, frame in sheets.items():
         if frame.size:
             rows = frame.itertuples(index=False, name=None)
-            texts[str(name)] = "\n".join("\t".join(map(_cell, row)) for row in rows) + "\n"
+            texts[str(name)] = "\n".join("\t".join(map(_cell_text, row)) for row in rows) + "\n"
     if not texts:
         raise unreadable(
             source.name,
@@ -73,7 +73,7 @@ def read(source: Source) -> RawTable:
 
 
 def _refuse_formulas(source: Source, sheet: str, frame: "DataFrame") -> None:
-    """Refuse a column of formulas without stored values, which would read as empty."""
+    """Refuse a column of formulas without stored values, which would be read as empty."""
     empty = [k for k, count in enumerate(frame.notna().sum()) if count <= 1]
     if not empty:
         return
@@ -81,7 +81,7 @@ def _refuse_formulas(source: Source, sheet: str, frame: "DataFrame") -> None:
 
     with source.open() as stream:
         book = openpyxl.load_workbook(stream, read_only=True)
-        rows = book[sheet].iter_rows(max_row=_LOOKED_AT)
+        rows = book[sheet].iter_rows(max_row=_TESTED_ROWS)
         cells = [row[k] for row in rows for k in empty if k < len(row)]
         formula = next((cell for cell in cells if cell.data_type == "f"), None)
         book.close()
@@ -95,8 +95,8 @@ def _refuse_formulas(source: Source, sheet: str, frame: "DataFrame") -> None:
         )
 
 
-def _cell(value: object) -> str:
-    """Return the content of a cell: a number with all digits, or a time of day."""
+def _cell_text(value: object) -> str:
+    """Return the content of a cell as text: a number with all digits, or a time of day."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
     if hasattr(value, "total_seconds"):
@@ -114,5 +114,5 @@ READER = Reader(
     read=read,
     library=True,
     extra="io",
-    is_written=True,
+    has_text_layout=True,
 )

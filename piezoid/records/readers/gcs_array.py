@@ -1,7 +1,7 @@
 """PI general command set arrays: ``# KEY = value`` lines, ``# END_HEADER``, then columns.
 
-What data recorders of Physik Instrumente controllers write. The separator is given by its
-character code, the clock by ``SAMPLE_TIME`` in seconds, the columns by ``NAME0``, ``NAME1``, ...
+The format of data recorders of Physik Instrumente controllers. ``SEPARATOR`` is a character code,
+``SAMPLE_TIME`` the sampling interval in seconds; ``NAME0``, ``NAME1``, ... are the headings.
 """
 
 import re
@@ -24,7 +24,7 @@ def recognises(source: Source) -> bool:
 
 
 def read(source: Source) -> RawTable:
-    """Read the array; the file states no units, so they must come from names or lab.toml."""
+    """Read the array; units come from the names or from lab.toml, since the file states none."""
     text = text_of(source).rstrip()
     end = _END.search(text)
     assert end is not None

@@ -1,8 +1,8 @@
 """HDF5: the numeric vectors of all groups, units from the attribute ``unit`` or ``units``.
 
-Before the library opens a file, its search trees are followed here. The nodes of a tree of the
-first kind name their neighbours; the library follows these names without counting, in compiled
-code that nothing interrupts, and never returns from a damaged file whose node names itself.
+The search trees of a file are checked before the library opens it. Nodes of version 1 trees
+contain the addresses of their neighbours; the library follows these addresses without a limit in
+compiled code, and never returns from a damaged file with a cycle.
 """
 
 from collections.abc import Iterator, Mapping
@@ -10,15 +10,15 @@ from typing import Any, BinaryIO
 
 from piezoid.records.readers.named_arrays import commonest_length, table_of, tables_of_pieces
 from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import MOST_COLUMNS, Source, check_growth
+from piezoid.records.readers.source import MAX_COLUMNS, Source, check_growth
 from piezoid.records.table import RawTable
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-_MAX_DEPTH = 32  # groups; the library takes minutes to walk through some thousand
+_MAX_DEPTH = 32  # nested groups; the library takes minutes for some thousand
 _UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units", "UNIT")
 _NODE = b"TREE"
 _LINKS_AT = 8  # bytes of a node before the addresses of its left and its right neighbour
-_FIRST_BASE = 512  # the file begins at 0 or, behind a user block, at 512, 1024, 2048 ...
+_FIRST_BASE = 512  # the signature is at 0 or, behind a user block, at 512, 1024, 2048 ...
 _PIECE = 1 << 20
 
 
@@ -46,7 +46,7 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
 
 
 def checked_datasets(source: Source, stream: BinaryIO) -> dict[str, Any]:
-    """Return the datasets; refuse a file without end, or too large, before any of it is read."""
+    """Return the datasets; refuse a cyclic or a too large file before its numbers are read."""
     check_trees(stream)
     datasets = _named_datasets(stream)
     check_growth(source, 8 * sum(dataset.size for dataset in datasets.values()))
@@ -63,11 +63,11 @@ def _named_datasets(stream: object) -> dict[str, Any]:
             raise ValueError(f"its groups lie more than {_MAX_DEPTH} deep in one another")
         if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "biuf":
             return
-        # No digest of this file would change with them, and a pipe among them never ends.
+        # The digest of this file does not cover other files, and a pipe may never end.
         if item.external or item.is_virtual:
             raise ValueError(f"the numbers of {path} lie in other files")
-        if len(datasets) == MOST_COLUMNS:
-            raise ValueError(f"it holds more than {MOST_COLUMNS} datasets")
+        if len(datasets) == MAX_COLUMNS:
+            raise ValueError(f"it holds more than {MAX_COLUMNS} datasets")
         datasets[path] = item
 
     h5py.File(stream, "r").visititems(keep)
@@ -88,8 +88,8 @@ def _units_of(datasets: Mapping[str, Any]) -> dict[str, str]:
 
 
 def check_trees(stream: BinaryIO) -> None:
-    """Raise ``ValueError`` where the nodes of a search tree form a ring."""
-    # Addresses count from the signature, which stands behind a user block.
+    """Raise ``ValueError`` if the nodes of a search tree form a cycle."""
+    # Addresses count from the signature, which follows the user block.
     size = stream.seek(0, 2)
     base = 0
     while base < size:
@@ -100,16 +100,16 @@ def check_trees(stream: BinaryIO) -> None:
     stream.seek(base)
     head = stream.read(len(SIGNATURE) + 6)
     if len(head) < len(SIGNATURE) + 6:
-        return  # the library says itself that this is no such file
-    # Superblocks of version 2 and later have the width of an address where others have versions.
+        return  # the library reports that this is not an HDF5 file
+    # The width of an address: at byte 13 of the superblock, since its version 2 at byte 9.
     width = head[13] if head[8] < 2 else head[9]
-    ring = _ring(dict(_neighbours(stream, base, width)))
-    if ring is not None:
-        raise ValueError(f"the search tree at byte {base + ring} leads round in a ring")
+    node = _node_of_cycle(dict(_neighbours(stream, base, width)))
+    if node is not None:
+        raise ValueError(f"the search tree at byte {base + node} leads round in a ring")
 
 
 def _neighbours(stream: BinaryIO, base: int, width: int) -> Iterator[tuple[int, int]]:
-    """Yield the address of each node, and that of its right neighbour."""
+    """Yield the addresses of each node and of its right neighbour."""
     length = _LINKS_AT + 2 * width
     stream.seek(base)
     buffer, address = b"", 0
@@ -124,7 +124,7 @@ def _neighbours(stream: BinaryIO, base: int, width: int) -> Iterator[tuple[int, 
         buffer, address = buffer[consumed:], address + consumed
 
 
-def _ring(right: Mapping[int, int]) -> int | None:
+def _node_of_cycle(right: Mapping[int, int]) -> int | None:
     """Return a node of a cyclic chain of neighbours; None if every chain ends."""
     visited: set[int] = set()
     for first in right:

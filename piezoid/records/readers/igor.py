@@ -1,7 +1,7 @@
-"""Igor binary waves (``.ibw``), as Igor Pro and the microscopes of Asylum Research write them.
+"""Igor binary waves (``.ibw``) of Igor Pro and of the microscopes of Asylum Research.
 
-One wave of two dimensions is a table: a row for each sample, a column for each channel under its
-dimension label. The row dimension is the clock where its unit is a time.
+A wave of two dimensions is a table: a row for each sample, a column for each channel, named by its
+dimension label. The row dimension is the clock if its unit is a time.
 """
 
 import re
@@ -15,7 +15,7 @@ from piezoid.records.readers.source import Source, check_columns, unreadable
 from piezoid.records.table import RawTable, rate_of
 from piezoid.records.units import Dimension, unit_of
 
-_VERSIONS = (1, 2, 3, 5)  # a short, in either order of bytes
+_VERSIONS = (1, 2, 3, 5)  # a short integer of either byte order
 _POINTS_PER_SECOND = re.compile(r"^NumPtsPerSec:\s*([\d.eE+]+)\s*$", re.MULTILINE)
 
 
@@ -47,7 +47,7 @@ def read(source: Source) -> RawTable:
     arrays = dict(zip(_column_names(wave, values.shape[1]), values.T, strict=True))
     header = wave["wave_header"]
     units = dict.fromkeys(arrays, _text(header["dataUnits"]))
-    # The rate is that of the row dimension, or the one that a microscope notes.
+    # The rate is that of the row dimension, or the one in the note of a microscope.
     rate_Hz, row_unit = None, unit_of(_text(header["dimUnits"][0]))
     if row_unit is not None and row_unit.dimension is Dimension.TIME:
         rate_Hz = rate_of(float(header["sfA"][0]) * row_unit.factor)
@@ -57,7 +57,7 @@ def read(source: Source) -> RawTable:
 
 
 def _column_names(wave: Any, count: int) -> list[str]:
-    """Return the labels of the columns; the first of the dimension is that of all."""
+    """Return the labels of the columns; a first, surplus label is that of the whole dimension."""
     labels = [_text(label) for label in (wave["labels"][1] if wave["labels"] else [])]
     numbered = [f"column {k + 1}" for k in range(count)]
     if len(labels) < count:
@@ -67,7 +67,7 @@ def _column_names(wave: Any, count: int) -> list[str]:
 
 
 def _text(field: Any) -> str:
-    """Return a text of the file: Igor writes bytes, padded with zeros."""
+    """Return a text of the file, which Igor pads with zeros."""
     content = field if isinstance(field, bytes) else np.asarray(field).tobytes()
     return content.split(b"\0", 1)[0].decode("utf-8", "replace").strip()
 

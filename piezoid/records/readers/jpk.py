@@ -1,7 +1,7 @@
 """Force curves of JPK (``.jpk-force``): zip archives of segments, each with its own clock.
 
-The piezo's drive is read in volts, as the controller put it out, the height as the sensor showed
-it in metres; heights that a program computed from the drive are no measurement.
+The drive is read in volts at the output of the controller, the height in metres from the sensor;
+heights that a program computed from the drive are not read.
 """
 
 from typing import Any
@@ -17,7 +17,7 @@ from piezoid.records.table import RawTable
 
 
 def recognises(source: Source) -> bool:
-    """Recognise an archive by the part that all JPK files have."""
+    """Recognise an archive by its header, which all JPK files have."""
     return source.head.startswith(ZIP) and any(
         name.rsplit("/", 1)[-1] == "header.properties" for name in members(source)
     )
@@ -42,7 +42,7 @@ def read(source: Source) -> RawTable:
             raise unreadable(
                 source.name,
                 f"it is a JPK archive of {len(file)} curves",
-                needed="one curve: each begins with a memory of its own",
+                needed="one curve: each has a separate initial state",
                 remedy="Save the curves one by one from the JPK data processing.",
             )
         numbers = file.get_index_segment_numbers(0)
@@ -54,7 +54,7 @@ def read(source: Source) -> RawTable:
                 ("height (measured)", "nominal", "m"),
             )
         )
-    except AFMFileFormatError as error:  # no Exception, by its class
+    except AFMFileFormatError as error:  # derived from BaseException
         raise ValueError(str(error)) from error
     finally:
         ArchiveCache.open_archives.pop(source.path, None)
@@ -69,7 +69,7 @@ def read(source: Source) -> RawTable:
 
 
 def _channel(file: Any, number: int, column: str, *, slot: str, unit: str) -> Array:
-    """Return a channel of a segment, as afmformats calls it, in one of its calibrations."""
+    """Return a channel of a segment, named as in afmformats, in one of its calibrations."""
     from afmformats.formats.fmt_jpk.jpk_data import find_column_dat, load_dat_unit
     from afmformats.formats.fmt_jpk.jpk_reader import ArchiveCache
 

@@ -27,8 +27,8 @@ class _Segment:
     """One acquisition.
 
     header  cells by key
-    values  (rows,) of each label
-    line    of its first row
+    values  (rows,) for each label
+    line    of the first row
     """
 
     labels: tuple[str, ...]
@@ -48,7 +48,7 @@ class _Segment:
 
 
 def read(source: Source) -> RawTable:
-    """Read all segments and concatenate them."""
+    """Read and concatenate all segments."""
     lines = text_of(source).split("\n")
     header_ends = [row for row, line in enumerate(lines) if line.startswith(HEADER_END)]
     if len(header_ends) < 2:
@@ -60,7 +60,7 @@ def read(source: Source) -> RawTable:
         )
     header = metadata_of(lines[: header_ends[0]])
     separator = {"Tab": "\t", "Comma": ","}.get(header.get("Separator", "Tab"), "\t")
-    # Older writers do not state the decimal mark; the numbers show it.
+    # Older writers do not state the decimal mark; it is found in the numbers.
     first_rows = "\n".join(lines[header_ends[1] + 2 : header_ends[1] + 50])
     has_commas = separator == "\t" and re.search(r"\d,\d", first_rows)
     decimal = header.get("Decimal_Separator") or ("," if has_commas else ".")
@@ -72,15 +72,15 @@ def read(source: Source) -> RawTable:
         for begin, end in pairwise(header_ends)
     ]
     segments = [
-        _segment(source.name, lines[:stop], start, end, layout)
+        _read_segment(source.name, lines[:stop], start, end, layout)
         for start, end, stop in zip(
             starts, header_ends[1:], [*starts[1:], len(lines)], strict=True
         )
     ]
-    return _joined(source.name, header, segments)
+    return _join_segments(source.name, header, segments)
 
 
-def _segment(name: str, lines: list[str], start: int, end: int, layout: Layout) -> _Segment:
+def _read_segment(name: str, lines: list[str], start: int, end: int, layout: Layout) -> _Segment:
     """Read the segment to the end of the lines.
 
     start, end  first and last line of its header
@@ -97,7 +97,7 @@ def _segment(name: str, lines: list[str], start: int, end: int, layout: Layout) 
         )
     labels = [label.strip() for label in lines[end + 1].split(separator)]
     labels = labels[:-1] if labels[-1] in ("Comment", "") else labels
-    # A comment column is text of its own; cut it off before the numbers are parsed.
+    # The comments in a further column are cut off before the numbers are parsed.
     width = len(labels)
     if any(line.count(separator) >= width for line in rows):
         rows = [separator.join(line.split(separator)[:width]) for line in rows]
@@ -113,7 +113,7 @@ def _segment(name: str, lines: list[str], start: int, end: int, layout: Layout) 
     )
 
 
-def _joined(name: str, header: dict[str, str], segments: Sequence[_Segment]) -> RawTable:
+def _join_segments(name: str, header: dict[str, str], segments: Sequence[_Segment]) -> RawTable:
     first = segments[0]
     for segment in segments[1:]:
         if segment.labels != first.labels:
@@ -122,7 +122,7 @@ def _joined(name: str, header: dict[str, str], segments: Sequence[_Segment]) -> 
                 f"the segment at line {segment.line} has channels {segment.labels}, the first "
                 f"{first.labels}",
                 needed="the same channels in every segment",
-                remedy="Split the file into one for each set of channels.",
+                remedy="Write the segments with different channels into separate files.",
                 line=segment.line,
             )
     intervals = sorted({cell for cell in first.header.get("Delta_X", []) if cell})
@@ -131,15 +131,15 @@ def _joined(name: str, header: dict[str, str], segments: Sequence[_Segment]) -> 
             name,
             f"its channels have different sampling intervals {intervals}",
             needed="one clock for all channels",
-            remedy="Write the channels of each rate into a file of their own.",
+            remedy="Write the channels of each rate into a separate file.",
         )
     starts = [int(k) for k in np.cumsum([segment.rows for segment in segments])[:-1]]
     has_clock = any(
         label == "X_Value" and np.isfinite(values).any()
         for label, values in zip(first.labels, first.values, strict=True)
     )
-    # With ``Multi_Headings No`` nothing is repeated: the file only holds a multiple of the samples
-    # that its one header declares. A time column shows them by itself.
+    # With ``Multi_Headings No`` a file of several segments has one header and a multiple of the
+    # declared samples. With a time column the segments are visible in the clock.
     declared = first.declared_rows
     if not starts and not has_clock and declared > 1 and first.rows % declared == 0:
         starts = list(range(declared, first.rows, declared))
@@ -166,7 +166,7 @@ def _joined(name: str, header: dict[str, str], segments: Sequence[_Segment]) -> 
 
 
 def _columns(segments: Sequence[_Segment]) -> tuple[Column, ...]:
-    """Return the channels with their units, and one clock where all clocks are the same."""
+    """Return the channels with their units, and only one of equal clocks."""
     units = segments[0].header.get("Y_Unit_Label", [])
     columns: list[Column] = []
     clocks: list[Array] = []
@@ -178,8 +178,8 @@ def _columns(segments: Sequence[_Segment]) -> tuple[Column, ...]:
             if is_empty or (clocks and np.array_equal(values, clocks[0])):
                 continue
             clocks.append(values)
-        # The unit line has a cell for each channel, and in files with one clock for each channel a
-        # cell for each clock too; the row's first field is the key's place.
+        # The line of units has a cell for each channel, and also for each clock in files with a
+        # clock for each channel; its first field is the key.
         unit = units[k - 1] if 0 < k <= len(units) else ""
         columns.append(
             Column(

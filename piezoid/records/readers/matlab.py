@@ -16,7 +16,7 @@ from piezoid.records.readers.source import Source, check_growth, unreadable
 from piezoid.records.table import RawTable
 from piezoid.statement import finding
 
-# Fields that SciPy reads of an object: its name, MCOS, its class, and its internal numbers.
+# Fields of an object as read by SciPy: its name, MCOS, its class, and its internal numbers.
 OBJECT_FIELDS = frozenset({"s0", "s1", "s2", "arr"})
 PLAIN_CLASSES = frozenset(
     {"char", "cell", "struct", "logical", "double", "single", "function_handle"}
@@ -31,7 +31,7 @@ PIECE_SIZE = 1 << 20
 
 
 def recognises(source: Source) -> bool:
-    """Recognise the text at the start of every file; version 7.3 is HDF5 behind 512 bytes."""
+    """Recognise the text at the start of a file, also before the HDF5 of version 7.3."""
     is_bare_hdf5 = source.head.startswith(SIGNATURE) and source.suffix == ".mat"
     return source.head.startswith(b"MATLAB ") or is_bare_hdf5
 
@@ -40,7 +40,7 @@ def read(source: Source) -> RawTable:
     """Read every numeric vector, by the name of its variable or ``structure.field``."""
     from pymatreader import read_mat
 
-    if source.unpacked is not None:
+    if source.decompressed is not None:
         raise unreadable(
             source.name,
             "it is a compressed MATLAB file",
@@ -50,13 +50,13 @@ def read(source: Source) -> RawTable:
     opaque: dict[str, str] = {}
     if source.head.startswith(b"MATLAB 5"):
         _check_sizes(source)
-        variables = dict(_flattened("", read_mat(str(source.path)), opaque))
+        variables = dict(_flatten("", read_mat(str(source.path)), opaque))
     else:
         with source.open() as stream:
             checked_datasets(source, stream)
             opaque = _objects_of_hdf5(stream)
-        # Of HDF5 the variables come in the order of a set.
-        variables = dict(sorted(_flattened("", read_mat(str(source.path)), opaque)))
+        # The order of variables in HDF5 is arbitrary.
+        variables = dict(sorted(_flatten("", read_mat(str(source.path)), opaque)))
     arrays = {name: value for name, value in variables.items() if name not in opaque}
     objects = ", ".join(f"{name!r} ({kind})" for name, kind in opaque.items())
     if opaque and not any(value.size > 1 for value in arrays.values()):
@@ -75,10 +75,10 @@ def read(source: Source) -> RawTable:
 
 
 def _check_sizes(source: Source) -> None:
-    """Refuse variables, those in structures too, that grow beyond any measurement."""
+    """Refuse variables of implausible size, also in structures."""
     from scipy.io import whosmat
 
-    # SciPy fails on objects, which have no size; their elements are counted all the same.
+    # SciPy fails for objects, which have no size; _decompressed_sizes includes their elements.
     with suppress(TypeError):
         variables = whosmat(str(source.path))
         check_growth(source, 8 * sum(int(np.prod(s, dtype=object)) for _, s, _ in variables))
@@ -86,12 +86,12 @@ def _check_sizes(source: Source) -> None:
     with source.open() as stream:
         for size in _decompressed_sizes(stream):
             total += size
-            # Numbers stand in the smallest type that holds them, and come out as doubles.
+            # Numbers are stored in the smallest possible type, and read as doubles.
             check_growth(source, 8 * total)
 
 
 def _decompressed_sizes(stream: BinaryIO) -> Iterator[int]:
-    """Yield the bytes of each piece of the file's elements, decompressed where needed."""
+    """Yield the decompressed size of each piece of the file's elements."""
     order = ">" if stream.read(HEADER_SIZE)[126:128] == b"MI" else "<"
     while len(tag := stream.read(8)) == 8:
         kind, size = struct.unpack(f"{order}II", tag)
@@ -122,10 +122,10 @@ def _objects_of_hdf5(stream: BinaryIO) -> dict[str, str]:
     return classes
 
 
-def _flattened(
+def _flatten(
     prefix: str, variables: Mapping[str, object], opaque: dict[str, str]
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the variables, fields of structures as ``structure.field``; report objects."""
+    """Yield the variables, and fields as ``structure.field``; add objects to ``opaque``."""
     for key, value in variables.items():
         if str(key).startswith(("__", "#")):
             continue
@@ -134,7 +134,7 @@ def _flattened(
             object_name, kind = (_first_text(value[field]) for field in ("s0", "s2"))
             opaque[object_name or name] = kind
         elif isinstance(value, Mapping):
-            yield from _flattened(name, value, opaque)
+            yield from _flatten(name, value, opaque)
         else:
             yield name, value if isinstance(value, np.ndarray) else np.asarray(value)
 

@@ -13,10 +13,10 @@ from piezoid.records.readers.source import Source, check_columns, check_growth, 
 from piezoid.records.table import Column, RawTable
 from piezoid.statement import Statement, finding
 
-# Columns over rows of a matrix above which its rows are the channels: recorders have some dozen
-# channels, recordings thousands of samples.
+# Ratio of columns to rows above which the rows of a matrix are the channels: recorders have some
+# dozen channels, recordings thousands of samples.
 MIN_TRANSPOSED_RATIO = 50
-MAX_AXES = 3  # of a stage: outputs and inputs of its response
+MAX_AXES = 3  # of a stage: number of outputs and inputs of its response
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -28,10 +28,10 @@ def table_of(
     units: Mapping[str, str] | None = None,
     sampling_rate_Hz: float | None = None,
 ) -> RawTable:
-    """Make a table of named arrays: vectors are columns, matrices of few columns are several.
+    """Make a table of named arrays: each vector and each column of a matrix becomes a column.
 
-    Arrays of another length than most are left out and named in a statement; scalars and text
-    become metadata. Dates and durations become seconds, dates from the first of them.
+    Arrays of another than the commonest length are left out with a statement; scalars and text
+    become metadata. Durations become seconds, dates become seconds from the first date.
     """
     units = dict(units or {})
     vectors: list[tuple[str, str, NDArray[Any]]] = []  # label, name of the array, values
@@ -83,8 +83,9 @@ def tables_of_pieces(
 ) -> Iterator[RawTable]:
     """Yield tables of ``rows`` to ``2 rows`` rows from arrays in pieces of any length.
 
-    Each table after the first begins with the last row of the table before. ``rows`` is at least
-    2.
+    Each table after the first begins with the last row of the previous one.
+
+    rows  at least 2
     """
     table = partial(table_of, source, units=units, sampling_rate_Hz=sampling_rate_Hz)
     pending: Arrays = {}
@@ -94,22 +95,22 @@ def tables_of_pieces(
             name: np.concatenate([pending[name], values]) if pending else values
             for name, values in piece.items()
         }
-        while _length(pending) >= 2 * rows:
+        while _longest(pending) >= 2 * rows:
             chunk = {name: values[:rows] for name, values in pending.items()}
             yield replace(table(chunk), first_row=first)
             pending = {name: values[rows - 1 :] for name, values in pending.items()}
             first += rows - 1
-    if _length(pending) > int(first > 0):
+    if _longest(pending) > int(first > 0):
         yield replace(table(pending), first_row=first)
 
 
 def commonest_length(lengths: Iterable[int]) -> int:
-    """Return the length that most arrays have, of several the shortest; 0 without any."""
+    """Return the commonest of some lengths, and the shortest of several; 0 without any."""
     counts = Counter(lengths)
     return max(sorted(counts), key=counts.__getitem__, default=0)
 
 
-def _length(arrays: Arrays) -> int:
+def _longest(arrays: Arrays) -> int:
     return max((len(values) for values in arrays.values()), default=0)
 
 
@@ -117,7 +118,7 @@ def _seconds_of(array: NDArray[Any]) -> NDArray[Any]:
     """Return dates, from the first of them, or durations in seconds."""
     if array.dtype.kind == "M":
         array = array - array.reshape(-1)[0]
-    # Nanoseconds at most are stamped; more digits are the noise of the product.
+    # Stamps resolve at most nanoseconds; rounding removes the errors of the product.
     seconds = (array / np.timedelta64(1, "ns") * 1e-9).round(9)
     return np.where(np.isnat(array), np.nan, seconds)
 
@@ -131,16 +132,12 @@ def _columns_of(
     """
     paths = _response_paths(name, array)
     if array.dtype.kind == "c":
-        text = (
-            f"{name!r} holds complex numbers: real and imaginary part are the columns of a "
-            "frequency response, and of no recording over time"
-        )
         columns = [
             (f"{part}({label})", getattr(path, part))
             for label, path in paths or [(name, array.reshape(-1))]
             for part in ("real", "imag")
         ]
-        return columns, [finding("complex", text, place=name)]
+        return columns, [complex_statement(repr(name), name)]
     if paths or max(array.shape) == array.size:
         return paths or [(name, array.reshape(-1))], []
     if array.ndim > 2:
@@ -160,10 +157,19 @@ def _columns_of(
     return list(zip(labels, array.T, strict=True)), statements
 
 
-def _response_paths(name: str, array: NDArray[Any]) -> list[tuple[str, NDArray[Any]]]:
-    """Return each path of a response of several outputs and inputs; empty for other arrays.
+def complex_statement(subject: str, place: str) -> Statement:
+    """Return the statement about complex numbers in an array or in columns."""
+    text = (
+        f"{subject} holds complex numbers: real and imaginary part are the columns of a frequency "
+        "response, and of no recording over time"
+    )
+    return finding("complex", text, place=place)
 
-    MATLAB has (outputs, inputs, lines), NumPy's habit is (lines, outputs, inputs).
+
+def _response_paths(name: str, array: NDArray[Any]) -> list[tuple[str, NDArray[Any]]]:
+    """Return the paths of a response of several outputs and inputs; empty for other arrays.
+
+    The shape is (outputs, inputs, lines) in MATLAB, and usually (lines, outputs, inputs) in NumPy.
     """
     if array.ndim == 3:
         for by_path in (array, np.moveaxis(array, 0, -1)):
@@ -177,9 +183,9 @@ def _response_paths(name: str, array: NDArray[Any]) -> list[tuple[str, NDArray[A
 def _is_transposed(
     source: Source, name: str, array: NDArray[Any], shapes: Mapping[str, tuple[int, ...]]
 ) -> bool:
-    """Tell whether the rows of a matrix are channels, from other vectors or from its shape.
+    """Return whether the rows of a matrix are channels, by other vectors or by its shape.
 
-    Raises ``UnreadableFileError`` where nothing tells.
+    Raises ``UnreadableFileError`` for an ambiguous matrix.
     """
     rows, columns = array.shape
     lengths = {max(s) for k, s in shapes.items() if k != name and s and max(s) == np.prod(s) > 1}

@@ -1,4 +1,4 @@
-"""Nanonis ``.dat``: pairs of key and value, then ``[DATA]``, a heading and a table behind tabs."""
+"""Nanonis ``.dat``: pairs of key and value, then ``[DATA]``, headings and a table with tabs."""
 
 from dataclasses import replace
 
@@ -20,9 +20,9 @@ def recognises(source: Source) -> bool:
 
 
 def read(source: Source) -> RawTable:
-    """Read a Nanonis table; every column carries its unit in its heading.
+    """Read a Nanonis table, with the units in the headings.
 
-    The first column is what the instrument swept (a bias, a height), unless it is a time.
+    The first column is the swept quantity (a bias, a height), unless it is a time.
     """
     lines = text_of(source).split("\n")
     row = next((row for row, line in enumerate(lines) if line.strip() == _MARK), len(lines))

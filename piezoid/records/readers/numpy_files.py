@@ -1,4 +1,4 @@
-"""NumPy ``.npy`` and ``.npz``. Pickled objects are never loaded: they can run code."""
+"""NumPy ``.npy`` and ``.npz``. Pickled objects are not loaded, since they can run code."""
 
 import numpy as np
 
@@ -10,16 +10,16 @@ from piezoid.records.table import RawTable
 
 
 def read_npy(source: Source) -> RawTable:
-    """Read one array of shape (samples,) or (samples, channels), or fields with names.
+    """Read one array of shape (samples,) or (samples, channels), or a structured array.
 
-    Only fields have names, which may carry units (``displacement_um``).
+    Only fields of a structured array have names, which may contain units (``displacement_um``).
     """
     with source.open() as stream:
-        is_first = np.lib.format.read_magic(stream) == (1, 0)
         formats = np.lib.format
+        is_first = formats.read_magic(stream) == (1, 0)
         header = formats.read_array_header_1_0 if is_first else formats.read_array_header_2_0
         shape, _, dtype = header(stream)
-        # The header decides how much is allocated: believe it only as far as the file goes.
+        # NumPy allocates the size in the header, which must not exceed that of the file.
         declared = int(np.prod(shape, dtype=object)) * dtype.itemsize
         if dtype.hasobject or declared > source.size():
             raise unreadable(
@@ -44,7 +44,7 @@ def read_npy(source: Source) -> RawTable:
 
 
 def read_npz(source: Source) -> RawTable:
-    """Read an archive of named vectors; the names may carry units (``displacement_um``)."""
+    """Read an archive of named vectors; the names may contain units (``displacement_um``)."""
     check_unpacked_size(source)
     with source.open() as stream, np.load(stream, allow_pickle=False) as archive:
         check_columns(source.name, len(archive.files))
@@ -52,7 +52,7 @@ def read_npz(source: Source) -> RawTable:
 
 
 def _is_npz(source: Source) -> bool:
-    """Recognise an archive of arrays by its names, a damaged or empty one by its suffix."""
+    """Recognise an archive of arrays by its names, a damaged or empty archive by its suffix."""
     is_zip = source.suffix == ".npz" and source.head.startswith((ZIP, b"PK\x05\x06"))
     return is_zip or any(name.endswith(".npy") for name in members(source))
 

@@ -8,7 +8,7 @@ from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, check_columns, check_growth
 from piezoid.records.table import RawTable
 
-_BUFFER = 1 << 20  # bytes of a column chunk held while reading in chunks; 0 would hold all of it
+_BUFFER = 1 << 20  # bytes of a column chunk in memory while reading in chunks; 0: all of it
 
 
 def read(source: Source) -> RawTable:
@@ -21,7 +21,7 @@ def read(source: Source) -> RawTable:
         kinds = (_is_number, types.is_timestamp, types.is_duration)
         units = _units_of(file, lambda kind: any(is_kind(kind) for is_kind in kinds))
         _check_footer(source, file.metadata, len(units))
-        # Only these: a text of a megabyte that every row repeats is a small file as well.
+        # Other columns are not read: a long text repeated in every row makes a small file.
         table = file.read(columns=list(units))
     columns = {name: table.column(name).combine_chunks() for name in units}
     arrays = {name: column.to_numpy(zero_copy_only=False) for name, column in columns.items()}
@@ -29,7 +29,7 @@ def read(source: Source) -> RawTable:
 
 
 def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
-    """Yield the columns of numbers batch by batch, never more of a row group than needed."""
+    """Yield the columns of numbers batch by batch, with at most one batch in memory."""
     from pyarrow.parquet import ParquetFile
 
     with source.open() as stream:
@@ -50,7 +50,7 @@ def _is_number(kind: Any) -> bool:
 
 
 def _units_of(file: Any, is_read: Any) -> dict[str, str]:
-    """Return the units of the columns of some types, by name; empty if none are stated."""
+    """Return the units of the columns of some types by name; empty for an unknown unit."""
     return {
         field.name: (field.metadata or {}).get(b"unit", b"").decode("utf-8")
         for field in file.schema_arrow
@@ -59,7 +59,7 @@ def _units_of(file: Any, is_read: Any) -> dict[str, str]:
 
 
 def _check_footer(source: Source, metadata: Any, columns: int, *, in_memory: bool = True) -> None:
-    """Refuse files that would fill memory or disk, from the footer alone."""
+    """Refuse files that would fill memory or disk, by the sizes in the footer."""
     check_columns(source.name, metadata.num_columns)
     check_growth(source, 8 * metadata.num_rows * columns, in_memory=in_memory)
     groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]

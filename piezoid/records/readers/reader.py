@@ -1,4 +1,4 @@
-"""Reader: the protocol of one file format, and the errors of the libraries that read it."""
+"""Reader: the interface of one file format, and the conversion of errors of libraries."""
 
 import warnings
 from collections.abc import Callable, Iterator
@@ -14,21 +14,20 @@ from piezoid.records.table import RawTable
 class Reader:
     """One file format.
 
-    name         as `piezoid inspect` shows it
-    usual_suffixes  the usual endings of its files, which do not decide; for documentation and
-                    messages
-    recognises   tells from the first bytes (between similar formats, the suffix) whether a file
-                 has this format
-    read         returns the table, without the file's name, digest and format; anything wrong
-                 with the file is an ``UnreadableFileError``
-    read_chunks  yields the table in chunks of about the given number of rows, None where the
-                 format is only read whole. Every chunk begins with the last row of the chunk
-                 before, so that a gap between two chunks lies inside one of them.
-    reads_gzip   whether chunks are also read from a file that gzip compressed: from front to
-                 back, without seeking
-    library      whether a library reads it, each of whose errors is one of the file
-    extra        the extra of the installation that the library comes with, empty for none
-    is_written   whether ``separator``, ``decimal`` and ``heading_row`` of lab.toml apply
+    name             shown by `piezoid inspect`
+    usual_suffixes   usual endings of its files, for documentation and messages only
+    recognises       whether a file has this format, by its first bytes (and by the suffix if
+                     formats are similar)
+    read             returns the table, without the file's name, digest and format; a damaged file
+                     raises ``UnreadableFileError``
+    read_chunks      yields the table in chunks of about the given number of rows; None if the
+                     format is only read as a whole. Every chunk begins with the last row of the
+                     previous one, so that a gap between two chunks lies inside one of them.
+    reads_gzip       whether ``read_chunks`` also reads files compressed by gzip: from front to
+                     back, without seeking
+    library          whether a library reads the format; its errors then mean a damaged file
+    extra            the extra of the installation that contains the library, empty for none
+    has_text_layout  whether ``separator``, ``decimal`` and ``heading_row`` of lab.toml apply
     """
 
     name: str
@@ -39,15 +38,15 @@ class Reader:
     reads_gzip: bool = False
     library: bool = False
     extra: str = ""
-    is_written: bool = False
+    has_text_layout: bool = False
 
 
 @contextmanager
-def reading(source: Source, format_name: str, extra: str = "") -> Iterator[None]:
-    """Turn whatever a library raises on a damaged file into ``UnreadableFileError``.
+def library_errors(source: Source, reader: Reader) -> Iterator[None]:
+    """Convert all errors of a library into ``UnreadableFileError``.
 
-    These libraries document no exceptions for damaged input (KeyError, struct.error, zlib.error,
-    MemoryError and others were seen), so every kind is taken.
+    The libraries document no exceptions for damaged files; KeyError, struct.error, zlib.error and
+    MemoryError occur, among others.
     """
     try:
         with warnings.catch_warnings():
@@ -58,15 +57,15 @@ def reading(source: Source, format_name: str, extra: str = "") -> Iterator[None]
     except ModuleNotFoundError as error:
         raise unreadable(
             source.name,
-            f"reading {format_name} needs the missing Python package {error.name!r}",
-            needed=f"the readers of the extra {extra!r}",
-            remedy=f"Run: pip install 'piezoid[{extra}]'",
+            f"reading {reader.name} needs the missing Python package {error.name!r}",
+            needed=f"the readers of the extra {reader.extra!r}",
+            remedy=f"Run: pip install 'piezoid[{reader.extra}]'",
         ) from error
-    except (Exception, MemoryError) as error:
-        reason = f": {str(error)[:200]}" if str(error) else ""  # short of memory, it says nothing
+    except Exception as error:
+        reason = f": {str(error)[:200]}" if str(error) else ""  # empty for a MemoryError
         raise unreadable(
             source.name,
-            f"the {format_name} reader stopped with {type(error).__name__}{reason}",
-            needed=f"a whole {format_name} file",
+            f"the {reader.name} reader stopped with {type(error).__name__}{reason}",
+            needed=f"a whole {reader.name} file",
             remedy="Copy the file again from where it was written, or export it as CSV.",
         ) from error

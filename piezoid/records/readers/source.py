@@ -1,4 +1,4 @@
-"""Source of a file: bounded, decompressed and decoded, with an error for every failure."""
+"""Open files: bounded, decompressed and decoded, with an error for every failure."""
 
 import contextlib
 import errno
@@ -15,40 +15,41 @@ from typing import BinaryIO
 from piezoid.digests import digest_of_file
 from piezoid.errors import UnreadableFileError
 
-# A recording of an hour at 20 kHz with six doubles a row is 3.5 GB; nothing this toolkit is for
-# comes near a whole one, and a hostile archive of a few kilobytes must not fill the memory.
+# An hour at 20 kHz with six doubles per row is 3.5 GB; usual recordings are much shorter. A
+# hostile archive of a few kilobytes must not fill the memory.
 SIZE_LIMIT = 1 << 31
-# Of measured numbers half the bits are noise, which no archive packs; 64 MB may be anything.
-MOST_GROWTH = 200
+# Half the bits of measured numbers are noise, which cannot be compressed. Up to 64 MB are always
+# accepted.
+MAX_GROWTH = 200
 FREE_SIZE = 1 << 26
 HEAD_SIZE = 1 << 16
 # Reading and checking five million rows of three columns (123 MB of text) took 1,140 MB.
 MEMORY_PER_BYTE = 9
-# Everything that is tried on columns is tried on each; recorders have some hundred.
-MOST_COLUMNS = 4096
+# The time of the checks is proportional to the number of columns; recorders have some hundred.
+MAX_COLUMNS = 4096
 _PIECE = 1 << 20
-# An en dash is a sign in front of a number or its exponent, and a range between two numbers.
-_DASHED = re.compile(r"(?:(?<![\w.])|(?<=\d[eEdD]))\u2013(?=[\d.,])")
-_LARGE = (
+# An en dash before a number or an exponent is a sign; between two numbers it is a range.
+_DASH_AS_MINUS = re.compile(r"(?:(?<![\w.])|(?<=\d[eEdD]))\u2013(?=[\d.,])")
+_REMEDY_TOO_LARGE = (
     "Fit it with --stream, cut the recording into several files, or keep only the columns that "
     "matter."
 )
-_GROWN = (
-    f"Measured numbers do not pack to a part in {MOST_GROWTH}; if these are some, write the file "
-    "without compression."
+_REMEDY_TOO_DENSE = (
+    f"Measured numbers are not compressed by a factor of {MAX_GROWTH}; if these are measured, "
+    "write the file without compression."
 )
 
 
 def unreadable(
     file: str, problem: str, *, needed: str, remedy: str, **numbers: object
 ) -> UnreadableFileError:
-    """Return the error of all readers, with the name of the file in front of the problem."""
+    """Return the error of readers; the message begins with the name of the file."""
     return UnreadableFileError(f"{file}: {problem}", needed=needed, remedy=remedy, **numbers)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TextFormat:
-    """Declared format of a text table in lab.toml; None where undeclared.
+    """Layout of a text table as declared in lab.toml; None if undeclared.
 
     separator    between the fields; empty for runs of white space
     decimal      ``.`` or ``,``
@@ -60,8 +61,8 @@ class TextFormat:
     heading_row: int | None = None
 
     @property
-    def keys(self) -> dict[str, str | int]:
-        """Return the declared keys."""
+    def entries(self) -> dict[str, str | int]:
+        """The declared values by key."""
         return {key: value for key, value in vars(self).items() if value is not None}
 
 
@@ -69,45 +70,47 @@ class TextFormat:
 class Source:
     """An opened file of unknown format.
 
-    path      where it is
-    suffix    of the name in small letters, without ``.gz``
-    digest    of the file's bytes
-    head      the first bytes of what it holds, decompressed
-    packed    whether the file is compressed as a whole, by gzip
-    unpacked  the whole content where the file was compressed, else None
-    text      how lab.toml says that it is written, if it is a text table
+    path          of the file
+    suffix        of the name in lower case, without ``.gz``
+    digest        of the file's bytes
+    head          the first bytes of the content, decompressed
+    is_gzip       whether the file as a whole is compressed by gzip
+    decompressed  the content of a compressed file if it is in memory, else None
+    text          layout of a text table, as declared in lab.toml
     """
 
     path: Path
     suffix: str
     digest: str
     head: bytes
-    packed: bool
-    unpacked: bytes | None
+    is_gzip: bool
+    decompressed: bytes | None
     text: TextFormat = TextFormat()
 
     @property
     def name(self) -> str:
-        """The file's name without its folder; bytes that are no text as ``\\xff``."""
+        """The file's name without its folder; undecodable bytes as ``\\xff``."""
         return os.fsencode(self.path.name).decode("utf-8", "backslashreplace")
 
     def open(self) -> BinaryIO:
         """Open the content as a binary stream."""
-        return self.path.open("rb") if self.unpacked is None else io.BytesIO(self.unpacked)
+        in_memory = self.decompressed
+        return self.path.open("rb") if in_memory is None else io.BytesIO(in_memory)
 
     def content(self) -> bytes:
         """Return the whole content."""
-        return self.path.read_bytes() if self.unpacked is None else self.unpacked
+        return self.path.read_bytes() if self.decompressed is None else self.decompressed
 
     def size(self) -> int:
-        """Number of bytes of the content."""
-        return self.path.stat().st_size if self.unpacked is None else len(self.unpacked)
+        """Return the number of bytes of the content."""
+        in_memory = self.decompressed
+        return self.path.stat().st_size if in_memory is None else len(in_memory)
 
 
 def open_source(path: Path, *, limit: int = SIZE_LIMIT, in_memory: bool = True) -> Source:
     """Open a file and decompress it if it is gzip, refusing more than ``limit`` bytes.
 
-    in_memory  False: any size, with only the beginning decompressed, for reading in blocks
+    in_memory  False: a file of any size, of which only the beginning is decompressed
     """
     try:
         size = regular_size(path)
@@ -131,12 +134,12 @@ def open_source(path: Path, *, limit: int = SIZE_LIMIT, in_memory: bool = True) 
             needed="a file that can be read",
             remedy="Check the name and the permissions.",
         ) from error
-    unpacked, packed = None, head.startswith(b"\x1f\x8b")
-    if packed:
-        unpacked = _unpack(
+    decompressed, is_gzip = None, head.startswith(b"\x1f\x8b")
+    if is_gzip:
+        decompressed = _decompress(
             path, min(limit, growth_limit(size)) if in_memory else HEAD_SIZE, in_memory=in_memory
         )
-        head = unpacked[:HEAD_SIZE]
+        head = decompressed[:HEAD_SIZE]
     if not head:
         raise unreadable(
             path.name,
@@ -150,13 +153,13 @@ def open_source(path: Path, *, limit: int = SIZE_LIMIT, in_memory: bool = True) 
         suffix=Path(inner).suffix.lower(),
         digest=digest,
         head=head,
-        packed=packed,
-        unpacked=unpacked if in_memory else None,
+        is_gzip=is_gzip,
+        decompressed=decompressed if in_memory else None,
     )
 
 
 def regular_size(path: Path) -> int:
-    """Return the bytes of a file; ``OSError`` for a pipe or a device, which may never end."""
+    """Return the size of a file; ``OSError`` for a pipe or a device, which may never end."""
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
         kind = errno.EISDIR if stat.S_ISDIR(status.st_mode) else errno.EINVAL
@@ -166,24 +169,23 @@ def regular_size(path: Path) -> int:
 
 
 def growth_limit(size: int, *, in_memory: bool = True) -> int:
-    """Return how many bytes a file of this size may hold once it is unpacked.
+    """Return the largest number of decompressed bytes of a file of some size.
 
-    in_memory  False: read in blocks, without a limit by memory
+    in_memory  False: without a limit by memory, for reading in chunks
     """
-    grown = max(FREE_SIZE, MOST_GROWTH * size)
+    grown = max(FREE_SIZE, MAX_GROWTH * size)
     return min(SIZE_LIMIT, grown) if in_memory else grown
 
 
-def check_growth(source: "Source", unpacked: int, *, in_memory: bool = True) -> None:
-    """Refuse content with an implausibly high compression ratio.
+def check_growth(source: "Source", size: int, *, in_memory: bool = True) -> None:
+    """Refuse content of ``size`` bytes with an implausibly high compression ratio.
 
-    in_memory  also refuse content that does not fit into memory
+    in_memory  True: also refuse content that does not fit into memory
     """
-    check_size(
-        source.name, unpacked, growth_limit(source.path.stat().st_size, in_memory=in_memory)
-    )
+    limit = growth_limit(source.path.stat().st_size, in_memory=in_memory)
+    check_size(source.name, size, limit)
     if in_memory:
-        check_memory(source.name, unpacked)
+        check_memory(source.name, size)
 
 
 def check_memory(file: str, size: int) -> None:
@@ -196,7 +198,7 @@ def check_memory(file: str, size: int) -> None:
     if free is not None and needed > free:
         raise unreadable(
             file,
-            f"to read it takes about {needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are "
+            f"reading it takes about {needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are "
             "free",
             needed="a recording that fits into memory",
             remedy="Fit it with --stream, which reads in chunks; or cut the recording into "
@@ -206,11 +208,11 @@ def check_memory(file: str, size: int) -> None:
 
 
 def available_bytes() -> int | None:
-    """Return the memory that this process can still allocate; None if unknown."""
+    """Return the free memory of this process in bytes; None if unknown."""
     limits = []
     with contextlib.suppress(OSError, ValueError, IndexError):
         sizes = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())
-        # In units of 1024 bytes, "kB" by tradition.
+        # "kB" means 1024 bytes here.
         limits.append(
             1024 * sum(int(sizes[key].split()[0]) for key in ("MemAvailable", "SwapFree"))
         )
@@ -225,32 +227,32 @@ def available_bytes() -> int | None:
 
 
 def check_size(file: str, size: int, limit: int = SIZE_LIMIT) -> None:
-    """Refuse content that would hold more than ``limit`` bytes once it is in memory."""
+    """Refuse content of more than ``limit`` decompressed bytes."""
     if size > limit:
         raise unreadable(
             file,
             f"it holds {size} bytes once unpacked",
             needed=f"at most {limit} bytes",
-            remedy=_LARGE if limit == SIZE_LIMIT else _GROWN,
+            remedy=_REMEDY_TOO_LARGE if limit == SIZE_LIMIT else _REMEDY_TOO_DENSE,
             size=size,
         )
 
 
 def check_columns(file: str, columns: int) -> None:
     """Refuse a table with too many columns: a file without line breaks, or a hostile heading."""
-    if columns > MOST_COLUMNS:
+    if columns > MAX_COLUMNS:
         raise unreadable(
             file,
             f"it has {columns} columns",
-            needed=f"at most {MOST_COLUMNS}, a row for each sample",
+            needed=f"at most {MAX_COLUMNS}, a row for each sample",
             remedy="Keep only the columns that matter, or transpose the table.",
             columns=columns,
         )
 
 
-def _unpack(path: Path, limit: int, *, in_memory: bool) -> bytes:
+def _decompress(path: Path, limit: int, *, in_memory: bool) -> bytes:
     try:
-        # Read in pieces until the limit is passed; one read would ignore the limit.
+        # Read in pieces until the limit is exceeded; a single read would ignore the limit.
         content = bytearray()
         with gzip.open(path, "rb") as stream:
             while len(content) <= limit and (piece := stream.read(_PIECE)):
@@ -268,7 +270,7 @@ def _unpack(path: Path, limit: int, *, in_memory: bool) -> bytes:
 
 
 def text_of(source: Source) -> str:
-    """Decode text as UTF-8, UTF-16 with or without its mark, or else as Western European bytes."""
+    """Decode text as UTF-8, UTF-16 with or without byte order mark, or else as Latin-1."""
     check_memory(source.name, source.size())
     encoding = encoding_of(source.head)
     if not encoding.startswith("utf-16"):
@@ -285,7 +287,7 @@ def text_of(source: Source) -> str:
 
 
 def refuse_zero_bytes(source: Source) -> None:
-    """Refuse a text with a zero byte, with its position, before it is loaded into memory."""
+    """Refuse a text with a zero byte, naming its line, before it is loaded into memory."""
     line, first = 1, 0
     with source.open() as stream:
         while piece := stream.read(_PIECE):
@@ -306,18 +308,15 @@ def refuse_zero_bytes(source: Source) -> None:
 
 
 def with_hyphens(text: str) -> str:
-    """Return a text with a hyphen for every sign that is printed as a longer stroke.
-
-    Word processors and some locales write the true minus, or an en dash.
-    """
+    """Replace the minus signs and en dashes of word processors and some locales by hyphens."""
     text = text.replace("\u2212", "-")
-    return _DASHED.sub("-", text) if "\u2013" in text else text
+    return _DASH_AS_MINUS.sub("-", text) if "\u2013" in text else text
 
 
 def encoding_of(head: bytes) -> str:
-    """Return the encoding of a text from its first bytes: UTF-16, UTF-8 or Western European.
+    """Return the encoding of a text from its first bytes: UTF-16, UTF-8 or Latin-1.
 
-    Latin letters and digits fill every second byte of UTF-16 with zeros, mark or no mark.
+    Every second byte of Latin letters and digits in UTF-16 is zero, with or without a mark.
     """
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16"
@@ -328,6 +327,6 @@ def encoding_of(head: bytes) -> str:
     try:
         head.decode("utf-8")
     except UnicodeDecodeError as error:
-        # A letter may be cut at the end.
+        # The last letter of the head may be incomplete.
         return "utf-8-sig" if error.start > len(head) - 4 else "latin-1"
     return "utf-8-sig"

@@ -11,7 +11,7 @@ from piezoid.records.table import RawTable, rate_of
 
 def read(source: Source) -> RawTable:
     """Read every channel; ``wf_increment`` is the sampling interval in seconds."""
-    with source.open() as stream, _opened(stream) as file:
+    with source.open() as stream, _open_file(stream) as file:
         channels = _named_channels(source, file)
         check_growth(source, 8 * sum(len(channel) for channel in channels.values()))
         arrays = {name: channel[:] for name, channel in channels.items()}
@@ -22,10 +22,9 @@ def read(source: Source) -> RawTable:
 def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
     """Yield the channels of the commonest length in chunks.
 
-    A segment that was written in one call is read as one: what the recorder held in memory, the
-    reader can hold as well.
+    A segment that was written in one call is read as a whole, since it fitted into memory.
     """
-    with source.open() as stream, _opened(stream) as file:
+    with source.open() as stream, _open_file(stream) as file:
         channels = _named_channels(source, file)
         length = commonest_length(len(c) for c in channels.values() if len(c) > 1)
         columns = {name: c for name, c in channels.items() if len(c) == length}
@@ -43,12 +42,12 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
         )
 
 
-def _opened(stream: object) -> Any:
+def _open_file(stream: object) -> Any:
     """Open a file for reading channel by channel."""
     from nptdms import TdmsFile
     from nptdms.log import log_manager
 
-    # It prints warnings with kilobytes of the file in them; what matters comes as an error.
+    # The warnings of the library contain kilobytes of the file.
     log_manager.set_level("ERROR")
     return TdmsFile.open(stream)
 
@@ -76,7 +75,7 @@ def _stated_rate_Hz(source: Source, channels: Mapping[str, Any]) -> float | None
             source.name,
             f"its channels have different sampling intervals {sorted(intervals_s)} s",
             needed="one clock for all channels",
-            remedy="Write the channels of each rate into a file of their own.",
+            remedy="Write the channels of each rate into a separate file.",
         )
     return rate_of(intervals_s.pop()) if intervals_s else None
 

@@ -1,7 +1,7 @@
-"""Tektronix oscilloscope CSV with its settings side by side with the samples.
+"""Tektronix oscilloscope CSV with its settings next to the samples.
 
-Every row is ``key, value, (blank), time, volts, (blank)`` for each channel saved; the settings run
-out after some twenty rows, the samples go on.
+Every row is ``key, value, (blank), time, volts, (blank)`` for each saved channel; the settings end
+after some twenty rows, the samples continue.
 """
 
 import re
@@ -25,7 +25,7 @@ def recognises(source: Source) -> bool:
 
 
 def read(source: Source) -> RawTable:
-    """Read all channels; their clocks must be one and the same."""
+    """Read all channels, which must have the same clock."""
     rows = [split(line, ",") for line in text_of(source).rstrip().split("\n")]
     starts = [k for k, cell in enumerate(rows[0]) if cell == "Record Length"]
     fields: list[int] = []  # of the time and the value of each channel
@@ -33,7 +33,7 @@ def read(source: Source) -> RawTable:
     for channel, (start, stop) in enumerate(
         zip(starts, [*starts[1:], len(rows[0])], strict=True), start=1
     ):
-        # The first two numbers behind key and value.
+        # Time and value are the first two numbers behind key and value of the setting.
         numbers = [
             k
             for k in range(start + 2, stop)
@@ -63,7 +63,7 @@ def read(source: Source) -> RawTable:
                 source.name,
                 f"the times of channel {k // 2 + 1} differ from those of channel 1",
                 needed="one clock for all channels",
-                remedy="Save each channel into a file of its own.",
+                remedy="Save each channel into a separate file.",
             )
     settings = _settings(rows, starts[0])
     declared = number_of(settings.get("Record Length", ""), ".") or 0.0

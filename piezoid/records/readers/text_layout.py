@@ -13,31 +13,31 @@ from piezoid.records.units import heading_of, unit_of
 
 # Longer preambles than this have their own formats.
 HEAD_LINES = 1000
-# Every layout is tried on every line: a longer line is no row, and so much text is tried.
+# Characters of a row, and of the text on which every layout is tried.
 MAX_LINE = 1 << 18
 MAX_TRIED_TEXT = 1 << 20
 _SEPARATORS = ("\t", ";", "|", ",", "")
-# What may be a decimal comma with three decimals, or a thousand: ``1,234``.
+# A comma that may mark decimals or thousands: ``1,234``.
 _THOUSAND = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
-_CUT_NUMBER = re.compile(r"[+-]?\d{1,9},\d{3,9}(?=,)")
+_SPLIT_NUMBER = re.compile(r"[+-]?\d{1,9},\d{3,9}(?=,)")
 _BELOW_THOUSAND = re.compile(r"[+-]?[1-9]\d{0,2}")
 _BRACKETS = frozenset("[](){}")
 _HEXADECIMAL = re.compile(r"\b0[xX][0-9a-fA-F]{1,16}\b")
 _COMMENT = re.compile(r"^\s*(?:#|%|//)+\s?")
-# No opening bracket inside: a line of those alone would be searched to its end from each of them.
+# No opening bracket inside: a line of opening brackets would take quadratic time.
 _NAME_AND_BRACKET = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\[\]]*\]|\([^()]*\)))?")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TableStart:
-    """Where a table starts.
+    """Start and layout of a table in a text.
 
-    layout   how its rows are written
+    layout   of its rows
     row      index of its first line, from 0
-    labels   one for each field, empty where there is none
-    units    from a row of units of its own, empty where there is none
+    labels   heading of each field, empty without one
+    units    unit of each field in a separate row of units, empty without one
     above    lines before the headings
-    strays   lines (from 1) of numbers above the table that have another number of fields
+    strays   lines (from 1) above the table with another number of numeric fields
     """
 
     layout: Layout
@@ -51,34 +51,34 @@ class TableStart:
 def find_table(lines: list[str], name: str, declared: TextFormat | None = None) -> TableStart:
     """Find the table among the first lines of a text, trying every layout.
 
-    declared  what lab.toml says of the layout
+    declared  layout as declared in lab.toml
 
-    The layout with the most rows of numbers wins; among equals the one whose headings fit, then
-    the earlier one in the list (a tab is never an accident, a blank often is).
+    The layout with the most rows of numbers is selected; among equals the first one with headings,
+    else the first one in the list (a tab always separates, a blank often does not).
     """
     declared = declared or TextFormat()
-    lines, count = _first_text(lines), len(lines)
+    lines, count = _head_lines(lines), len(lines)
     if declared.heading_row is not None and declared.heading_row >= len(lines):
         raise LabFileError(
             f"lab.toml: heading_row of {name} is {declared.heading_row}, the headings of this "
-            f"file stand within its first {len(lines)} lines",
+            f"file are within its first {len(lines)} lines",
             needed="the number of the line that holds the headings, from 1, with rows below it",
             remedy="Correct heading_row of the entry.",
         )
-    # Rows of nothing but numbers first; only where there are none, rows with texts among them.
-    best = _best_start(lines, 1.0, declared) or _best_start(lines, 0.5, declared)
+    # Rows of only numbers; if there are none, rows that also contain text.
+    best = _find_best_start(lines, 1.0, declared) or _find_best_start(lines, 0.5, declared)
     if best is None:
-        check_columns(name, max((_widest(x) for x in lines if len(x) > MAX_LINE), default=0))
+        check_columns(name, max((_column_count(x) for x in lines if len(x) > MAX_LINE), default=0))
         raise _no_table(lines, count, name, declared)
     for row, line in enumerate(lines[: best.row], start=1):
-        # A prefix in a cell keeps a row of numbers out of the table.
+        # A row of numbers above the table may contain a prefix in a cell.
         cells = cells_of(line, best.layout) if len(line) <= MAX_LINE else []
         numbers_of_row = [number_of(cell, best.layout.decimal) for cell in cells if cell]
         if len(cells) == best.layout.fields and set(numbers_of_row) - {None}:
             for column, cell in enumerate(cells, start=1):
                 refuse_prefix(cell, name, row, column)
     if not any(best.labels) and best.above and not _COMMENT.match(best.above[-1]):
-        check_columns(name, _widest(best.above[-1]))
+        check_columns(name, _column_count(best.above[-1]))
         if not declared.decimal:
             _refuse_other_fields_than_headings(lines, best, name)
     if not declared.decimal:
@@ -89,7 +89,7 @@ def find_table(lines: list[str], name: str, declared: TextFormat | None = None) 
 def _no_table(
     lines: list[str], count: int, name: str, declared: TextFormat
 ) -> UnreadableFileError:
-    entries = ", ".join(f"{key} = {value!r}" for key, value in declared.keys.items())
+    entries = ", ".join(f"{key} = {value!r}" for key, value in declared.entries.items())
     stated = f" with {entries} of lab.toml" if entries else ""
     numbers = (match[0] for line in lines if (match := _HEXADECIMAL.search(line)))
     hint = next((f", and {number!r} is a hexadecimal number" for number in numbers), "")
@@ -105,50 +105,50 @@ def _no_table(
 
 
 def _refuse_other_fields_than_headings(lines: list[str], start: TableStart, name: str) -> None:
-    """Refuse rows that have other numbers of cells than the heading has names."""
+    """Refuse rows with another number of fields than the line of headings."""
     layout = start.layout
     for row in reversed(range(start.row)):
         heading = _COMMENT.sub("", lines[row])
         marks = dict.fromkeys((layout.separator or "\t", "\t", ";", ","))
         cuts = [split(heading, mark) for mark in marks]
         cells = next((cut for cut in cuts if len(cut) > 1), [])
-        headed = len([cell for cell in cells if cell])
-        # ``rig, stage 42`` above a table heads nothing; ``time [s], voltage`` does.
+        heading_count = len([cell for cell in cells if cell])
+        # ``rig, stage 42`` is not a line of headings; ``time [s], voltage`` is.
         meanings = [meaning_of(heading_of(cell)).role for cell in cells]
-        if headed > 1 and any(role is not Role.UNREAD for role in meanings):
+        if heading_count > 1 and any(role is not Role.UNREAD for role in meanings):
             break
     else:
         return
-    if headed == layout.fields:
+    if heading_count == layout.fields:
         return
-    if headed == layout.fields - 1 and _counts_rows(lines[start.row :], layout):
-        return  # programs that number the rows leave the numbers without a name
-    why, entry = "", 'decimal = "."'
-    if headed < layout.fields and layout.separator == ",":
-        why = ", as if commas stood between the numbers and inside them"
-        cut_numbers = (match[0] for x in lines[start.row :] if (match := _CUT_NUMBER.match(x)))
-        example = next(cut_numbers, "")
-        why += f" ({example})" if example else ""
-    if layout.separator == "," and layout.fields == 2 * headed:
+    if heading_count == layout.fields - 1 and _has_row_numbers(lines[start.row :], layout):
+        return  # a column of row numbers without a heading
+    explanation, entry = "", 'decimal = "."'
+    if heading_count < layout.fields and layout.separator == ",":
+        explanation = ", as if commas stood between the numbers and inside them"
+        matches = (match[0] for x in lines[start.row :] if (match := _SPLIT_NUMBER.match(x)))
+        example = next(matches, "")
+        explanation += f" ({example})" if example else ""
+    if layout.separator == "," and layout.fields == 2 * heading_count:
         entry = 'separator = ","\ndecimal = ","'
     remedy = "Export with decimal points, or with semicolons between the columns"
-    if headed < layout.fields - 1:
+    if heading_count < layout.fields - 1:
         remedy += (
-            "; or say in lab.toml how the rows are meant:\n\n[[recording]]\n"
+            "; or declare the layout of the rows in lab.toml:\n\n[[recording]]\n"
             f"file = {json.dumps(name)}\n{entry}\n"
         )
     raise unreadable(
         name,
-        f"line {row + 1} heads {headed} columns, and the rows from line {start.row + 1} on have "
-        f"{layout.fields} fields{why}",
+        f"line {row + 1} heads {heading_count} columns, and the rows from line {start.row + 1} on "
+        f"have {layout.fields} fields{explanation}",
         needed="as many fields in a row as there are headings",
         remedy=remedy if remedy.endswith("\n") else f"{remedy}.",
         line=start.row + 1,
     )
 
 
-def _counts_rows(lines: list[str], layout: Layout) -> bool:
-    """Tell whether the first cells of the rows are 0, 1, 2, ... or 1, 2, 3, ..."""
+def _has_row_numbers(lines: list[str], layout: Layout) -> bool:
+    """Return whether the first cells of the rows are 0, 1, 2, ... or 1, 2, 3, ..."""
     rows = [line for line in lines if line.strip() and not _COMMENT.match(line)]
     cells = [cells_of(line, layout)[0] for line in rows[:3]]
     return any(cells == [str(first + k) for k in range(len(cells))] for first in (0, 1))
@@ -157,14 +157,14 @@ def _counts_rows(lines: list[str], layout: Layout) -> bool:
 def _refuse_possible_thousands(lines: list[str], start: TableStart, name: str) -> None:
     """Refuse numbers in which a comma may mark thousands or decimals.
 
-    With three digits behind every comma, and only whole numbers below a thousand beside them,
-    1,234 may be either.
+    The meaning of 1,234 is unknown if there are three digits behind every comma, and if all other
+    numbers are whole and below a thousand.
     """
     if start.layout.decimal != "," or start.layout.grouped:
         return
     for k in range(start.layout.fields):
         rows = (cells_of(line, start.layout) for line in lines[start.row :] if line.strip())
-        cells = [row[k] for row in rows if len(row) > k and _is_digit(row[k])]
+        cells = [row[k] for row in rows if len(row) > k and _has_digit(row[k])]
         marked = sum(_THOUSAND.fullmatch(cell) is not None for cell in cells)
         unmarked = sum(_BELOW_THOUSAND.fullmatch(cell) is not None for cell in cells)
         if marked and unmarked and marked + unmarked == len(cells):
@@ -179,8 +179,8 @@ def _refuse_possible_thousands(lines: list[str], start: TableStart, name: str) -
             )
 
 
-def _first_text(lines: list[str]) -> list[str]:
-    """Return the first lines, those that may be rows no more than a megabyte together."""
+def _head_lines(lines: list[str]) -> list[str]:
+    """Return the first lines with at most ``MAX_TRIED_TEXT`` characters in possible rows."""
     size = 0
     for row, line in enumerate(lines):
         size += len(line) if len(line) <= MAX_LINE else 0
@@ -189,13 +189,13 @@ def _first_text(lines: list[str]) -> list[str]:
     return lines
 
 
-def _widest(line: str) -> int:
-    """Return how many columns a line has by the separator it holds most of."""
+def _column_count(line: str) -> int:
+    """Return the number of columns of a line by its most frequent separator."""
     return 1 + max(line.count(separator) for separator in "\t;, ")
 
 
-def _best_start(lines: list[str], share: float, declared: TextFormat) -> TableStart | None:
-    # Marks of thousands are tried last: numbers that can be read without them have none.
+def _find_best_start(lines: list[str], share: float, declared: TextFormat) -> TableStart | None:
+    # Marks of thousands are tried last, so that they are not assumed unnecessarily.
     separators = _SEPARATORS if declared.separator is None else (declared.separator,)
     decimals = (".", ",") if declared.decimal is None else (declared.decimal,)
     layouts = [
@@ -204,7 +204,7 @@ def _best_start(lines: list[str], share: float, declared: TextFormat) -> TableSt
         for separator in separators
         for decimal in decimals
     ]
-    # Comma and decimal comma go together where the numbers stand in quotes.
+    # Commas separate and mark decimals if the numbers are in quotes.
     if declared.separator == declared.decimal == ",":
         layouts = [Layout(separator=",", decimal=",", fields=0, paired=True)]
     best: TableStart | None = None
@@ -226,7 +226,7 @@ def _best_start(lines: list[str], share: float, declared: TextFormat) -> TableSt
 
 
 def _numeric_rows(lines: list[str], layout: Layout, share: float, above: int) -> dict[int, int]:
-    """Return the fields of each row in which at least a share of the filled ones are numbers."""
+    """Return the number of fields of each row with at least a share of numeric fields."""
     separator, fields_of_row = layout.separator, {}
     for row, line in enumerate(lines):
         if row < above or len(line) > MAX_LINE or not line.strip() or _COMMENT.match(line):
@@ -237,12 +237,17 @@ def _numeric_rows(lines: list[str], layout: Layout, share: float, above: int) ->
         values = [number_of(f, layout.decimal, grouped=layout.grouped) for f in fields if f]
         numbers = sum(value is not None for value in values)
         is_whole = numbers == len(values) if share == 1 else numbers > 1
-        if numbers and is_whole and numbers >= share * len(values) and any(map(_is_digit, fields)):
+        if (
+            numbers
+            and is_whole
+            and numbers >= share * len(values)
+            and any(map(_has_digit, fields))
+        ):
             fields_of_row[row] = len(fields)
     return fields_of_row
 
 
-def _is_digit(field: str) -> bool:
+def _has_digit(field: str) -> bool:
     return any(character.isdigit() for character in field)
 
 
@@ -255,9 +260,9 @@ def _with_headings(
         is_open = bool(layout.separator) and all(
             split(line, layout.separator)[-1:] == [""] for line in lines[first : first + 20]
         )
-        lowest = _cells(lines[above[-1]], layout, is_open)
-        names = _cells(lines[above[-2]], layout, is_open) if len(above) > 1 else None
-        if lowest and names and _are_units(lowest) and not _are_units(names):
+        lowest = _heading_fields(lines[above[-1]], layout, is_open)
+        names = _heading_fields(lines[above[-2]], layout, is_open) if len(above) > 1 else None
+        if lowest and names and _is_unit_row(lowest) and not _is_unit_row(names):
             labels, units, above = names, lowest, above[:-2]
         elif lowest and any(re.search(r"[^\W\d_]", cell) for cell in lowest):
             labels, above = lowest, above[:-1]
@@ -266,22 +271,22 @@ def _with_headings(
 
 
 def headings_beside_row_numbers(start: TableStart) -> tuple[str, ...] | None:
-    """Return the headings of a line that has one name less than the rows have fields.
+    """Return the headings of a line with one name less than the rows have fields, or None.
 
-    Programs that write row numbers leave them without a name: whether the numbers of the first
-    column are row numbers is for the caller to see.
+    Programs write row numbers without a heading; the caller checks whether the first column
+    contains row numbers.
     """
     if any(start.labels) or not start.above or start.layout.fields < 3:
         return None
     layout = replace(start.layout, fields=start.layout.fields - 1)
-    cells = _cells(start.above[-1], layout)
+    cells = _heading_fields(start.above[-1], layout)
     return None if cells is None or not all(cells) else ("", *cells)
 
 
-def _cells(line: str, layout: Layout, is_open: bool = False) -> tuple[str, ...] | None:
-    """Cut a heading line into as many cells as the rows have, or return None.
+def _heading_fields(line: str, layout: Layout, is_open: bool = False) -> tuple[str, ...] | None:
+    """Split a line of headings into as many cells as the rows have, or return None.
 
-    is_open  the rows end with a separator, behind which no column stands
+    is_open  whether the rows end with a separator without a column behind it
     """
     if len(line) > MAX_LINE:
         return None
@@ -305,7 +310,7 @@ def _cells(line: str, layout: Layout, is_open: bool = False) -> tuple[str, ...] 
 
 
 def _split_outside_brackets(line: str, separator: str) -> list[str]:
-    """Cut a line at the separators that no bracket encloses."""
+    """Split a line at the separators outside brackets."""
     cells, depth = [""], 0
     for part in re.split(rf"([\[\](){{}}]|{re.escape(separator)})", line):
         if part == separator and depth == 0:
@@ -322,9 +327,9 @@ def drop_repeated_headings(
     """Drop rows that repeat the heading.
 
     line      of the first row
-    returned  the rows, which of them come behind such a heading, and the lines of the headings
+    returned  the rows, the indices of rows behind a repeated heading, the lines of these headings
 
-    Raises ``UnreadableFileError`` where other headings stand there.
+    Raises ``UnreadableFileError`` for other headings among the rows.
     """
     row_lines: list[str] = []
     segment_starts: list[int] = []
@@ -332,7 +337,7 @@ def drop_repeated_headings(
     rows = 0
     labels = [(heading.stem.lower(), heading.unit) for heading in map(heading_of, start.labels)]
     for number, content in enumerate(text.split("\n"), start=line):
-        cells = _heading_cells(content, start)
+        cells = _repeated_heading(content, start)
         headings = [heading_of(cell) for cell in cells]
         if cells and cells == start.units:
             continue
@@ -340,7 +345,7 @@ def drop_repeated_headings(
             heading_lines.append(number)
             segment_starts.append(rows)
             continue
-        # Two names with units are a heading; other words may be a damaged row.
+        # Two names with units are a heading; other words may belong to a damaged row.
         if sum(heading.unit is not None and bool(heading.stem) for heading in headings) > 1:
             raise unreadable(
                 name,
@@ -359,17 +364,17 @@ def drop_repeated_headings(
     )
 
 
-def _heading_cells(line: str, start: TableStart) -> tuple[str, ...]:
-    """Return the cells of a line with as many words as columns, else None."""
+def _repeated_heading(line: str, start: TableStart) -> tuple[str, ...]:
+    """Return the cells of a line of as many words as columns, else an empty tuple."""
     if len(line) > MAX_LINE or not re.search(r"[^\W\d_]", line):
         return ()
-    cells = _cells(line.lstrip("\ufeff"), start.layout) or ()
+    cells = _heading_fields(line.lstrip("\ufeff"), start.layout) or ()
     filled = [cell for cell in cells if cell]
     is_heading = filled and all(number_of(cell, start.layout.decimal) is None for cell in filled)
     return cells if is_heading else ()
 
 
-def _are_units(cells: tuple[str, ...]) -> bool:
+def _is_unit_row(cells: tuple[str, ...]) -> bool:
     units = [unit_cell(cell) for cell in cells]
     is_unit = [unit_of(unit) is not None for unit in units if unit]
     return bool(is_unit) and all(is_unit)

@@ -1,4 +1,4 @@
-"""Parse the numbers of a text table: fast if it is regular, else cell by cell."""
+"""Parse the numbers of a text table: at once if it is regular, else cell by cell."""
 
 import csv
 import io
@@ -25,7 +25,7 @@ _EMPTY = frozenset({"", "nan", "n/a", "na", "null", "none", "-", "--", "#n/a", "
 _LONGEST = 400  # characters of a number: 1e308 written out has 309
 _COUNT = re.compile(r"[0-9]{1,18}")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
-# Thousands in groups of three behind one and the same mark, by the decimal mark they stand beside.
+# Thousands in groups of three with the same mark, by the decimal mark.
 _GROUPED = {
     ".": re.compile(r"[+-]?\d{1,3}(?:([,' \xa0\u2009\u202f])\d{3}(?:\1\d{3})*)?(?:\.\d*)?"),
     ",": re.compile(r"[+-]?\d{1,3}(?:([.' \xa0\u2009\u202f])\d{3}(?:\1\d{3})*)?(?:,\d*)?"),
@@ -34,24 +34,24 @@ _PREFIXED = re.compile(
     r"[+-]?(?:\d{1,20}(?:[.,]\d{1,20})?|[.,]\d{1,20})\s?[fpnuµμmkKMG][A-Za-z]{0,2}"
 )
 _COMMENT = re.compile(r"^[ \t]*(?:#|%|//)")
-# A time of day, whatever date stands before it: days are told apart by the clock that begins anew.
+# A time of day behind any date: a clock that starts again shows a new day.
 _TIME_OF_DAY = (
     r"(?:[\d./-]{6,10}[ T])?\s*(?P<h>\d{1,2}):(?P<m>[0-5]\d):(?P<s>[0-5]\d(?:[.,]\d+)?)"
     r"\s*(?P<half>[AaPp])?\.?(?:[Mm]\.?)?"
 )
-# Without hours, as Excel shows a time with tenths; only the fraction tells it from 14:05 o'clock.
+# Without hours, as Excel shows a time with tenths; only its fraction distinguishes it from 14:05.
 _MINUTES = r"(?P<m>\d{1,4}):(?P<s>[0-5]\d[.,]\d+)"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """How the rows of a text table are written.
+    """Layout of the rows of a text table.
 
     separator  one character, or empty for runs of white space
     decimal    ``.`` or ``,``
     fields     number of fields in a row
-    grouped    whether thousands may be marked off, as in ``1,234.5`` or ``1.234,5``
-    paired     whether the separator is the decimal comma as well: two fields make one number
+    grouped    whether there may be marks of thousands, as in ``1,234.5`` or ``1.234,5``
+    paired     whether the separator is also the decimal comma: two fields make one number
     """
 
     separator: str
@@ -65,9 +65,9 @@ class Layout:
 class NumberTable:
     """The numbers of a table.
 
-    columns   (fields,) arrays of equal length; NaN where a field holds no number
-    textual   fields that hold text in most of their rows
-    stamped   fields that hold times of day, with or without dates, now seconds from the first
+    columns     (fields,) arrays of equal length; NaN for fields without a number
+    textual     indices of the fields with text in most rows
+    stamped     indices of the fields with times of day, converted to seconds from the first
     statements  damaged fields and rows, with their lines
     """
 
@@ -78,9 +78,9 @@ class NumberTable:
 
 
 def split(line: str, separator: str) -> list[str]:
-    """Cut a row into its fields, without the white space and quotes around them."""
+    """Split a row into its fields, without the white space and quotes around them."""
     fields = line.split(separator) if separator else line.split()
-    if '"' in line and separator and line.count('"') % 2 == 0:  # it may stand inside quotes
+    if '"' in line and separator and line.count('"') % 2 == 0:  # for separators inside quotes
         with suppress(csv.Error):
             reader = csv.reader([line], delimiter=separator, skipinitialspace=True)
             fields = next(reader, fields)
@@ -88,7 +88,7 @@ def split(line: str, separator: str) -> list[str]:
 
 
 def cells_of(line: str, layout: Layout) -> list[str]:
-    """Split a row of numbers into fields, rejoining fields that the separator cuts."""
+    """Split a row of numbers into fields; rejoin numbers that the separator splits."""
     fields = split(line, layout.separator)
     if not layout.paired or len(fields) % 2:
         return fields
@@ -136,14 +136,14 @@ def parse_numbers(text: str, layout: Layout, name: str, first_line: int) -> Numb
             remedy="Export the recording again.",
             line=first_line,
         )
-    frame = _frame(text, layout, np.float64)
+    frame = _read_regular(text, layout, np.float64)
     if frame is not None:
         columns = tuple(frame[k].to_numpy(dtype=np.float64) for k in frame.columns)
         return NumberTable(columns=columns, textual=frozenset(), statements=())
     try:
         table = _parse_cells(text, layout, name, first_line)
     except UnreadableFileError:
-        _refuse_prefixes(text, layout, name, first_line, frozenset())  # the better reason
+        _refuse_prefixes(text, layout, name, first_line, frozenset())  # the clearer message
         raise
     if any(statement.quantity == "not_a_number" for statement in table.statements):
         _refuse_prefixes(text, layout, name, first_line, table.textual)
@@ -160,7 +160,7 @@ def _refuse_prefixes(
 
 
 def lines_are_rows(text: str) -> bool:
-    """Tell whether every line of a table is a row, none of them blank or a comment."""
+    """Return whether no line of a table is blank or a comment."""
     marked = any(mark in text for mark in ("#", "%", "//"))
     return "\n\n" not in text.rstrip("\n") and not (
         marked and any(map(_COMMENT.match, text.split("\n")))
@@ -168,7 +168,7 @@ def lines_are_rows(text: str) -> bool:
 
 
 def without_comments(text: str, first_line: int) -> tuple[str, tuple[Statement, ...]]:
-    """Return a table without comments between its rows, and a statement about them."""
+    """Return a table without comments between its rows, and the statement about them."""
     if not any(mark in text for mark in ("#", "%", "//")):
         return text, ()
     lines = text.split("\n")
@@ -183,17 +183,16 @@ def without_comments(text: str, first_line: int) -> tuple[str, tuple[Statement, 
 def _parse_cells(text: str, layout: Layout, name: str, first_line: int) -> NumberTable:
     """Read cells as numbers or times of day, and report other cells.
 
-    Raises ``UnreadableFileError`` where text or surplus cells damage more than a quarter of the
-    rows.
+    Raises ``UnreadableFileError`` if more than a quarter of the rows have text or surplus cells.
     """
-    rows, lines, fields = _cut_rows(text, layout, first_line)
+    rows, lines, fields = _split_rows(text, layout, first_line)
     numbers = np.empty((len(lines), layout.fields))
     is_text = np.zeros(numbers.shape, dtype=bool)
     stamped = set()
     for k in range(layout.fields):
         cells = rows[k].str.strip()
-        numbers[:, k], is_text[:, k] = _numbers_of(cells, layout)
-        if 2 * is_text[:, k].sum() > len(cells) and (seconds := _seconds_of(cells)) is not None:
+        numbers[:, k], is_text[:, k] = _parse_column(cells, layout)
+        if 2 * is_text[:, k].sum() > len(cells) and (seconds := _parse_times(cells)) is not None:
             numbers[:, k], is_text[:, k] = seconds, False
             stamped.add(k)
     counts = is_text.sum(axis=0)
@@ -236,18 +235,18 @@ def _parse_cells(text: str, layout: Layout, name: str, first_line: int) -> Numbe
     )
 
 
-def _cut_rows(
+def _split_rows(
     text: str, layout: Layout, first_line: int
 ) -> tuple["DataFrame", NDArray[np.intp], NDArray[np.intp]]:
-    """Cut a table into cells; one by one only where rows are blank or of different lengths.
+    """Split a table into cells, row by row only if rows are blank or of different lengths.
 
     Returns:
-        A column of text for each field, empty where a row is short; the line of each row; and its
-        number of fields, where more than the table has are filled.
+        A column of text for each field, empty for missing fields; the line of each row; and its
+        number of fields if it has surplus ones (otherwise any number up to that of the table).
     """
     import pandas as pd
 
-    frame = None if "\n\n" in text.rstrip("\n") else _frame(text, layout, str)
+    frame = None if "\n\n" in text.rstrip("\n") else _read_regular(text, layout, str)
     if frame is not None:
         lines = first_line + np.arange(len(frame))
         return frame.fillna(""), lines, np.full(len(frame), layout.fields)
@@ -264,7 +263,7 @@ def _cut_rows(
     )
 
 
-def _numbers_of(cells: "Series[str]", layout: Layout) -> tuple[Array, NDArray[np.bool_]]:
+def _parse_column(cells: "Series[str]", layout: Layout) -> tuple[Array, NDArray[np.bool_]]:
     """Return the numbers of a column, NaN for empty cells and text, and which cells are text."""
     import pandas as pd
 
@@ -280,12 +279,12 @@ def _numbers_of(cells: "Series[str]", layout: Layout) -> tuple[Array, NDArray[np
     return numbers, is_text
 
 
-def _seconds_of(cells: "Series[str]") -> "Series[float] | None":
+def _parse_times(cells: "Series[str]") -> "Series[float] | None":
     """Convert a column of times of day to seconds from the first; None for other columns.
 
-    A date in front is not interpreted (day or month first?) unless it is ISO 8601: a clock that
-    goes back by more than half a day has passed midnight, and one without hours that goes back by
-    more than half an hour a full one.
+    Dates in other formats than ISO 8601 are not interpreted (day or month first?): a clock that
+    goes back by more than half a day has passed midnight. A clock without hours that goes back by
+    more than half an hour has passed a full hour.
     """
     import pandas as pd
 
@@ -297,40 +296,40 @@ def _seconds_of(cells: "Series[str]") -> "Series[float] | None":
         hours = parts["h"].astype(float)
         if parts["half"].notna().any():
             hours = hours % 12 + 12 * parts["half"].str.lower().eq("p")
-        return _without_wraps(3600 * hours + _seconds_of_hour(parts), 86400.0)
+        return _unwrap_clock(3600 * hours + _seconds_in_hour(parts), 86400.0)
     parts = cells.str.extract(f"^{_MINUTES}$")
     return (
-        None if parts.isna().to_numpy().any() else _without_wraps(_seconds_of_hour(parts), 3600.0)
+        None if parts.isna().to_numpy().any() else _unwrap_clock(_seconds_in_hour(parts), 3600.0)
     )
 
 
-def _seconds_of_hour(parts: "DataFrame") -> "Series[float]":
-    """Return the seconds of minutes ``m`` and seconds ``s``."""
+def _seconds_in_hour(parts: "DataFrame") -> "Series[float]":
+    """Return 60 m + s of columns of minutes ``m`` and seconds ``s``."""
     second = parts["s"].str.replace(",", ".").astype(float)
     return 60 * parts["m"].astype(float) + second
 
 
-def _without_wraps(seconds: "Series[float]", turn_s: float) -> "Series[float]":
-    """Unwrap a clock that restarts after each turn, in seconds from the first sample."""
+def _unwrap_clock(seconds: "Series[float]", turn_s: float) -> "Series[float]":
+    """Unwrap a clock of period ``turn_s``, in seconds from the first sample."""
     step = seconds.diff()
     turns = step.lt(-turn_s / 2).astype(int).cumsum() - step.gt(turn_s / 2).astype(int).cumsum()
     running: Series[float] = seconds + turn_s * turns
-    # Stamps have at most nanoseconds; hours in seconds would leave noise behind their digits.
+    # Stamps resolve at most nanoseconds; rounding removes the errors of the conversion.
     return (running - running.iloc[0]).round(9)
 
 
-def _frame(text: str, layout: Layout, dtype: type) -> "DataFrame | None":
+def _read_regular(text: str, layout: Layout, dtype: type) -> "DataFrame | None":
     """Read rows of equal length without thousands separators, or return None."""
     import pandas as pd
 
     if layout.grouped or layout.paired:
         return None
     try:
-        # The warning says that fields were dropped, which must not be lost.
+        # The parser warns if it drops fields; such a table is split row by row.
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
             return pd.read_csv(
-                io.BytesIO(text.encode("utf-8", "replace")),  # a StringIO takes 4 bytes a letter
+                io.BytesIO(text.encode("utf-8", "replace")),  # StringIO: 4 bytes per letter
                 sep=layout.separator or r"\s+",
                 decimal=layout.decimal,
                 header=None,

@@ -38,8 +38,7 @@ from piezoid.records.readers.text_numbers import (
 from piezoid.records.table import Column, RawTable
 from piezoid.statement import Statement, finding
 
-# No binary format begins with so many lines without a zero byte, unless it has a header of text:
-# those that are known here are asked before.
+# Lines without a zero byte. Binary formats with longer headers of text have their own readers.
 MIN_TEXT_LINES = 3
 _MAX_ZEROS = 0.05  # of the first bytes
 _CONTROLS = frozenset(range(1, 32)) - frozenset(b"\t\n\v\f\r\x1a")
@@ -48,12 +47,12 @@ MAX_HEAD = 1 << 24
 
 
 def read(source: Source) -> RawTable:
-    """Read a text table without its columns of text; the others keep their numbers."""
+    """Read the columns of numbers of a text table."""
     return read_text(source, text_of(source))
 
 
 def read_text(source: Source, text: str) -> RawTable:
-    """Read the text of a table, whatever file it came in."""
+    """Read the columns of numbers of the text of a table."""
     parts = real_and_imaginary_text(text)
     if parts is None:
         return _read_numbers(source, text)
@@ -76,12 +75,12 @@ def _read_numbers(source: Source, text: str) -> RawTable:
 def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
     """Yield a text table in chunks; layout and headings are those of the file's beginning.
 
-    Columns that hold text at the beginning are left out throughout; other columns are NaN in
-    chunks where they hold only text.
+    Columns of text at the beginning are left out throughout; other columns are NaN in chunks in
+    which they hold only text.
     """
     with source.path.open("rb") as raw:
-        packed = io.BufferedReader(_BoundedGzip(source, raw)) if source.packed else raw
-        # Decoded as ``text_of`` decodes it, as far as the file's beginning tells.
+        packed = io.BufferedReader(_BoundedGzip(source, raw)) if source.is_gzip else raw
+        # ``text_of`` decodes in the same way, except for errors behind the file's beginning.
         stream = io.TextIOWrapper(packed, encoding=encoding_of(source.head), errors="replace")
         start = _start_in_stream(stream, source)
         textual: frozenset[int] | None = None
@@ -92,7 +91,7 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
                 raise unreadable(
                     source.name,
                     f"column {min(block.stamped) + 1} holds dates from line {line} on",
-                    needed="times in seconds, where a file is read in chunks",
+                    needed="times in seconds, if a file is read in chunks",
                     remedy="Write the time as seconds, or state sampling_rate_Hz for the file in "
                     "lab.toml and name its other columns there.",
                     line=line,
@@ -118,9 +117,9 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
 def table_under(
     source: Source, headings: Sequence[tuple[str, str]], body: str, layout: Layout, line: int
 ) -> RawTable:
-    """Read rows whose headings an instrument's format gives.
+    """Read rows under headings from the format of an instrument.
 
-    headings  label and unit of the first columns; the others are not read
+    headings  label and unit of the first columns; further columns are not read
     line      of the first row
     """
     block = parse_numbers(body, layout, source.name, line)
@@ -147,7 +146,7 @@ def _table(
     )
     return RawTable(
         columns=columns,
-        # With other lines between the rows a row's line is not known; its number still is.
+        # With other lines between the rows the line of a row is unknown.
         first_line=line if lines_are_rows(body) and not segment_starts else 0,
         segment_starts=segment_starts,
         metadata=metadata_of(start.above),
@@ -155,7 +154,7 @@ def _table(
 
 
 def _with_row_number_headings(start: TableStart, block: NumberTable) -> TableStart:
-    """Return the start with its headings if only a column of row numbers has none."""
+    """Return the start with headings if only the column of row numbers has none."""
     labels = headings_beside_row_numbers(start)
     numbers = block.columns[0]
     if labels is None or numbers[0] not in (0, 1) or not (np.diff(numbers) == 1).all():
@@ -185,10 +184,10 @@ def parse_rows(
     """Return the numbers of a table, without comments and headings among its rows.
 
     line      of the first row
-    returned  block, first rows behind each heading, what is told of the lines left out
+    returned  block, first rows behind each repeated heading, statements about removed lines
 
-    Raises ``UnreadableFileError`` for other headings among the rows: the columns mean other
-    things from there on.
+    Raises ``UnreadableFileError`` for other headings among the rows, which change the meaning of
+    the columns.
     """
     rows, remarks = without_comments(body, line)
     block = parse_numbers(rows, start.layout, name, line)
@@ -201,8 +200,8 @@ def parse_rows(
         return block, (), remarks
     rows, remarks = without_comments(body, line)
     text = (
-        f"the headings stand again at {len(heading_lines)} places, as where runs were put into "
-        "one file: each begins with a memory of its own"
+        f"the headings are repeated at {len(heading_lines)} places, as in a file of several runs: "
+        "each has a separate initial state"
     )
     statement = finding("repeated_heading", text, place=f"line {heading_lines[0]}")
     return parse_numbers(rows, start.layout, name, line), segment_starts, (*remarks, statement)
@@ -221,7 +220,7 @@ def metadata_of(lines: Sequence[str]) -> dict[str, str]:
 
 
 class _BoundedGzip(gzip.GzipFile):
-    """A gzip stream that is refused once it grows beyond what measured numbers can."""
+    """A gzip stream that is refused if its compression ratio is implausible."""
 
     def __init__(self, source: Source, packed: BinaryIO) -> None:
         super().__init__(fileobj=packed)
@@ -249,9 +248,9 @@ def _start_in_stream(stream: io.TextIOWrapper, source: Source) -> TableStart:
 
 
 def _line_chunks(stream: io.TextIOWrapper, rows: int, source: Source) -> Iterator[str]:
-    """Yield whole lines of about so many rows; each chunk repeats the last line of the one before.
+    """Yield whole lines of about ``rows`` rows; each begins with the last line of the previous.
 
-    A short remainder goes with the chunk in front of it.
+    A short remainder belongs to the last chunk.
     """
     text = stream.readline(MAX_LINE)
     characters = max(rows, 2) * len(text)
@@ -283,11 +282,7 @@ def _whole_lines(stream: io.TextIOWrapper, characters: int, source: Source) -> s
 
 
 def recognises(source: Source) -> bool:
-    """Take whatever is not the beginning of some other binary file.
-
-    Zero bytes behind some lines of text, or among bytes that are otherwise text, are damage, which
-    ``text_of`` names.
-    """
+    """Recognise any text; it may contain some zero bytes, which ``text_of`` refuses as damage."""
     head = source.head
     before_zero = head.partition(b"\x00")[0]
     return (
@@ -305,5 +300,5 @@ READER = Reader(
     read=read,
     read_chunks=read_chunks,
     reads_gzip=True,
-    is_written=True,
+    has_text_layout=True,
 )
