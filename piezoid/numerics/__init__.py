@@ -1,5 +1,5 @@
 """Numerical methods without physics: arrays, least squares, convex programs, filters, threads.
 
-Start at arrays.py. Nothing here knows a unit or a piezo.
-May import only ``errors``; a method that SciPy offers is called there, not written here.
+Start at arrays.py. The methods do not depend on units or on piezo stages.
+May import only ``errors``; methods that SciPy offers are not implemented here.
 """

@@ -23,7 +23,7 @@ def frozen(values: ArrayLike, name: str, *, ndim: int = 1) -> Array:
     array = np.array(values, dtype=np.float64, order="C", copy=True)
     if array.ndim != ndim:
         raise ValueError(f"{name} has {array.ndim} axes, expected {ndim}")
-    # a finite sum of squares proves all values finite in a third of the time
+    # If the sum of squares is finite, so are all values; this takes a third of the time.
     if not (isfinite(np.vdot(array, array)) or np.isfinite(array).all()):
         index = int(np.flatnonzero(~np.isfinite(array.ravel()))[0])
         raise ValueError(f"{name}[{index}] is {array.ravel()[index]}, expected finite numbers")
@@ -43,7 +43,7 @@ def frozen_complex(values: ArrayLike, name: str, *, ndim: int = 3) -> ComplexArr
 
 
 def freeze(record: object, *names: str, ndim: int = 1) -> None:
-    """Replace fields of a frozen record by read-only copies of themselves; see ``frozen``.
+    """Replace array fields of a frozen record by read-only copies; see ``frozen``.
 
     ndim  the number of axes each of them must have
     """
@@ -61,18 +61,18 @@ def runs_of(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return list(zip(edges[::2], edges[1::2], strict=True))
 
 
-def spread_rows(samples: int, most: int) -> NDArray[np.intp]:
-    """Return at most so many of some rows: evenly spread on average, at no one distance.
+def spread_rows(samples: int, max_rows: int) -> NDArray[np.intp]:
+    """Select at most ``max_rows`` rows, evenly distributed on average but at random distances.
 
-    Rows at a fixed distance would show a hum of the grid at another frequency.
+    Rows at a constant distance would alias a hum of the grid.
 
     >>> len(spread_rows(1000, 100)), spread_rows(3, 100).tolist()
     (100, [0, 1, 2])
     """
-    if samples <= most:
+    if samples <= max_rows:
         return np.arange(samples)
-    spread = np.random.default_rng(samples).random(most)
-    return np.unique(((np.arange(most) + spread) * (samples / most)).astype(np.intp))
+    spread = np.random.default_rng(samples).random(max_rows)
+    return np.unique(((np.arange(max_rows) + spread) * (samples / max_rows)).astype(np.intp))
 
 
 def expect_shapes(record: object, expected: Mapping[str, tuple[int, ...]]) -> None:

@@ -1,4 +1,4 @@
-"""The package's own compiled modules, opened with ctypes."""
+"""Compiled modules of the package, opened with ctypes."""
 
 import ctypes
 from collections.abc import Mapping
@@ -8,31 +8,31 @@ from typing import Any
 
 from piezoid.errors import RuntimeLibraryError
 
-Signatures = Mapping[str, tuple[Any, tuple[Any, ...] | None]]  # what a function returns and takes
+Signatures = Mapping[str, tuple[Any, tuple[Any, ...] | None]]  # types of result and arguments
 
 
 def opened(name: str, signatures: Signatures) -> ctypes.CDLL:
     """Open a compiled module of the package and declare its functions.
 
-    name        as it is imported
+    name        import name
     signatures  by function; arguments of None are not declared
 
-    Raises ``RuntimeLibraryError`` where the installation compiled none.
+    Raises ``RuntimeLibraryError`` if the installation does not contain the module.
     """
-    code = _opened(name)
-    for function, (answer, arguments) in signatures.items():
-        getattr(code, function).restype = answer
+    library = _load(name)
+    for function, (result, arguments) in signatures.items():
+        getattr(library, function).restype = result
         if arguments is not None:
-            getattr(code, function).argtypes = arguments
-    return code
+            getattr(library, function).argtypes = arguments
+    return library
 
 
 @cache
-def _opened(name: str) -> ctypes.CDLL:
+def _load(name: str) -> ctypes.CDLL:
     module = find_spec(name)
     if module is None or module.origin is None:
         raise RuntimeLibraryError(
-            f"the compiled module {name} is not beside the package",
+            f"the package does not contain the compiled module {name}",
             needed="an installation that compiled it",
             remedy="Install piezoid with a C compiler present: pip install .",
         )

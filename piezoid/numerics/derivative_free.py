@@ -2,9 +2,9 @@
 
     min_x f(x),   l <= x <= u,   g(x) <= 0
 
-Without a constraint by subspace simplex search (Sbplx), optionally after a global search of the
-box (DIRECT-L); with one by linear models on a simplex (COBYLA). Slow in more than ten variables.
-The same input gives the same output.
+Unconstrained problems are solved by subspace simplex search (Sbplx), optionally after a global
+search of the box (DIRECT-L); constrained ones by linear models on a simplex (COBYLA). Slow in more
+than ten variables. Deterministic.
 
 Source: Rowan, PhD thesis, University of Texas (1990); Gablonsky & Kelley, J. Global Optim. 21
 (2001); Powell, in Advances in Optimization and Numerical Analysis (1994).
@@ -30,14 +30,14 @@ def direct_search(
     step_tolerance: float = 0.0,
     global_evaluations: int = 0,
 ) -> tuple[Array, float]:
-    """Return the minimiser and the minimum.
+    """Minimise a function without derivatives; return the minimiser and the minimum.
 
     start               (variables,)
     bounds              (variables,) each, finite
     initial_step        (variables,)  size of the first steps
     max_evaluations     of the function in the local search
-    constraint          g, satisfied where it is not above 0
-    step_tolerance      step size that ends the search; 0: only the evaluations end it
+    constraint          g, satisfied if g <= 0
+    step_tolerance      step size that ends the search; 0: only ``max_evaluations`` ends it
     global_evaluations  of the function over the whole box before the local search
     """
     import nlopt

@@ -1,9 +1,9 @@
 """Thread pool for independent fits, progress messages, and one thread for linear algebra.
 
 Fits spend nearly all of their time in compiled code that releases the interpreter's lock, so
-threads run side by side. Linear algebra is limited to one thread: the matrices are small, so that
+threads run in parallel. Linear algebra is limited to one thread: the matrices are small, so that
 threads of the library mostly wait for each other (2.3 times slower on two idle cores, 40 times on
-two busy ones), and the order of their sums changes the last bits of a result.
+two busy cores), and the order of their sums changes the last bits of a result.
 """
 
 from collections.abc import Callable, Iterable
@@ -29,7 +29,7 @@ Other = TypeVar("Other")
 class Once(Generic[Value]):
     """``functools.cached_property`` of Python 3.12, for Python 3.11, which locks all instances.
 
-    Two threads may both compute the value; both get the one that was stored first.
+    Two threads may both compute the value; both return the value that was stored first.
     """
 
     def __init__(self, make: Callable[[Any], Value]) -> None:
@@ -62,7 +62,7 @@ class Executor:
     """Number of worker threads and the callback for progress messages.
 
     progress  called with a short text, from any thread, one call at a time
-    threads   results do not depend on it
+    threads   number of worker threads; results do not depend on it
     """
 
     progress: Callable[[str], None] = _ignore
@@ -74,7 +74,7 @@ class Executor:
             raise ValueError(f"found {self.threads} threads, but at least 1 is needed")
 
     def report(self, text: str) -> None:
-        """Pass a progress message on, one at a time."""
+        """Call ``progress`` with a message, from one thread at a time."""
         with self._lock:
             self.progress(text)
 

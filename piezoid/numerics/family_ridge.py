@@ -21,14 +21,14 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 
 from piezoid.numerics.arrays import Array
 
-SETTLED = 1e-4  # relative change of the noise variance that ends the fixed point
-FEWEST_STEPS = 15
-JITTER = (0.0, 1e-14, 1e-12, 1e-10)  # of the trace, where rounding makes the matrix indefinite
+CONVERGED = 1e-4  # relative change of the noise variance that ends the fixed point
+MIN_STEPS = 15
+JITTER = (0.0, 1e-14, 1e-12, 1e-10)  # of the trace, if rounding makes the matrix indefinite
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Moments:
-    """Sums over rows of a regression.
+    """Sums over the rows of a regression.
 
     gram    (columns, columns)  X'X
     moment  (columns,)          X'y
@@ -42,7 +42,7 @@ class Moments:
     count: int
 
     def __add__(self, rows: "Moments") -> "Moments":
-        """Return the moments with further rows."""
+        """Return the moments of the rows of both."""
         return Moments(
             gram=self.gram + rows.gram,
             moment=self.moment + rows.moment,
@@ -64,7 +64,7 @@ class Moments:
 class FamilyRidge:
     """Prior of the coefficients and noise of the rows.
 
-    family    (columns,)   number of the family of each column
+    family    (columns,)   index of the family of each column
     variance  (families,)  v_f; infinite: not penalised
     noise     s^2
     """
@@ -80,7 +80,7 @@ class FamilyRidge:
     def maximised(
         self, moments: Moments, *, ceiling: Array, steps: int = 40
     ) -> tuple["FamilyRidge", Array, float]:
-        """Return the ridge of largest marginal likelihood, its coefficients and sum_f g_f.
+        """Return the ridge with the largest marginal likelihood, its coefficients and sum_f g_f.
 
         ceiling  (families,)  largest prior variance of each family
         """
@@ -96,17 +96,17 @@ class FamilyRidge:
             noise = max(float(residual_power) / free, 1e-18 * power)
             ridge = replace(ridge, variance=variance, noise=noise)
             w, determined = ridge._determined(moments)
-            if step > FEWEST_STEPS and abs(np.log(noise / previous_noise)) < SETTLED:
+            if step > MIN_STEPS and abs(np.log(noise / previous_noise)) < CONVERGED:
                 break
             previous_noise = noise
         return ridge, w, float(determined.sum())
 
     def _determined(self, moments: Moments) -> tuple[Array, Array]:
-        """Return the coefficients and how many of each family the data determine."""
+        """Return the coefficients, and g_f: the number determined by the data in each family."""
         w, spread = self._posterior(moments)
         sizes = np.bincount(self.family, minlength=len(self.variance))
-        vague = np.bincount(self.family, spread, len(self.variance)) / self.variance
-        return w, np.maximum(sizes - vague, 1e-3)
+        undetermined = np.bincount(self.family, spread, len(self.variance)) / self.variance
+        return w, np.maximum(sizes - undetermined, 1e-3)
 
     def _posterior(self, moments: Moments) -> tuple[Array, Array]:
         """Return mean and variance of every coefficient."""

@@ -11,8 +11,8 @@ Response = NDArray[np.complex128]
 def grid_Hz(sampling_rate_Hz: float, *, lowest_Hz: float = 1.0, count: int = 400) -> Array:
     """Return frequencies from ``lowest_Hz`` to just below Nyquist.
 
-    Half of them are spaced by equal ratios, half by equal differences: loops are shaped over
-    decades, but their peaks and delays live in the last one.
+    Half of them are spaced by equal ratios, for loop shaping over decades, and half by equal
+    differences, for the peaks and delays in the last decade.
 
     returned  (about count,)  Hz, strictly increasing
     """

@@ -4,12 +4,12 @@
 
     d(mu) = argmin_d  |J d + r|^2 + mu |D d|^2,   l <= x + d <= u,   D_ii = |J_i|
 
-A step that lowers c is taken and mu falls; otherwise mu grows and the same J serves again. A prior
-is rows of r like any others. What is linear is eliminated first: ``eliminated``.
+A step that lowers c is accepted and mu decreases; otherwise mu increases and J is used again.
+Priors are additional rows of r. ``eliminated`` eliminates linear parameters beforehand.
 
 Source: Marquardt, SIAM J. 11 (1963), for mu; More, Lecture Notes in Mathematics 630 (1978), for D.
-The bounds are part of the step's own problem, solved exactly. What goes wrong: at a kink of c no
-step of the linear model may lower it, which ends the search beside a better place.
+The bounds are constraints of the problem of the step, which is solved exactly. Limit: at a kink of
+c no step of the linear model may lower it, and the search ends although a lower c is near.
 """
 
 from collections.abc import Callable
@@ -22,25 +22,25 @@ from numpy.typing import NDArray
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import bounded_minimum, bounded_step, column_norms
 
-LEAST_DAMPING = 1e-9  # keeps normal equations definite where rounding would not
-CRAWL = 5  # accepted steps looked at together
+MIN_DAMPING = 1e-9  # keeps normal equations definite in spite of rounding
+CRAWL = 5  # accepted steps that are tested together
 
 Reason = Literal["converged", "crawling", "stationary", "iterations", "evaluations"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rule:
-    """When a search ends.
+    """Stopping rule and damping of a search.
 
-    tolerance    relative fall of c in one step that is not worth another
-    crawl        relative fall in ``CRAWL`` steps together that is not worth another; 0: ignored
-    enough       absolute fall that is not worth another, where c is a log likelihood
-    iterations   most linear models
-    evaluations  most values of c
-    tries        most steps of one linear model
+    tolerance    relative decrease of c in one step below which the search ends
+    crawl        relative decrease in ``CRAWL`` steps together below which it ends; 0: ignored
+    enough       absolute decrease below which it ends, for a c that is a log likelihood
+    iterations   largest number of linear models
+    evaluations  largest number of values of c
+    tries        largest number of steps of one linear model
     damping      the first mu
-    easier       by how much mu falls where a step lowers c, and
-    harder       grows where it does not: less than tenfold where c has many kinks
+    easier       factor by which mu decreases if a step lowers c
+    harder       factor by which mu increases otherwise; less than 10 for a c with many kinks
     """
 
     tolerance: float = 1e-5
@@ -59,7 +59,7 @@ class Rows:
     """Linear model |J d + r|^2 as rows, or as their triangular factor.
 
     factor    (rows, columns)  J, or its triangular factor
-    residual  (rows,)          r, with the same reflections
+    residual  (rows,)          r, or Q' r with the triangular factor
     numbers   (columns,)       indices of the parameters of the columns; None: in order
     """
 
@@ -90,13 +90,13 @@ class Rows:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NormalEquations:
-    """The linear model as J'J and J'r, where there are too many rows to reflect at every step.
+    """Linear model as J'J and J'r, for problems with too many rows to factor J at every step.
 
-    They square the condition of J; the damping is what keeps that harmless.
+    They square the condition number of J, which is harmless because of the damping.
 
-    gram   (numbers, numbers)
-    slope  (numbers,)
-    cost   |r|^2: what the gradient is scaled by
+    gram   (numbers, numbers)  J'J
+    slope  (numbers,)          J'r
+    cost   |r|^2, which scales the gradient
     """
 
     gram: Array
@@ -142,16 +142,16 @@ AnyPoint = TypeVar("AnyPoint", bound=Point)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Minimum(Generic[AnyPoint]):
-    """Where a search ended.
+    """Result of a search.
 
     x            (numbers,)
-    point        there
-    reason       converged: the last step lowered c by less than the rule asks; crawling: the last
-                 five together did; stationary: none of the tries lowered c; iterations or
-                 evaluations: as many as the rule allows
-    iterations   linear models made
-    evaluations  values of c asked for
-    gradient     of the last linear model: largest scaled derivative that no bound holds
+    point        evaluated at x
+    reason       converged: the last step lowered c by less than the rule requires; crawling: so
+                 did the last five together; stationary: no step of the last model lowered c;
+                 iterations or evaluations: the limit was reached
+    iterations   number of linear models
+    evaluations  number of values of c
+    gradient     largest scaled derivative of the last linear model that no bound blocks
     """
 
     x: Array
@@ -163,7 +163,7 @@ class Minimum(Generic[AnyPoint]):
 
     @property
     def converged(self) -> bool:
-        """Return whether the search ended of itself."""
+        """Return whether the search ended before its limits."""
         return self.reason not in {"iterations", "evaluations"}
 
 
@@ -202,7 +202,7 @@ def minimise(
             trial = within(np.clip(x + step, lower, upper))
             trial_point, evaluations = at(trial), evaluations + 1
             if trial_point.cost < point.cost:
-                x, point, damping = trial, trial_point, max(damping / rule.easier, LEAST_DAMPING)
+                x, point, damping = trial, trial_point, max(damping / rule.easier, MIN_DAMPING)
                 costs.append(point.cost)
                 reason = None
                 if costs[-2] - costs[-1] < max(rule.tolerance * costs[-2], rule.enough):
@@ -223,12 +223,12 @@ def minimise(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Eliminated:
-    """Coefficients that are linear, at their best for given columns: variable projection.
+    """Linear coefficients that minimise the residual for given columns: variable projection.
 
         min_c |A c - y|,   r = P y,   dr = -P dA c,   P = 1 - Q Q',   A = Q K^-1
 
-    Source: Golub & Pereyra, Inverse Problems 19 (2003); dr in Kaufman's form, which leaves out a
-    part that vanishes with r.
+    Source: Golub & Pereyra, Inverse Problems 19 (2003); dr in Kaufman's form, which neglects a
+    term that vanishes with r.
 
     Q             (rows, columns)  orthonormal
     root          (columns, columns)  K: K K' is (A'A)^-1
@@ -242,7 +242,7 @@ class Eliminated:
     residual: Array
 
     def across(self, tangent: Array) -> tuple[Array, Array]:
-        """Return P t, and how c moves, for tangents t = dA c at fixed c.
+        """Return P t and the change of c for tangents t = dA c at fixed c.
 
         tangent   (rows, numbers)
         returned  (rows, numbers) and (columns, numbers)
@@ -252,12 +252,12 @@ class Eliminated:
 
 
 def eliminated(columns: Array, target: Array) -> Eliminated:
-    """Solve for the coefficients of columns, scaled to norm 1 first.
+    """Solve a linear least-squares problem for the coefficients of columns.
 
     columns  (rows, columns)
     target   (rows,)
 
-    Raises ``numpy.linalg.LinAlgError`` for columns that are dependent to rounding.
+    Raises ``numpy.linalg.LinAlgError`` for columns that are linearly dependent to rounding.
     """
     size = column_norms(columns)
     Q, R = np.linalg.qr(columns / size)

@@ -1,4 +1,4 @@
-"""The rms of the noise of a smooth signal, from its differences."""
+"""Rms of the noise of a smooth signal, from its differences."""
 
 import numpy as np
 
@@ -14,9 +14,9 @@ def white_noise_rms(signal: Array, spacing: int = 1) -> float:
     Third differences remove smooth motion; the median of their magnitude is robust to jumps and to
     the few samples at reversals.
 
-    signal   (samples,)  any unit; NaN where nothing was measured: such differences are omitted;
-             fewer than 8 samples for each of spacing give 0
-    spacing  samples from one to the next of a difference
+    signal   (samples,)  any unit; differences with NaN are omitted; the result is 0 for fewer than
+             ``8 * spacing`` samples
+    spacing  number of samples between the values of a difference
     """
     if len(signal) < 8 * spacing:
         return 0.0

@@ -1,8 +1,8 @@
 """Polynomials in q^-1: products, roots, the Bezout equation.
 
-An array ``p`` stands for p[0] + p[1] q^-1 + ... + p[n] q^-n, where q^-1 delays by one sample.
-"Root" always means a value of z = q. Landau & Zito (2006) write the same; in control toolboxes
-``p`` would be read as descending powers of z, which for a proper fraction is the same array.
+An array ``p`` represents p[0] + p[1] q^-1 + ... + p[n] q^-n, where q^-1 delays by one sample.
+"Root" always means a value of z = q. The notation is that of Landau & Zito (2006); control
+toolboxes interpret ``p`` as descending powers of z, which is the same for a proper fraction.
 """
 
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ from piezoid.numerics.arrays import Array
 
 Roots = NDArray[np.complex128]
 
-_NEARLY_COMMON = 1e-13
-"""A Sylvester matrix with a smaller ratio of singular values has no usable solution in float64."""
+# A Sylvester matrix with a smaller ratio of singular values has no usable solution in float64.
+_MIN_RATIO = 1e-13
 
 
 def product(*factors: ArrayLike) -> Array:
@@ -49,29 +49,29 @@ def trimmed(polynomial: ArrayLike) -> Array:
 
 
 def roots_of(polynomial: ArrayLike) -> Roots:
-    """Return the values of z where the polynomial vanishes, without the poles at z = 0."""
+    """Return the roots of a polynomial in z, without roots at z = 0."""
     array = trimmed(polynomial)
     nonzero = np.flatnonzero(array)
     return np.asarray(np.roots(array[nonzero[0] :]), dtype=np.complex128)
 
 
 def from_roots(roots: ArrayLike) -> Array:
-    """Return the monic polynomial with these values of z as roots; complex ones in pairs."""
+    """Return the monic polynomial with these roots in z; complex roots come in pairs."""
     expanded = np.atleast_1d(np.poly(np.asarray(roots, dtype=np.complex128)))
     return np.ascontiguousarray(expanded.real)
 
 
 def spectral_radius(polynomial: ArrayLike) -> float:
-    """Return the largest magnitude of the roots; below one the polynomial is stable (Schur)."""
+    """Return the largest magnitude of the roots; the polynomial is stable (Schur) if it is < 1."""
     roots = roots_of(polynomial)
     return float(np.abs(roots).max()) if roots.size else 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BezoutSolution:
-    """The pair of polynomials that places P, and how well it does.
+    """Solution of the Bezout equation A S + B R = P, and its accuracy.
 
-    S, R       A S + B R = P
+    S, R       polynomials
     residual   max |A S + B R - P| / max |P|
     condition  of the balanced Sylvester matrix
     """
@@ -87,11 +87,11 @@ def solve_bezout(A: ArrayLike, B: ArrayLike, P: ArrayLike) -> BezoutSolution:
 
         deg R = deg A - 1,   deg S = max(deg B - 1, deg P - deg A)    [Landau & Zito 2006]
 
-    A, B  without common roots; the delay stands in B as leading zeros
-    P     the polynomial to be placed, of any degree
+    A, B  without common roots; a delay is leading zeros of B
+    P     of any degree
 
-    B is balanced by its largest coefficient, so that gains of 1e-6 m/V and of 1e2 neper/V are
-    solved alike. Raises ``DesignError`` naming the root that A and B (nearly) share.
+    B is scaled by its largest coefficient, so that the accuracy does not depend on its unit.
+    Raises ``DesignError`` naming the root that A and B (nearly) share.
     """
     a, b, p = trimmed(A), trimmed(B), trimmed(P)
     scale = float(np.abs(b).max())
@@ -102,7 +102,7 @@ def solve_bezout(A: ArrayLike, B: ArrayLike, P: ArrayLike) -> BezoutSolution:
     target = np.zeros(len(matrix))
     target[: len(p)] = p
     singular = np.linalg.svd(matrix, compute_uv=False)
-    if singular[-1] < _NEARLY_COMMON * singular[0]:
+    if singular[-1] < _MIN_RATIO * singular[0]:
         _refuse_common_root(a, b, float(singular[-1] / singular[0]))
     solution = np.linalg.solve(matrix, target)
     solution += np.linalg.solve(matrix, target - matrix @ solution)

@@ -11,11 +11,11 @@ from piezoid.errors import InfeasibleFitError
 from piezoid.numerics.arrays import Array
 
 _TOLERANCE = 1e-10
-# Of columns of norm 1, tried in turn: nearly dependent columns are separated by the smallest one
-# for which the active-set method ends.
+# Added to the diagonal for columns of norm 1: the first value with which the active-set method
+# converges, for nearly dependent columns.
 RIDGES = (0.0, 1e-13, 1e-11, 1e-9)
-JITTER = 1e-14  # of a column's norm squared: keeps R'R definite where rounding would not
-AT_BOUND = 1e-7  # of what is added up in a constraint
+JITTER = 1e-14  # of a column's norm squared: keeps R'R definite in spite of rounding
+AT_BOUND = 1e-7  # of the sum of the sizes of a constraint's terms
 ROUNDING = 1e-11  # of columns and a target of norm 1
 _UNBOUNDED = 1e30  # daqp's infinite bound
 _EQUALITY = 5  # daqp's constraint type of equal bounds
@@ -25,7 +25,7 @@ _PRIMAL_TOLERANCE = 1e-11  # of variables of order one
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Optimum:
-    """The solution of a convex program and how far it can be from optimal.
+    """Solution of a convex program, with a bound of its distance from the optimum.
 
     x        (unknowns,)
     cost     |R x - c|^2
@@ -42,15 +42,15 @@ def constrained_least_squares(
 ) -> Optimum:
     """Minimise |R x - c|^2 subject to l <= A x <= u.
 
-    Posed to OSQP with the residual as a variable of its own, so that the conditioning is R's and
-    not that of R'R: forming R'R for play regressors and solving to default tolerances gives
-    weights wrong by half. Columns, target and constraints are scaled to norm 1, for its tolerances
-    know no units.
+    OSQP solves the problem with the residual as an additional variable, so that the conditioning
+    is that of R and not of R'R: with R'R of play regressors and default tolerances the weights
+    are wrong by half. Columns, target and constraints are scaled to norm 1, since the tolerances
+    are absolute.
 
-    R     triangle    (rows, unknowns)
-    c     target      (rows,)
-    A     constraint  (constraints, unknowns)
-    l, u  lower, upper (constraints,), infinite where there is none
+    R     triangle      (rows, unknowns)
+    c     target        (rows,)
+    A     constraint    (constraints, unknowns)
+    l, u  lower, upper  (constraints,), infinite without a limit
 
     Raises ``InfeasibleFitError`` when the constraints contradict each other.
     """
@@ -61,10 +61,10 @@ def constrained_least_squares(
     rows, unknowns = factor.shape
     sides = constraint / scale * height
     length = column_norms(sides.T)
-    # the rows R x - e = c and A x, for the unknowns x and then the residual e
+    # The rows R x - e = c and A x, for the unknowns x and then the residual e.
     residual = sparse.hstack([sparse.csc_matrix(factor), -sparse.eye(rows)])
-    nothing = sparse.csc_matrix((len(sides), rows))
-    limited = sparse.hstack([sparse.csc_matrix(sides / length[:, None]), nothing])
+    zeros = sparse.csc_matrix((len(sides), rows))
+    limited = sparse.hstack([sparse.csc_matrix(sides / length[:, None]), zeros])
     solver: Any = osqp.OSQP()
     solver.setup(
         P=sparse.csc_matrix(sparse.diags(np.repeat([0.0, 1.0], [unknowns, rows]))),
@@ -103,14 +103,15 @@ def column_norms(columns: Array) -> Array:
 def stationarity(
     triangle: Array, x: Array, target: Array, constraint: Array, limits: tuple[Array, Array]
 ) -> float:
-    """Return the part of the gradient at x that no active constraint can balance, over its size.
+    """Return the relative part of the gradient at x that active constraints cannot balance.
 
-    As in ``constrained_least_squares``, the columns scaled to norm 1; 0 at an exact optimum.
+    The arguments are those of ``constrained_least_squares``, with columns scaled to norm 1. The
+    result is 0 at an exact optimum.
     """
     scale = column_norms(triangle)
     gradient = triangle.T @ (triangle @ x - target) / scale
     value = constraint @ x
-    # Rounding of a constraint whose terms are all as large as the largest.
+    # Rounding error of a constraint if all its terms were as large as the largest.
     slack = (
         AT_BOUND * float(np.abs(scale * x).max(initial=0.0)) * np.abs(constraint / scale).sum(1)
     )
@@ -129,8 +130,8 @@ def bounded_minimum(gram: Array, right: Array, lower: Array, upper: Array) -> Ar
     G, b  (unknowns, unknowns), (unknowns,)  G positive definite
     l, u  (unknowns,)  l <= u; equal bounds fix an unknown
 
-    Invariant to scale: b and the bounds in other units give x in other units. A variable at an
-    active bound equals the bound exactly.
+    Independent of the units of b and the bounds. A variable at an active bound equals the bound
+    exactly.
 
     Raises ``LinAlgError`` for a G that is not positive definite to 1e-9 of its diagonal.
 
@@ -172,9 +173,9 @@ def bounded_step(triangle: Array, target: Array, lower: Array, upper: Array) -> 
     R, c   (rows, unknowns), (rows,)
     l, u   (unknowns,)  l <= u; equal bounds fix the unknown
 
-    The active bounds come from R'R, which is fast but squares R's condition; the free unknowns are
-    then solved from R itself. If the Karush-Kuhn-Tucker conditions do not hold to rounding, an
-    active-set method on R is used instead. The result does not depend on units.
+    The active bounds are found from R'R, which is fast but squares R's condition number; the free
+    unknowns are then solved for with R. If the Karush-Kuhn-Tucker conditions do not hold to
+    rounding, an active-set method on R is used instead. The result does not depend on units.
     """
     scale = column_norms(triangle)
     nearest = np.linalg.norm(np.clip(np.zeros_like(scale), lower, upper) * scale)

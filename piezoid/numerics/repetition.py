@@ -1,4 +1,4 @@
-"""Periodic signals: their period, and the equal cycles for a period of any length."""
+"""Periodic signals: their period, and equal cycles of a fractional period."""
 
 from dataclasses import dataclass
 
@@ -8,21 +8,22 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from piezoid.numerics.arrays import Array, runs_of
 
-ALIKE = 0.8  # correlation of a drive with itself one period later, a ramp before it included
-UNLIKE = 0.5  # the first fall below ends the drive's likeness to itself at once
-TOLERANCE = 1e-3  # of the reach of a signal: by so much a repeated sample may differ
-SETTLING = 1  # whole periods at the start of the repetition that do not count
-FEWEST = 2  # periods after those, or noise cannot be seen
-STILL = 1e-3  # of the drive's reach: an axis that moves less is not driven
+# Smallest correlation of the steps of a drive with themselves one period later, which a ramp at
+# the start lowers, and the correlation that ends the peak at lag 0.
+MIN_CORRELATION, END_CORRELATION = 0.8, 0.5
+TOLERANCE = 1e-3  # of the range of a signal: difference of repeated samples
+SETTLING = 1  # whole periods at the start of the repetition that are not used
+FEWEST = 2  # periods after those, for an estimate of the noise
+STILL = 1e-3  # of the range of the drive: an axis that moves less is not driven
 
 
 @dataclass(frozen=True, kw_only=True)
 class Repetition:
-    """Where a drive repeats itself.
+    """Repeated part of a drive, with a period of whole samples.
 
-    first           sample at which the repetition begins
-    period_samples  of one period
-    periods         whole ones from there
+    first           first sample of the repeated part
+    period_samples  length of a period
+    periods         number of whole periods
     """
 
     first: int
@@ -30,7 +31,7 @@ class Repetition:
     periods: int
 
     def last_periods(self, signal: Array, periods: int) -> Array:
-        """Return the last periods of a signal side by side, (period_samples, periods)."""
+        """Return the last periods of a signal as columns, (period_samples, periods)."""
         start = self.first + (self.periods - periods) * self.period_samples
         stop = start + periods * self.period_samples
         return np.asarray(signal[start:stop].reshape(periods, self.period_samples).T)
@@ -38,11 +39,11 @@ class Repetition:
 
 @dataclass(frozen=True, kw_only=True)
 class EqualCycles:
-    """Equal cycles of a drive whose period need not be a whole number of samples.
+    """Equal cycles of a drive, with a period of any number of samples.
 
-    first           sample at which the first begins
-    period_samples  of one cycle, any number
-    count           whole cycles from there
+    first           first sample of the first cycle
+    period_samples  length of a cycle
+    count           number of whole cycles
     """
 
     first: int
@@ -50,7 +51,7 @@ class EqualCycles:
     count: int
 
     def cut(self, signal: Array) -> Array:
-        """Return a signal cycle by cycle, straight between samples, (count, samples)."""
+        """Return the cycles of a signal, interpolated linearly, (count, samples)."""
         within = np.arange(int(self.period_samples))
         starts = self.first + self.period_samples * np.arange(self.count)
         time = starts[:, None] + within
@@ -60,10 +61,10 @@ class EqualCycles:
 def find_repetition(signal: Array, *, fewest: int = SETTLING + FEWEST) -> Repetition | None:
     """Return start and period of a periodic drive, or None.
 
-    fewest  periods the drive must have room for
+    fewest  smallest number of periods in the length of the drive
 
-    The period is the first lag at which the steps of the drive correlate with themselves, after
-    they once did not; then every sample must repeat. Rest and ramps at the ends do not matter.
+    The period is the lag of the first peak of the autocorrelation of the drive's steps behind its
+    first fall; within it every sample must repeat. Rest and ramps at the ends do not matter.
     """
     period, _ = _period(signal, fewest)
     if period is None:
@@ -79,9 +80,9 @@ def find_repetition(signal: Array, *, fewest: int = SETTLING + FEWEST) -> Repeti
 def equal_cycles(signal: Array, *, fewest: int) -> EqualCycles | None:
     """Return the equal cycles of a drive; None if there are fewer than ``fewest``.
 
-    Few generators lock their period to the converter. One that is no whole number of samples is
-    found by the phase of its first harmonic from cycle to cycle; samples between two are taken
-    straight, which misses the corner of a triangle by less than a sample's step.
+    Few generators lock their period to the converter. A fractional period is found from the phase
+    of the first harmonic from cycle to cycle. The drive is interpolated linearly, with an error
+    below one step at the corner of a triangle.
     """
     exact = find_repetition(signal, fewest=fewest)
     if exact is not None and exact.periods >= fewest:
@@ -91,7 +92,7 @@ def equal_cycles(signal: Array, *, fewest: int) -> EqualCycles | None:
     rounded, moving = _period(signal, fewest)
     if rounded is None:
         return None
-    period = _fractional(signal[moving], float(rounded))
+    period = _refine_period(signal[moving], float(rounded))
     sample = np.arange(moving.start, moving.stop - int(np.ceil(period)))
     later = np.interp(sample + period, np.arange(len(signal)), signal)
     tolerance = (TOLERANCE + 1.0 / period) * float(np.ptp(signal))
@@ -105,9 +106,9 @@ def equal_cycles(signal: Array, *, fewest: int) -> EqualCycles | None:
 
 
 def _period(signal: Array, fewest: int) -> tuple[int | None, slice]:
-    """Return the period of the drive's steps, whole samples, and where the drive moves.
+    """Return the period of the drive's steps, in whole samples, and the moving part of the drive.
 
-    It is the lag of the first peak of the correlation, each lag over the energies it compares.
+    The period is the lag of the first peak of the correlation, normalised at each lag.
     """
     steps = np.diff(signal)
     moving = np.flatnonzero(np.abs(steps) > TOLERANCE * np.abs(steps).max(initial=0.0))
@@ -121,10 +122,10 @@ def _period(signal: Array, fewest: int) -> tuple[int | None, slice]:
     lag = np.arange(len(common))
     scale = np.sqrt(energy[count - lag] * (energy[-1] - energy[lag]))
     correlation = common / np.maximum(scale, 1e-12 * energy[-1] + np.finfo(float).tiny)
-    below = np.flatnonzero(correlation < UNLIKE)
+    below = np.flatnonzero(correlation < END_CORRELATION)
     if not len(below):
         return None, rows
-    above = below[0] + np.flatnonzero(correlation[below[0] :] >= ALIKE)
+    above = below[0] + np.flatnonzero(correlation[below[0] :] >= MIN_CORRELATION)
     if not len(above):
         return None, rows
     peak = np.split(above, np.flatnonzero(np.diff(above) > 1) + 1)[0]
@@ -132,11 +133,11 @@ def _period(signal: Array, fewest: int) -> tuple[int | None, slice]:
 
 
 def _longest_run(flags: NDArray[np.bool_]) -> tuple[int, int]:
-    """Return the first and the stop of the longest run of flags that are set."""
+    """Return first and stop of the longest run of true flags."""
     return max(runs_of(flags), key=lambda run: run[1] - run[0], default=(0, 0))
 
 
-def _fractional(signal: Array, period: float) -> float:
+def _refine_period(signal: Array, period: float) -> float:
     """Return the period for which the phase of the first harmonic is constant over cycles."""
     for _ in range(3):
         starts = np.arange(int((len(signal) - 1) // period)) * period
@@ -149,9 +150,9 @@ def _fractional(signal: Array, period: float) -> float:
 
 
 def _are_equal(cycles: Array) -> bool:
-    """Tell whether trend and scatter of the size of the cycles are within the tolerance.
+    """Return whether trend and scatter of the size of the cycles are within the tolerance.
 
-    Of a triangle a cycle's size also depends on where its samples meet the corners.
+    The size of a sampled triangle also depends on the position of the samples at its corners.
     """
     mean = cycles.mean(axis=0)
     level = mean - mean.mean()

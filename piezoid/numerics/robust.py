@@ -8,10 +8,9 @@ from scipy.special import ndtri, stdtrit
 
 from piezoid.numerics.arrays import Array
 
-NORMAL_95 = 1.959963984540054
-"""Half the width of the 95 % interval of a standard normal distribution."""
+NORMAL_95 = 1.959963984540054  # half the width of the 95 % interval of a standard normal variable
 
-# Theil and Sen's slopes of all pairs take memory of n^2; 1000 samples take 8 MB.
+# The slopes of all pairs of n samples take 8 n^2 bytes of memory: 8 MB for 1000 samples.
 MAX_PAIRED_SAMPLES = 1000
 
 # Standard deviation of a normal distribution over its median absolute deviation.
@@ -43,9 +42,9 @@ class Trend:
 
     slope     median of the slopes of all pairs [Theil 1950, Sen 1968]
     ci95      its 95 % interval
-    middle    value of the line at the median abscissa
-    about     that abscissa
-    p_value   of no trend, by Kendall's tau
+    middle    median ordinate: value of the line at the median abscissa
+    about     median abscissa
+    p_value   of the hypothesis of no trend, by Kendall's tau
     """
 
     slope: float
@@ -60,7 +59,7 @@ def spread_of(values: Array) -> Spread:
 
         sigma = 1.4826 median |x - median x|
 
-    Where more than half of the values are equal, the mean deviation replaces the median one.
+    If more than half of the values are equal, the mean deviation replaces the median deviation.
 
     values  (samples,)  at least one finite
     """
@@ -75,12 +74,14 @@ def spread_of(values: Array) -> Spread:
 
 
 def spread_beyond(values: Array, errors: Array) -> Spread:
-    """Return the spread of values beyond their own standard errors.
+    """Return the spread of values beyond their standard errors.
 
-        median |x - m| / sqrt(sigma^2 + e^2) = 1 / 1.4826,   m the median weighted by the same
+        median |x - m| / sqrt(sigma^2 + e^2) = 1 / 1.4826
+
+    with m the median of the values weighted by 1 / sqrt(sigma^2 + e^2).
 
     values  (samples,)  finite
-    errors  (samples,)  their standard errors; all 0: the plain spread
+    errors  (samples,)  their standard errors; all 0: ``spread_of`` the values
 
     The random-effects model of [DerSimonian & Laird 1986] with medians in place of means. Sigma is
     0 where the errors alone explain the scatter.
@@ -99,7 +100,7 @@ def spread_beyond(values: Array, errors: Array) -> Spread:
 
 def _weighted_spread(values: Array, errors: Array, sigma: float) -> tuple[float, float]:
     """Return the weighted median, and the scatter about it over the expected one."""
-    # A value without an error gets the smallest error of the others, so that sigma may be 0.
+    # An error of 0 is replaced by the smallest positive error, so that sigma may be 0.
     expected = np.sqrt(sigma**2 + np.maximum(errors, errors[errors > 0.0].min()) ** 2)
     order = np.argsort(values, kind="stable")
     weight = np.cumsum(1.0 / expected[order])

@@ -1,9 +1,9 @@
 """Triangular factor of a tall least-squares problem, updated in chunks.
 
-All that least squares needs to know of a million rows [J | e] is the small triangle R of their QR
-factorisation: |J x + e|^2 = |R (x, 1)|^2. Gathering R block by block keeps memory constant and,
-unlike the Gram matrix J'J, does not square the condition number, which for play regressors
-reaches 2e7.
+Least squares with a million rows [J | e] needs only the small triangle R of their QR
+factorisation: |J x + e|^2 = |R (x, 1)|^2. Updating R block by block keeps memory constant and,
+unlike the Gram matrix J'J, does not square the condition number, which reaches 2e7 for play
+regressors.
 """
 
 from typing import cast
@@ -17,7 +17,7 @@ BLOCK = 16  # columns reflected together
 
 
 def empty_triangle(columns: int) -> Array:
-    """Return the factor of no rows at all, (columns, columns), zero."""
+    """Return the factor of an empty problem: zeros, (columns, columns)."""
     return np.zeros((columns, columns), order="F")
 
 
@@ -29,11 +29,11 @@ def gather(triangle: Array, rows: Array, *, spend: bool = False) -> Array:
     spend     whether column-major rows may be overwritten
     returned  (columns, columns), upper triangular
 
-    The rows are reflected onto the triangle, whose zeros are never touched.
+    The zeros of the triangle are not accessed.
     """
     columns = len(triangle)
     if triangle.shape != (columns, columns):
-        raise ValueError(f"{triangle.shape} is no triangle: gather these rows as rows")
+        raise ValueError(f"a triangle of shape {triangle.shape}, expected {columns, columns}")
     if not columns or not len(rows):
         return triangle
     block = np.asfortranarray(rows)

@@ -20,7 +20,7 @@ from piezoid.numerics.robust import normal_quantile, student_quantile
 CONFIDENCE = 0.95
 DRAWS = 200_000
 GRID = np.linspace(0.0, 1.0, 201)
-KNOWN = 4000  # quantiles worked out: those between are straight to 1e-5
+QUANTILE_KNOTS = 4000  # linear interpolation between so many quantiles has an error of 1e-5
 NORMAL, RECTANGULAR, HEAVY = "normal", "rectangular", "heavy"
 
 
@@ -28,14 +28,14 @@ NORMAL, RECTANGULAR, HEAVY = "normal", "rectangular", "heavy"
 class Contribution:
     """One contribution to the uncertainty of a result.
 
-    name       for people
+    name       shown in tables
     kind       ``A``: from the spread of data; ``B``: from a certificate or a data sheet
-    standard   one standard deviation, in the unit of the result
-    freedom    degrees of freedom it is known with; infinite for most of type B
+    standard   standard uncertainty, in the unit of the result
+    freedom    degrees of freedom of ``standard``; infinite for most of type B
     shape      ``normal``, ``rectangular``, or ``heavy``: Student's t of ``tail`` degrees of
                freedom, scaled to ``standard``
     tail       > 2, for ``heavy`` only
-    is_shared  the same at every position of a scan, as a wrong gain is; False: new at each
+    is_shared  True: the same at every position of a scan (a wrong gain); False: independent
     """
 
     name: str
@@ -77,12 +77,12 @@ class Budget:
     coverage_factor  k, from Student's t at nu_eff
     expanded         U = k u_c, 95 %
     propagated       half width of the 95 % interval of a single error, from draws
-    positions        of which the largest error is asked
-    largest          (2,)  2.5 % and 97.5 % quantile of the largest error of so many positions
+    positions        number of positions of the largest error
+    largest          (2,)  2.5 % and 97.5 % quantile of the largest error of these positions
     probability      (points,)
     single_error     (points,)  quantiles of the size of a single error
-    largest_error    (points,)  quantiles of the largest one
-    draws            behind the last four
+    largest_error    (points,)  quantiles of the largest error
+    draws            number of draws behind the last four
     """
 
     contributions: tuple[Contribution, ...]
@@ -102,7 +102,7 @@ class Budget:
         freeze(self, "probability", "single_error", "largest_error")
 
     def share(self, contribution: Contribution) -> float:
-        """Return which share of the variance a contribution makes."""
+        """Return the share of a contribution in the variance."""
         return (contribution.standard / self.combined) ** 2 if self.combined > 0.0 else 0.0
 
 
@@ -124,7 +124,7 @@ def budget_of(
     rng = np.random.default_rng(seed)
     shared = sum(
         (
-            _drawn(contribution, draws, rng)
+            _draw(contribution, draws, rng)
             for contribution in contributions
             if contribution.is_shared
         ),
@@ -149,7 +149,7 @@ def budget_of(
 
 
 def effective_freedom(contributions: Sequence[Contribution]) -> float:
-    """Return nu_eff of Welch and Satterthwaite; infinite if no contribution is estimated."""
+    """Return nu_eff of Welch and Satterthwaite; infinite if all contributions are exact."""
     combined = sum(contribution.standard**2 for contribution in contributions)
     loss = sum(contribution.standard**4 / contribution.freedom for contribution in contributions)
     return combined**2 / loss if loss > 0.0 else math.inf
@@ -168,7 +168,7 @@ def tail_of(quantile_ratio: float, probability: float = 0.999) -> float:
         return math.inf
     nu = np.geomspace(2.2, 1e3, 400)
     reached = student_quantile(upper, nu) * np.sqrt((nu - 2) / nu)
-    falling = int(np.argmax(reached))  # below it a few extreme draws hold the variance
+    falling = int(np.argmax(reached))  # for smaller nu a few extreme draws dominate the variance
     first = np.searchsorted(-reached[falling:], -quantile_ratio)
     return float(nu[min(falling + int(first), len(nu) - 1)])
 
@@ -178,15 +178,15 @@ def _errors(
 ) -> tuple[Array, Array]:
     """Return the size of a single error and of the largest of many, (draws,) each.
 
-    Of n independent values in order of probability, the greatest lies at U^(1/n), and the least of
-    the others at greatest (1 - V^(1/(n-1))), U and V uniform: no scan is drawn position by
-    position. Several contributions that are new at each position are added as one of their
-    variance and of the heaviest tail among them.
+    The largest of n independent values lies at the probability U^(1/n), and the smallest of the
+    others at U^(1/n) (1 - V^(1/(n-1))), with U and V uniform, so that single positions need not be
+    drawn. Contributions that are not shared are replaced by one of the same total variance and of
+    the heaviest tail among them.
     """
     local = [contribution for contribution in contributions if not contribution.is_shared]
     if not local:
         return np.abs(shared), np.abs(shared)
-    single = np.abs(shared + sum(_drawn(contribution, len(shared), rng) for contribution in local))
+    single = np.abs(shared + sum(_draw(contribution, len(shared), rng) for contribution in local))
     standard = math.sqrt(sum(contribution.standard**2 for contribution in local))
     tails = [contribution.tail for contribution in local if contribution.shape == HEAVY]
     tail = min(tails, default=math.inf)
@@ -201,13 +201,13 @@ def _unit_quantile(probability: Array, tail: float) -> Array:
     inside = np.clip(probability, 1e-15, 1.0 - 1e-15)
     if math.isinf(tail):
         return np.asarray(normal_quantile(inside))
-    score = normal_quantile(inside)  # quantiles of t are smooth in it, so they are interpolated
-    knots = np.linspace(score.min(), score.max(), KNOWN)
+    score = normal_quantile(inside)  # quantiles of t are a smooth function of the normal score
+    knots = np.linspace(score.min(), score.max(), QUANTILE_KNOTS)
     quantile = np.interp(score, knots, student_quantile(ndtr(knots), tail))
     return np.asarray(quantile * math.sqrt((tail - 2.0) / tail))
 
 
-def _drawn(contribution: Contribution, draws: int, rng: np.random.Generator) -> Array:
+def _draw(contribution: Contribution, draws: int, rng: np.random.Generator) -> Array:
     """Draw a contribution, from Student's t if it has finite degrees of freedom."""
     if contribution.shape == RECTANGULAR:
         return contribution.standard * math.sqrt(3.0) * rng.uniform(-1.0, 1.0, draws)

@@ -13,7 +13,7 @@ class SampledSystem:
     """x[k+1] = A x[k] + sum_j taps[:, j] u[k - j],   y[k] = C x[k].
 
     A     (n, n)
-    taps  (n, m)  one column for each whole or broken sample of delay, the newest input first
+    taps  (n, m)  one column for each whole or fractional sample of delay, the newest input first
     C     (n,)
     """
 
@@ -25,40 +25,45 @@ class SampledSystem:
 def hold_matrices(A: Array, B: Array, duration_s: float) -> tuple[Array, Array]:
     """Return exp(A t) and the integral of exp(A s) B over [0, t], from one exponential.
 
-        exp([A B; 0 0] t) = [Ad Bd; 0 1]                                    [Van Loan 1978]
+        exp([A B; 0 0] t) = [Ad Bd; 0 I]                                    [Van Loan 1978]
 
-    A  (n, n)    B  (n,)    Bd  (n,)
+    A  (n, n)    B, Bd  (n,) or (n, inputs)
     """
-    order = len(A)
-    block = np.zeros((order + 1, order + 1))
-    block[:order, :order], block[:order, order] = A, B
+    order, inputs = len(A), B.shape[1] if B.ndim == 2 else 1
+    block = np.zeros((order + inputs, order + inputs))
+    block[:order, :order], block[:order, order:] = A, B.reshape(order, inputs)
     exponential = expm(block * duration_s)
-    return exponential[:order, :order], exponential[:order, order]
+    held = exponential[:order, order:]
+    return exponential[:order, :order], held if B.ndim == 2 else held[:, 0]
+
+
+def split_delay(delay_s: float, period_s: float) -> tuple[int, float]:
+    """Return a delay as whole samples and the remaining seconds, 0 below rounding."""
+    delay_samples = int(np.floor(delay_s / period_s + 1e-9))
+    remainder_s = delay_s - delay_samples * period_s
+    return delay_samples, (remainder_s if remainder_s > 1e-9 * period_s else 0.0)
 
 
 def sample(A: Array, B: Array, C: Array, period_s: float, delay_s: float = 0.0) -> SampledSystem:
     """Sample dx/dt = A x + B u(t - delay), y = C x exactly.
 
-    A delay of d + f periods (0 <= f < 1) splits each period: the first f of it still sees the
-    input u[k - d - 1], the rest u[k - d].
+    A delay of d + f periods (0 <= f < 1) splits each period: its first f has the input
+    u[k - d - 1], the remainder u[k - d].
 
     A  (n, n)    B  (n,)    C  (n,)
     delay_s  >= 0
     """
-    delay_samples = int(np.floor(delay_s / period_s + 1e-9))
-    rest_s = max(delay_s - delay_samples * period_s, 0.0)
-    if rest_s < 1e-9 * period_s:
-        rest_s = 0.0
+    delay_samples, remainder_s = split_delay(delay_s, period_s)
     transition, _ = hold_matrices(A, B, period_s)
-    following, newest = hold_matrices(A, B, period_s - rest_s)
+    following, newest = hold_matrices(A, B, period_s - remainder_s)
     columns = [np.zeros(len(B))] * delay_samples + [newest]
-    if rest_s > 0.0:
-        columns.append(following @ hold_matrices(A, B, rest_s)[1])
+    if remainder_s > 0.0:
+        columns.append(following @ hold_matrices(A, B, remainder_s)[1])
     return SampledSystem(A=transition, taps=np.stack(columns, axis=1), C=np.asarray(C, float))
 
 
 def realised(system: SampledSystem) -> tuple[Array, Array, Array]:
-    """Return plain A, B, C in which past inputs are states, the newest first.
+    """Return A, B, C of a state-space model with past inputs as states, the newest first.
 
     returned  (n + m - 1, n + m - 1), (n + m - 1,), (n + m - 1,)
     """
@@ -74,8 +79,10 @@ def realised(system: SampledSystem) -> tuple[Array, Array, Array]:
 
 
 def fraction(system: SampledSystem) -> tuple[Array, Array]:
-    """Return B and A in q^-1: the characteristic polynomial, and the numerator that goes with
-    the first samples of the impulse response. The delay stands in B as leading zeros.
+    """Return the transfer function B/A in q^-1; the delay is leading zeros of B.
+
+    A is the characteristic polynomial. B follows from A and the first samples of the impulse
+    response.
     """
     order, count = system.taps.shape
     denominator = np.ascontiguousarray(np.poly(system.A).real)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from piezoid.numerics.arrays import Array
 from piezoid.operators.library import KERNELS, address, contiguous
 
-LONGEST = 0.01  # step of the drive; the midpoint rule then errs by some 1e-5 of the state
+MAX_STEP = 0.01  # of the drive; the error of the midpoint rule is then some 1e-5 of the state
 
 
 def bouc_wen_states(
@@ -21,13 +21,12 @@ def bouc_wen_states(
     exponent: ArrayLike,
     start: ArrayLike = 0.0,
 ) -> Array:
-    """Return one state along a drive, or several.
+    """Return one or several Bouc-Wen states along a drive.
 
-    drive            (samples,)           of the order of one
-    beta, gamma      scalars or (states,) loading and unloading; 1 / unit of the drive, to the
-                                          power n
-    exponent         scalar or (states,)  n >= 1, sharpness of the knee
-    start            scalar or (states,)  z at the first sample
+    drive            (samples,)            of the order of one
+    beta, gamma      scalars or (states,)  loading and unloading; 1 / unit of the drive^n
+    exponent         scalar or (states,)   n >= 1, sharpness of the knee
+    start            scalar or (states,)   z at the first sample
     returned         (samples,) or (samples, states)  unit of the drive
     """
     numbers = np.broadcast_arrays(*(np.asarray(x, float) for x in (beta, gamma, exponent, start)))
@@ -39,7 +38,7 @@ def bouc_wen_states(
         address(drive),
         len(state),
         address(contiguous(law)),
-        LONGEST,
+        MAX_STEP,
         address(state),
         address(states),
     )

@@ -1,16 +1,16 @@
-"""Plays behind an envelope, dead zones, a lag and a sensor, with all derivatives of the reading.
+"""Forward model of envelope, plays, dead zones, lag and sensor, with all its derivatives.
 
 y = Psi(h),  h = w_0 gamma(u) + sum_i w_i z_i,  sigma = Psi'(h),  a_i = dz_i/dz_i(0)
 
 dy/ds_j     = sigma d_j sum_(i>=j) w_i a_i
 dy/dd_j     = sigma sum_(i>=j) w_i (dz_i/dr_i + a_i s_j)
 dy/dw_i     = sigma z_i
-dy/dknot_k  = the change of slope there, where h is beyond it
+dy/dknot_k  = the change of slope at the knot if h is beyond it, else 0
 dy/dslope_k = the part of h inside segment k
-dy/dg_k     = sigma (w_0 c_k(u) + sum_i w_i c_k(u where play i last moved)), c_k the part of
-              the drive inside segment k of gamma
+dy/dg_k     = sigma (w_0 c_k(u) + sum_i w_i c_k(u_i)), c_k the part of the drive inside segment k
+              of gamma, u_i the drive at which play i last moved
 
-Kinks are parametrised by the gaps between them, outwards from 0: a gap moves all kinks beyond.
+Knots are parametrised by the gaps between them, outwards from 0: a gap moves all knots beyond it.
 """
 
 import ctypes
@@ -37,9 +37,9 @@ class _Chain(ctypes.Structure):
         ("plays", ctypes.c_size_t),
         *((name, ctypes.c_void_p) for name in ("threshold", "weight", "gap", "memory_slope")),
         ("zones", ctypes.c_void_p),
-        ("bends", ctypes.c_size_t),
-        ("bend", ctypes.c_void_p),
-        ("late", ctypes.c_int),
+        ("envelope_knots", ctypes.c_size_t),
+        ("envelope_knot", ctypes.c_void_p),
+        ("has_delay", ctypes.c_int),
         ("share", ctypes.c_double),
         ("rate_Hz", ctypes.c_double),
         ("lag", ctypes.c_void_p),
@@ -52,12 +52,12 @@ class Chain:
     """Hysteresis, lag and sensor from the drive to the reading, in consistent units.
 
     gap           (plays,)      d: r_i = d_1 + ... + d_i are the thresholds of the moving plays
-    weight        (plays + 1,)  w, that of the play of threshold 0 first
+    weight        (plays + 1,)  w, beginning with the play of threshold 0
     memory_slope  (plays,)      s: z_i(0) = gamma(u(0)) + sum_(j<=i) d_j s_j
     zones         Psi
-    envelope      gamma, in front of the plays, with kinks symmetric about 0
+    envelope      gamma, in front of the plays, with knots symmetric about 0
     share         weight of the previous sample (fractional delay); None: no delay
-    lag, sensor   first-order filters behind everything, or None
+    lag, sensor   first-order filters at the output, or None
     rate_Hz       samples per second
     """
 
@@ -78,33 +78,35 @@ class Chain:
 
     @property
     def columns(self) -> int:
-        """Number of columns of ``Following.rows`` without those of the memory."""
-        zones, bends = len(self.zones.threshold) - 1, self.envelope.zero
-        return 2 * self.plays + 1 + 2 * zones + 2 * bends + 2
+        """Number of columns of ``Following.rows`` without the derivatives by the memory."""
+        zones, knots = len(self.zones.threshold) - 1, self.envelope.zero
+        return 2 * self.plays + 1 + 2 * zones + 2 * knots + 2
 
 
 class Following:
     """State of a chain along one segment, advanced chunk by chunk."""
 
     def __init__(self, chain: Chain, first_drive: float) -> None:
-        """Start at rest at the first drive, with the memory of the chain."""
-        plays, every = chain.plays, chain.plays + chain.columns
+        """Start at rest at the first drive, with the initial state of the chain."""
+        plays, columns = chain.plays, chain.plays + chain.columns
         self.chain = chain
-        self._carry = np.zeros(4 * plays + 5 * every)
+        self._carry = np.zeros(4 * plays + 5 * columns)
         self._carry[2 * plays : 3 * plays] = 1.0
         self._carry[3 * plays : 4 * plays] = first_drive
         inner = float(chain.envelope.run(np.array([first_drive]))[0])
         self._carry[:plays] = inner + np.cumsum(chain.gap * chain.memory_slope)
-        self._tile = np.empty((TILE + 1) * every)
+        self._tile = np.empty((TILE + 1) * columns)
         self._is_started = False
         self._view = _kernel_view(chain)
 
     def rows(self, drive: Array, samples: Samples, out: Array) -> None:
-        """Write [memory | anything | gaps, weights, zones, envelope, lag, reading], row by row.
+        """Write the reading and its derivatives at some samples, and advance the state.
 
         drive    (samples,)  next samples of the segment
         samples  (rows,)     indices of the rows to write, in order; may repeat
-        out      (rows, >= plays + columns)  column-major; the first and last columns are written
+        out      (rows, >= plays + columns)  column-major; the first ``plays`` columns are the
+                 derivatives by the memory slopes, the last ``columns`` those by gaps, weights,
+                 zones, envelope and lag, and the reading; columns between them are not changed
         """
         chain = self.chain
         u = contiguous(drive)
@@ -141,7 +143,7 @@ def _kernel_view(chain: Chain) -> tuple[_Chain, tuple[object, ...]]:
         contiguous(values)
         for values in (np.cumsum(chain.gap), chain.weight, chain.gap, chain.memory_slope)
     ]
-    bend = contiguous(chain.envelope.threshold[chain.envelope.zero + 1 :])
+    knot = contiguous(chain.envelope.threshold[chain.envelope.zero + 1 :])
     zones = chain.zones.kernel_map()
     filters = [
         None if low_pass is None else _Filter(*low_pass.coefficients, *low_pass.by_time)
@@ -151,11 +153,11 @@ def _kernel_view(chain: Chain) -> tuple[_Chain, tuple[object, ...]]:
         chain.plays,
         *(address(values) for values in arrays),
         ctypes.addressof(zones),
-        len(bend),
-        address(bend),
+        len(knot),
+        address(knot),
         int(chain.share is not None),
         chain.share or 0.0,
         chain.rate_Hz,
         *(None if low_pass is None else ctypes.addressof(low_pass) for low_pass in filters),
     )
-    return view, (arrays, bend, zones, filters)
+    return view, (arrays, knot, zones, filters)

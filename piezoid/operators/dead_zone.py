@@ -1,4 +1,4 @@
-"""One-sided dead zones: the memoryless part of the modified model, and its exact inverse."""
+"""One-sided dead zones: the static part of the modified model, and its exact inverse."""
 
 import ctypes
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from piezoid.operators.library import KERNELS, address, contiguous
 
 
 class KernelMap(ctypes.Structure):
-    """The kernels' ``pk_map``; it holds the arrays it points to."""
+    """Structure ``pk_map`` of the kernels, with references to its arrays."""
 
     _fields_ = (
         ("knots", ctypes.c_size_t),
@@ -31,9 +31,9 @@ class DeadZones:
         Psi(h) = sum_j w_j s_(r_j)(h)                                     [Kuhnen 2003]
 
     r  threshold  (zones,)  unit of h, strictly increasing, containing 0
-    w  weight     (zones,)  output per unit of h; the one at r = 0 is the slope at the origin
+    w  weight     (zones,)  output per unit of h; the weight at r = 0 is the slope at the origin
 
-    Kuhnen calls the map S; it is Psi here because S is a polynomial and a sensitivity elsewhere.
+    Kuhnen's symbol of the map is S, which denotes a polynomial and a sensitivity here.
     """
 
     threshold: Array
@@ -112,7 +112,7 @@ class DeadZones:
 
             r'_j = Psi(r_j);  w'_0 = 1 / w_0;  w'_j = 1 / slope_j - 1 / slope_(j-1)
 
-        Raises ``NotInvertibleError`` where a slope is not positive.
+        Raises ``NotInvertibleError`` if a slope is not positive.
         """
         return self._inverse
 
@@ -129,7 +129,7 @@ class DeadZones:
 
 
 def from_slopes(threshold: Array, slope: Array) -> DeadZones:
-    """Build the superposition that has these slopes between these thresholds.
+    """Return the superposition with given slopes between given thresholds.
 
     threshold  (zones,)      strictly increasing, containing 0
     slope      (zones + 1,)  the two slopes that meet at 0 must be equal

@@ -1,4 +1,4 @@
-"""Linear filters behind the operator, of one signal or of many columns."""
+"""First-order lags and delays, of one signal or of many columns."""
 
 from dataclasses import dataclass
 
@@ -36,7 +36,7 @@ class FirstOrder:
 
     @property
     def by_time(self) -> tuple[float, float, float]:
-        """Return the derivatives of the three by tau, 1/s."""
+        """Return the derivatives of p, b0 and b1 by tau, 1/s."""
         ratio = self.time_s * self.rate_Hz
         if ratio < 1e-9:
             return 0.0, -self.rate_Hz, self.rate_Hz
@@ -67,7 +67,7 @@ def filter_columns(columns: Array, coefficients: Coefficients, state: Array) -> 
 
 
 def first_order(time_constant_s: float, sampling_rate_Hz: float) -> Coefficients:
-    """Return p, b0, b1 of the exact first-order lag of a signal straight between its samples."""
+    """Return p, b0, b1 of the exact first-order lag of a piecewise linear signal."""
     return FirstOrder(time_s=time_constant_s, rate_Hz=sampling_rate_Hz).coefficients
 
 
@@ -81,20 +81,21 @@ def relaxed(signal: Array, time_s: float, rate_Hz: float) -> Array:
 
 
 def later(signal: Array, samples: float, keep: slice = EVERY) -> Array:
-    """Return a signal that many samples later, straight between samples, in the rows to keep."""
+    """Delay a signal by a number of samples, interpolated linearly, in the rows to keep."""
     whole_samples = int(np.floor(samples))
-    part = samples - whole_samples
+    fraction = samples - whole_samples
     first, stop, step = keep.indices(len(signal))
     rows = len(range(first, stop, step))
-    early = min(rows, len(range(first, whole_samples + 1, step)))  # they see the first alone
+    # The first rows depend on the first sample only.
+    initial_rows = min(rows, len(range(first, whole_samples + 1, step)))
     shifted = np.empty((rows, *signal.shape[1:]), order="F")
-    shifted[:early] = (1.0 - part) * signal[:1] + part * signal[:1]
-    if early < rows:
-        first += early * step - whole_samples
+    shifted[:initial_rows] = (1.0 - fraction) * signal[:1] + fraction * signal[:1]
+    if initial_rows < rows:
+        first += initial_rows * step - whole_samples
         newer, older = (signal[first - k : stop - whole_samples - k : step] for k in (0, 1))
-        columns = (np.atleast_2d(table.T) for table in (shifted[early:], newer, older))
-        for column, new, old in zip(*columns, strict=True):  # one at a time stays in the cache
-            column[:] = (1.0 - part) * new + part * old
+        columns = (np.atleast_2d(table.T) for table in (shifted[initial_rows:], newer, older))
+        for column, new, old in zip(*columns, strict=True):  # single columns fit into the cache
+            column[:] = (1.0 - fraction) * new + fraction * old
     return shifted
 
 
@@ -103,7 +104,7 @@ def lagged(
 ) -> Array:
     """Apply a lag to a signal: kind ``none``, ``delay`` or ``first_order``.
 
-    keep  which rows are wanted; of a delay no others are computed
+    keep  rows to return; a delay computes only these
     """
     if kind == "delay":
         return later(signal, lag_s * rate_Hz, keep)

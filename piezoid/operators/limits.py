@@ -7,7 +7,7 @@ from piezoid.operators.library import KERNELS, address, contiguous
 
 
 def slewed(signal: Array, step: float) -> Array:
-    """Return the signal with its change between samples limited.
+    """Limit the change of a signal between samples.
 
         z[k] = z[k-1] + clamp(u[k] - z[k-1], -step, step),   z[0] = u[0]
 

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import expm
 
 from piezoid.numerics.arrays import Array, ComplexArray, expect_shapes, freeze
+from piezoid.numerics.zero_order_hold import hold_matrices, split_delay
 from piezoid.operators.library import KERNELS, address, contiguous
 
-ALIKE = 1e-5  # of a pole
-BLOCK_SAMPLES = 64  # run() works in blocks: below, Python's loop costs; above, the products do
+EQUAL_POLES = 1e-5  # relative difference of poles that are treated as equal
+BLOCK_SAMPLES = 64  # of run(): smaller blocks cost time in Python, larger ones in the products
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,15 +77,14 @@ class DiscreteSystem:
         return self.A @ state + self.B @ drive, self.C @ state + self.D @ drive
 
     def run(self, drive: Array, state: Array | None = None) -> tuple[Array, Array]:
-        """Return the outputs for a whole record, and the state to carry on with.
+        """Return the outputs for a whole record, and the state behind it.
 
         drive     (samples,) or (samples, inputs)
         state     (states,)  before the first sample; zero if None
-        returned  outputs, shaped like the drive, and (states,)
+        returned  outputs, of the shape of the drive, and (states,)
 
         Inside a block y = observe x + forced u, where forced is the block Toeplitz matrix of the
-        impulse response; from block to block x = A^length x + reach u. So the cost per sample does
-        not depend on Python.
+        impulse response; from block to block x = A^length x + reach u.
         """
         is_vector, count = np.ndim(drive) == 1, len(drive)
         outputs, inputs = self.D.shape
@@ -137,9 +136,10 @@ def _freeze_matrices(system: ContinuousSystem | DiscreteSystem) -> None:
 def _transfer(
     A: Array, B: Array, C: Array, D: Array, v: NDArray[np.complex128]
 ) -> NDArray[np.complex128]:
-    """C (v I - A)^-1 B + D on every value of the variable.
+    """Return C (v I - A)^-1 B + D for every value of v.
 
-    Of two states by the adjugate: fits of modes spend their time here, and it is ten times faster.
+    For two states the adjugate is used, which is ten times faster: fits of modes spend their time
+    here.
 
         adj(v I - A) = v I - adj(A)
     """
@@ -154,22 +154,22 @@ def _transfer(
 
 
 def sample(system: ContinuousSystem, sampling_rate_Hz: float) -> DiscreteSystem:
-    """Sample a system behind a zero-order hold exactly, whatever its delay.
+    """Sample a system behind a zero-order hold exactly, with any delay.
 
         exp([A B; 0 0] t) = [A(t) B(t); 0 I]                               [Van Loan 1978]
         x[k+1] = A(T) x[k] + B(T - e) u[k-d] + A(T - e) B(e) u[k-d-1],   delay = d T + e
 
-    Delayed inputs are states after those of the system, the newest first. A direct
-    term sees the input that has arrived: u[k-d] for e = 0, else u[k-d-1].
+    Delayed inputs are states after those of the system, the newest first. The direct term acts on
+    the delayed input: u[k-d] for e = 0, else u[k-d-1].
     """
     interval_s = 1.0 / sampling_rate_Hz
-    delay_samples, rest_s = _split_delay(system.delay_s, interval_s)
-    transition, newest = _hold_matrices(system, interval_s - rest_s)
-    # input matrices of states and outputs, for the newest input first
+    delay_samples, rest_s = split_delay(system.delay_s, interval_s)
+    transition, newest = hold_matrices(system.A, system.B, interval_s - rest_s)
+    # Input matrices of states and outputs, beginning with the newest input.
     taps = [np.zeros_like(system.B)] * delay_samples + [newest]
     direct = [np.zeros_like(system.D)] * delay_samples + [system.D]
     if rest_s > 0.0:
-        remainder, oldest = _hold_matrices(system, rest_s)
+        remainder, oldest = hold_matrices(system.A, system.B, rest_s)
         taps.append(transition @ oldest)
         direct.insert(delay_samples, np.zeros_like(system.D))
         transition = transition @ remainder
@@ -201,10 +201,10 @@ def sampled_fractions(
     returned   (systems, lines, outputs)
 
     Equal poles are separated symmetrically, with an error of second order and a loss of five
-    digits; three equal poles lose ten.
+    digits, ten digits for three equal poles.
     """
     interval_s = 1.0 / rate_Hz
-    split = [_split_delay(float(delay), interval_s) for delay in delay_s]
+    split = [split_delay(float(delay), interval_s) for delay in delay_s]
     delay_samples, rest_s = np.array(split).T[:, :, None]
     z = np.exp(2j * np.pi * frequency_Hz * interval_s)
     if not pole.shape[1]:  # a constant acts on the delayed input
@@ -212,8 +212,9 @@ def sampled_fractions(
             numerator[:, None, :, 0] / z[:, None] ** (delay_samples + (rest_s > 0.0))[:, None]
         )
     number = np.arange(pole.shape[1])
-    alike = np.abs(pole[:, :, None] - pole[:, None]) < ALIKE * np.abs(pole)[:, :, None]
-    pole = pole * (1.0 + 0.5 * ALIKE * (alike * np.sign(number - number[:, None])).sum(axis=2))
+    is_equal = np.abs(pole[:, :, None] - pole[:, None]) < EQUAL_POLES * np.abs(pole)[:, :, None]
+    shift = (is_equal * np.sign(number - number[:, None])).sum(axis=2)
+    pole = pole * (1.0 + 0.5 * EQUAL_POLES * shift)
     difference = pole[:, :, None] - pole[:, None]
     difference[:, number, number] = 1.0
     powers = pole[:, None, :, None] ** np.arange(numerator.shape[2])
@@ -229,22 +230,6 @@ def sampled_fractions(
     return np.asarray(response * behind[:, :, None])
 
 
-def _split_delay(delay_s: float, interval_s: float) -> tuple[int, float]:
-    """Return whole samples and the remaining seconds, 0 below rounding."""
-    delay_samples = int(np.floor(delay_s / interval_s + 1e-9))
-    rest_s = delay_s - delay_samples * interval_s
-    return delay_samples, (rest_s if rest_s > 1e-9 * interval_s else 0.0)
-
-
-def _hold_matrices(system: ContinuousSystem, duration_s: float) -> tuple[Array, Array]:
-    """Return exp(A t) and the integral of exp(A s) B over [0, t]."""
-    states, inputs = system.B.shape
-    block = np.zeros((states + inputs, states + inputs))
-    block[:states, :states], block[:states, states:] = system.A, system.B
-    exponential = expm(block * duration_s)
-    return exponential[:states, :states], exponential[:states, states:]
-
-
 def recursive_filter(numerator: ArrayLike, denominator: ArrayLike, signal: Array) -> Array:
     """Filter a signal by a fraction in the delay operator, zero before the first sample.
 
@@ -255,7 +240,7 @@ def recursive_filter(numerator: ArrayLike, denominator: ArrayLike, signal: Array
     signal       (samples,)
     returned     (samples,)
 
-    What goes wrong: poles outside the unit circle make it grow until it is infinite.
+    With poles outside the unit circle the output grows until it is infinite.
     """
     b, a = (np.atleast_1d(np.asarray(part, dtype=np.float64)) for part in (numerator, denominator))
     if not a[0]:
@@ -280,20 +265,20 @@ def _padded(coefficients: Array, order: int) -> Array:
 
 
 def first_order(frequency_Hz: float) -> ContinuousSystem:
-    """Return w / (s + w) with w = 2 pi ``frequency_Hz``: an amplifier, a sensor."""
+    """Return the first-order low-pass w / (s + w), w = 2 pi ``frequency_Hz``."""
     w = 2 * np.pi * frequency_Hz
     unit = np.ones((1, 1))
     return ContinuousSystem(A=-w * unit, B=w * unit, C=unit, D=np.zeros((1, 1)))
 
 
 def resonance(frequency_Hz: float, damping: float, rate_gain_s: float = 0.0) -> ContinuousSystem:
-    """Return (1 + h s) w^2 / (s^2 + 2 zeta w s + w^2), one mode of unit gain at rest.
+    """Return one mode of unit static gain, (1 + h s) w^2 / (s^2 + 2 zeta w s + w^2).
 
     w     2 pi frequency_Hz  > 0
     zeta  damping            > 0
-    h     rate_gain_s        s; not zero where a mode is not in phase with its drive
+    h     rate_gain_s        s; not zero if a mode is not in phase with its drive
 
-    The states are the displacement over w^2 and its rate over w, so both are of like size.
+    The states are the displacement over w^2 and its rate over w, which have similar sizes.
     """
     w = 2 * np.pi * frequency_Hz
     return ContinuousSystem(
@@ -305,10 +290,10 @@ def resonance(frequency_Hz: float, damping: float, rate_gain_s: float = 0.0) -> 
 
 
 def butterworth(order: int, frequency_Hz: float) -> ContinuousSystem:
-    """Return the low-pass filter of maximal flatness and unit gain at rest.
+    """Return the Butterworth low-pass filter of unit static gain.
 
-    order         >= 1; the poles stand at equal angles on the circle of radius 2 pi frequency_Hz
-    frequency_Hz  > 0, where the gain has fallen by 3 dB
+    order         >= 1; the poles lie at equal angles on the circle of radius 2 pi frequency_Hz
+    frequency_Hz  > 0, -3 dB
     """
     angles = np.pi * (2 * np.arange(1, order // 2 + 1) - 1) / (2 * order)
     pairs = [resonance(frequency_Hz, float(np.sin(angle))) for angle in angles]

@@ -1,7 +1,7 @@
-"""The Modified Prandtl-Ishlinskii model: dead zones after plays, with offsets, and its inverse.
+"""The modified Prandtl-Ishlinskii model: dead zones after plays, with offsets, and its inverse.
 
-With an envelope in front of the plays it is the generalised model with equal envelopes, whose
-inverse is as exact.
+With an envelope in front of the plays it is the generalised model with equal envelopes. Both
+inverses are exact.
 """
 
 import ctypes
@@ -17,19 +17,19 @@ from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModifiedPrandtlIshlinskii:
-    """Dead zones after plays: memory first, static nonlinearity second.
+    """Modified Prandtl-Ishlinskii model: plays followed by dead zones.
 
         y = y_off + Psi(H[gamma(u - u_off)])
 
     plays                  H, thresholds in V, weights in m/V
     dead_zones             Psi, thresholds in m, weights without unit
-    voltage_offset_V       u_off; memory is kept of gamma(u - u_off)
+    voltage_offset_V       u_off; the plays act on gamma(u - u_off)
     displacement_offset_m  y_off
     envelope               gamma, V to V; the identity in Kuhnen's model [Kuhnen 2003], increasing
                            in the generalised one [Al Janaideh, Rakheja & Su 2011]
 
-    Gauge: the dead zone at 0 has weight 1, so H carries the metres. Two models are compared only
-    in the same gauge; ``regauged`` brings any other here.
+    Gauge: the dead zone at 0 has weight 1, so that H converts to metres. Models are compared in
+    this gauge; ``regauged`` converts to it.
     """
 
     plays: PrandtlIshlinskii
@@ -54,10 +54,10 @@ class ModifiedPrandtlIshlinskii:
 
     @property
     def slope_sector_m_per_V(self) -> tuple[float, float]:
-        """Least and greatest increment gain: m <= dy/du <= M for every step of every input."""
+        """Smallest and largest incremental gain: m <= dy/du <= M for every step of every input."""
         slopes = (self.envelope.slope, self.plays.slope, self.dead_zones.slope)
-        min_slope, greatest = np.prod([[s.min(), s.max()] for s in slopes], axis=0)
-        return float(min_slope), float(greatest)
+        smallest, largest = np.prod([[s.min(), s.max()] for s in slopes], axis=0)
+        return float(smallest), float(largest)
 
     def virgin_memory(self) -> Array:
         """Return the de-poled state."""
@@ -74,7 +74,7 @@ class ModifiedPrandtlIshlinskii:
         return _run(voltage_V, memory_V, self.envelope, self.plays, self.dead_zones, offsets)
 
     def inverse_run(self, displacement_m: Array, memory_V: Array) -> tuple[Array, Array]:
-        """Return the voltage that makes this displacement, and the forward memory after it.
+        """Return the voltage for a displacement, and the forward memory after it.
 
             u = u_off + gamma^-1(H^-1[Psi^-1(y - y_off)])
 
@@ -91,7 +91,7 @@ class ModifiedPrandtlIshlinskii:
         return voltage_V, plays.inverse_memory(memory_after)
 
     def multiplied(self, factor: float) -> "ModifiedPrandtlIshlinskii":
-        """Return what moves a factor as far as this one."""
+        """Return the operator with the displacement multiplied by a factor."""
         zones = replace(self.dead_zones, weight=self.dead_zones.weight * factor)
         return replace(self, dead_zones=zones)
 

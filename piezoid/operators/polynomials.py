@@ -1,4 +1,4 @@
-"""Sum of polynomials of many states, without a column for every power."""
+"""Sum of polynomials of many states, computed without a column for every power."""
 
 import numpy as np
 

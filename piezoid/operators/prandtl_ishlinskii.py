@@ -19,8 +19,8 @@ class PrandtlIshlinskii:
     r  threshold  (plays,)  unit of the input, r_0 = 0, strictly increasing
     w  weight     (plays,)  output per unit of input
 
-    Has an inverse of the same kind where every cumulative slope W_i is positive; single weights
-    may be negative.                                                 [Krejci & Kuhnen 2001]
+    Has an inverse of the same class if every cumulative slope W_i is positive; single weights may
+    be negative.                                                     [Krejci & Kuhnen 2001]
     """
 
     threshold: Array
@@ -77,7 +77,8 @@ class PrandtlIshlinskii:
 
             r'_i = phi(r_i);  w'_0 = 1 / W_0;  w'_i = 1 / W_i - 1 / W_(i-1)
 
-        Its memory is ``inverse_memory`` of ours. Raises ``NotInvertibleError`` where a W_i <= 0.
+        Its memory is ``inverse_memory`` of that of this operator. Raises ``NotInvertibleError`` if
+        a W_i <= 0.
         """
         return self._inverse
 
@@ -97,7 +98,7 @@ class PrandtlIshlinskii:
         )
 
     def inverse_memory(self, memory: Array) -> Array:
-        """Map our memory to the inverse operator's, at any time.
+        """Return the memory of the inverse operator for a memory of this one.
 
         z'_i = W_i z_i + sum_(j>i) w_j z_j
         """

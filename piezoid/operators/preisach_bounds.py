@@ -1,17 +1,18 @@
-"""Largest difference of two sums of plays behind functions over all histories, computed exactly.
+"""Largest difference of two Preisach operators in play form over all histories, computed exactly.
 
-With plays and edges on one lattice a drive leaves both in the same states:
+With plays and edges on one lattice both operators have the same states:
 
     y_t - y_m = sum_i g_i(z_i),   g_i = phi_i of one - phi_i of the other
     |z_i - z_(i-1)| <= r_1,   |z_i| <= max(R - r_i, 0)
 
-for every drive within R that began de-poled or at an end of it. The g_i bend on the lattice alone
-and all constraints are differences of whole steps, so that the extremes lie on it: states with the
-same fraction of a step can move together, and the sum changes straight until they meet others.
-Dynamic programming from the widest play to the narrowest finds them.
+for every drive within R that began de-poled or at an end of it. The g_i are linear between lattice
+points, and all constraints are differences of whole steps. The extremes lie on the lattice: states
+with the same fraction of a step can move together, and the sum changes linearly until they meet
+other states. Dynamic programming from the widest play to the narrowest finds the extremes.
 
-Along a branch on which the plays up to some j move, both have slopes, and the slope of one behind
-the inverse of the other is their ratio. There are as many ratios as j and places on the lattice.
+Along a branch on which the plays up to some j move, both operators have slopes, and the
+incremental gain of one behind the inverse of the other is their ratio. There is one ratio for each
+j and each lattice point.
 """
 
 from collections.abc import Sequence
@@ -68,7 +69,7 @@ def farthest_apart_m(
 def slope_ratios(
     model: PreisachPlays, alternatives: Sequence[PreisachPlays], reach_V: float
 ) -> Array:
-    """Return the smallest and largest increment gain of alternatives behind the inverse model.
+    """Return the smallest and largest incremental gain of alternatives behind the inverse model.
 
     returned  (alternatives, 2)
 
@@ -101,7 +102,7 @@ def _alike(model: PreisachPlays, alternatives: Sequence[PreisachPlays]) -> Seque
 
 
 def _lattice(operator: PreisachPlays, reach_V: float) -> tuple[Array, Mask]:
-    """Return the drive levels of the lattice, and which of them each play can reach.
+    """Return the drive levels of the lattice, and which of them the state of each play can reach.
 
     returned  (levels,) V, and (plays, levels); the reach is rounded up to the lattice
     """
@@ -121,18 +122,19 @@ def _values(operator: PreisachPlays, places_V: Array) -> Array:
 
 
 def _half_range(value_m: Array, allowed: Mask) -> Array:
-    """Return half the range of sums over nested states, (sums,).
+    """Return half the range of sums over admissible states, (sums,).
 
-    value_m  (sums, plays, places)
+    value_m  (sums, plays, levels)
     """
-    return 0.5 * (_greatest(value_m, allowed) + _greatest(-value_m, allowed))
+    return 0.5 * (_maximum(value_m, allowed) + _maximum(-value_m, allowed))
 
 
-def _greatest(value_m: Array, allowed: Mask) -> Array:
+def _maximum(value_m: Array, allowed: Mask) -> Array:
+    """Return the maximum of each sum over the admissible states, by dynamic programming."""
     best_m = np.where(allowed[-1], value_m[:, -1], -np.inf)
     for play in range(value_m.shape[1] - 2, -1, -1):
-        beside_m = np.pad(best_m, ((0, 0), (1, 1)), constant_values=-np.inf)
-        best_m = np.maximum(np.maximum(beside_m[:, :-2], beside_m[:, 2:]), best_m)
+        padded_m = np.pad(best_m, ((0, 0), (1, 1)), constant_values=-np.inf)
+        best_m = np.maximum(np.maximum(padded_m[:, :-2], padded_m[:, 2:]), best_m)
         best_m = np.where(allowed[play], value_m[:, play] + best_m, -np.inf)
     return np.asarray(best_m.max(axis=1))
 
@@ -140,19 +142,19 @@ def _greatest(value_m: Array, allowed: Mask) -> Array:
 def _branch_slopes(value_m: Array, allowed: Mask) -> Array:
     """Return the rise per step of all branches, (2, plays, levels - 1); NaN where undefined.
 
-    On a rising branch at level k the play i has the state k - i, on a falling one k + i. Sums run
-    over the moving plays, from the narrowest on.
+    On a rising branch at level k play i has the state k - i, on a falling branch k + i. The sums
+    are over the moving plays, beginning with the narrowest.
     """
     slopes = []
     for direction in (1, -1):  # a falling branch is a rising one on the reversed lattice
         rise_m = np.diff(value_m[:, ::direction], axis=1) * direction
-        free = (allowed[:, 1:] & allowed[:, :-1])[:, ::direction]
+        is_allowed = (allowed[:, 1:] & allowed[:, :-1])[:, ::direction]
         plays, steps = rise_m.shape
         summed = np.full((plays, steps), np.nan)
         sum_m = np.zeros(steps)
         for play in range(plays):
             shifted_m = np.full(steps, np.nan)
-            shifted_m[play:] = np.where(free[play], rise_m[play], np.nan)[: steps - play]
+            shifted_m[play:] = np.where(is_allowed[play], rise_m[play], np.nan)[: steps - play]
             sum_m = sum_m + shifted_m
             summed[play] = sum_m
         slopes.append(summed)

@@ -1,4 +1,4 @@
-"""The Preisach operator in play form: plays, each behind a rising function of its state."""
+"""The Preisach operator in play form: a sum of rising functions of the states of plays."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,24 +9,24 @@ from piezoid.numerics.arrays import Array, freeze
 from piezoid.operators.library import KERNELS, address, contiguous
 from piezoid.operators.play import play_columns
 
-UNEVEN = 1e-9  # of a step: rounding of numbers that came through a file
+UNEVEN = 1e-9  # of a step: rounding of numbers read from a file
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PreisachPlays:
-    """A sum of rising functions of plays: any shape of minor loops that closes.
+    """A sum of rising functions of plays, which represents all closed minor loops.
 
-        y = y_off + sum_i phi_i(z_i[u - u_off]),   phi_i straight between edges      [Krejci 1996]
+        y = y_off + sum_i phi_i(z_i[u - u_off]),   phi_i linear between edges        [Krejci 1996]
 
     step_V      r_i = i step_V are the half-widths of the plays
-    edge_V      (edges,)        V, evenly spaced by whole steps, the lowest first
-    value_m     (plays, edges)  m, phi_i at the edges: never falling, and rising for i = 0; beyond
-                the outermost as inside
+    edge_V      (edges,)        V, evenly spaced by whole steps, ascending
+    value_m     (plays, edges)  m, phi_i at the edges: nondecreasing, and increasing for i = 0;
+                extrapolated linearly beyond the outermost edges
     voltage_offset_V, displacement_offset_m  u_off and y_off
 
-    With the density of Preisach's plane constant in cells along the two ways of a branch; straight
-    functions are Prandtl-Ishlinskii. All places at which a branch can bend lie ``step_V`` apart or
-    where a play begins to move, so that its inverse passes a known number of them.
+    The density in the Preisach plane is constant in cells bounded by rising and falling branches;
+    linear functions give a Prandtl-Ishlinskii operator. A branch changes its slope only at points
+    ``step_V`` apart or where a play begins to move, so that their number is known for the inverse.
     """
 
     step_V: float
@@ -51,11 +51,11 @@ class PreisachPlays:
             raise ValueError(f"a function falls by {-self.rise_m.min():.3g} m between edges")
 
     def multiplied(self, factor: float) -> "PreisachPlays":
-        """Return what moves a factor as far as this one."""
+        """Return the operator with the displacement multiplied by a factor."""
         return replace(self, value_m=factor * self.value_m)
 
     def with_rises(self, rise_m: Array) -> "PreisachPlays":
-        """Return the same with functions that rise otherwise, each 0 at the middle edge.
+        """Return the operator with other rises of its functions, each 0 at the middle edge.
 
         rise_m  (plays, edges - 1)  m
         """
@@ -74,29 +74,29 @@ class PreisachPlays:
 
     @property
     def slope_sector_m_per_V(self) -> tuple[float, float]:
-        """Least and greatest increment gain: m <= dy/du <= M for every step of every input.
+        """Smallest and largest incremental gain: m <= dy/du <= M for every step of every input.
 
-        After a reversal only phi_0 moves, and further along the branch the plays up to some i, at
-        u -+ r_i. The largest sums occur on the lattice of the breakpoints.
+        After a reversal only phi_0 changes, and further along the branch the plays up to some i
+        move, with the states u -+ r_i. The largest sums occur on the lattice of the breakpoints.
         """
         width = self.edge_V[1] - self.edge_V[0]
         reach = self.threshold_V[-1]
         middle = np.arange(self.edge_V[0] - reach, self.edge_V[-1] + reach, self.step_V)
         middle += 0.5 * self.step_V
-        greatest = 0.0
+        largest = 0.0
         for side in (-1.0, 1.0):
-            at = (middle[:, None] + side * self.threshold_V - self.edge_V[0]) / width
-            k = np.clip(at.astype(int), 0, len(self.edge_V) - 2)
+            position = (middle[:, None] + side * self.threshold_V - self.edge_V[0]) / width
+            k = np.clip(position.astype(int), 0, len(self.edge_V) - 2)
             slopes = self.rise_m[np.arange(len(self.value_m)), k].sum(axis=1) / width
-            greatest = max(greatest, float(slopes.max()))
-        return float(self.rise_m[0].min() / width), greatest
+            largest = max(largest, float(slopes.max()))
+        return float(self.rise_m[0].min() / width), largest
 
     def virgin_memory(self) -> Array:
         """Return the memory of a de-poled stage, (plays,) of u - u_off."""
         return np.zeros(len(self.value_m))
 
     def at_rest(self, voltage_V: float) -> Array:
-        """Return the memory of a stage that came to a voltage de-poled, (plays,) of u - u_off."""
+        """Return the memory of a de-poled stage after a ramp to a voltage, of u - u_off."""
         u, r = voltage_V - self.voltage_offset_V, self.threshold_V
         return np.clip(self.virgin_memory(), u - r, u + r)
 
@@ -114,7 +114,7 @@ class PreisachPlays:
         return displacement, memory_after
 
     def inverse_run(self, displacement_m: Array, memory_V: Array) -> tuple[Array, Array]:
-        """Return the voltage that makes this displacement, and the memory after it.
+        """Return the voltage for a displacement, and the memory after it.
 
         displacement_m  (samples,)  m
         memory_V        (plays,)    V, before the first sample

@@ -42,8 +42,8 @@ def barrier_of_decay(decay_per_m: float) -> float:
 
         phi = (k / 10.246 nm^-1)^2 eV
 
-    It is what the decay looks like, not a work function: in air it lies far below one. An error
-    of the height calibration enters doubled.
+    The apparent barrier is not a work function; in air it is far lower. The relative error of the
+    height calibration enters doubled.
     """
     return (decay_per_m / DECAY_AT_ONE_EV_PER_M) ** 2
 
@@ -58,8 +58,9 @@ def log_current(current_A: Array, *, set_point_A: float, floor_A: float) -> Arra
     i_min  floor_A      scalar      A, > 0: bounds the approach speed of a lost tip
     y      returned     (samples,)  nepers
 
-    The mean of ``y`` of a noisy current lies below the log of its mean by ``var / (2 i^2)``.
+    For a noisy current the mean of ``y`` lies below the log of the mean current by
+    ``var / (2 i^2)``.
     """
-    upright_A = math.copysign(1.0, set_point_A) * current_A
-    nepers: Array = np.log(np.maximum(upright_A, floor_A) / abs(set_point_A))
+    magnitude_A = math.copysign(1.0, set_point_A) * current_A
+    nepers: Array = np.log(np.maximum(magnitude_A, floor_A) / abs(set_point_A))
     return nepers

@@ -1,14 +1,14 @@
-"""A wide class of hysteresis, linear in its coefficients: columns along a drive.
+"""A wide class of hysteresis that is linear in its coefficients: columns along a drive.
 
     y = p(u) + sum_i f_i(P_i[u]) + sum_j (g_j l_j + h_j l_j^2 + ...) + friction + Bouc-Wen
 
 P_i are plays of 24 half-widths and f_i piecewise-linear functions: a Preisach density over width
 and position [Krejci 1996]. Its prior is a Gaussian process of three correlation lengths,
 represented by the leading eigenvectors of its covariance. l_j = P_j - u enter with powers and
-products. Friction states forget exponentially with the distance travelled [Dahl 1968],
+products. Friction states decay exponentially with the distance travelled [Dahl 1968],
 [Coleman & Hodgdon 1986], and Bouc-Wen states have minor loops that do not close [Wen 1976].
 
-The drive is scaled to -1 .. 1. All states are rate independent, and all start from full cycles.
+The drive is scaled to -1 .. 1. All states are rate independent and start after full cycles.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ WIDTHS = np.concatenate([[0.005, 0.01, 0.02, 0.035], np.linspace(0.055, 1.0, 20)
 EDGES = np.linspace(-1.0, 1.0, 13)  # between the cells of position
 # Correlation lengths of the density in width and in position, and number of eigenvectors.
 SCALES = ((0.6, 0.8, 14), (0.25, 0.3, 40), (0.08, 0.12, 110))
-LAGGING = np.array([0, 2, 4, 6, 8, 10, 12, 14, 17, 20, 23])  # plays that enter with powers
+LAGGING = np.array([0, 2, 4, 6, 8, 10, 12, 14, 17, 20, 23])  # indices of plays with powers
 PAIRED = LAGGING[3:]  # plays that enter with products of two
 REACH = np.array([0.04, 0.08, 0.15, 0.25, 0.4, 0.65, 1.0, 1.8])  # of friction states
 FRICTION_POWERS = (1.0, 2.0, 3.0)
@@ -38,13 +38,13 @@ BOUC_WEN = np.array(
         for limit in (0.1, 0.2, 0.35, 0.6)
         for exponent in (1.0, 1.5, 2.0)
         for unloading in (0.1, 0.5, 1.0)
-        if (exponent, unloading) != (1.0, 1.0)  # that is a friction state
+        if (exponent, unloading) != (1.0, 1.0)  # which is a friction state
     ]
 )
 POLYNOMIAL = 5  # degree of the Legendre polynomials of the drive
-CYCLES = (0.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0)  # in front of every history
-PATH_STEP = 0.02  # of a history: friction states of products need no finer one
-CHUNK = 2048  # samples whose states are held at once: they fit into the cache
+CYCLES = (0.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0)  # turning points before every history
+PATH_STEP = 0.02  # of the drive in a history; friction states with powers need no smaller step
+CHUNK = 2048  # samples: the states of a chunk fit into the cache
 States = tuple[Array, Array, Array]
 """Plays, friction states and Bouc-Wen states, (samples, states) each."""
 _End = tuple[float, Array, Array, Array]  # drive and states at its last sample
@@ -72,14 +72,14 @@ def density_components(scale: int) -> Array:
 
 
 class HysteresisStates:
-    """States of the class at the end of a drive; they start after full cycles and a history."""
+    """States of the class along a drive, after full cycles and a history."""
 
     def __init__(self, history: Sequence[float]) -> None:
-        """Follow full cycles, then the turning points of ``history``."""
+        """Start after full cycles and the turning points of ``history``."""
         self._end = _end_of_history(tuple(history))
 
     def follow(self, drive: Array) -> States:
-        """Return plays, friction states and Bouc-Wen states at the samples, (samples, states)."""
+        """Return the states along the next samples of the drive, (samples, states) each."""
         states = _states_along(drive, self._end)
         self._end = _end(drive, states)
         return states
@@ -104,7 +104,7 @@ def _end(drive: Array, states: States) -> _End:
 
 
 def _states_along(drive: Array, start: _End) -> States:
-    """Return the states along a drive that starts from where another one ended."""
+    """Return the states along a drive that continues from the end of another one."""
     start_drive, plays, friction, bouc_wen = start
     path = np.concatenate([[start_drive], drive])
     reach = np.tile(REACH, len(FRICTION_POWERS))
@@ -120,22 +120,22 @@ def _states_along(drive: Array, start: _End) -> States:
 
 
 def cells(position: Array) -> Array:
-    """Return how much of every cell lies below a position, (samples, cells)."""
+    """Return the part of every cell below a position, (samples, cells)."""
     return np.asarray(np.clip(position[:, None], EDGES[:-1], EDGES[1:]) - EDGES[:-1])
 
 
 def _smooth_terms(drive: Array, states: States) -> dict[str, list[tuple[int, Array]]]:
-    """Return the families but the density as products u^n b: n and b, (rows, columns), of each."""
+    """Return the families except the density as products u^n b: pairs of n and (rows, columns)."""
     plays, friction, bouc_wen = states
-    lag, wide = ((plays.T[columns] - drive).T for columns in (LAGGING, PAIRED))
-    first, second = np.tril_indices(wide.shape[1], -1)
-    dahl, few = friction[:, : len(REACH)], bouc_wen[:, ::3]
+    lag, paired = ((plays.T[columns] - drive).T for columns in (LAGGING, PAIRED))
+    first, second = np.tril_indices(paired.shape[1], -1)
+    dahl, selected = friction[:, : len(REACH)], bouc_wen[:, ::3]
     polynomial = np.asarray(legvander(drive, POLYNOMIAL)[:, 1:], dtype=np.float64)
     families: dict[str, list[tuple[int, Array]]] = {
         "polynomial": [(0, polynomial)],
         "plays times drive": [(1, lag), (2, lag)],
         "powers of plays": [(0, lag**2), (1, lag**2), (0, lag**2 * lag)],
-        "products of plays": [(0, (wide.T[first] * wide.T[second]).T)],
+        "products of plays": [(0, (paired.T[first] * paired.T[second]).T)],
     }
     for power, block in zip(FRICTION_POWERS, np.split(friction, 3, axis=1), strict=True):
         families[f"friction {power:g}"] = [(0, block)]
@@ -147,12 +147,16 @@ def _smooth_terms(drive: Array, states: States) -> dict[str, list[tuple[int, Arr
         (0, dahl**2 * dahl),
     ]
     families["Bouc-Wen"] = [(0, bouc_wen)]
-    families["products of Bouc-Wen"] = [(1, few), (0, few**2), (0, few**2 * few)]
+    families["products of Bouc-Wen"] = [
+        (1, selected),
+        (0, selected**2),
+        (0, selected**2 * selected),
+    ]
     return families
 
 
 def smooth_columns(drive: Array, states: States) -> dict[str, Array]:
-    """Return the columns of all families but the Preisach density, {family: (rows, columns)}."""
+    """Return the columns of all families except the density, {family: (rows, columns)}."""
     powers = [np.ones((len(drive), 1)), drive[:, None], drive[:, None] ** 2]
     return {
         name: np.hstack([powers[n] * block for n, block in terms])
@@ -216,7 +220,7 @@ def coefficients(weights: Array) -> tuple[Array, Array]:
 
 
 def smooth_count() -> int:
-    """Return the number of columns of all families but the density."""
+    """Return the number of columns of all families except the density."""
     drive = np.zeros(1)
     states = HysteresisStates(()).follow(drive)
     return sum(x.shape[1] for x in smooth_columns(drive, states).values())

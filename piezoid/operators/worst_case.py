@@ -10,10 +10,10 @@ from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WorstCase:
-    """The supremum of the difference over all inputs in a range, and where it is reached.
+    """Supremum of the difference over all inputs in a range, and an input that attains it.
 
-    bound          output unit; sup over inputs |u| <= R and over time, from the virgin state
-    extrema        (count,)  an alternating input that attains it
+    bound    output unit; supremum over inputs |u| <= R and over time, from the virgin state
+    extrema  (count,)  alternating extrema of the input
     """
 
     bound: float
@@ -23,7 +23,7 @@ class WorstCase:
 def slope_difference(
     first: PrandtlIshlinskii, second: PrandtlIshlinskii, reach: float
 ) -> tuple[Array, Array]:
-    """Return the edges of [0, reach] between which both slopes are constant, and W1 - W2 there.
+    """Return the edges in [0, reach] between which both slopes are constant, and W1 - W2.
 
     returned  (edges,) increasing from 0 to reach, and (edges - 1,)
     """
@@ -39,14 +39,14 @@ def worst_case(first: PrandtlIshlinskii, second: PrandtlIshlinskii, reach: float
         B(R) = integral_0^R |W_1(r) - W_2(r)| dr
 
     Both start in the same admissible memory with |z(r)| <= max(R - r, 0), for example virgin. The
-    attaining input goes through u = lambda(c) + s c at the corners c of a memory curve of slope
+    attaining input has the extrema u = lambda(c) + s c at the corners c of a memory curve of slope
     -sign(W_1 - W_2), from wide plays to narrow ones.
     """
     edges, difference = slope_difference(first, second, reach)
     bound = float((np.abs(difference) * np.diff(edges)).sum())
     sign = np.sign(difference)
     nonzero = np.flatnonzero(sign)
-    if nonzero.size:  # no corner is needed where operators agree: a neighbour's sign replaces 0
+    if nonzero.size:  # where the operators agree the sign of a neighbour avoids a corner
         nearest = np.searchsorted(nonzero, np.arange(len(sign)))
         sign = sign[nonzero[np.clip(nearest, 0, len(nonzero) - 1)]]
     else:

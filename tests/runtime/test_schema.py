@@ -239,5 +239,5 @@ def test_a_library_of_the_other_precision_is_refused():
 
 
 def test_a_runtime_that_was_never_compiled_is_asked_for():
-    with pytest.raises(RuntimeLibraryError, match="is not beside the package"):
+    with pytest.raises(RuntimeLibraryError, match="does not contain the compiled module"):
         compiled.opened("piezoid.runtime._never_compiled", {})
