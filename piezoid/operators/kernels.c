@@ -4,19 +4,19 @@
 #include <math.h>
 #include <string.h>
 
-/* Plays followed side by side: enough independent chains of min and max to keep a core busy, few
- * enough for their states to stay in registers. */
+/* Plays that are computed together: enough independent operations to keep a core busy, few enough
+ * for their states to stay in registers. */
 #define LANES 8
 #define RUN 256
-/* Samples that stay in the first cache from the first map to the last. */
-#define STRETCH 1024
+/* Samples that fit into the first cache from the first map to the last. */
+#define CHUNK 1024
 
 static inline double clamp(double value, double low, double high) {
     const double raised = value > low ? value : low;
     return raised < high ? raised : high;
 }
 
-/* Eight plays over a run of samples, each into its own column. */
+/* Compute eight plays over a run of samples, each into its column. */
 static void run_of_lanes(size_t samples, const double *restrict input_V,
                          const double *restrict threshold_V, double *restrict state_V,
                          double *const *column_V) {
@@ -46,7 +46,7 @@ void pk_play_columns(size_t samples, const double *input_V, size_t plays,
         return;
     }
 #endif
-    double unused[LANES * RUN]; /* where lanes without a play write, each its own part */
+    double unused[LANES * RUN]; /* output of lanes without a play */
     for (size_t first = 0; first < plays; first += LANES) {
         const size_t group = plays - first < LANES ? plays - first : LANES;
         double state[LANES] = {0.0};
@@ -84,13 +84,13 @@ void pk_play_sum(size_t samples, const double *input_V, size_t plays, const doub
     }
 }
 
-/* One segment of a map: within it, the value is base + slope * (x - from). */
+/* One segment of a map, with the values base + slope * (x - from). */
 typedef struct {
     double low, high;
     double from, base, slope;
 } segment;
 
-/* The segment x lies in; its base is added up from 0 outwards. */
+/* The segment that contains x; its base is summed from 0 outwards. */
 static segment segment_at(double x, const pk_map *map) {
     const double *knot = map->knot;
     const double *slope = map->slope;
@@ -99,72 +99,73 @@ static segment segment_at(double x, const pk_map *map) {
     double from = 0.0;
     double base = 0.0;
     if (x >= 0.0) {
-        size_t place = zero + 1;
-        while (place < knots && x > knot[place]) {
-            base += slope[place] * (knot[place] - from);
-            from = knot[place];
-            ++place;
+        size_t index = zero + 1;
+        while (index < knots && x > knot[index]) {
+            base += slope[index] * (knot[index] - from);
+            from = knot[index];
+            ++index;
         }
-        const double high = place < knots ? knot[place] : (double)INFINITY;
-        return (segment){from, high, from, base, slope[place]};
+        const double high = index < knots ? knot[index] : (double)INFINITY;
+        return (segment){from, high, from, base, slope[index]};
     }
-    size_t place = zero;
-    while (place > 0 && x < knot[place - 1]) {
-        base += slope[place] * (knot[place - 1] - from);
-        from = knot[place - 1];
-        --place;
+    size_t index = zero;
+    while (index > 0 && x < knot[index - 1]) {
+        base += slope[index] * (knot[index - 1] - from);
+        from = knot[index - 1];
+        --index;
     }
-    const double low = place > 0 ? knot[place - 1] : -(double)INFINITY;
-    return (segment){low, from, from, base, slope[place]};
+    const double low = index > 0 ? knot[index - 1] : -(double)INFINITY;
+    return (segment){low, from, from, base, slope[index]};
 }
 
-static inline double value_in(const segment *here, double x) {
-    return here->base + here->slope * (x - here->from);
+static inline double value_in(const segment *current, double x) {
+    return current->base + current->slope * (x - current->from);
 }
 
 double pk_mapped(double x, const pk_map *map, double *local) {
-    const segment here = segment_at(x, map);
-    *local = here.slope;
-    return value_in(&here, x);
+    const segment current = segment_at(x, map);
+    *local = current.slope;
+    return value_in(&current, x);
 }
 
 void pk_piecewise_linear(size_t samples, const double *input, size_t knots, const double *knot,
                          const double *slope, size_t zero, double *output, double *local) {
     const pk_map map = {.knots = knots, .knot = knot, .slope = slope, .zero = zero};
-    segment here = {.low = 0.0, .high = 0.0};
+    segment current = {.low = 0.0, .high = 0.0};
     for (size_t k = 0; k < samples; ++k) {
         const double x = input[k];
-        /* A sample mostly lies where the one before it did. */
-        if (!(x > here.low && x < here.high)) {
-            here = segment_at(x, &map);
+        /* Most samples lie in the segment of the previous one. */
+        if (!(x > current.low && x < current.high)) {
+            current = segment_at(x, &map);
         }
-        output[k] = value_in(&here, x);
+        output[k] = value_in(&current, x);
         if (local != NULL) {
-            local[k] = here.slope;
+            local[k] = current.slope;
         }
     }
 }
 
-void pk_mapped_plays(size_t samples, const double *input, double taken, const pk_map *before,
-                     size_t plays, const double *threshold, const double *weight, double *state,
-                     const pk_map *after, double added, double *output) {
-    for (size_t start = 0; start < samples; start += STRETCH) {
-        const size_t count = samples - start < STRETCH ? samples - start : STRETCH;
-        double *made = output + start;
+void pk_mapped_plays(size_t samples, const double *input, double subtracted,
+                     const pk_map *first_map, size_t plays, const double *threshold,
+                     const double *weight, double *state, const pk_map *last_map, double added,
+                     double *output) {
+    for (size_t start = 0; start < samples; start += CHUNK) {
+        const size_t count = samples - start < CHUNK ? samples - start : CHUNK;
+        double *values = output + start;
         for (size_t k = 0; k < count; ++k) {
-            made[k] = input[start + k] - taken;
+            values[k] = input[start + k] - subtracted;
         }
-        if (before != NULL) {
-            pk_piecewise_linear(count, made, before->knots, before->knot, before->slope,
-                                before->zero, made, NULL);
+        if (first_map != NULL) {
+            pk_piecewise_linear(count, values, first_map->knots, first_map->knot, first_map->slope,
+                                first_map->zero, values, NULL);
         }
-        pk_play_sum(count, made, plays, threshold, weight, state, made);
-        if (after != NULL) {
-            pk_piecewise_linear(count, made, after->knots, after->knot, after->slope, after->zero,
-                                made, NULL);
+        pk_play_sum(count, values, plays, threshold, weight, state, values);
+        if (last_map != NULL) {
+            pk_piecewise_linear(count, values, last_map->knots, last_map->knot, last_map->slope,
+                                last_map->zero, values, NULL);
         }
         for (size_t k = 0; k < count; ++k) {
-            made[k] += added;
+            values[k] += added;
         }
     }
 }
@@ -179,46 +180,46 @@ static double sum_of_values(size_t plays, double step, size_t edges, const doubl
     double sum = 0.0;
     for (size_t i = 0; i < plays; ++i) {
         const double z = play_at(u, (double)i * step, state[i]);
-        const double place = fmin(fmax((z - edge[0]) / width, 0.0), (double)(edges - 2));
-        const size_t k = (size_t)place;
-        const double *at = value + i * edges + k;
-        sum += at[0] + (at[1] - at[0]) * ((z - edge[k]) / width);
+        const double position = fmin(fmax((z - edge[0]) / width, 0.0), (double)(edges - 2));
+        const size_t k = (size_t)position;
+        const double *knot_value = value + i * edges + k;
+        sum += knot_value[0] + (knot_value[1] - knot_value[0]) * ((z - edge[k]) / width);
     }
     return sum;
 }
 
-void pk_valued_inverse(size_t samples, const double *wanted, size_t plays, double step,
+void pk_valued_inverse(size_t samples, const double *desired, size_t plays, double step,
                        size_t edges, const double *edge, const double *value, double *state,
-                       double *found) {
+                       double *input) {
     for (size_t n = 0; n < samples; ++n) {
         double low = state[0];
         double high = state[0];
-        double far = step;
-        while (sum_of_values(plays, step, edges, edge, value, state, low) > wanted[n]) {
+        double distance = step;
+        while (sum_of_values(plays, step, edges, edge, value, state, low) > desired[n]) {
             high = low;
-            low -= far;
-            far *= 2.0;
+            low -= distance;
+            distance *= 2.0;
         }
-        far = step;
-        while (sum_of_values(plays, step, edges, edge, value, state, high) < wanted[n]) {
+        distance = step;
+        while (sum_of_values(plays, step, edges, edge, value, state, high) < desired[n]) {
             low = high;
-            high += far;
-            far *= 2.0;
+            high += distance;
+            distance *= 2.0;
         }
         for (;;) {
             const double middle = 0.5 * low + 0.5 * high;
             if (!(middle > low && middle < high)) {
                 break;
             }
-            if (sum_of_values(plays, step, edges, edge, value, state, middle) < wanted[n]) {
+            if (sum_of_values(plays, step, edges, edge, value, state, middle) < desired[n]) {
                 low = middle;
             } else {
                 high = middle;
             }
         }
-        found[n] = 0.5 * low + 0.5 * high;
+        input[n] = 0.5 * low + 0.5 * high;
         for (size_t i = 0; i < plays; ++i) {
-            state[i] = play_at(found[n], (double)i * step, state[i]);
+            state[i] = play_at(input[n], (double)i * step, state[i]);
         }
     }
 }

@@ -1,8 +1,8 @@
-/* The hot loops of plays, piecewise-linear maps and their inverses. Columns are column-major:
+/* The inner loops of plays, piecewise-linear maps and their inverses. Columns are column-major:
  * column i starts at i * stride.
  *
- * Every function carries its state in the arrays it is given, so a recording may be processed in
- * chunks of any length with the same result, bit for bit. Nothing is allocated, nothing is kept.
+ * All state is in arrays of the caller, so that a recording may be processed in chunks of any
+ * length with the same result, bit for bit. No memory is allocated.
  */
 #ifndef PIEZOID_KERNELS_H
 #define PIEZOID_KERNELS_H
@@ -19,7 +19,7 @@ void pk_play_columns(size_t samples, const double *input_V, size_t plays,
                      const double *threshold_V, double *state_V, size_t stride, double *column_V);
 
 /* Weighted sum of plays, without writing the columns: output[k] = sum_i weight[i] z_i[k].
- * The output may be the input. */
+ * The output may alias the input. */
 void pk_play_sum(size_t samples, const double *input_V, size_t plays, const double *threshold_V,
                  const double *weight, double *state_V, double *output);
 
@@ -40,28 +40,30 @@ typedef struct {
     size_t zero;
 } pk_map;
 
-/* Its value at x, and in *local its slope there. */
+/* Return the value of a map at x, and in *local its slope at x. */
 double pk_mapped(double x, const pk_map *map, double *local);
 
-/* Plays between two maps: output = added + after(sum_i weight[i] z_i(before(input - taken))).
- *   before, after  NULL: nothing is mapped
- *   output         (samples,)  may be the input
- * The rest as in pk_play_sum. Forwards `before` is the envelope and `after` the dead zones; of the
- * inverse it is the other way round.
+/* Plays between two maps:
+ *   output = added + last_map(sum_i weight[i] z_i(first_map(input - subtracted)))
+ *   first_map, last_map  NULL: the identity
+ *   output               (samples,)  may alias the input
+ * The other arguments are those of pk_play_sum. In the forward model `first_map` is the envelope
+ * and `last_map` the dead zones, in the inverse the opposite.
  */
-void pk_mapped_plays(size_t samples, const double *input, double taken, const pk_map *before,
-                     size_t plays, const double *threshold, const double *weight, double *state,
-                     const pk_map *after, double added, double *output);
+void pk_mapped_plays(size_t samples, const double *input, double subtracted,
+                     const pk_map *first_map, size_t plays, const double *threshold,
+                     const double *weight, double *state, const pk_map *last_map, double added,
+                     double *output);
 
-/* Inverse of a sum of rising functions of plays, halved until the input is known to the last bit.
- *   wanted      (samples,)
+/* Inverse of a sum of rising functions of plays, by bisection to the last bit.
+ *   desired     (samples,)  outputs of the sum
  *   step        half-width of play i is i times this
- *   edge, value (edges,), (plays, edges): functions straight between edges, the outermost going on
+ *   edge, value (edges,), (plays, edges): functions linear between edges, and extrapolated
  *   state       (plays,)    in/out
- *   found       (samples,)  out
+ *   input       (samples,)  out
  */
-void pk_valued_inverse(size_t samples, const double *wanted, size_t plays, double step,
+void pk_valued_inverse(size_t samples, const double *desired, size_t plays, double step,
                        size_t edges, const double *edge, const double *value, double *state,
-                       double *found);
+                       double *input);
 
 #endif

@@ -7,9 +7,9 @@
 
 #define VECTORS 4
 #define LANES (4 * VECTORS)
-/* Samples of a sum at once: the states of all lanes stay in the first cache. */
-#define STRETCH 128
-#define EIGHT 8
+/* Samples of a sum: the states of all lanes fit into the first cache. */
+#define CHUNK 128
+#define GROUP 8
 #define AVX2 __attribute__((target("avx2")))
 #define INLINED static inline __attribute__((always_inline)) AVX2
 
@@ -17,16 +17,16 @@ int pk_has_avx2(void) {
     return __builtin_cpu_supports("avx2") != 0;
 }
 
-INLINED __m256d moved(__m256d z, __m256d u, __m256d r) {
+INLINED __m256d play_step(__m256d z, __m256d u, __m256d r) {
     return _mm256_min_pd(_mm256_max_pd(z, _mm256_sub_pd(u, r)), _mm256_add_pd(u, r));
 }
 
-/* Four plays over four samples: their last states, and all states a vector for each play. */
-INLINED __m256d square(const double *input_V, __m256d r, __m256d z, __m256d of_play[4]) {
-    const __m256d a = moved(z, _mm256_broadcast_sd(input_V), r);
-    const __m256d b = moved(a, _mm256_broadcast_sd(input_V + 1), r);
-    const __m256d c = moved(b, _mm256_broadcast_sd(input_V + 2), r);
-    const __m256d d = moved(c, _mm256_broadcast_sd(input_V + 3), r);
+/* Four plays over four samples: return their last states; of_play gets the four states of each. */
+INLINED __m256d four_by_four(const double *input_V, __m256d r, __m256d z, __m256d of_play[4]) {
+    const __m256d a = play_step(z, _mm256_broadcast_sd(input_V), r);
+    const __m256d b = play_step(a, _mm256_broadcast_sd(input_V + 1), r);
+    const __m256d c = play_step(b, _mm256_broadcast_sd(input_V + 2), r);
+    const __m256d d = play_step(c, _mm256_broadcast_sd(input_V + 3), r);
     const __m256d ab_even = _mm256_unpacklo_pd(a, b), ab_odd = _mm256_unpackhi_pd(a, b);
     const __m256d cd_even = _mm256_unpacklo_pd(c, d), cd_odd = _mm256_unpackhi_pd(c, d);
     of_play[0] = _mm256_permute2f128_pd(ab_even, cd_even, 0x20);
@@ -36,7 +36,7 @@ INLINED __m256d square(const double *input_V, __m256d r, __m256d z, __m256d of_p
     return d;
 }
 
-/* So many vectors of plays over samples in fours, each play into its own column. */
+/* Compute some vectors of plays, each play into its column; samples is a multiple of four. */
 INLINED void run_of_lanes(int vectors, size_t samples, const double *input_V,
                           const double *threshold_V, double *state_V, double *const *column_V) {
     __m256d z[VECTORS], r[VECTORS];
@@ -47,7 +47,7 @@ INLINED void run_of_lanes(int vectors, size_t samples, const double *input_V,
     for (size_t k = 0; k < samples; k += 4) {
         for (int v = 0; v < vectors; ++v) {
             __m256d of_play[4];
-            z[v] = square(input_V + k, r[v], z[v], of_play);
+            z[v] = four_by_four(input_V + k, r[v], z[v], of_play);
             for (int i = 0; i < 4; ++i) {
                 _mm256_storeu_pd(column_V[4 * v + i] + k, of_play[i]);
             }
@@ -63,9 +63,9 @@ static inline double clamp(double value, double low, double high) {
     return raised < high ? raised : high;
 }
 
-/* The samples that are left after the fours. */
-static void rest_of_samples(size_t from, size_t samples, const double *input_V, double r,
-                            double *z, double *column_V) {
+/* Compute one play over the samples behind the last multiple of four. */
+static void remaining_samples(size_t from, size_t samples, const double *input_V, double r,
+                              double *z, double *column_V) {
     for (size_t k = from; k < samples; ++k) {
         column_V[k] = *z = clamp(*z, input_V[k] - r, input_V[k] + r);
     }
@@ -79,7 +79,7 @@ AVX2 void pk_play_columns_avx2(size_t samples, const double *input_V, size_t pla
         const size_t group = plays - first < LANES ? plays - first : LANES;
         double threshold[LANES], state[LANES], *column[LANES];
         for (size_t i = 0; i < LANES; ++i) {
-            /* Lanes without a play follow the last one, into the same column. */
+            /* Lanes without a play repeat the last one, into the same column. */
             const size_t play = first + (i < group ? i : group - 1);
             threshold[i] = threshold_V[play];
             state[i] = state_V[play];
@@ -99,15 +99,16 @@ AVX2 void pk_play_columns_avx2(size_t samples, const double *input_V, size_t pla
             run_of_lanes(VECTORS, fours, input_V, threshold, state, column);
         }
         for (size_t i = 0; i < group; ++i) {
-            rest_of_samples(fours, samples, input_V, threshold[i], state + i, column[i]);
+            remaining_samples(fours, samples, input_V, threshold[i], state + i, column[i]);
         }
         memcpy(state_V + first, state, group * sizeof(double));
     }
 }
 
-/* Eight plays over samples in fours: their weighted states added to the sums, play after play. */
-AVX2 static void eight_summed(size_t samples, const double *input_V, const double *threshold_V,
-                              const double *weight, double *state_V, double *sum) {
+/* Add the weighted states of eight plays to the sums, play after play; samples is a multiple of
+ * four. */
+AVX2 static void add_eight_plays(size_t samples, const double *input_V, const double *threshold_V,
+                                 const double *weight, double *state_V, double *sum) {
     __m256d z[2], r[2];
     for (int v = 0; v < 2; ++v) {
         z[v] = _mm256_loadu_pd(state_V + 4 * v);
@@ -117,7 +118,7 @@ AVX2 static void eight_summed(size_t samples, const double *input_V, const doubl
         __m256d total = _mm256_loadu_pd(sum + k);
         for (int v = 0; v < 2; ++v) {
             __m256d of_play[4];
-            z[v] = square(input_V + k, r[v], z[v], of_play);
+            z[v] = four_by_four(input_V + k, r[v], z[v], of_play);
             for (int i = 0; i < 4; ++i) {
                 const __m256d w = _mm256_broadcast_sd(weight + 4 * v + i);
                 total = _mm256_add_pd(total, _mm256_mul_pd(w, of_play[i]));
@@ -130,15 +131,15 @@ AVX2 static void eight_summed(size_t samples, const double *input_V, const doubl
     }
 }
 
-/* The same of fewer plays, over any samples of a stretch. */
-AVX2 static void few_summed(size_t samples, const double *input_V, size_t plays,
-                            const double *threshold_V, const double *weight, double *state_V,
-                            double *sum) {
-    double states[EIGHT * STRETCH];
-    pk_play_columns_avx2(samples, input_V, plays, threshold_V, state_V, STRETCH, states);
+/* Add the weighted states of up to eight plays to the sums, over any samples of a chunk. */
+AVX2 static void add_plays(size_t samples, const double *input_V, size_t plays,
+                           const double *threshold_V, const double *weight, double *state_V,
+                           double *sum) {
+    double states[GROUP * CHUNK];
+    pk_play_columns_avx2(samples, input_V, plays, threshold_V, state_V, CHUNK, states);
     for (size_t i = 0; i < plays; ++i) {
         for (size_t k = 0; k < samples; ++k) {
-            sum[k] += weight[i] * states[i * STRETCH + k];
+            sum[k] += weight[i] * states[i * CHUNK + k];
         }
     }
 }
@@ -146,25 +147,25 @@ AVX2 static void few_summed(size_t samples, const double *input_V, size_t plays,
 AVX2 void pk_play_sum_avx2(size_t samples, const double *input_V, size_t plays,
                            const double *threshold_V, const double *weight, double *state_V,
                            double *output) {
-    for (size_t start = 0; start < samples; start += STRETCH) {
-        const size_t count = samples - start < STRETCH ? samples - start : STRETCH;
+    for (size_t start = 0; start < samples; start += CHUNK) {
+        const size_t count = samples - start < CHUNK ? samples - start : CHUNK;
         const double *input = input_V + start;
-        double sum[STRETCH] = {0.0};
+        double sum[CHUNK] = {0.0};
         size_t i = 0;
         if (plays > 0 && threshold_V[0] <= 0.0) {
-            /* A play of threshold 0 is its input; its zero is positive. */
+            /* The state of a play of threshold 0 is its input, with positive zeros. */
             for (size_t k = 0; k < count; ++k) {
                 sum[k] += weight[0] * (input[k] + 0.0);
             }
             state_V[0] = input[count - 1] + 0.0;
             i = 1;
         }
-        for (; i < plays; i += EIGHT) {
-            const size_t group = plays - i < EIGHT ? plays - i : EIGHT;
-            if (group == EIGHT && count == STRETCH) {
-                eight_summed(count, input, threshold_V + i, weight + i, state_V + i, sum);
+        for (; i < plays; i += GROUP) {
+            const size_t group = plays - i < GROUP ? plays - i : GROUP;
+            if (group == GROUP && count == CHUNK) {
+                add_eight_plays(count, input, threshold_V + i, weight + i, state_V + i, sum);
             } else {
-                few_summed(count, input, group, threshold_V + i, weight + i, state_V + i, sum);
+                add_plays(count, input, group, threshold_V + i, weight + i, state_V + i, sum);
             }
         }
         memcpy(output + start, sum, count * sizeof(double));

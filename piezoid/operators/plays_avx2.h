@@ -1,8 +1,8 @@
-/* Where the processor has AVX2: 16 plays side by side. The same numbers, bit for bit.
+/* Plays with AVX2, 16 at a time. The results equal those of kernels.c, bit for bit.
  *
- * Nothing is fused and nothing is added in another order; minimum and maximum are those of
- * `a < b ? a : b` and `a > b ? a : b`, for zeros of both signs and for no number as well.
- * PK_PORTABLE leaves both out, for whoever wants to compare.
+ * Nothing is fused, and the order of sums is the same; minimum and maximum are those of
+ * `a < b ? a : b` and `a > b ? a : b`, also for zeros of both signs and NaN.
+ * PK_PORTABLE disables these functions, for comparisons.
  */
 #ifndef PIEZOID_PLAYS_AVX2_H
 #define PIEZOID_PLAYS_AVX2_H
@@ -17,7 +17,7 @@
 
 #if PK_AVX2
 
-/* Whether this processor has it. */
+/* Return whether the processor supports AVX2. */
 int pk_has_avx2(void);
 
 /* As pk_play_columns. */

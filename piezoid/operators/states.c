@@ -2,7 +2,7 @@
 
 #include <math.h>
 
-/* Four lanes where the machine has them: nothing is fused, so the numbers stay the same. */
+/* Vectors of four doubles if the processor has them. Nothing is fused: the results are equal. */
 #if defined(__GLIBC__) && defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) &&      \
     !defined(PK_PORTABLE)
 #define WIDER __attribute__((target_clones("default", "avx2")))
@@ -31,24 +31,24 @@ void pk_first_order(size_t samples, size_t columns, size_t stride, double *value
 
 void pk_ladder(size_t samples, const double *input, size_t rungs, const double *pole,
                const double *b0, const double *b1, double *state, double *output) {
-    double before = samples > 0 ? input[0] : 0.0;
+    double previous = samples > 0 ? input[0] : 0.0;
     for (size_t k = 0; k < samples; ++k) {
-        const double now = input[k];
+        const double current = input[k];
         for (size_t i = 0; i < rungs; ++i) {
-            state[i] = pole[i] * state[i] + b0[i] * now + b1[i] * before;
+            state[i] = pole[i] * state[i] + b0[i] * current + b1[i] * previous;
         }
         double total = 0.0;
         for (size_t i = 0; i < rungs; ++i) {
             total += state[i];
         }
         output[k] = total;
-        before = now;
+        previous = current;
     }
 }
 
 void pk_filter(size_t samples, const double *input, size_t order, const double *b, const double *a,
                double *memory, double *output) {
-    if (order == 2) { /* modes: the memory stays in registers */
+    if (order == 2) { /* modes: keep the memory in registers */
         double newer = memory[0], older = memory[1];
         for (size_t k = 0; k < samples; ++k) {
             const double x = input[k];
@@ -72,22 +72,24 @@ void pk_filter(size_t samples, const double *input, size_t order, const double *
 }
 
 void pk_slew(size_t samples, const double *input, double step, double *output) {
-    double held = samples > 0 ? input[0] : 0.0;
+    double value = samples > 0 ? input[0] : 0.0;
     for (size_t k = 0; k < samples; ++k) {
-        const double away = input[k] - held;
-        held += away > step ? step : (away < -step ? -step : away);
-        output[k] = held;
+        const double difference = input[k] - value;
+        value += difference > step ? step : (difference < -step ? -step : difference);
+        output[k] = value;
     }
 }
 
-void pk_activated(size_t samples, const double *input, double step, double wide, double *output) {
-    double worn = 0.0; /* tanh(lag / wide): by the law of sums no sample waits for a function */
+void pk_activated(size_t samples, const double *input, double step, double scale, double *output) {
+    /* tanh(lag / scale): by the addition theorem no sample waits for exp or log of the last one.
+     */
+    double lag = 0.0;
     for (size_t k = 0; k < samples; ++k) {
         const double rise = k > 0 ? input[k] - input[k - 1] : 0.0;
-        const double left = exp(-2.0 * fabs(rise) / wide);
-        const double way = copysign((1.0 - left) / (1.0 + left), rise);
-        worn = step * (worn + way) / (1.0 + worn * way);
-        output[k] = input[k] - 0.5 * wide * log((1.0 + worn) / (1.0 - worn));
+        const double decay = exp(-2.0 * fabs(rise) / scale);
+        const double change = copysign((1.0 - decay) / (1.0 + decay), rise);
+        lag = step * (lag + change) / (1.0 + lag * change);
+        output[k] = input[k] - 0.5 * scale * log((1.0 + lag) / (1.0 - lag));
     }
 }
 
@@ -95,8 +97,8 @@ static inline int equals(double a, double b) {
     return !(a > b || a < b);
 }
 
-/* size^exponent; pow() costs as much as everything else together. */
-static inline double raised(double size, double exponent) {
+/* Return size^exponent; pow() takes as long as all other operations together. */
+static inline double power_of(double size, double exponent) {
     if (equals(exponent, 1.0)) {
         return size;
     }
@@ -106,20 +108,20 @@ static inline double raised(double size, double exponent) {
     return equals(exponent, 2.0) ? size * size : pow(size, exponent);
 }
 
-static inline double bouc_wen_slope(double z, double way, const double *law) {
-    const double grip = law[1] + (z * way > 0.0 ? law[0] : -law[0]);
-    return 1.0 - grip * raised(fabs(z), law[2]);
+static inline double bouc_wen_slope(double z, double change, const double *law) {
+    const double coefficient = law[1] + (z * change > 0.0 ? law[0] : -law[0]);
+    return 1.0 - coefficient * power_of(fabs(z), law[2]);
 }
 
 void pk_bouc_wen(size_t samples, const double *input, size_t states, const double *law,
-                 double longest, double *state, double *output) {
+                 double max_step, double *state, double *output) {
     for (size_t k = 0; k < samples; ++k) {
-        const double way = k > 0 ? input[k] - input[k - 1] : 0.0;
-        const double parts = ceil(fabs(way) / longest);
-        const double step = parts > 0.0 ? way / parts : 0.0;
-        for (size_t i = 0; i < states; ++i) { /* states do not wait for each other */
+        const double change = k > 0 ? input[k] - input[k - 1] : 0.0;
+        const double steps = ceil(fabs(change) / max_step);
+        const double step = steps > 0.0 ? change / steps : 0.0;
+        for (size_t i = 0; i < states; ++i) { /* independent of each other */
             double z = state[i];
-            for (double part = 0.0; part < parts; part += 1.0) {
+            for (double part = 0.0; part < steps; part += 1.0) {
                 const double middle = z + 0.5 * step * bouc_wen_slope(z, step, law + 3 * i);
                 z += step * bouc_wen_slope(middle, step, law + 3 * i);
             }
@@ -129,8 +131,9 @@ void pk_bouc_wen(size_t samples, const double *input, size_t states, const doubl
     }
 }
 
-/* What a friction state of u^n follows on a straight way without end. */
-static double followed(int power, double u, double r, double sign) {
+/* Return the value at u that a friction state of u^n approaches during a motion in one direction.
+ */
+static double asymptote(int power, double u, double r, double sign) {
     switch (power) {
     case 1:
         return sign * r;
@@ -141,45 +144,46 @@ static double followed(int power, double u, double r, double sign) {
     }
 }
 
-/* What friction states of one reach forget on the way to each of some samples. */
-static void forgetting(size_t samples, const double *input, double before, double r,
-                       double *forget) {
+/* Compute the decay of friction states of one reach from each sample to the next. */
+static void compute_decay(size_t samples, const double *input, double previous, double r,
+                          double *decay) {
     for (size_t k = 0; k < samples; ++k) {
-        forget[k] = exp(-fabs(input[k] - before) / r);
-        before = input[k];
+        decay[k] = exp(-fabs(input[k] - previous) / r);
+        previous = input[k];
     }
 }
 
-/* One friction state along some samples; the way to each is known to be forgotten by so much. */
-static double rubbed(size_t samples, const double *input, double before, double r, int n, double x,
-                     const double *forget, double *own) {
+/* Compute one friction state along some samples from its decay; return the last state. */
+static double friction_state(size_t samples, const double *input, double previous, double r, int n,
+                             double x, const double *decay, double *output) {
     for (size_t k = 0; k < samples; ++k) {
-        const double way = input[k] - before;
-        if (way > 0.0 || way < 0.0) {
-            const double sign = way > 0.0 ? 1.0 : -1.0;
-            const double start = followed(n, before, r, sign);
-            x = followed(n, input[k], r, sign) + (x - start) * forget[k];
+        const double change = input[k] - previous;
+        if (change > 0.0 || change < 0.0) {
+            const double sign = change > 0.0 ? 1.0 : -1.0;
+            const double asymptote_before = asymptote(n, previous, r, sign);
+            x = asymptote(n, input[k], r, sign) + (x - asymptote_before) * decay[k];
         }
-        own[k] = x;
-        before = input[k];
+        output[k] = x;
+        previous = input[k];
     }
     return x;
 }
 
 void pk_friction(size_t samples, const double *input, size_t states, const double *reach,
-                 const double *power, const double *place, double *state, size_t stride,
+                 const double *power, const double *column_index, double *state, size_t stride,
                  double *column) {
-    double forget[RUN];
+    double decay[RUN];
     for (size_t first = 0; first < samples; first += RUN) {
         const size_t count = samples - first < RUN ? samples - first : RUN;
-        const double *given = input + first, before = first > 0 ? input[first - 1] : input[0];
+        const double *chunk = input + first, previous = first > 0 ? input[first - 1] : input[0];
         for (size_t j = 0; j < states; ++j) {
             const double r = reach[j];
             if (j == 0 || r > reach[j - 1] || r < reach[j - 1]) {
-                forgetting(count, given, before, r, forget);
+                compute_decay(count, chunk, previous, r, decay);
             }
-            double *own = column + (size_t)place[j] * stride + first;
-            state[j] = rubbed(count, given, before, r, (int)power[j], state[j], forget, own);
+            double *output = column + (size_t)column_index[j] * stride + first;
+            state[j] =
+                friction_state(count, chunk, previous, r, (int)power[j], state[j], decay, output);
         }
     }
 }
@@ -190,7 +194,7 @@ void pk_polynomials(size_t samples, const double *input, size_t columns, size_t 
                     const double *bias, double *output) {
     for (size_t first = 0; first < samples; first += RUN) {
         const size_t count = samples - first < RUN ? samples - first : RUN;
-        const double *given = input + first;
+        const double *chunk = input + first;
         double *sum = output + first;
         for (size_t i = 0; i < columns; ++i) {
             const double *z = column + i * stride + first;
@@ -198,7 +202,7 @@ void pk_polynomials(size_t samples, const double *input, size_t columns, size_t 
             const double c4 = power[3 * columns + i], a = bias[i], b = bias[columns + i];
             const double size = scale[i];
             for (size_t k = 0; k < count; ++k) {
-                const double x = z[k] * size, u = given[k];
+                const double x = z[k] * size, u = chunk[k];
                 sum[k] += x * (c1 + u * (a + u * b) + x * (c2 + x * (c3 + x * c4)));
             }
         }

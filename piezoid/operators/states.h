@@ -1,9 +1,9 @@
-/* Motions and states that follow a signal, and sums of polynomials of such states. Columns are
- * column-major: column i starts at i * stride.
+/* States along a signal: filters, a slew limit, thermal activation, Bouc-Wen and friction states;
+ * and sums of polynomials of states. Columns are column-major: column i starts at i * stride.
  *
- * Nothing is allocated, nothing is kept. A function without a state among its arguments begins at
- * its first sample. Where the first sample is where a state already stands (pk_bouc_wen,
- * pk_friction), a signal may be cut with that sample in both parts; pk_first_order may be cut
+ * No memory is allocated. A function without a state among its arguments starts at its first
+ * sample. The states of pk_bouc_wen and pk_friction are those at the first sample: to process a
+ * signal in parts, the last sample of a part is the first of the next. pk_first_order may be split
  * anywhere.
  */
 #ifndef PIEZOID_STATES_H
@@ -18,50 +18,50 @@
 void pk_first_order(size_t samples, size_t columns, size_t stride, double *values, double pole,
                     double b0, double b1, double *previous_input, double *previous_output);
 
-/* The sum of first-order filters of one signal, each with its own coefficients.
+/* Sum of first-order filters of one signal.
  *   output[k] = sum_i y_i[k],   y_i[k] = pole_i y_i[k-1] + b0_i x[k] + b1_i x[k-1]
- *   state (rungs,)  y before the first sample, in/out; before it the signal was as it is there
+ *   state (rungs,)  in/out: y before the first sample; the input is constant before it
  */
 void pk_ladder(size_t samples, const double *input, size_t rungs, const double *pole,
                const double *b0, const double *b1, double *state, double *output);
 
-/* A recursive filter in transposed direct form II, a[0] = 1:
+/* Recursive filter in transposed direct form II, a[0] = 1:
  *   output[k] = sum_i b_i x[k-i] - sum_(i>0) a_i output[k-i],   i = 0 .. order
- *   memory (order + 1,)  in/out, the last one stays zero; output must not alias input
+ *   memory (order + 1,)  in/out, the last element stays zero; output must not alias input
  */
 void pk_filter(size_t samples, const double *input, size_t order, const double *b, const double *a,
                double *memory, double *output);
 
-/* A signal that goes at most `step` from sample to sample; output must not alias input. */
+/* Limit the change from sample to sample to `step`; output must not alias input. */
 void pk_slew(size_t samples, const double *input, double step, double *output);
 
-/* A lag that thermal activation wears down: after every sample
- *   lag[k] = wide atanh(step tanh((lag[k-1] + x[k] - x[k-1]) / wide)),   output = x - lag */
-void pk_activated(size_t samples, const double *input, double step, double wide, double *output);
+/* Thermally activated motion:
+ *   lag[k] = scale atanh(step tanh((lag[k-1] + x[k] - x[k-1]) / scale)),   output = x - lag */
+void pk_activated(size_t samples, const double *input, double step, double scale, double *output);
 
-/* Bouc-Wen states along an input, by midpoint steps of at most `longest`:
+/* Bouc-Wen states along an input, by midpoint steps of at most `max_step`:
  *   dz/du = 1 - |z|^exponent (gamma + beta sgn(z du))
  *   law    (states, 3)        beta, gamma and exponent of each
  *   state  (states,)          in/out
  *   output (samples, states)  row by row
  */
 void pk_bouc_wen(size_t samples, const double *input, size_t states, const double *law,
-                 double longest, double *state, double *output);
+                 double max_step, double *state, double *output);
 
 /* Friction states, each with a reach r and a power n = 1, 2 or 3 of the input,
- *   dx = d(u^n) - |du| x / r;    over a straight part, s = sgn(du),
+ *   dx = d(u^n) - |du| x / r;    between samples, with s = sgn(du),
  *   x[k] = q(u[k]) + (x[k-1] - q(u[k-1])) exp(-|du| / r),
  *   q = s r,   2 s r u - 2 r^2,   3 s r u^2 - 6 r^2 u + 6 s r^3
- *   reach, power, state (states,)  those of one reach behind each other, to share the exponential
- *   place  (states,)         which column each becomes
- *   state                    in/out: at the first sample, then at the last one
- *   column (states, stride)  out
+ *   reach, power  (states,)  states of equal reach are adjacent, to share the exponential
+ *   column_index  (states,)  column of each state
+ *   state         (states,)  in: at the first sample; out: at the last one
+ *   column        (states, stride)  out
  */
 void pk_friction(size_t samples, const double *input, size_t states, const double *reach,
-                 const double *power, const double *place, double *state, size_t stride,
+                 const double *power, const double *column_index, double *state, size_t stride,
                  double *column);
 
-/* Add a polynomial of every column, whose first coefficient goes with the input u:
+/* Add a polynomial of every column, with a first coefficient that depends on the input u:
  *   output += sum_i z (c_i1 + u a_i + u^2 b_i + z (c_i2 + z (c_i3 + z c_i4))),  z = column_i
  * scale_i power  (4, columns)   c bias   (2, columns)   a, b
  */
