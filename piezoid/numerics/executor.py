@@ -53,10 +53,6 @@ class Once(Generic[Value]):
         return value
 
 
-def _ignore(_: str) -> None:
-    """Ignore a progress message."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Executor:
     """Number of worker threads and the callback for progress messages.
@@ -65,7 +61,7 @@ class Executor:
     threads   number of worker threads; results do not depend on it
     """
 
-    progress: Callable[[str], None] = _ignore
+    progress: Callable[[str], None] = lambda _: None
     threads: int = 1
     _lock: AbstractContextManager[bool] = field(default_factory=Lock, repr=False)
 

@@ -45,27 +45,6 @@ class FirstOrder:
         return pole * self.rate_Hz, -mean_decay * self.rate_Hz, (mean_decay - pole) * self.rate_Hz
 
 
-def filter_columns(columns: Array, coefficients: Coefficients, state: Array) -> Array:
-    """Run a first-order filter down every column, y[k] = p y[k-1] + b0 x[k] + b1 x[k-1].
-
-    columns       (samples, columns)
-    coefficients  p, b0, b1
-    state         (2, columns)  last input and last output; updated
-    returned      (samples, columns), column-major, new
-    """
-    values = np.array(columns, order="F")
-    KERNELS.pk_first_order(
-        len(values),
-        values.shape[1],
-        len(values),
-        address(values),
-        *coefficients,
-        address(state[0]),
-        address(state[1]),
-    )
-    return values
-
-
 def first_order(time_constant_s: float, sampling_rate_Hz: float) -> Coefficients:
     """Return p, b0, b1 of the exact first-order lag of a piecewise linear signal."""
     return FirstOrder(time_s=time_constant_s, rate_Hz=sampling_rate_Hz).coefficients
@@ -75,9 +54,18 @@ def relaxed(signal: Array, time_s: float, rate_Hz: float) -> Array:
     """Filter a signal by a first-order lag, with linear interpolation between samples."""
     if len(signal) == 0:
         return signal
-    columns = signal if signal.ndim == 2 else signal[:, None]
-    state = np.repeat(columns[:1], 2, axis=0)
-    return filter_columns(columns, first_order(time_s, rate_Hz), state).reshape(signal.shape)
+    values = np.array(signal if signal.ndim == 2 else signal[:, None], order="F")
+    state = np.repeat(values[:1], 2, axis=0)  # last input and last output
+    KERNELS.pk_first_order(
+        len(values),
+        values.shape[1],
+        len(values),
+        address(values),
+        *first_order(time_s, rate_Hz),
+        address(state[0]),
+        address(state[1]),
+    )
+    return values.reshape(signal.shape)
 
 
 def later(signal: Array, samples: float, keep: slice = EVERY) -> Array:
