@@ -219,7 +219,7 @@ def _clock_with_faults(time_s: Array, resolution_s: float, name: str, row_name: 
     _refuse_unaccounted_time(time_s, interval_s, faults, name, row_name)
     jitter_s, jitter = _measure_jitter(steps, interval_s, max_excess_s, resolution_s)
     single = int(np.sum(missing == 1))
-    bridged = f"; {single} of single samples, which are interpolated" if single else ""
+    bridged = f"; {single} of single samples, bridged by interpolation" if single else ""
     return Clock(
         sampling_rate_Hz=rounded_rate_Hz(
             1 / interval_s, (resolution_s + jitter_s) / np.ptp(time_s)
