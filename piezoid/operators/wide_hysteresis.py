@@ -129,7 +129,7 @@ def _smooth_terms(drive: Array, states: States) -> dict[str, list[tuple[int, Arr
     plays, friction, bouc_wen = states
     lag, paired = ((plays.T[columns] - drive).T for columns in (LAGGING, PAIRED))
     first, second = np.tril_indices(paired.shape[1], -1)
-    dahl, selected = friction[:, : len(REACH)], bouc_wen[:, ::3]
+    dahl, subset = friction[:, : len(REACH)], bouc_wen[:, ::3]
     polynomial = np.asarray(legvander(drive, POLYNOMIAL)[:, 1:], dtype=np.float64)
     families: dict[str, list[tuple[int, Array]]] = {
         "polynomial": [(0, polynomial)],
@@ -147,11 +147,7 @@ def _smooth_terms(drive: Array, states: States) -> dict[str, list[tuple[int, Arr
         (0, dahl**2 * dahl),
     ]
     families["Bouc-Wen"] = [(0, bouc_wen)]
-    families["products of Bouc-Wen"] = [
-        (1, selected),
-        (0, selected**2),
-        (0, selected**2 * selected),
-    ]
+    families["products of Bouc-Wen"] = [(1, subset), (0, subset**2), (0, subset**2 * subset)]
     return families
 
 

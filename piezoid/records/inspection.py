@@ -23,7 +23,7 @@ from piezoid.records.response_summary import ResponseSummary, summary_of
 from piezoid.records.response_units import unit_in_heading
 from piezoid.records.reversals import noise_of, reversals_of
 from piezoid.records.sample_statistics import (
-    clipped_share,
+    clipped_samples,
     is_dead,
     is_noise_hidden,
     noise_rms,
@@ -255,6 +255,7 @@ def _summarise(
     numbers = values[np.isfinite(values)]
     is_empty = not len(numbers)
     is_noise_unknown = len(numbers) < 5 or is_noise_hidden(numbers)
+    is_clipped = clipped_samples(numbers, idle_value=0.0 if si_unit == "V" else None)
     return ColumnSummary(
         number=column.number,
         label=column.label,
@@ -266,7 +267,7 @@ def _summarise(
         noise_rms=None if is_noise_unknown else noise_rms(numbers),
         step=0.0 if is_empty else step_size(numbers),
         is_dead=not is_empty and is_dead(numbers),
-        clipped=clipped_share(numbers, idle_value=0.0 if si_unit == "V" else None),
+        clipped=0.0 if is_empty else float(is_clipped.mean()),
         missing=int(np.count_nonzero(~np.isfinite(column.values))),
     )
 

@@ -273,15 +273,9 @@ def read_lab(path: Path) -> Lab:
 
 def _check_tables(lab: Lab) -> None:
     """Refuse impossible numbers, ranges and file names."""
-    tables: list[tuple[str, Table]] = [
-        ("[amplifier]", lab.amplifier),
-        ("[actuator]", lab.actuator),
-        ("[sensor]", lab.sensor),
-        ("[acquisition]", lab.acquisition),
-        ("[tunnelling]", lab.tunnelling),
-        ("[uncertainty]", lab.certificates),
-        ("[coupled]", lab.coupled),
-    ]
+    names = ("amplifier", "actuator", "sensor", "acquisition", "tunnelling")
+    tables: list[tuple[str, Table]] = [(f"[{name}]", getattr(lab, name)) for name in names]
+    tables += [("[uncertainty]", lab.certificates), ("[coupled]", lab.coupled)]
     for name, rig in lab.axes.items():
         of_axis = ((key, getattr(rig, key)) for key in rig.__struct_fields__)
         tables += [(f"[axis.{name}.{key}]", table) for key, table in of_axis if table is not None]

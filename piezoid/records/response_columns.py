@@ -36,10 +36,7 @@ _PARTS: dict[str, tuple[set[str], frozenset[Kind]]] = {
     "coherence": ({"coherence", "coh", "msc", "koh", "kohärenz"}, frozenset({Kind.SHARE})),
 }
 COMPLEX = "response"  # name in lab.toml of a complex array, which is read as two columns
-_NAMES = (
-    *("frequency", "magnitude", "phase", "real", "imaginary", "coherence", "excitation"),
-    COMPLEX,
-)
+_NAMES = (*_PARTS, "excitation", COMPLEX)
 # Words of columns that are no part of a response: a measured frequency, a fit, a spread.
 _OTHER_WORDS = {"shift", "std", "stddev", "error", "fit", "model", "residual", "set", "setpoint"}
 _TOKENS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöü]+|\d+")

@@ -90,19 +90,14 @@ def is_dead(values: Array) -> bool:
     return bool(np.ptp(values) == 0)
 
 
-def clipped_share(values: Array, *, idle_value: float | None = None) -> float:
-    """Return the share of samples clipped at the largest or smallest value.
+def clipped_samples(values: Array, *, idle_value: float | None = None) -> NDArray[np.bool_]:
+    """Return which samples are clipped at the largest or smallest value, (samples,).
 
     idle_value  a value at which the channel may stay on purpose (0 V between two motions), or None
 
     Clipped samples reach the extreme without a jump, unlike a step, and stay there for at least
     five samples and eight times as long as at any other level, unlike a staircase.
     """
-    return float(clipped_samples(values, idle_value=idle_value).mean()) if len(values) else 0.0
-
-
-def clipped_samples(values: Array, *, idle_value: float | None = None) -> NDArray[np.bool_]:
-    """Return which samples are clipped, (samples,), as ``clipped_share`` counts them."""
     is_clipped = np.zeros(len(values), dtype=bool)
     if len(values) < 4 * _CLIPPED_RUN or is_dead(values):
         return is_clipped

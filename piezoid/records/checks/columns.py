@@ -7,7 +7,7 @@ import numpy as np
 
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Quantity
-from piezoid.records.sample_statistics import clipped_samples, clipped_share, is_dead
+from piezoid.records.sample_statistics import clipped_samples, is_dead
 from piezoid.records.table import Column, RawTable
 from piezoid.statement import Statement, finding
 
@@ -38,12 +38,12 @@ def check_columns(table: RawTable, quantities: Mapping[int, Quantity]) -> list[S
             continue
         quantity = quantities.get(column.number)
         idle_value = 0.0 if quantity is Quantity.VOLTAGE else None
-        share = 0.0 if quantity is None else clipped_share(numbers, idle_value=idle_value)
-        if share > 0.0:
-            levels = np.unique(numbers[clipped_samples(numbers, idle_value=idle_value)]).tolist()
+        is_clipped = clipped_samples(numbers, idle_value=idle_value)
+        if quantity is not None and is_clipped.any():
+            levels = np.unique(numbers[is_clipped]).tolist()
             text = (
                 f"rests on {' and '.join(f'{level:.6g}' for level in levels)} (as in the file) "
-                f"for {100 * share:.2g} % of the samples: clipped?"
+                f"for {100 * is_clipped.mean():.2g} % of the samples: clipped?"
             )
             statements.append(_statement("saturated", column, text))
         if quantity is Quantity.DISPLACEMENT and len(numbers) == len(column.values):
