@@ -149,7 +149,7 @@ def budget_of(
 
 
 def effective_freedom(contributions: Sequence[Contribution]) -> float:
-    """Return nu_eff of Welch and Satterthwaite; infinite if all contributions are exact."""
+    """Return nu_eff of Welch and Satterthwaite; infinite if all freedoms are infinite."""
     combined = sum(contribution.standard**2 for contribution in contributions)
     loss = sum(contribution.standard**4 / contribution.freedom for contribution in contributions)
     return combined**2 / loss if loss > 0.0 else math.inf
