@@ -37,9 +37,9 @@ def farthest_from_line_m(operator: PreisachPlays, slope_m_per_V: float, reach_V:
     >>> farthest_from_line_m(straight, 1.0, 2.0)  # one play of half-width 1, of slope 1/2
     0.5
     """
-    places_V, allowed = _lattice(operator, reach_V)
-    value_m = _values(operator, places_V)
-    value_m[0] -= slope_m_per_V * places_V
+    level_V, allowed = _lattice(operator, reach_V)
+    value_m = _values(operator, level_V)
+    value_m[0] -= slope_m_per_V * level_V
     return float(_half_range(value_m[None], allowed)[0])
 
 
@@ -58,12 +58,12 @@ def farthest_apart_m(
     >>> farthest_apart_m(straight, [straight], 2.0)
     array([0.])
     """
-    places_V, allowed = _lattice(model, reach_V)
-    own_m = _values(model, places_V)
-    apart_m = np.array(
-        [_values(alternative, places_V) - own_m for alternative in _alike(model, alternatives)]
+    level_V, allowed = _lattice(model, reach_V)
+    model_m = _values(model, level_V)
+    difference_m = np.array(
+        [_values(alternative, level_V) - model_m for alternative in _alike(model, alternatives)]
     )
-    return _half_range(apart_m, allowed)
+    return _half_range(difference_m, allowed)
 
 
 def slope_ratios(
@@ -81,11 +81,11 @@ def slope_ratios(
     >>> slope_ratios(straight, [straight], 2.0)
     array([[1., 1.]])
     """
-    places_V, allowed = _lattice(model, reach_V)
-    slope = _branch_slopes(_values(model, places_V), allowed)
+    level_V, allowed = _lattice(model, reach_V)
+    slope = _branch_slopes(_values(model, level_V), allowed)
     ratios = []
     for alternative in _alike(model, alternatives):
-        ratio = _branch_slopes(_values(alternative, places_V), allowed) / slope
+        ratio = _branch_slopes(_values(alternative, level_V), allowed) / slope
         ratios.append((np.nanmin(ratio), np.nanmax(ratio)))
     return np.array(ratios)
 
@@ -116,9 +116,9 @@ def _lattice(operator: PreisachPlays, reach_V: float) -> tuple[Array, Mask]:
     return first_V + step_V * index, (index >= low + inward) & (index <= high - inward)
 
 
-def _values(operator: PreisachPlays, places_V: Array) -> Array:
+def _values(operator: PreisachPlays, level_V: Array) -> Array:
     """Return the values of all functions at all levels, (plays, levels) m."""
-    return np.array([straight_between(places_V, operator.edge_V, v) for v in operator.value_m])
+    return np.array([straight_between(level_V, operator.edge_V, v) for v in operator.value_m])
 
 
 def _half_range(value_m: Array, allowed: Mask) -> Array:

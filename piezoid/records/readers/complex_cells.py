@@ -16,7 +16,7 @@ def _pattern(digits: str) -> re.Pattern[str]:
     # Possessive quantifiers (++): a run of digits is searched once. The sign has white space on
     # both sides or on neither: "1.0 -0.3i" are two fields.
     return re.compile(
-        rf"(?<![\w.])\(?(?P<real>[+-]?{digits})(?:\s{{1,9}}(?P<apart>[+-])\s{{1,9}}|\+?(?P<sign>[+-]))"
+        rf"(?<![\w.])\(?(?P<real>[+-]?{digits})(?:\s{{1,9}}(?P<spaced>[+-])\s{{1,9}}|\+?(?P<sign>[+-]))"
         rf"(?P<imaginary>{digits})\s?\*?[ijIJ](?![a-zA-Z\d])\)?"
     )
 
@@ -37,7 +37,7 @@ def real_and_imaginary_text(text: str) -> tuple[str, str] | None:
     if not all(map(pattern.search, head[1:] or head)):
         return None
     # Only one of the two groups of the sign matches.
-    return pattern.sub(r"\g<real>", text), pattern.sub(r"\g<apart>\g<sign>\g<imaginary>", text)
+    return pattern.sub(r"\g<real>", text), pattern.sub(r"\g<spaced>\g<sign>\g<imaginary>", text)
 
 
 def join_complex_columns(real: RawTable, imaginary: RawTable) -> RawTable:
