@@ -20,12 +20,12 @@ from piezoid.identification.forward import Forward, Run
 from piezoid.identification.hysteresis.coordinates import (
     Coordinates,
     Scaled,
-    bent,
     operator_of,
     vector_of,
+    with_flat_envelope,
 )
-from piezoid.identification.hysteresis.physical import envelope_stretch
 from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_of
+from piezoid.identification.hysteresis.unit_scaling import envelope_stretch
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import where_of
@@ -227,7 +227,7 @@ def state_of(
     scales = scales_from(model)
     operator = _scaled(model, scales, keep_lag=structure.lag)
     if structure.bends is not None and structure.bends != operator.envelope.zero:
-        operator = bent(operator, structure.bends)
+        operator = with_flat_envelope(operator, structure.bends)
     shape = operator.shape(model.lag.kind if structure.lag else "none")
     coordinates = Coordinates(shape=shape, offsets=(1,) * len(parts))
     theta = vector_of(operator, coordinates)
