@@ -117,7 +117,7 @@ def _thin(piece: Piece) -> Piece:
         response=piece.response[::stride],
         first=-(-piece.first // stride),
         last=-(-piece.last // stride),
-        lost=piece.lost[piece.lost % stride == 0] // stride,
+        invalid=piece.invalid[piece.invalid % stride == 0] // stride,
     )
 
 

@@ -47,13 +47,13 @@ def without_outliers(fit: HysteresisFit) -> tuple[tuple[Piece, ...], tuple[str, 
         error = simulate_piece(fit, index, piece) - piece.response
         outliers = outlying_samples(error, piece.drive, piece.response)
         outliers = outliers[(outliers >= piece.first) & (outliers < piece.last)]
-        missing = np.union1d(piece.lost, outliers)
-        count = len(missing) - len(piece.lost)
+        invalid = np.union1d(piece.invalid, outliers)
+        count = len(invalid) - len(piece.invalid)
         if len(outliers):
             sample = np.arange(len(piece.response))
-            measured = np.setdiff1d(sample, missing)
+            measured = np.setdiff1d(sample, invalid)
             response = np.interp(sample, measured, piece.response[measured])
-            piece = replace(piece, response=response, lost=missing.astype(np.intp))
+            piece = replace(piece, response=response, invalid=invalid.astype(np.intp))
         if count:
             remarks.append(
                 f"{piece.name}: {count} single readings ({100 * count / piece.rows:.2g} %) were "
@@ -74,7 +74,7 @@ def without_transients(fit: HysteresisFit) -> tuple[tuple[Piece, ...], tuple[str
         rows = int(forgetting_sample(piece.fitted_drive, thresholds).max(initial=0))
         if rows >= 2 and piece.rows - rows >= max(MINIMUM_SAMPLES, piece.rows // 3):
             error = simulate_piece(fit, index, piece) - piece.response
-            error[piece.lost] = 0.0
+            error[piece.invalid] = 0.0
             error = error[piece.first : piece.last]
             early, later = (float(np.sqrt(np.mean(e**2))) for e in (error[:rows], error[rows:]))
             misfit = early / max(later, 1e-300)

@@ -54,7 +54,7 @@ class Piece:
     response          (samples,)  scaled, about zero
     centre_m          displacement that was subtracted before scaling
     first, last       range of the fitted rows; states are computed from sample 0 in any case
-    lost              (count,)  samples without a valid measurement, which are not fitted
+    invalid           (count,)  samples without a valid measurement, which are not fitted
     begin             sample of the recording at which the piece begins
     """
 
@@ -66,7 +66,7 @@ class Piece:
     centre_m: float
     first: int
     last: int
-    lost: Samples = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    invalid: Samples = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     begin: int = 0
 
     def __post_init__(self) -> None:
@@ -79,7 +79,7 @@ class Piece:
 
     @property
     def rows(self) -> int:
-        """Number of samples in the range of the fitted rows, lost ones included."""
+        """Number of samples in the range of the fitted rows, invalid ones included."""
         return self.last - self.first
 
     @property
@@ -93,9 +93,11 @@ class Piece:
         return self.response[self.first : self.last]
 
     def fitted_samples(self, stride: int = 1) -> Samples:
-        """Return every ``stride``-th of the fitted samples, without lost ones, (rows,)."""
+        """Return every ``stride``-th of the fitted samples, without invalid ones, (rows,)."""
         sample = np.arange(self.first, self.last, stride)
-        return np.setdiff1d(sample, self.lost, assume_unique=True) if len(self.lost) else sample
+        if not len(self.invalid):
+            return sample
+        return np.setdiff1d(sample, self.invalid, assume_unique=True)
 
 
 def response_range(pieces: Sequence[Piece]) -> float:
@@ -166,7 +168,7 @@ def pieces_of(
                 centre_m=centre_m,
                 first=0,
                 last=len(measured_m),
-                lost=bridged[is_inside] - rows.start,
+                invalid=bridged[is_inside] - rows.start,
                 begin=rows.start,
             )
             pieces.append(piece)

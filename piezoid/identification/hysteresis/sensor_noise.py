@@ -40,8 +40,8 @@ def sensor_noise(piece: Piece, residual: Array) -> float:
     """
     drive, response = piece.fitted_drive, piece.fitted_response
     step = step_size(np.round(response, DIGITS))
-    is_lost = np.isin(np.arange(piece.first, piece.last), piece.lost)
-    response = np.where(is_lost, np.nan, response)
+    is_invalid = np.isin(np.arange(piece.first, piece.last), piece.invalid)
+    response = np.where(is_invalid, np.nan, response)
     period = _period_samples(drive)
     if period is not None:
         change = response[period:] - response[:-period]
@@ -49,7 +49,7 @@ def sensor_noise(piece: Piece, residual: Array) -> float:
         noise = noise_rms((change,)) / sqrt(2.0)
     else:
         noise = noise_rms(
-            (response, np.where(is_lost, np.nan, residual[piece.first : piece.last]))
+            (response, np.where(is_invalid, np.nan, residual[piece.first : piece.last]))
         )
     return max(noise, step / sqrt(12.0))
 

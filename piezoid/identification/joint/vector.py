@@ -105,7 +105,7 @@ def parts_of(
             sample = samples[number]
         sample = sample[(sample >= piece.first) & (sample < piece.last)]
         ringing = rows_after_steps(piece.drive, piece.sampling_rate_Hz, extensions)
-        sample = np.setdiff1d(sample, np.concatenate([piece.lost, ringing]))
+        sample = np.setdiff1d(sample, np.concatenate([piece.invalid, ringing]))
         # Blocks of several seconds; of the first every other quarter is never left out.
         duration_s = piece.rows / piece.sampling_rate_Hz
         blocks = int(np.clip(duration_s / BLOCK_s, *BLOCKS))

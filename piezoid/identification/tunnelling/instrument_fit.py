@@ -56,14 +56,14 @@ _LN_POLE, _TAIL = 1, 3  # their indices
 class ModeEstimate:
     """Mode of the drive, estimated from one record.
 
-    mode       estimate
-    numbers    ln(frequency / sampling rate), ln quality, share
-    deviation  standard deviations of ``numbers``
+    mode        estimate
+    parameters  ln(frequency / sampling rate), ln quality, share
+    deviations  standard deviations of ``parameters``
     """
 
     mode: DriveMode
-    numbers: tuple[float, ...]
-    deviation: tuple[float, ...]
+    parameters: tuple[float, ...]
+    deviations: tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,7 +120,7 @@ def fit_with_instrument(
     response = problem.output / drive * problem.filter_response  # S_yz / S_uz
     gain = float(np.median(np.abs(response[: max(len(response) // 4, 1)])))
     poles_Hz = (0.1 * sampling_rate_Hz, 0.4 * sampling_rate_Hz)
-    tail_or_mode = [0.0] if known_mode is None else list(known_mode.numbers)
+    tail_or_mode = [0.0] if known_mode is None else list(known_mode.parameters)
     starts = [
         np.array([math.log(max(gain, 1e-12)), math.log(pole_Hz), delay, *tail_or_mode])
         for pole_Hz in (poles_Hz if sensor_pole_Hz is None else (sensor_pole_Hz,))
@@ -143,8 +143,8 @@ def fit_with_instrument(
     if (drive_mode := problem.mode(logs)) is not None:
         mode = ModeEstimate(
             mode=drive_mode,
-            numbers=tuple(logs[_PLANT:].tolist()),
-            deviation=tuple(np.sqrt(np.diag(covariance))[_PLANT:].tolist()),
+            parameters=tuple(logs[_PLANT:].tolist()),
+            deviations=tuple(np.sqrt(np.diag(covariance))[_PLANT:].tolist()),
         )
     return InstrumentFit(
         plant=problem.plant(logs),
@@ -214,8 +214,8 @@ class _Moments:
             share=float(logs[5]),
         )
 
-    def freedom(self, numbers: int) -> int:
-        return max(2 * len(self.output) - numbers, 1)
+    def freedom(self, parameters: int) -> int:
+        return max(2 * len(self.output) - parameters, 1)
 
     def modelled(self, logs: Array) -> ComplexArray:
         """Return the response over ``filter_response``, (lines,)."""
@@ -268,27 +268,27 @@ class _Moments:
         )
         return np.asarray(result.x, dtype=np.float64), 2.0 * float(result.cost)
 
-    def bounds(self, numbers: int) -> tuple[Array, Array]:
+    def bounds(self, parameters: int) -> tuple[Array, Array]:
         low, high = bounds_of_logs(self.sampling_rate_Hz, self.declared_pole_Hz)
-        if numbers == _WITH_TAIL:
+        if parameters == _WITH_TAIL:
             return np.array([*low, -_MAX_TAIL]), np.array([*high, _MAX_TAIL])
         return np.array([*low, *_MODE_LOW]), np.array([*high, *_MODE_HIGH])
 
-    def priors(self, numbers: int) -> tuple[Array, Array]:
-        """Return rows (priors, numbers) and centers of unit variance: rows @ logs ~ centers."""
-        facts = [(_TAIL, 0.0, _TAIL_SPREAD)] if numbers == _WITH_TAIL else []
+    def priors(self, parameters: int) -> tuple[Array, Array]:
+        """Return rows (priors, parameters) and centers of unit variance: rows @ logs ~ centers."""
+        facts = [(_TAIL, 0.0, _TAIL_SPREAD)] if parameters == _WITH_TAIL else []
         if self.declared_pole_Hz is not None:
             facts.append((_LN_POLE, math.log(self.declared_pole_Hz), POLE_SPREAD))
         if self.known_mode is not None:
-            of_mode = zip(self.known_mode.numbers, self.known_mode.deviation, strict=True)
+            of_mode = zip(self.known_mode.parameters, self.known_mode.deviations, strict=True)
             facts += [(_PLANT + number, *fact) for number, fact in enumerate(of_mode)]
-        rows = np.zeros((len(facts), numbers))
+        rows = np.zeros((len(facts), parameters))
         for row, (number, _, spread) in zip(rows, facts, strict=True):
             row[number] = 1.0 / spread
         return rows, np.array([center / spread for _, center, spread in facts])
 
     def jacobian(self, logs: Array, deviation: Array) -> Array:
-        """Return d weighted / d logs by central differences, (2 lines, numbers)."""
+        """Return d weighted / d logs by central differences, (2 lines, parameters)."""
         low, high = self.bounds(len(logs))
         columns = []
         for step in 1e-5 * np.eye(len(logs)):

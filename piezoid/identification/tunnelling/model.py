@@ -65,10 +65,10 @@ def join_barriers(sweeps: tuple[float, Interval], loop: tuple[float, Interval]) 
         mean = math.log(sweeps[0]) + share * log_ratio
         excess = weights[0] * share * log_ratio**2 if total > 0.0 else 0.0
         spread = math.sqrt(max(excess, 1.0) / total) if total > 0.0 else math.inf
-        decay, interval = math.exp(mean), _around(mean, NORMAL_95 * spread)
+        decay, interval = math.exp(mean), _exp_interval(mean, NORMAL_95 * spread)
     return JointBarrier(
         ratio=math.exp(log_ratio),
-        ratio_interval=_around(log_ratio, half),
+        ratio_interval=_exp_interval(log_ratio, half),
         agree=agree,
         decay_per_m=decay,
         decay_interval_per_m=interval,
@@ -77,7 +77,7 @@ def join_barriers(sweeps: tuple[float, Interval], loop: tuple[float, Interval]) 
     )
 
 
-def _around(center: float, half: float) -> Interval:
+def _exp_interval(center: float, half: float) -> Interval:
     """Return exp(center -+ half); (0, inf) if half is infinite."""
     if not math.isfinite(half):
         return 0.0, math.inf
