@@ -12,10 +12,10 @@ import sys
 import numpy as np
 
 from piezoid.identification.hysteresis.coordinates import Shape, operator_of
-from piezoid.identification.hysteresis.physical import physical
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
 from piezoid.identification.hysteresis.uncertainty import jackknife, loop_width_m
+from piezoid.identification.hysteresis.unit_scaling import to_si_units
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import from_slopes
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
@@ -76,7 +76,7 @@ def hits(rng: np.random.Generator, memory: float, noise_m: float) -> Array:
 
     def asked(vector: Array) -> Array:
         operator = operator_of(vector, coordinates)
-        curve = physical(operator, scales).plays.loading_curve(REACH_V)
+        curve = to_si_units(operator, scales).plays.loading_curve(REACH_V)
         return np.array([*curve, loop_width_m(vector, coordinates, scales), operator.lag_s])
 
     half = REACH_V - TRUTH.plays.threshold[:, None]

@@ -34,9 +34,9 @@ from piezoid.design.plant import Chain, family_from_chains, plant_from_chain
 from piezoid.export.export_stage import lateral_axis
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.identification.hysteresis.coordinates import Shape
-from piezoid.identification.hysteresis.physical import physical
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
+from piezoid.identification.hysteresis.unit_scaling import to_si_units
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid.verification.plant import AxisPlant, CustomResponse
@@ -73,7 +73,7 @@ def fitted(ceramic: Ceramic, rng: np.random.Generator) -> tuple[ModifiedPrandtlI
     scales = scales_of([made], "x")
     pieces = pieces_of([made], "x", scales, Rig())
     found = search(pieces, SHAPE, Settings(longest_lag_s=0.02, follow_zero=False, iterations=40))
-    operator = physical(found.operator, scales)
+    operator = to_si_units(found.operator, scales)
     moved, _ = operator.run(np.zeros(1), operator.virgin_memory())
     operator = replace(operator, displacement_offset_m=-float(moved[0]))
     rms_m = found.minimum.rms * abs(scales.displacement_m)

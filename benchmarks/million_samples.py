@@ -18,7 +18,7 @@ from benchmarks.speed.stopwatch import Stopwatch, used_s
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.gauss_newton import Minimum, minimise, rms_of
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
-from piezoid.identification.hysteresis.search import Fitted, Settings, search
+from piezoid.identification.hysteresis.search import HysteresisFit, Settings, search
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import from_slopes
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
@@ -44,7 +44,7 @@ ZONES = from_slopes(
 class Found:
     """The search on thinned rows, what all rows made of it, and the time until each."""
 
-    thinned: Fitted
+    thinned: HysteresisFit
     whole: Minimum
     thinned_s: float
     total_s: float

@@ -44,9 +44,9 @@ from piezoid.export.export_stage import hysteresis_values, observer_values, refe
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.estimate import longest_lag_s
-from piezoid.identification.hysteresis.physical import physical
 from piezoid.identification.hysteresis.pieces import pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
+from piezoid.identification.hysteresis.unit_scaling import to_si_units
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import polynomial_response, unit_circle
@@ -134,7 +134,7 @@ def generalised_model(
     )
     plays = max(len(model.hysteresis.plays.threshold), PLAYS)
     shape = Shape(plays=plays, below=0, above=0, lag="delay", bends=BENDS)
-    operator = physical(search(pieces, shape, settings).operator, scales)
+    operator = to_si_units(search(pieces, shape, settings).operator, scales)
     first = recordings[0]
     moved_m, _ = operator.run(first.voltage_V(axis), operator.virgin_memory())
     polarity = float(np.sign(scales.displacement_m))

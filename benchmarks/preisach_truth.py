@@ -14,7 +14,7 @@ import numpy as np
 
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
-from piezoid.identification.hysteresis.search import Settings, search, transferred
+from piezoid.identification.hysteresis.search import Settings, refit_initial_state, search
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_datasets.virtual_lab.truths import TRUTHS
@@ -86,7 +86,7 @@ def main() -> None:
             row: list[float] = []
             for shape in SHAPES:
                 fitted = search(pieces[:1], shape, settings)
-                others = [transferred(fitted, [piece]).minimum.rms for piece in pieces[1:]]
+                others = [refit_initial_state(fitted, [piece]).minimum.rms for piece in pieces[1:]]
                 row += [percent * rms for rms in (fitted.minimum.rms, *others)]
             kept.append(row)
             figures = "  ".join(f"{value:.3f}" for value in row)

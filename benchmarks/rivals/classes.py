@@ -22,9 +22,9 @@ import numpy as np
 from scipy.optimize import least_squares, nnls
 
 from piezoid.identification.hysteresis.coordinates import Shape
-from piezoid.identification.hysteresis.physical import physical
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
+from piezoid.identification.hysteresis.unit_scaling import to_si_units
 from piezoid.identification.minor_loops import SHAPES, Lattice, functions_of, rises_of
 from piezoid.numerics.arrays import Array
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
@@ -94,7 +94,7 @@ def play_model(name: str, field: Array, moved: Array) -> Plays:
     pieces = pieces_of([recording], "x", scales, Rig())
     settings = Settings(longest_lag_s=0.02, follow_zero=False, iterations=40)
     found = search(pieces, PLAY_SHAPES[name], settings)
-    return Plays(operator=physical(found.operator, scales), parameters=found.shape.numbers)
+    return Plays(operator=to_si_units(found.operator, scales), parameters=found.shape.parameters)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -17,7 +17,7 @@ from piezoid.formatting import significant, with_unit
 from piezoid.identification.extensions.gain_change import GainChange
 from piezoid.identification.extensions.mains_lines import MainsLines
 from piezoid.identification.extensions.thermal_drift import ThermalDrift
-from piezoid.identification.hysteresis.excluded_rows import outlying
+from piezoid.identification.hysteresis.excluded_rows import outlying_samples
 from piezoid.identification.joint.fit_extended import Extended, fit_extended
 from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel
@@ -243,7 +243,7 @@ def _without_outliers(model: AxisModel, recording: Recording) -> Recording:
         piece.start + int(k)
         for piece in recording.pieces
         if np.isfinite(error_m[piece]).all()
-        for k in outlying(error_m[piece], drive_V[piece], measured_m[piece])
+        for k in outlying_samples(error_m[piece], drive_V[piece], measured_m[piece])
     ]
     if not outliers:
         return recording

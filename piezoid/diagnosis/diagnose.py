@@ -50,7 +50,7 @@ from piezoid.identification.fit import (
     refined,
     rig_of,
 )
-from piezoid.identification.hysteresis.applicability import UNEXPLAINED
+from piezoid.identification.hysteresis.applicability import MAX_RESIDUAL
 from piezoid.identification.hysteresis.pieces import Scales, pieces_of, scales_of
 from piezoid.identification.hysteresis.scope import scope_of
 from piezoid.identification.model import AxisModel
@@ -181,7 +181,7 @@ def _select_effects(
     if not is_rejected:
         result, errors = _prefer_named_effects(search_all(view, executor), attribute)
         error = errors.final_m / view.half_stroke_m
-        if error > 2.0 * UNEXPLAINED:
+        if error > 2.0 * MAX_RESIDUAL:
             rejection = (
                 f"everything found leaves {50.0 * error:.1f} % of the range"
                 if model.verdict.applies

@@ -57,7 +57,7 @@ def test_a_loss_of_sensitivity_is_named_beside_dropouts_or_a_lag(
     assert size.value == pytest.approx(-100.0 * LOSS, rel=0.1)
     assert diagnosis.model is not None
     remarks = " ".join(diagnosis.model.verdict.remarks)
-    stated = re.search(r"the sensitivity goes by (\S+) %", remarks)
+    stated = re.search(r"the sensitivity changes by (\S+) %", remarks)
     assert stated is not None
     assert float(stated.group(1)) == pytest.approx(size.value, rel=0.1)
     assert diagnosis.final.rms_m < 1.5 * NOISE_M

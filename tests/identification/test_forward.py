@@ -21,8 +21,8 @@ from piezoid.identification.extensions import (
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.forward import LARGEST, Forward, Run
 from piezoid.identification.hysteresis.coordinates import Scaled
-from piezoid.identification.hysteresis.physical import envelope_stretch, physical
 from piezoid.identification.hysteresis.pieces import Scales
+from piezoid.identification.hysteresis.unit_scaling import envelope_stretch, to_si_units
 from piezoid.numerics.arrays import Array
 from piezoid.operators.chain import Following
 from piezoid.operators.dead_zone import from_slopes
@@ -142,7 +142,7 @@ def test_volts_and_metres_read_as_scaled_numbers_do(filters: str, sign: float) -
     scales = replace(SCALES, displacement_m=sign * 1.2e-5)
     scaled = replace(forward_of(*one_of_each(), filters=filters), scales=scales)
     own = Scales(voltage_V=1.0, voltage_offset_V=5.2, displacement_m=sign)
-    plain = replace(scaled, operator=physical(OPERATOR, scales), scales=own)
+    plain = replace(scaled, operator=to_si_units(OPERATOR, scales), scales=own)
     run = run_of(scaled)
     driven_V = plain.driven_V(5.2 + 5.0 * run.command, RATE_Hz)
     memory_V = scaled.memory(run.drive[0], SLOPES) * envelope_stretch(OPERATOR) * 5.0

@@ -38,7 +38,7 @@ from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import seconds_of, through
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.gain_change import GainChange, turned
-from piezoid.identification.hysteresis.cycles import FEWEST
+from piezoid.identification.hysteresis.cycles import MIN_CYCLES
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.repetition import equal_cycles
 from piezoid.records.recording import Recording
@@ -89,7 +89,7 @@ def _trials(view: View) -> list[Trial]:
         few = INSTANTS[::10]
         placebos = [_change(view, k, t - TEMPORARY / 2, 0.0, is_temporary=True) for t in few]
         # enough equal cycles show a slow trend of the gain
-        if equal_cycles(view.tracks[k].drive, fewest=FEWEST) is not None:
+        if equal_cycles(view.tracks[k].drive, fewest=MIN_CYCLES) is not None:
             trend = {"track": float(k), "place": 0.5, "lasts": 1.0}
             trials.append(_trial(_change(view, k, 0.5, 1.0), trend))
         else:

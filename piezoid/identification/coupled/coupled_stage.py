@@ -1,6 +1,6 @@
-"""CoupledStage: several drives, several displacements, linear at each level of the drive.
+"""Model of a stage with several drives and displacements, linear at each level of the drive.
 
-All paths share the poles of a modal sum; its residues depend on the level of the drive.
+All paths share the poles of a modal sum; poles and residues depend on the level of the drive.
 """
 
 from dataclasses import dataclass
@@ -12,22 +12,22 @@ from piezoid.errors import IdentificationError
 from piezoid.numerics.arrays import Array, ComplexArray, expect_shapes, freeze, frozen
 from piezoid.numerics.robust import student_quantile
 
-# Levels that differ by less than this factor are one: realisations of one level differ in their
-# rms by 0.3 % on the steering mirror.
+# Levels that differ by less than this factor count as equal: the rms of realisations of one level
+# differs by 0.3 % on the steering mirror.
 LEVEL_TOLERANCE = 1.05
-FAR_BELOW = 0.05  # of the first mode, which adds 0.25 % of its share there
-SETTLING = 3.0  # time constants of the slowest pole: 5 % of its share remains
+FAR_BELOW = 0.05  # of the first mode, which raises its share by 0.25 % there
+SETTLING = 3.0  # time constants of the slowest pole: 5 % of its share remain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Columns:
-    """Terms of a response that real residues multiply.
+    """Columns of a response, which real residues multiply.
 
         h = w / (s - p),   p = w (-zeta + j sqrt(1 - zeta^2))
         columns: (h + h~) / 2, j (h - h~) / 2, w_l / (s + w_l), 1
 
     value        (lines, columns)   modes, modes again, lags, direct
-    by_frequency (2, lines, modes)  dh / d ln w, and that of h~, the mirrored pole
+    by_frequency (2, lines, modes)  dh / d ln w, and dh~ / d ln w of the conjugate pole
     by_damping   (2, lines, modes)  dh / d ln zeta, likewise
     """
 
@@ -52,7 +52,7 @@ class ModalShape:
     delay_s: float
 
     def columns(self, frequency_Hz: Array, lag_Hz: Array, coordinate: float) -> Columns:
-        """Return what the residues multiply at one level.
+        """Return the columns at one level.
 
         frequency_Hz  (lines,)
         lag_Hz        (lags,)   corner frequencies of real poles
@@ -65,14 +65,16 @@ class ModalShape:
         root = np.sqrt(np.maximum(1 - zeta**2, 1e-6))
         pole = w * (-zeta + 1j * root)
         slope = w * zeta * (-1 - 1j * zeta / root)
-        h, mirrored = w / (s - pole), w / (s - pole.conj())
+        h, conjugate = w / (s - pole), w / (s - pole.conj())
         real = 2 * np.pi * lag_Hz
         direct = np.ones((len(s), 1), dtype=np.complex128)
-        value = [(h + mirrored) / 2, 0.5j * (h - mirrored), real / (s + real), direct]
+        value = [(h + conjugate) / 2, 0.5j * (h - conjugate), real / (s + real), direct]
         return Columns(
             value=np.concatenate(value, axis=1),
-            by_frequency=np.stack([h + h**2 * pole / w, mirrored + mirrored**2 * pole.conj() / w]),
-            by_damping=np.stack([h**2 * slope / w, mirrored**2 * slope.conj() / w]),
+            by_frequency=np.stack(
+                [h + h**2 * pole / w, conjugate + conjugate**2 * pole.conj() / w]
+            ),
+            by_damping=np.stack([h**2 * slope / w, conjugate**2 * slope.conj() / w]),
         )
 
     def response(
@@ -88,7 +90,7 @@ class ModalShape:
 
 
 def level_coordinate(level_V: float, levels_V: Array) -> float:
-    """Return ln(a / a_0) / ln(a_max / a_0); zero where the data have one level."""
+    """Return ln(a / a_0) / ln(a_max / a_0); zero if the data have one level."""
     low, high = float(levels_V[0]), float(levels_V[-1])
     if len(levels_V) < 2:
         return 0.0
@@ -103,9 +105,9 @@ class CoupledStage:
         ln w_m, ln zeta_m and all residues: x(l) = x_0 + l x_1,   l = ln(a / a_0) / ln(a_max / a_0)
 
     a is the rms of the drive over all inputs, a_0 the geometric centre of the levels of the data.
-    G is the sum of the columns of ``ModalShape``. The change with the level is what hysteresis
-    inside the stage does to its stiffness on average; it is logarithmic because distortion
-    relative to the displacement hardly depends on the level. Hysteresis itself is fitted per axis.
+    G is the sum of the columns of ``ModalShape``. The change with the level is the average effect
+    of hysteresis inside the stage on its stiffness; it is logarithmic because distortion relative
+    to the displacement hardly depends on the level. Hysteresis itself is fitted per axis.
 
     inputs, outputs      names
     sampling_rate_Hz     of the data
@@ -120,8 +122,8 @@ class CoupledStage:
     moved_rms_m          (levels, outputs)  of the data
     noise_rms_m          (levels, outputs)  of one period about the mean of its realisation
     error_rms_m          (levels, outputs)  of the means of the periods
-    error_is_left_out    each realisation's error is of a fit without it; otherwise in sample
-    recordings           names of those it was fitted to; none where it was fitted to arrays
+    error_is_left_out    whether the error of a realisation is of a fit without it, or in sample
+    recordings           names of the fitted recordings; empty for data from arrays
     """
 
     inputs: tuple[str, ...]
@@ -167,7 +169,7 @@ class CoupledStage:
         )
 
     def coordinate(self, level_V: float) -> float:
-        """Return l of a level: -1 at the smallest of the data, 1 at the largest.
+        """Return l of a level: -1 at the smallest level of the data, 1 at the largest.
 
         Raises ``IdentificationError`` outside the levels of the data.
 
@@ -194,12 +196,12 @@ class CoupledStage:
         return np.asarray(delay * self._without_delay(f, self.coordinate(level_V)))
 
     def simulate(self, drive_V: ArrayLike, *, periodic: bool = False) -> Array:
-        """Return the displacements that a drive causes, from the drive alone.
+        """Simulate the displacements due to a drive.
 
         drive_V   (samples, inputs)  V at ``sampling_rate_Hz``
-        periodic  the drive is one period of many, and the answer that of the steady state;
-                  otherwise drive and displacement are zero before the first sample
-        returned  (samples, outputs)  m, without the mean, which a band without zero does not hold
+        periodic  whether the drive is one period of the steady state; otherwise drive and
+                  displacement are zero before the first sample
+        returned  (samples, outputs)  m, without the mean, which lies outside the band of the data
 
         Raises ``IdentificationError`` for a drive of the wrong shape or outside the levels of the
         data. The level is the rms of all samples: cut a drive whose level changes.
@@ -244,11 +246,11 @@ class CoupledStage:
 
     @property
     def decoupling(self) -> Array:
-        """D: D y answers, far below the first mode, to each drive alone, (outputs, outputs).
+        """Decoupling matrix D: below the modes, D y responds to single drives, (outputs, outputs).
 
             D = diag(G_0) G_0^-1
 
-        Raises ``IdentificationError`` where drives and displacements are not the same axes.
+        Raises ``IdentificationError`` if drives and displacements are not the same axes.
 
         >>> coupled.decoupling.shape
         (1, 1)
@@ -295,10 +297,10 @@ class CoupledStage:
         return np.asarray(np.exp(log))
 
     def frequency_change(self) -> Array:
-        """Return how the modes move from the smallest level to the largest, (modes, 3).
+        """Return the relative change of the modes from smallest to largest level, (modes, 3).
 
-        A column for the relative change, two for its 95 % interval, by the jackknife over
-        realisations: without replicates the interval is infinite.
+        The columns are the change and the limits of its 95 % interval, by the jackknife over
+        realisations; without replicates the interval is infinite.
 
         >>> coupled.frequency_change().shape
         (1, 3)
@@ -324,9 +326,9 @@ class CoupledStage:
 
 
 def _jackknife_half(replicates: Array) -> Array:
-    """Return half a 95 % interval of estimates that each leave one realisation out [Tukey 1958].
+    """Return half the 95 % interval of a jackknife over realisations, (modes,) [Tukey 1958].
 
-    replicates  (replicates, modes)
+    replicates  (replicates, modes)  each estimated without one realisation
     """
     count = len(replicates)
     if count < 2:

@@ -1,14 +1,14 @@
-"""fit_coupled: periodic records of a stage with several drives, at several levels -> CoupledStage.
+"""Fit a CoupledStage to periodic data of a stage with several drives, at several levels.
 
     min sum_r w_r |Y_r - e^(-s delay) G(s, l) U_r|^2
 
 over all excited lines. Residues are linear and eliminated [Golub & Pereyra 1973]; poles and delay
-are searched for. Starts: vector fitting for the largest level, its poles for the smallest, a
-straight line between them. The weight w_r of a realisation is one over the residual power of a
-first fit, so that disturbed realisations count less.
+are searched for. Vector fitting gives a start for the largest level, whose fit is the start for
+the smallest level; both give a linear change with the level. The weight w_r of a realisation is
+one over the residual power of a first fit, so that disturbed realisations count less.
 
-The residues of all outputs meet the same rows, so one matrix of (columns x inputs) is factored
-for all of them. The Jacobian is in the form of Kaufman. A pole that no residue needs moves
+The residues of all outputs have the same columns, so one matrix of (columns x inputs) is factored
+for all of them. The Jacobian is in the form of Kaufman. A pole with negligible residues can move
 anywhere within its bounds.
 """
 
@@ -33,15 +33,15 @@ from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.executor import on_one_thread
 from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
 
-MAX_DAMPING = 0.3  # of a mode: a pole with more follows a slope
-# Share of the curvature that penalises the change of a residue with the level: 1e-2 and 1e-3 leave
-# the same residual on the steering mirror; without it those of overlapping modes diverge.
+MAX_DAMPING = 0.3  # of a mode: a pole with more damping follows a slope
+# Penalty on the change of a residue with the level, relative to the curvature: 1e-2 and 1e-3 give
+# the same residual on the steering mirror; without it residues of overlapping modes diverge.
 LEVEL_PENALTY = 1e-3
-RIDGE = 1e-9  # of the curvature: columns that the band does not distinguish
+RIDGE = 1e-9  # of the curvature, for columns that are nearly equal within the band
 LAGS_PER_DECADE = 1.3  # real poles below the first mode, for creep
-SMOOTHED_LINES = 5  # of the response that the start is fitted to: single lines give poles of noise
+SMOOTHED_LINES = 5  # of the response for the start: otherwise poles follow the noise of lines
 START_DAMPING = (0.003, 0.3)  # below, a pole follows noise; above, a slope
-DISTINCT = 0.02  # relative distance of modes: levels of 1 to 3 move one by up to half as much
+MIN_DISTANCE = 0.02  # relative, of two modes: levels of 1 to 3 move a mode by up to half of it
 FINAL_RULE = Rule(tolerance=2e-3, iterations=12)
 JACKKNIFE_RULE = Rule(tolerance=2e-3, iterations=3)
 
@@ -53,8 +53,8 @@ class LevelSpectra:
     level_V       rms of the drive
     samples       of one period
     frequency_Hz  (lines,)
-    drive         (lines, inputs, realisations)   of ``numpy.fft.rfft``
-    displacement         (lines, outputs, realisations)
+    drive         (lines, inputs, realisations)   coefficients of ``numpy.fft.rfft``
+    displacement  (lines, outputs, realisations)  likewise
     weight        (realisations,)
     """
 
@@ -67,7 +67,7 @@ class LevelSpectra:
 
     @staticmethod
     def of(data: PeriodicData) -> "LevelSpectra":
-        """Return the spectra of periodic data, each realisation weighted by its power."""
+        """Return the spectra of periodic data, realisations weighted by one over their power."""
         lines = data.excited_lines()
         response = np.fft.rfft(data.displacement_m.mean(axis=3), axis=0)[lines]
         return LevelSpectra(
@@ -92,7 +92,7 @@ class LevelSpectra:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModalProblem:
-    """The spectra of all levels and the structure that is fitted to them.
+    """Spectra of all levels and the structure of the fit.
 
     levels    in increasing order
     rate_Hz   sampling rate
@@ -112,7 +112,7 @@ class ModalProblem:
 
     @property
     def orders(self) -> int:
-        """1 where all data have one level, 2 where parameters change with it."""
+        """1 if all data have one level, 2 if parameters change with the level."""
         return 1 if len(self.levels) == 1 else 2
 
     def coordinate(self, level: LevelSpectra) -> float:
@@ -135,7 +135,7 @@ class ModalProblem:
         )
 
     def bounds(self, start: Array) -> tuple[Array, Array, Array]:
-        """Return lower and upper bounds and the longest step: no pole jumps over its neighbour."""
+        """Return lower and upper bounds and the longest step: no pole passes its neighbour."""
         count = len(start) - 1
         reach = np.append(np.repeat([0.2, 3.0, 0.05, 1.0], self.modes)[:count], 10.0)
         longest = np.append(np.tile(np.repeat([0.03, 0.4], self.modes), self.orders), 0.3)
@@ -147,7 +147,7 @@ class ModalProblem:
 def fit_modal_sum(
     problem: ModalProblem, start: ModalShape, rule: Rule
 ) -> tuple[ModalShape, Array]:
-    """Return the best shape from a start, and its residues, (2, columns, outputs, inputs)."""
+    """Minimise the cost from a start; return shape and residues (2, columns, outputs, inputs)."""
     x = problem.pack(start)
     lower, upper, longest = problem.bounds(x)
     best = minimise(lambda x: Point(problem, x), x, (lower, upper), rule=rule, longest=longest)
@@ -166,19 +166,19 @@ def residual_spectra(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _WeightedLevel:
-    """One level at one shape, weighted; the measurement is advanced by the delay.
+    """Weighted data and columns of one level at one shape, the delay removed from the data.
 
-    spread  (orders,)  what multiplies the residues: 1 and the coordinate of the level
+    powers  (orders,)  factors of the residues: 1 and the coordinate of the level
     """
 
     frequency_Hz: Array
     columns: Columns
     drive: ComplexArray
     displacement: ComplexArray
-    spread: Array
+    powers: Array
 
     def gram(self) -> Array:
-        """Return A'A of one output, A the rows that its residues meet, (orders columns inputs,)^2.
+        """Return A'A for the design matrix A of one output, (orders columns inputs,)^2.
 
         (A'A)_(ci, dk) = sum_f Re( conj(b_c) b_d sum_r conj(V_i) V_k ),   b columns, V the drive
         """
@@ -190,7 +190,7 @@ class _WeightedLevel:
             for k in range(inputs):
                 gram[:, i, :, k] = ((b.conj() * power[:, i, k, None]).T @ b).real
         one_order = gram.reshape(count * inputs, count * inputs)
-        return np.asarray(np.kron(np.outer(self.spread, self.spread), one_order), dtype=np.float64)
+        return np.asarray(np.kron(np.outer(self.powers, self.powers), one_order), dtype=np.float64)
 
     def products(self, rows: ComplexArray) -> Array:
         """Return A' t for every output and vector t, (orders columns inputs, outputs, vectors).
@@ -204,28 +204,25 @@ class _WeightedLevel:
         products = (self.columns.value.conj().T @ flat).real
         products = products.reshape(count, vectors, outputs, inputs).transpose(0, 3, 2, 1)
         products = products.reshape(count * inputs, outputs, vectors)
-        return np.concatenate([share * products for share in self.spread])
+        return np.concatenate([power * products for power in self.powers])
 
 
 class Point:
-    """The best residues for a given shape, the residual and its projected linearisation."""
+    """Optimal residues for a given shape, the residual and its projected linearisation."""
 
     def __init__(self, problem: ModalProblem, x: Array) -> None:
         self.problem, shape = problem, problem.unpack(x)
         self.levels = []
         for level in problem.levels:
-            f, coordinate, root = (
-                level.frequency_Hz,
-                problem.coordinate(level),
-                np.sqrt(level.weight),
-            )
+            f, coordinate = level.frequency_Hz, problem.coordinate(level)
+            root = np.sqrt(level.weight)
             advance = np.exp(2j * np.pi * f * shape.delay_s)[:, None, None]
             weighted = _WeightedLevel(
                 frequency_Hz=f,
                 columns=shape.columns(f, problem.lag_Hz, coordinate),
                 drive=level.drive * root,
                 displacement=level.displacement * root * advance,
-                spread=np.array([1.0, coordinate])[: problem.orders],
+                powers=np.array([1.0, coordinate])[: problem.orders],
             )
             self.levels.append(weighted)
         gram, target = np.zeros(()), np.zeros(())
@@ -250,7 +247,7 @@ class Point:
         self.cost += float((penalty[:, None] * solution**2).sum())
 
     def _residues_at(self, level: _WeightedLevel) -> Array:
-        return np.asarray(np.tensordot(level.spread, self.residues[: self.problem.orders], 1))
+        return np.asarray(np.tensordot(level.powers, self.residues[: self.problem.orders], 1))
 
     def linearised(self) -> NormalEquations:
         """Return the projected normal equations, in Kaufman's form."""
@@ -267,7 +264,7 @@ class Point:
         solution = cho_solve(self.factor, inner.reshape(len(inner), -1)).reshape(inner.shape)
         return NormalEquations(
             gram=np.asarray(gram - np.einsum("aon,aom->nm", inner, solution)),
-            # with a penalty the residual is not exactly orthogonal to the columns
+            # With a penalty the residual is not exactly orthogonal to the columns.
             slope=np.asarray(slope + np.einsum("aon,ao->n", solution, penalised)),
             cost=self.cost,
         )
@@ -287,7 +284,7 @@ class Point:
         )
         by_sample = -2j * np.pi * level.frequency_Hz[:, None, None] / self.problem.rate_Hz
         by_delay = (by_sample * level.displacement)[None]
-        tangents = [*(share * by_pole for share in level.spread), by_delay]
+        tangents = [*(power * by_pole for power in level.powers), by_delay]
         return np.ascontiguousarray(np.concatenate(tangents))
 
 
@@ -295,18 +292,18 @@ class Point:
 def fit_coupled(
     levels: Sequence[PeriodicData], *, modes: int = 20, intervals: bool = True
 ) -> CoupledStage:
-    """Fit one linear model to the steady answers of a stage at one or several levels of the drive.
+    """Fit one linear model to the steady state of a stage at one or several levels of the drive.
 
-    levels     periodic records with the same lines, inputs and outputs, one for each level; more
-               realisations than inputs in each
-    modes      pairs of poles that the start may have; those that follow noise are left out of it
-    intervals  fit again without each realisation, for the jackknife; about twice as long again
+    levels     periodic data with the same lines, inputs and outputs, one record for each level;
+               more realisations than inputs in each
+    modes      maximum number of pairs of poles of the start; poles that follow noise are removed
+    intervals  whether to refit without each realisation, for the jackknife; triples the time
 
-    Y = e^(-s delay) G(s, level) U, as of ``CoupledStage``. Distortion counts as noise that is
+    Y = e^(-s delay) G(s, level) U, as in ``CoupledStage``. Distortion counts as noise that is
     independent in each realisation [Pintelon & Schoukens 2012].
 
     Raises ``ExcitationError`` for records that differ in more than their level, or for too few
-    realisations; ``IdentificationError`` where no start has a mode in the band.
+    realisations; ``IdentificationError`` if no start has a mode in the band.
 
     >>> coupled = piezoid.fit_coupled(levels, modes=2, intervals=False)
     >>> coupled.inputs, coupled.outputs
@@ -330,7 +327,7 @@ def fit_coupled(
         ]
         errors_m.append(np.sqrt(2.0 * np.mean(power, axis=0)) / level.samples)
     noise_m = []
-    for level_data in data:  # of a period about the mean of its realisation
+    for level_data in data:
         moved_m, periods = level_data.displacement_m, level_data.displacement_m.shape[3]
         deviation_m = _rms(moved_m - moved_m.mean(axis=3, keepdims=True))
         noise_m.append(deviation_m * float(np.sqrt(periods / max(periods - 1, 1))))
@@ -371,12 +368,12 @@ def _check_levels(data: Sequence[PeriodicData]) -> None:
                 f"{level.sampling_rate_Hz:g} Hz, periods of {len(first.voltage_V)} and "
                 f"{len(level.voltage_V)} samples",
                 needed="the same drives, sensors, rate and period at all levels",
-                remedy="Fit them apart, or record all levels alike.",
+                remedy="Fit them separately, or record all levels alike.",
             )
         if level.voltage_V.shape[2] <= len(level.inputs):
             raise ExcitationError(
                 f"{level.voltage_V.shape[2]} realisations for {len(level.inputs)} drives",
-                needed=f"at least {len(level.inputs) + 1}: distortion is what they differ in",
+                needed=f"at least {len(level.inputs) + 1}, to estimate the distortion",
                 remedy="Record more realisations of the multisine.",
             )
 
@@ -384,14 +381,14 @@ def _check_levels(data: Sequence[PeriodicData]) -> None:
 def _fit_all_levels(
     data: Sequence[PeriodicData], modes: int
 ) -> tuple[ModalProblem, ModalShape, Array]:
-    """Fit the largest level, then the smallest from there, then all of them, reweighted."""
+    """Fit the largest level, then the smallest from its result, then all levels, reweighted."""
     levels = tuple(LevelSpectra.of(level) for level in data)
-    # A weak mode beside a strong one may be visible at one level only.
+    # A weak mode near a strong mode may be visible at one level only.
     poles = _start_of_level(levels[-1], modes)
     for level in levels[-2::-1]:
         new_modes = _start_of_level(level, modes)
         distance = np.abs(new_modes[0][:, None] - poles[0]).min(axis=1)
-        poles = np.concatenate([poles, new_modes[:, distance > DISTINCT]], axis=1)
+        poles = np.concatenate([poles, new_modes[:, distance > MIN_DISTANCE]], axis=1)
     poles = poles[:, np.argsort(poles[0])]
     count, low_Hz = poles.shape[1], float(levels[-1].frequency_Hz[0])
     first_Hz = float(np.exp(poles[0].min()))
@@ -402,10 +399,10 @@ def _fit_all_levels(
         lag_Hz=np.geomspace(low_Hz, 0.25 * first_Hz, lags + 1),
         modes=count,
     )
-    still = np.zeros(count)
+    no_change = np.zeros(count)
     shape = ModalShape(
-        log_frequency=np.stack([poles[0], still]),
-        log_damping=np.stack([poles[1], still]),
+        log_frequency=np.stack([poles[0], no_change]),
+        log_damping=np.stack([poles[1], no_change]),
         delay_s=0.0,
     )
     largest, residues = fit_modal_sum(replace(problem, levels=levels[-1:]), shape, FINAL_RULE)
@@ -418,7 +415,7 @@ def _fit_all_levels(
         log_damping=_line(smallest.log_damping[0], largest.log_damping[0]),
     )
     shape, residues = fit_modal_sum(problem, shape, FINAL_RULE)
-    # Each realisation counts by one over the power of its residual.
+    # The weight of a realisation is one over the power of its residual.
     residuals = [residual_spectra(problem, level, shape, residues) for level in levels]
     reweighted = tuple(
         replace(level, weight=1.0 / (np.abs(residual) ** 2).sum(axis=(0, 1)))
@@ -429,13 +426,13 @@ def _fit_all_levels(
 
 
 def _line(low: Array, high: Array) -> Array:
-    """Return middle and half difference; a mode whose partner moved away stays where it was."""
+    """Return mean and half difference; unmatched modes, 0.5 or more apart, keep ``high``."""
     difference = np.where(np.abs(high - low) < 0.5, high - low, 0.0)
     return np.stack([high - difference / 2, difference / 2])
 
 
 def _start_of_level(level: LevelSpectra, modes: int) -> Array:
-    """Return log frequencies and dampings of the modes of a smoothed response, (2, modes)."""
+    """Return log frequencies and log dampings of the modes of a smoothed response, (2, modes)."""
     U, Y = level.drive, level.displacement
     gram, cross = (
         uniform_filter1d(spectra @ U.conj().transpose(0, 2, 1), SMOOTHED_LINES, 0, mode="constant")
@@ -458,7 +455,7 @@ def _start_of_level(level: LevelSpectra, modes: int) -> Array:
         raise IdentificationError(
             f"no resonance between {f[0]:.4g} and {f[-1]:.4g} Hz",
             needed="at least one",
-            remedy="Fit each axis on its own with piezoid.fit.",
+            remedy="Fit each axis separately with piezoid.fit.",
         )
     return np.asarray(np.log(np.stack([frequency_Hz[is_mode], damping[is_mode]])))
 

@@ -3,9 +3,8 @@
     y = G(s) v,   y' = D y = D G v,   D = diag(G_0) G_0^-1
 
 v is the drive behind its hysteresis, G_0 the response well below the first mode. In the
-coordinates y' an axis answers to its own drive alone, as far as the coupling is static: there
-hysteresis is fitted, causes are named and controllers run. What of the coupling is dynamic is
-left.
+coordinates y' an axis responds to its own drive alone, except for dynamic coupling. Hysteresis is
+fitted, effects are named and controllers run in these coordinates.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,10 +42,10 @@ def identify_coupled(
 ) -> CoupledStage | None:
     """Identify the coupled axes named in lab.toml; None if it names none.
 
-    recordings  any; those count in which a drive of all these axes at once repeats itself
-    lab         its table ``[coupled]``
+    recordings  any; those with a periodic drive of all these axes at once are used
+    lab         with its table ``[coupled]``
 
-    Raises ``ExcitationError`` where no recording tells the coupling, and as ``fit_coupled``.
+    Raises ``ExcitationError`` if no recording determines the coupling, and as ``fit_coupled``.
     """
     if not lab.coupled.axes:
         return None
@@ -57,23 +56,23 @@ def identify_coupled(
             f"{lab.place} says that the axes {axes} are coupled, and in no recording do their "
             f"drives repeat together, {lab.coupled.settling_periods + FEWEST} periods or more",
             needed="all these drives and displacements in one file, driven at once by a "
-            "multisine of random phases that repeats, more realisations than axes at each level",
-            remedy="Record that (piezoid plan does not), or take the table [coupled] out: the "
-            "axes are then fitted as if each had its own drive alone. Where periods are steady "
-            "from the first on, write settling_periods = 0.",
+            "periodic multisine of random phases, more realisations than axes at each level",
+            remedy="Record that (piezoid plan does not), or remove the table [coupled]: each "
+            "axis is then fitted with its own drive alone. If all periods are steady, write "
+            "settling_periods = 0.",
         )
     progress(f"fitting the coupled axes {axes}")
-    fitted = fit_coupled(_levels_of(periodic, lab.coupled))
-    return replace(fitted, recordings=tuple(recording.name for recording, _ in periodic))
+    stage = fit_coupled(_levels_of(periodic, lab.coupled))
+    return replace(stage, recordings=tuple(recording.name for recording, _ in periodic))
 
 
 def decoupled_responses(
     recordings: Sequence[Recording], coupled: CoupledStage, declared: Coupled
 ) -> tuple[FrequencyResponseRecord, ...]:
-    """Return the measured response of each decoupled axis to its drive, all in one record.
+    """Return one record with the measured response of each decoupled axis to its drive.
 
-    At the largest level, where the modes are nearest to those of the drives that follow; the best
-    linear approximation, with its coherence. None where the realisations are too few for it.
+    The response is the best linear approximation at the largest level, whose modes are closest to
+    those of later drives. Empty if there are too few realisations.
     """
     periodic = _periodic_recordings(recordings, declared)
     data = _levels_of(periodic, declared)[-1]
@@ -102,10 +101,10 @@ def decoupled_responses(
 def decoupled(recordings: Sequence[Recording], coupled: CoupledStage) -> tuple[Recording, ...]:
     """Return recordings with D y for the displacements y of the coupled axes.
 
-    A recording without one of these displacements stays as it is: its drives are then those of
-    one axis, the others at rest, and D y differs from y by a constant.
+    A recording in which one of these displacements is missing is returned unchanged: with a single
+    driven axis D y differs from y by a constant only.
 
-    Raises ``RecordingError`` where several axes are driven and a displacement is missing.
+    Raises ``RecordingError`` if several axes are driven and a displacement is missing.
     """
     axes, results = coupled.outputs, []
     for recording in recordings:
@@ -117,22 +116,22 @@ def decoupled(recordings: Sequence[Recording], coupled: CoupledStage) -> tuple[R
             if present and len(moving) > 1:
                 raise RecordingError(
                     f"{recording.name}: the axes {', '.join(moving)} are driven, and the "
-                    f"displacement of {missing} is not there",
+                    f"displacement of {missing} is missing",
                     needed=f"the displacements of all coupled axes, {', '.join(axes)}",
                     remedy="Record them together, or drive one axis while the others rest.",
                 )
             results.append(recording)
             continue
         values = coupled.decoupling @ np.stack([channel.values for channel in present.values()])
-        turned = {
+        decoupled_channel = {
             axis: replace(channel, values=row, label=f"{channel.label}, decoupled")
             for (axis, channel), row in zip(present.items(), values, strict=True)
         }
-        decoupled_channels = tuple(
-            turned[c.axis] if c.quantity is Quantity.DISPLACEMENT and c.axis in turned else c
+        channels_of_recording = tuple(
+            decoupled_channel.get(c.axis, c) if c.quantity is Quantity.DISPLACEMENT else c
             for c in recording.channels
         )
-        results.append(replace(recording, channels=decoupled_channels))
+        results.append(replace(recording, channels=channels_of_recording))
     return tuple(results)
 
 
@@ -143,30 +142,28 @@ def as_single_axes(
     *,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Recording, ...]:
-    """Decouple recordings into single axes, as far as their coupling is known.
+    """Decouple recordings into single axes, if the coupling is known or can be identified.
 
-    coupled  of an earlier fit; None: of these recordings, where lab.toml names coupled axes and
-             they determine the coupling; else they stay as they are
+    coupled  of an earlier fit; None: identified from these recordings if lab.toml names coupled
+             axes. Otherwise the recordings are returned unchanged.
     """
     declared = Coupled() if lab is None else lab.coupled
     if coupled is None and lab is not None and _periodic_recordings(recordings, declared):
         coupled = identify_coupled(recordings, lab, progress=progress)
-    return (
-        tuple(recordings)
-        if coupled is None
-        else single_axis_recordings(decoupled(recordings, coupled), coupled)
-    )
+    if coupled is None:
+        return tuple(recordings)
+    return single_axis_recordings(decoupled(recordings, coupled), coupled)
 
 
 def single_axis_recordings(
     recordings: Sequence[Recording], coupled: CoupledStage
 ) -> tuple[Recording, ...]:
-    """Return the recordings without those of the coupling, in which all axes are driven."""
+    """Return the recordings except those of the coupling fit, in which all axes are driven."""
     return tuple(r for r in recordings if r.name not in coupled.recordings)
 
 
 def driven_axes(recording: Recording, axes: Sequence[str]) -> list[str]:
-    """Return the axes that are driven, not those that rest beside a wider drive."""
+    """Return the axes whose drive moves, relative to the widest drive of the recording."""
     drives = [(axis, recording.find(Quantity.VOLTAGE, axis)) for axis in axes]
     reach = {axis: float(np.ptp(drive.values)) for axis, drive in drives if drive is not None}
     widest = max(reach.values(), default=0.0)
@@ -176,7 +173,7 @@ def driven_axes(recording: Recording, axes: Sequence[str]) -> list[str]:
 def _periodic_recordings(
     recordings: Sequence[Recording], declared: Coupled
 ) -> list[tuple[Recording, Repetition]]:
-    """Return the recordings in which all coupled axes are driven at once and repeat."""
+    """Return the recordings in which all coupled axes are driven at once, with their period."""
     axes, fewest = declared.axes, declared.settling_periods + FEWEST
     periodic = []
     for recording in recordings if axes else ():
@@ -187,8 +184,8 @@ def _periodic_recordings(
         )
         if recording.breaks or not complete or len(driven_axes(recording, axes)) < len(axes):
             continue
-        found = [find_repetition(recording.voltage_V(axis), fewest=fewest) for axis in axes]
-        repetitions = [repetition for repetition in found if repetition is not None]
+        results = [find_repetition(recording.voltage_V(axis), fewest=fewest) for axis in axes]
+        repetitions = [repetition for repetition in results if repetition is not None]
         if len(repetitions) < len(axes) or len({r.period_samples for r in repetitions}) > 1:
             continue
         first, period = max(r.first for r in repetitions), repetitions[0].period_samples
@@ -202,7 +199,7 @@ def _periodic_recordings(
 def _levels_of(
     periodic: Sequence[tuple[Recording, Repetition]], declared: Coupled
 ) -> list[PeriodicData]:
-    """Return the recorded data of each level, with realisations along one dimension."""
+    """Return the periodic data of each level, one realisation for each recording."""
     axes = declared.axes
     periods = min(repetition.periods for _, repetition in periodic) - declared.settling_periods
     shapes = {(r.sampling_rate_Hz, repetition.period_samples) for r, repetition in periodic}
@@ -211,7 +208,7 @@ def _levels_of(
         raise ExcitationError(
             f"drives of the coupled axes that repeat after {listed}",
             needed="one rate and one period for all levels and realisations",
-            remedy="Leave out the recordings of another period.",
+            remedy="Leave out the recordings with another period.",
         )
 
     data = cut_periods(periodic, axes, periods)

@@ -1,4 +1,4 @@
-"""Dynamics of a fitted axis behind its hysteresis, from recordings that excite them."""
+"""Fit the dynamics of an axis behind its hysteresis, from recordings or a measured response."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,7 +18,7 @@ from piezoid.identification.dynamics.behind_hysteresis import (
     measure_response,
     voltage_behind_hysteresis,
 )
-from piezoid.identification.dynamics.excitation import excites_dynamics
+from piezoid.identification.dynamics.excitation import most_exciting
 from piezoid.identification.dynamics.fit_dynamics import (
     fit_dynamics,
     is_identifiable,
@@ -35,10 +35,10 @@ from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.recording import Recording
 
 MIN_LINES, MAX_LINES = 20, 150  # of a recording's response
-MAX_COST = 4.0  # over its expected value: with a larger cost nothing is identifiable
-QUASI_STATIC = 0.02  # of the rms: an opening of 7 to 15 % would be wrong by a quarter
-SAME_MODE = 0.1  # by how much of itself a mode may move in the joint fit
-EQUAL_COST = 1.25  # a structure whose cost is within this of the least counts as equal
+MAX_COST = 4.0  # over its expected value: with a larger cost no parameter is identifiable
+QUASI_STATIC = 0.02  # of the rms: an opening of 7 to 15 % is then wrong by up to a quarter
+SAME_MODE = 0.1  # largest relative change of a mode in the joint fit
+EQUAL_COST = 1.25  # times the lowest cost: costs below count as equal
 STRUCTURES = (
     Structure(modes=0, lags=1),
     Structure(modes=1),
@@ -51,21 +51,20 @@ STRUCTURES = (
 def quasi_static(
     recordings: Sequence[Recording], axis: str, rig: Rig
 ) -> tuple[tuple[Recording, ...], tuple[Recording, ...]]:
-    """Split recordings into quasi-static ones and those that dynamics shape.
+    """Split recordings into quasi-static and dynamic recordings.
 
     recordings  of one axis, drive and displacement in each
-    rig         declared poles, which no recording has to determine
+    rig         declared poles, which are not fitted
 
-    A linear response is fitted from drive to displacement, hysteresis included, to the recording
-    that excites it furthest. Where it has a mode, a recording belongs to the second kind if the
-    strongest mode that is resolved changes it by more than ``QUASI_STATIC`` of its rms: plays
-    would take ringing for loops. All are of the first kind where no mode is found, or where none
-    would be left.
+    A linear response from drive to displacement, hysteresis included, is fitted to the recording
+    with the highest excited frequency. If it has a mode, a recording is dynamic if the strongest
+    resolved mode changes it by more than ``QUASI_STATIC`` of its rms, because plays would follow
+    the ringing as if it were loops. All recordings are quasi-static if no mode is resolved, or if
+    all of them would be dynamic.
     """
-    exciting = excites_dynamics(recordings, axis)
-    if not exciting:
+    recording = most_exciting(recordings, axis)
+    if recording is None:
         return tuple(recordings), ()
-    recording, _ = max(exciting, key=lambda pair: pair[1])
     try:
         dynamics = _best_fit(measure_response(recording.voltage_V(axis), recording, axis), rig)
     except (ExcitationError, IdentificationError):
@@ -85,12 +84,12 @@ def with_dynamics(
     stated_Hz: float | None = None,
     response: FrequencyResponseRecord | None = None,
 ) -> AxisModel:
-    """Return the axis with the dynamics of its best data, what limits it, and remarks on both.
+    """Return the axis with its fitted dynamics, its bandwidth verdict, and remarks on both.
 
     axis        with its hysteresis; earlier dynamics and their remarks are replaced
-    recordings  any; those without both channels or with a slow drive are passed over
-    stated_Hz   bandwidth of the data sheet, where the laboratory declares one
-    response    measured with the axis' own drive: it is preferred to the recordings, unless it
+    recordings  any; recordings without both channels or with a slow drive are skipped
+    stated_Hz   bandwidth of the data sheet, if the laboratory declares it
+    response    of the axis to its own drive, from a file; preferred to the recordings unless it
                 contradicts them
     """
     remarks = tuple(r for r in axis.verdict.remarks if r not in axis.dynamics_remarks)
@@ -129,7 +128,7 @@ def _with_remarks(axis: AxisModel, *remarks: str) -> AxisModel:
 
 
 def _with_bandwidth(axis: AxisModel, verdict: BandwidthVerdict) -> AxisModel:
-    """Add the verdict; a remark where it decides, or where a bandwidth was stated."""
+    """Add the verdict, and a remark if it decides or if a bandwidth was stated."""
     axis = replace(axis, bandwidth=verdict)
     if verdict.kind == "undecided" and verdict.stated_Hz is None:
         return axis
@@ -144,18 +143,18 @@ def _delay_interval_s(axis: AxisModel) -> tuple[float, float]:
 
 
 def is_determined(dynamics: LinearDynamics) -> bool:
-    """Whether the fit explains its lines, and all its numbers are identifiable.
+    """Return whether the fit explains its lines and all its parameters are identifiable.
 
-    A mode must be resolved; a lag's pole must lie within twice the band. A rich structure on a
-    response without features meets neither, however small its residual.
+    Modes must be resolved; the poles of lags must lie within twice the band. A rich structure on a
+    response without features meets neither condition, however small its residual.
     """
     return dynamics.cost_ratio <= MAX_COST and is_identifiable(dynamics)
 
 
 def _mode_share(recording: Recording, axis: str, dynamics: LinearDynamics) -> float:
-    """Return by which share of its rms the strongest mode that is resolved changes a drive.
+    """Return the rms change of a drive by the strongest resolved mode, relative to its rms.
 
-    What a linear fit makes of hysteresis at low frequency is no mode, and changes nothing here.
+    Terms of the linear fit that imitate hysteresis at low frequency are not resolved modes.
     """
     drive = recording.voltage_V(axis)
     level = drive - drive.mean()
@@ -176,11 +175,10 @@ def _measured(axis: AxisModel, recording: Recording) -> FrequencyResponse:
 def _recorded_dynamics(
     axis: AxisModel, recordings: Sequence[Recording]
 ) -> tuple[LinearDynamics, str] | None:
-    """Return the dynamics that recordings determine, and the name of the one that does."""
-    exciting = excites_dynamics(recordings, axis.axis)
-    if not exciting:
+    """Return the dynamics determined by recordings, and the name of the fitted recording."""
+    recording = most_exciting(recordings, axis.axis)
+    if recording is None:
         return None
-    recording, _ = max(exciting, key=lambda pair: pair[1])
     try:
         dynamics = _best_fit(_measured(axis, recording), axis.rig)
     except (ExcitationError, IdentificationError):
@@ -191,12 +189,11 @@ def _recorded_dynamics(
 def _with_recorded_dynamics(
     axis: AxisModel, recordings: Sequence[Recording], stated_Hz: float | None
 ) -> AxisModel:
-    """Fit the dynamics to the recording that excites them furthest, and decide what limits it."""
-    exciting = excites_dynamics(recordings, axis.axis)
-    if not exciting:
+    """Fit the dynamics to the recording of the highest frequency, and decide the bandwidth."""
+    recording = most_exciting(recordings, axis.axis)
+    if recording is None:
         verdict = unmeasured(stated_Hz, "no recording is fast enough")
         return axis if stated_Hz is None else _with_bandwidth(axis, verdict)
-    recording, _ = max(exciting, key=lambda pair: pair[1])
     try:
         measured = _measured(axis, recording)
     except ExcitationError as refusal:
@@ -221,10 +218,10 @@ def _with_fit(
     recording: Recording,
     recordings: Sequence[Recording],
 ) -> tuple[AxisModel, str]:
-    """Fit the dynamics behind the hysteresis, then both together unless that moves the modes.
+    """Fit the dynamics behind the hysteresis, then both together unless that changes the modes.
 
     Returns:
-        The axis, and why it has no dynamics; empty if it has.
+        The axis, and the reason why it has no dynamics ('' if it has).
     """
     try:
         dynamics = _best_fit(measured, axis.rig)
@@ -250,7 +247,7 @@ def _with_fit(
 
 
 def _obstacle(dynamics: LinearDynamics) -> str:
-    """Return why a fit is not determined, the first condition of ``is_determined`` that fails."""
+    """Return the first condition of ``is_determined`` that a fit does not meet."""
     low, high = (with_unit(edge_Hz, "Hz") for edge_Hz in dynamics.band_Hz)
     band = f"between {low} and {high}"
     if dynamics.cost_ratio > MAX_COST:
@@ -267,14 +264,14 @@ def _obstacle(dynamics: LinearDynamics) -> str:
 
 
 def _best_fit(measured: FrequencyResponse, rig: Rig) -> LinearDynamics:
-    """Fit every structure to some lines; return the smallest that is as good as the best.
+    """Return the smallest structure that fits a selection of lines as well as the best.
 
-    The drive is held between samples, unless the delay would then lie on 0 and the lines are
-    followed better without a hold: it came from a generator, or was measured.
+    The drive is taken as held between samples, unless the delay then lies on 0 and the fit is
+    better without a hold: the drive then came from a generator, or was measured.
 
-    Structures have at most a quarter as many parameters as there are real values. Fits that are
-    determined come first: a richer one fits what little hysteresis is left with a term that means
-    nothing, and must not cost the modes that are known.
+    Structures have at most a quarter as many parameters as there are real values. Determined fits
+    are preferred: a richer structure follows the remaining hysteresis by a meaningless term, at
+    the cost of modes that are well determined.
     """
     usable = np.flatnonzero(~measured.is_rejected[:, 0])
     if len(usable) < MIN_LINES:
@@ -284,14 +281,14 @@ def _best_fit(measured: FrequencyResponse, rig: Rig) -> LinearDynamics:
             remedy="Record the chirp or multisine longer, or with less noise.",
         )
     frequency_Hz = measured.frequency_Hz[usable]
-    wanted_Hz = np.geomspace(frequency_Hz[0], frequency_Hz[-1], MAX_LINES)
-    nearest = np.abs(np.log(frequency_Hz[:, None] / wanted_Hz)).argmin(axis=0)
+    grid_Hz = np.geomspace(frequency_Hz[0], frequency_Hz[-1], MAX_LINES)
+    nearest = np.abs(np.log(frequency_Hz[:, None] / grid_Hz)).argmin(axis=0)
     lines = measured.at_lines(usable[np.unique(nearest)])
-    held = _simplest(lines, Declaration(filters=_declared(rig)))
-    if held.delay_s > 0.0:
-        return held
-    moving = _simplest(lines, Declaration(hold="band_limited", filters=_declared(rig)))
-    return min(held, moving, key=lambda fit: fit.cost_ratio)
+    with_hold = _simplest(lines, Declaration(filters=_declared(rig)))
+    if with_hold.delay_s > 0.0:
+        return with_hold
+    without_hold = _simplest(lines, Declaration(hold="band_limited", filters=_declared(rig)))
+    return min(with_hold, without_hold, key=lambda fit: fit.cost_ratio)
 
 
 def _simplest(lines: FrequencyResponse, declaration: Declaration) -> LinearDynamics:

@@ -1,9 +1,9 @@
-"""Measure the response from the output of a known hysteresis to the displacement.
+"""Estimate the response from the output of the fitted hysteresis to the displacement.
 
     u -> H -> v = (H[u] - y_off) / a -> G(s) -> y
 
-H is the static operator fitted before, so that G sees a drive without hysteresis whatever the
-amplitude; a, the middle of the operator's slope sector, only gives v the unit of a volt.
+H is the static operator fitted before, so that the response from v to y is free of hysteresis at
+any amplitude. a, the middle of the slope sector of the operator, scales v to volts.
 """
 
 import numpy as np
@@ -15,11 +15,11 @@ from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.records.recording import Recording
 
 MIN_COHERENCE = 0.8
-WINDOWS = 5  # a segment is at most this part of the recording: nine half-overlapping windows
+WINDOWS = 5  # segments in a recording, at least: nine half-overlapping windows
 MIN_WINDOWS = 4
-LEVEL_LINES = 33  # over which a random drive is as strong in one window as in another
+LEVEL_LINES = 33  # over which the power of a random drive is equal in all windows
 OVERLAP_LOSS = 1.0 + 2.0 / 36.0  # Hann windows that overlap by half share (1/6)^2 of their power
-MAIN_LOBE_LINES = 2  # a Hann window smears the mean over this many lines
+MAIN_LOBE_LINES = 2  # over which a Hann window smears the mean
 MIN_POWER = 1e-10  # of the strongest line: weaker lines are not driven
 TINY = float(np.finfo(np.float64).tiny)
 
@@ -27,9 +27,9 @@ TINY = float(np.finfo(np.float64).tiny)
 def measure_response(drive_V: Array, recording: Recording, axis: str) -> FrequencyResponse:
     """Return the response of the displacement in a recording to a drive.
 
-    drive_V  (samples,)  that of the recording, or ``voltage_behind_hysteresis``
+    drive_V  (samples,)  of the recording, or ``voltage_behind_hysteresis``
 
-    Lines that the drive did not reach or that are not coherent are marked as rejected.
+    Lines without drive or coherence are marked as rejected.
     """
     return estimate_response_by_coherence(
         drive_V,
@@ -41,16 +41,16 @@ def measure_response(drive_V: Array, recording: Recording, axis: str) -> Frequen
 
 
 def voltage_behind_hysteresis(axis: AxisModel, recording: Recording) -> Array:
-    """Return v, (samples,) V; memory starts as the fit found it, or de-poled."""
+    """Return v, (samples,) V, from the fitted initial memory, or that of a virgin ceramic."""
     operator = axis.hysteresis
     starts = [s for s in axis.starts if s.recording == recording.name]
     memory_V = starts[0].memory_V if starts else operator.virgin_memory()
-    moved_m, _ = operator.run(recording.voltage_V(axis.axis), memory_V)
-    return np.asarray((moved_m - operator.displacement_offset_m) / middle_slope_m_per_V(axis))
+    static_m, _ = operator.run(recording.voltage_V(axis.axis), memory_V)
+    return np.asarray((static_m - operator.displacement_offset_m) / middle_slope_m_per_V(axis))
 
 
 def middle_slope_m_per_V(axis: AxisModel) -> float:
-    """Return a, the middle of the slope sector."""
+    """Return a, the middle of the slope sector of the hysteresis."""
     return 0.5 * sum(axis.hysteresis.slope_sector_m_per_V)
 
 
@@ -62,43 +62,43 @@ def estimate_response_by_coherence(
     segment_samples: int,
     axis: str = "x",
 ) -> FrequencyResponse:
-    """Return the least-squares response of averaged spectra and its coherence.
+    """Return the least-squares response and the coherence from averaged spectra.
 
         G = S_yu / S_uu,   coherence = |S_yu|^2 / (S_uu S_yy)                [Bendat & Piersol]
 
     voltage_V, displacement_m  (samples,)
-    segment_samples  of each Hann window; windows overlap by half. Longer ones resolve sharper
-                     resonances, more of them measure the coherence better
+    segment_samples  of each Hann window; windows overlap by half. Longer windows resolve sharper
+                     resonances, more windows give a better coherence
 
-    A window must be long against the ring: damping comes out too large where 1/segment is not
-    far below the width of a resonance. Distortion and noise cannot be told apart here. Lines are
-    rejected below ``MIN_COHERENCE``, or where the drive has no power.
+    A window must be long compared with the ringing: the damping is overestimated if 1/segment is
+    not far below the width of a resonance. Distortion and noise cannot be distinguished. Lines are
+    rejected below ``MIN_COHERENCE``, or if the drive has no power.
     """
     count = (len(voltage_V) - segment_samples) // (segment_samples // 2) + 1
     if count < MIN_WINDOWS:
         raise ExcitationError(
             f"{len(voltage_V)} samples hold {max(count, 0)} windows of {segment_samples}",
-            needed=f"at least {MIN_WINDOWS} windows, or the coherence says nothing",
+            needed=f"at least {MIN_WINDOWS} windows, to estimate the coherence",
             remedy="Choose shorter segments or record longer.",
         )
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(segment_samples) / segment_samples)
 
-    def windowed(signal: Array) -> ComplexArray:
-        """Return the spectra of Hann windows that overlap by half, (lines, windows)."""
+    def windowed_spectra(signal: Array) -> ComplexArray:
+        """Return the spectra of half-overlapping Hann windows, (lines, windows)."""
         pieces = np.lib.stride_tricks.sliding_window_view(signal, segment_samples)
         pieces = pieces[:: segment_samples // 2]
         level = pieces - pieces.mean(axis=1, keepdims=True)
         return np.asarray(np.fft.rfft(level * window, axis=1).T)
 
-    U, Y = windowed(voltage_V), windowed(displacement_m)
+    U, Y = windowed_spectra(voltage_V), windowed_spectra(displacement_m)
     drive, output = (np.abs(U) ** 2).sum(axis=1), (np.abs(Y) ** 2).sum(axis=1)
     cross = (Y * U.conj()).sum(axis=1)
     is_driven = drive > MIN_POWER * drive.max()
     inverse = np.where(is_driven, 1.0 / np.where(is_driven, drive, 1.0), 0.0)
     explained = np.abs(cross) ** 2 * inverse
     coherence = np.where(is_driven, explained / np.maximum(output, TINY), 0.0)
-    # How many windows really drove each line: a chirp passes through few of them. Power is first
-    # smoothed over lines, so that the luck of random drives does not count.
+    # Number of windows that drive each line: a chirp passes through few of them. The power is
+    # first smoothed over lines, to average the fluctuations of random drives.
     power = smoothed(np.abs(U) ** 2, min(LEVEL_LINES, (len(U) - 1) // 2 * 2 + 1))
     squared = np.maximum((power**2).sum(axis=1), TINY)
     freedom = np.maximum(power.sum(axis=1) ** 2 / squared / OVERLAP_LOSS - 1.0, 0.5)

@@ -1,10 +1,10 @@
 """Even and odd distortion and noise, measured at lines without drive.
 
-    u of odd lines only:   u^2 answers at even lines, u^3 at odd ones      [Pintelon & Schoukens]
+    u of odd lines only:   u^2 responds at even lines, u^3 at odd lines    [Pintelon & Schoukens]
 
-Lines left out of an odd multisine are silent in the drive. What repeats there from period to
-period is the nonlinearity's; what does not is noise. Asymmetry answers at even lines; hysteresis
-that is symmetric, and saturation, at odd ones.
+Lines left out of an odd multisine are silent in the drive. The part of the displacement at these
+lines that repeats in every period is distortion, the rest noise. Asymmetry responds at even lines,
+symmetric hysteresis and saturation at odd lines.
 """
 
 from collections.abc import Sequence
@@ -24,8 +24,8 @@ from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.repetition import FEWEST, SETTLING, STILL, Repetition, find_repetition
 from piezoid.records.recording import Quantity, Recording
 
-FEWEST_DRIVEN = 8  # lines: fewer are a triangle's or a sine's
-FEWEST_SILENT = 3  # odd lines needed for an odd level
+MIN_DRIVEN = 8  # lines: a triangle or a sine has fewer
+MIN_SILENT = 3  # odd lines, for an odd level
 ONE_SIDED_95 = 1.6448536269514722
 
 
@@ -37,12 +37,12 @@ class DetectionLines:
     driven_m      (driven, outputs)
     frequency_Hz  (silent,)
     is_even       (silent,)
-    amplitude_m   (silent, outputs)  without what leaked through the drive
+    amplitude_m   (silent, outputs)  without the response to drive at these lines
     noise_m       (silent, outputs)  one standard deviation of that amplitude
     drive_rms_V   (inputs,)
-    realisations  how many there were
-    periods       how many of each
-    recordings    their names, one realisation each; empty where the data came as arrays
+    realisations  number of realisations
+    periods       number of periods of each
+    recordings    names, one realisation each; empty for data from arrays
     """
 
     driven_Hz: Array
@@ -75,10 +75,10 @@ class DetectionLines:
         return np.asarray(np.sqrt(np.maximum(excess.mean(axis=0), 0.0)))
 
     def limit_m(self, *, even: bool) -> Array:
-        """Return the level that noise alone stays below in 95 of 100 cases, (outputs,), m.
+        """Return the 95 % quantile of the level of noise alone, (outputs,), m.
 
-        A squared amplitude of noise scatters by its own mean, and so does its estimate from
-        periods - 1 differences.
+        The standard deviation of a squared noise amplitude equals its mean, and so does that of
+        its estimate from periods - 1 differences.
         """
         lines = self._lines(even=even)
         draws = max(int(lines.sum()) * self.realisations, 1)
@@ -98,31 +98,31 @@ class DetectionLines:
 
 
 def distortion_of(recordings: Sequence[Recording], axis: str) -> tuple[DetectionLines, ...]:
-    """Read the detection lines of every odd multisine among the recordings.
+    """Return the detection lines of every odd multisine among the recordings.
 
-    recordings  any; those that are no such multisine are passed over
+    recordings  any; recordings of other drives are skipped
     """
     detected = []
     for names, data in periodic_recordings(recordings, axis):
         excited = data.excited_lines()
-        if len(excited) < FEWEST_DRIVEN or (excited % 2 == 0).any():
+        if len(excited) < MIN_DRIVEN or (excited % 2 == 0).any():
             continue
         silent_odd = (excited[-1] - excited[0]) // 2 + 1 - len(excited)
-        if silent_odd >= FEWEST_SILENT:
+        if silent_odd >= MIN_SILENT:
             detected.append(replace(detect_distortion(data), recordings=names))
     return tuple(detected)
 
 
 def detect_distortion(data: PeriodicData) -> DetectionLines:
-    """Read the lines between the excited ones, inside the excited band.
+    """Return the amplitudes at the lines between the excited lines, inside the excited band.
 
     data  an odd multisine with lines left out; at least two periods
 
-    The response there is interpolated from the excited lines to remove what the drive leaked.
+    The response to leakage of the drive is interpolated from the excited lines and removed.
     """
     excited = data.excited_lines()
-    inside = np.arange(excited[0], excited[-1] + 1)
-    silent = np.setdiff1d(inside, excited)
+    band = np.arange(excited[0], excited[-1] + 1)
+    silent = np.setdiff1d(band, excited)
     realisations, periods = data.voltage_V.shape[2:]
     if not len(silent) or periods < 2:
         raise ExcitationError(
@@ -136,10 +136,10 @@ def detect_distortion(data: PeriodicData) -> DetectionLines:
     drive, displacement = data.spectra(silent)
     residual = displacement - np.einsum("koi,kirp->korp", G, drive)
     spread = residual.var(axis=3, ddof=1).mean(axis=2) / periods
-    _, answered = data.spectra(excited)
+    _, driven_spectra = data.spectra(excited)
     return DetectionLines(
         driven_Hz=response.frequency_Hz,
-        driven_m=_rms_over_realisations(answered),
+        driven_m=_rms_over_realisations(driven_spectra),
         frequency_Hz=frequency_Hz,
         is_even=silent % 2 == 0,
         amplitude_m=_rms_over_realisations(residual),
@@ -157,10 +157,10 @@ def _rms_over_realisations(amplitude: NDArray[np.complex128]) -> Array:
 def periodic_recordings(
     recordings: Sequence[Recording], axis: str
 ) -> tuple[tuple[tuple[str, ...], PeriodicData], ...]:
-    """Return the recordings in which one axis alone is driven periodically, same lines together.
+    """Return the recordings in which one axis alone is driven periodically, grouped by lines.
 
-    recordings  any; those with breaks or with fewer than three periods are passed over
-    returned    for each group the names, one realisation each, and its steady periods, straight
+    recordings  any; recordings with breaks or with fewer than three periods are skipped
+    returned    for each group the names, one realisation each, and its steady periods, linear
                 drift removed
     """
     groups: dict[tuple[float, int, bytes], list[tuple[Recording, Repetition]]] = {}
@@ -187,16 +187,16 @@ def periodic_recordings(
 
 
 def _cut(group: Sequence[tuple[Recording, Repetition]], axis: str) -> PeriodicData:
-    """Return the last periods of every recording, as many as all have.
+    """Return the last periods of every recording, the same number from each.
 
-    What repeats has the same mean in every period, so straight drift is removed by these means;
-    a straight line fitted to the samples themselves would take part of the motion away.
+    Periodic motion has the same mean in every period, so linear drift is fitted to these means; a
+    line fitted to the samples would remove part of the motion.
     """
     periods = min(repetition.periods for _, repetition in group) - SETTLING
     data = cut_periods(group, (axis,), periods)
     measured_m, samples = data.displacement_m, len(data.displacement_m)
-    number = np.arange(periods) - 0.5 * (periods - 1)
+    period = np.arange(periods) - 0.5 * (periods - 1)
     time = np.arange(samples * periods).reshape(periods, samples).T / samples
-    drift_m = measured_m.mean(axis=0) @ number / (number @ number)
+    drift_m = measured_m.mean(axis=0) @ period / (period @ period)
     line_m = np.multiply.outer(drift_m, time - time.mean())
     return replace(data, displacement_m=measured_m - np.moveaxis(line_m, 2, 0))

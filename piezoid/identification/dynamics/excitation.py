@@ -1,4 +1,4 @@
-"""Select recordings that excite the dynamics of an axis: broad and fast drives."""
+"""Select recordings that excite the dynamics of an axis: broad-band drives to high frequency."""
 
 from collections.abc import Sequence
 
@@ -7,14 +7,14 @@ import numpy as np
 from piezoid.numerics.arrays import Array, runs_of
 from piezoid.records.recording import Quantity, Recording
 
-HIGHEST_Hz = 50.0  # a drive that ends below shows hysteresis and creep, not dynamics
+HIGHEST_Hz = 50.0  # a drive below shows hysteresis and creep, not dynamics
 BANDS_PER_DECADE = 6
 BROAD_dB = -40.0  # of the strongest band: weaker ones are leakage and harmonics of slow drives
 BROAD_DECADES = 1.25  # between harmonics of a triangle there are empty bands; chirps have 1.3
-# Of 58 stages of birch and alder (seeds 1-13, 101-111, 161-180) nine hold a sweep that is not
-# broad by that measure: four behind slow loops, 45 dB under their density (2.4 decades or more,
-# 0.45 % of the power or more), five through the resonance alone (0.67 decades or more, 99 % of
-# the power). Of drives that are no sweep stairs come nearest: at most 1.04 decades and 2.7 %.
+# Of 58 stages of birch and alder (seeds 1-13, 101-111, 161-180) nine have a sweep that is not
+# broad by that measure: four follow slow loops, 45 dB below their density (2.4 decades or more,
+# 0.45 % of the power or more), five pass only the resonance (0.67 decades or more, 99 % of the
+# power). Among other drives stairs are most similar: at most 1.04 decades and 2.7 %.
 LEVEL_dB = -15.0  # within a band that is level
 LEVEL_DECADES = 0.45  # three bands: one sine may lie in two
 NARROW_SHARE = 0.5  # of the power: of a level band narrower than BROAD_DECADES
@@ -24,17 +24,23 @@ BROAD_SHARE = 1e-3  # white noise of a monitored drive would be 3 % of its rms
 def excites_dynamics(
     recordings: Sequence[Recording], axis: str
 ) -> tuple[tuple[Recording, float], ...]:
-    """Return the recordings whose drive is broad and fast, with the highest frequency in it.
+    """Return the recordings with a broad and fast drive, and the highest frequency of each.
 
-    Broad means: neighbouring sixths of a decade, together at least one and a quarter decades, hold
-    power densities within 40 dB of the strongest; or they, as a sweep through the resonance or one
-    behind slow loops do, hold a level band: 0.45 decades with half the power, or one and a quarter
-    with a thousandth of it. Fast means that they reach 50 Hz.
+    A broad drive has power densities within 40 dB of the strongest in neighbouring sixths of a
+    decade, over at least one and a quarter decades; or a level band, like a sweep through the
+    resonance or behind slow loops: 0.45 decades with half the power, or one and a quarter decades
+    with a thousandth of it. A fast drive reaches 50 Hz.
     """
     quantities = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
     recorded = [r for r in recordings if all(r.find(q, axis) is not None for q in quantities)]
     highest = [(r, _highest_Hz(r.voltage_V(axis), r.sampling_rate_Hz)) for r in recorded]
     return tuple((recording, high_Hz) for recording, high_Hz in highest if high_Hz >= HIGHEST_Hz)
+
+
+def most_exciting(recordings: Sequence[Recording], axis: str) -> Recording | None:
+    """Return the recording with the highest excited frequency; None if none excites dynamics."""
+    exciting = excites_dynamics(recordings, axis)
+    return max(exciting, key=lambda pair: pair[1])[0] if exciting else None
 
 
 def _highest_Hz(voltage_V: Array, sampling_rate_Hz: float) -> float:

@@ -1,7 +1,7 @@
-"""fit_dynamics: a frequency response -> modes, lags and delay by maximum likelihood.
+"""Fit modes, lags and delay to a frequency response by maximum likelihood.
 
-1. Vector fitting after several trial delays gives a start.
-2. The weighted output error is minimised over the shape, the gains eliminated.
+1. Vector fitting with several trial delays gives a start.
+2. The weighted output error is minimised over the shape, with the gains eliminated.
 """
 
 from dataclasses import replace
@@ -28,7 +28,7 @@ from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, eliminat
 RULE = Rule(tolerance=0.0, enough=1e-2, evaluations=40)
 STEP = 1e-5  # of the central differences: truncation 1e-10, rounding 1e-11
 MAX_LOG_STEP = 0.3
-OUT_OF_BAND = 4.0  # largest damping, and how far beyond the band a pole may lie
+OUT_OF_BAND = 4.0  # largest damping, and largest ratio of a pole to the edge of the band
 MIN_DAMPING = 1e-5
 START_LINES = 500  # on which trial delays are compared
 START_ROUNDS, FINAL_ROUNDS = 6, 12
@@ -42,12 +42,11 @@ def fit_dynamics(
 
         minimise sum |G_hat - G(theta)|^2 / variance                [Pintelon & Schoukens 2012]
 
-    measured     of one axis, with variances; rejected lines do not count
-    structure    how many modes, lags, ...
-    declaration  hold and known filters
+    measured     response of one axis with its variances; rejected lines are not fitted
+    structure    numbers of modes and lags, direct term
+    declaration  hold and declared filters
 
-    The stated covariance takes the variances of ``measured`` as they are, and widens where the
-    residual is larger.
+    The covariance follows from the variances of ``measured``, widened if the residual is larger.
 
     Raises ``IdentificationError`` for too few lines or a singular structure.
     """
@@ -74,7 +73,7 @@ def fit_dynamics(
 def fit_with_slow_part(
     measured: FrequencyResponse, dynamics: LinearDynamics, slow: SlowPart
 ) -> tuple[LinearDynamics, SlowPart]:
-    """Fit modes and slow part together from a separate fit of each.
+    """Fit modes and slow part together, starting from separate fits.
 
         G = F e^(-j 2 pi f delay) (f / from)^power e^(j phase) [ modes + lags + D ]
 
@@ -109,27 +108,27 @@ def fit_with_slow_part(
 
 
 def resolved_modes(dynamics: LinearDynamics) -> NDArray[np.bool_]:
-    """Return which modes the data determine, (modes,).
+    """Return whether the data determine each mode, (modes,).
 
-    The others are overdamped, or known to no better than a factor: they stand for what lies
-    outside the band, and their numbers mean nothing by themselves.
+    Other modes are overdamped or have wide intervals: they represent dynamics outside the band,
+    and their parameters have no meaning of their own.
     """
     frequency = dynamics.mode_frequency_interval_Hz()
     damping = dynamics.mode_damping_interval()
-    is_known = (frequency[:, 1] < 1.1 * frequency[:, 0]) & (damping[:, 1] < 3 * damping[:, 0])
-    return np.asarray(is_known & (dynamics.mode_damping < 1.0), dtype=np.bool_)
+    is_narrow = (frequency[:, 1] < 1.1 * frequency[:, 0]) & (damping[:, 1] < 3 * damping[:, 0])
+    return np.asarray(is_narrow & (dynamics.mode_damping < 1.0), dtype=np.bool_)
 
 
 def is_identifiable(dynamics: LinearDynamics) -> bool:
-    """Whether the data determine all modes, and all poles lie within twice the band."""
-    poles_known = bool((dynamics.lag_frequency_Hz < 2.0 * dynamics.band_Hz[1]).all())
-    return poles_known and bool(resolved_modes(dynamics).all())
+    """Return whether all modes are resolved and all lags lie within twice the band."""
+    is_within = bool((dynamics.lag_frequency_Hz < 2.0 * dynamics.band_Hz[1]).all())
+    return is_within and bool(resolved_modes(dynamics).all())
 
 
 def _start_shape(
     measured: FrequencyResponse, structure: Structure, declaration: Declaration
 ) -> Array:
-    """Vector fitting for several trial delays on some lines; the best one again on all lines."""
+    """Return the best of several trial delays by vector fitting on some lines, refined on all."""
     size, rate_Hz = len(measured.frequency_Hz), measured.sampling_rate_Hz
     scale = 2 * np.pi * measured.frequency_Hz[-1]
     s = 2j * np.pi * measured.frequency_Hz / scale
@@ -137,13 +136,13 @@ def _start_shape(
     declared = declaration.response(measured.frequency_Hz, rate_Hz)
     longest_s = declaration.longest_delay_s
     longest_s = 4.0 / rate_Hz if longest_s is None else longest_s
-    first = start_poles(s[0].imag, 1.0, structure.modes, structure.lags)
-    some = slice(None, None, -(-size // START_LINES))
+    initial_poles = start_poles(s[0].imag, 1.0, structure.modes, structure.lags)
+    thinned = slice(None, None, -(-size // START_LINES))
     trials = []
     for delay_s in np.linspace(0.0, longest_s, min(round(longest_s * rate_Hz), 20) + 1):
         chain = (declared * np.exp(-s * scale * delay_s))[:, None]
-        data = s[some], (flat / chain)[some], (w * np.abs(chain))[some]
-        poles = vector_fit(*data, first, rounds=START_ROUNDS)
+        data = s[thinned], (flat / chain)[thinned], (w * np.abs(chain))[thinned]
+        poles = vector_fit(*data, initial_poles, rounds=START_ROUNDS)
         trials.append((weighted_misfit(*data, poles), delay_s, poles))
     _, delay_s, poles = min(trials, key=lambda trial: trial[0])
     chain = (declared * np.exp(-s * scale * delay_s))[:, None]
@@ -152,7 +151,7 @@ def _start_shape(
 
 
 def _shape_of_poles(poles_Hz: ComplexArray, structure: Structure) -> Array:
-    """Sort poles into the structure: pairs are modes, real ones lags; the rest pairs up."""
+    """Return logarithms of modes and lags: pairs are modes, real poles lags or paired to modes."""
     pairs = list(poles_Hz[poles_Hz.imag > 0])
     real = sorted(np.abs(poles_Hz[poles_Hz.imag == 0].real))
     lags = [real.pop(0) for _ in range(min(structure.lags, len(real)))]
@@ -171,7 +170,7 @@ def _shape_of_poles(poles_Hz: ComplexArray, structure: Structure) -> Array:
 
 
 class _Point:
-    """A shape with its best gains and their residual."""
+    """A shape with its optimal gains and their residual."""
 
     def __init__(self, measured: FrequencyResponse, basis: ModalBasis, shape: Array) -> None:
         response, weight = measured.response[:, 0, 0], measured.weights()[:, 0, 0]
@@ -192,7 +191,7 @@ class _Point:
     def projected(self) -> tuple[Array, Array, Array]:
         """Return curvature, scores of each line, (lines, shapes), and d gains / d shape.
 
-        The scores' sum is the negative slope of half the cost, the gains eliminated.
+        The sum of the scores is the negative slope of half the cost, with the gains eliminated.
         """
         derivatives = self.basis.derivatives(self.shape, STEP)
         weighted = stacked((derivatives @ self.path.coefficients).T * self.weight[:, None])
@@ -201,7 +200,7 @@ class _Point:
         return tangent.T @ tangent, scores.sum(axis=0), gain_slope
 
     def linearised(self) -> NormalEquations:
-        """Return the normal equations of the shape, the gains eliminated."""
+        """Return the normal equations of the shape, with the gains eliminated."""
         curvature, scores, _ = self.projected()
         return NormalEquations(gram=curvature, slope=-scores.sum(axis=0), cost=self.cost)
 
@@ -209,8 +208,8 @@ class _Point:
 def _maximise_likelihood(measured: FrequencyResponse, basis: ModalBasis, shape: Array) -> _Point:
     """Minimise sum |weight (response - columns(shape) gains)|^2 over shape and gains.
 
-    Bounds: beyond, a term is a constant to this data, or a single line. Delays are causal, and at
-    most as long as the slowest measured period.
+    A term beyond the bounds looks constant to the data, or like a single line. Delays are causal
+    and at most as long as the slowest measured period.
     """
     n, lags = basis.structure.modes, basis.structure.lags
     lowest, highest = basis.frequency_Hz[[0, -1]]
@@ -232,8 +231,8 @@ def _maximise_likelihood(measured: FrequencyResponse, basis: ModalBasis, shape: 
 def _covariances(fit: _Point) -> tuple[Array, float]:
     """Return the covariance of the shape, and the standard deviation of the gain at rest.
 
-    The wider of the curvature and of the sandwich over lines, for each parameter. A complex value
-    of variance one has parts of variance one half, hence the halves.
+    For each parameter the larger of inverse curvature and sandwich over lines. The factors 0.5
+    follow from complex values of variance one, whose parts have variance one half.
     """
     curvature, scores, gain_slope = fit.projected()
     lines = int((fit.weight > 0).sum())
@@ -258,7 +257,7 @@ def _linear_dynamics(measured: FrequencyResponse, fit: _Point) -> tuple[LinearDy
     basis, structure, gains = fit.basis, fit.basis.structure, fit.path.coefficients
     covariance, static_std = _covariances(fit)
     n = structure.shapes
-    # Values less half the real unknowns, times the mean of one over an estimated variance.
+    # Complex values minus half the real unknowns, times the mean of 1 / (estimated variance).
     freedom = measured.variance_freedom
     inflation = freedom / (freedom - 1.0) if freedom > 2.0 else 2.0
     spare = int((measured.weights() > 0).sum()) - (structure.columns + basis.shapes) / 2
@@ -284,7 +283,7 @@ def sorted_terms(
     """Return shape and gains as fields of ``LinearDynamics``, modes and lags by frequency.
 
     shape, covariance  in the order of ``ModalBasis``, without a slow part
-    gains              of modes, then lags, m/V; more are ignored
+    gains              of modes, then lags, m/V; further gains are ignored
     """
     n, lags = structure.modes, structure.lags
     order = np.argsort(shape[:n])

@@ -1,4 +1,4 @@
-"""Frequency response: measured lines with variances, and its estimate from periodic data."""
+"""Frequency response with variances, and its estimate from periodic data."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,25 +20,18 @@ from piezoid.numerics.arrays import (
 from piezoid.numerics.repetition import Repetition
 from piezoid.records.recording import Recording
 
-_BY_LINE = (
-    "frequency_Hz",
-    "response",
-    "noise_variance",
-    "distortion_variance",
-    "coherence",
-    "is_interference",
-    "is_rejected",
-)
-EXCITED_FRACTION = 0.02  # designed lines differ by less; what leaks onto the others lies below
-WANTED_FREEDOM = 30  # smoothed over so many; the weights of a fit must not be random themselves
+_BY_PATH = ("response", "noise_variance", "distortion_variance")
+_BY_OUTPUT = ("coherence", "is_interference", "is_rejected")
+EXCITED_FRACTION = 0.02  # of the strongest line: designed lines lie above, leakage below
+TARGET_FREEDOM = 30  # degrees of freedom behind a smoothed variance: weights with little noise
 LEAST_COHERENCE = 0.5
-LEVEL_LINES = 41  # the local level of a line's variance is the median of so many
-FALSE_ALARMS = 0.01  # expected per response where nothing interferes
+LEVEL_LINES = 41  # whose median is the local level of a variance
+FALSE_ALARMS = 0.01  # expected per response without interference
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrequencyResponse:
-    """A non-parametric response of several inputs and outputs, with its variances.
+    """Non-parametric frequency response of several inputs and outputs, with its variances.
 
     inputs, outputs      names of the axes
     sampling_rate_Hz     of the data
@@ -47,18 +40,19 @@ class FrequencyResponse:
     noise_variance       (lines, outputs, inputs)  m2/V2, of the estimate, from what changes
                          between periods
     distortion_variance  (lines, outputs, inputs)  m2/V2, of the estimate, from what changes
-                         between realisations beyond noise; zero where it could not be told apart
-    coherence            (lines, outputs)  share of the output's power a linear system explains
-    is_interference      (lines, outputs)  single lines whose residual stands out: mains, drift
-    is_rejected          (lines, outputs)  those, and where coherence is below
-                         ``least_coherence``: kept to be shown, left out of fits
-    least_coherence      the limit used
-    variance_freedom     complex degrees of freedom behind each variance after smoothing
-    drive_rms_V          (inputs,)  the level at which all this holds
-    realisations         how many there were
-    periods              how many of each
+                         between realisations beyond noise; zero if it is not separable
+    coherence            (lines, outputs)  share of the power of an output that a linear system
+                         explains
+    is_interference      (lines, outputs)  single lines with an outlying residual: mains, drift
+    is_rejected          (lines, outputs)  interference, or coherence below ``least_coherence``:
+                         shown in plots, left out of fits
+    least_coherence      limit of the coherence
+    variance_freedom     complex degrees of freedom of each variance after smoothing
+    drive_rms_V          (inputs,)  level of the drive
+    realisations         number of realisations
+    periods              number of periods of each
 
-    At one level this is the best linear approximation, not the small-signal response.
+    This is the best linear approximation at one level, not the small-signal response.
     """
 
     inputs: tuple[str, ...]
@@ -88,10 +82,8 @@ class FrequencyResponse:
             object.__setattr__(self, name, flags)
         strictly_increasing(self.frequency_Hz, "frequency_Hz")
         shape = (len(self.frequency_Hz), len(self.outputs), len(self.inputs))
-        by_path = ("response", "noise_variance", "distortion_variance")
-        by_output = ("coherence", "is_interference", "is_rejected")
-        expect_shapes(self, dict.fromkeys(by_path, shape))
-        expect_shapes(self, dict.fromkeys(by_output, shape[:2]))
+        expect_shapes(self, dict.fromkeys(_BY_PATH, shape))
+        expect_shapes(self, dict.fromkeys(_BY_OUTPUT, shape[:2]))
 
     @property
     def variance(self) -> Array:
@@ -99,27 +91,28 @@ class FrequencyResponse:
         return np.asarray(self.noise_variance + self.distortion_variance)
 
     def weights(self) -> Array:
-        """Return one over the standard deviation, V/m; zero where a line is rejected."""
+        """Return one over the standard deviation, V/m; zero at rejected lines."""
         spread = np.sqrt(self.variance)
         floor = 1e-9 * np.abs(self.response).max()  # a noiseless simulation must not divide by 0
         return np.asarray(np.where(self.is_rejected[:, :, None], 0.0, 1.0 / (spread + floor)))
 
     def at_lines(self, lines: NDArray[np.int_]) -> "FrequencyResponse":
-        """Return some of the lines, by their numbers in increasing order."""
-        cut = {name: getattr(self, name)[lines] for name in _BY_LINE}
-        return FrequencyResponse(**{**vars(self), **cut})
+        """Return the response at some of its lines, given by their increasing indices."""
+        by_line = ("frequency_Hz", *_BY_PATH, *_BY_OUTPUT)
+        return replace(self, **{name: getattr(self, name)[lines] for name in by_line})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PeriodicData:
-    """The steady answer to periodic drives, cut at its periods.
+    """Steady-state response to periodic drives, cut into periods.
 
     sampling_rate_Hz  > 0
     inputs, outputs   names of the driven and of the measured axes
     voltage_V         (samples, inputs, realisations, periods)
     displacement_m    (samples, outputs, realisations, periods)
 
-    Realisations differ in their random phases; periods of one realisation only in the noise.
+    Realisations differ in their random phases; periods of one realisation differ only in the
+    noise.
     """
 
     sampling_rate_Hz: float
@@ -139,7 +132,7 @@ class PeriodicData:
             raise ValueError(f"voltage_V and displacement_m have shapes {shapes}, not {expected}")
 
     def select(self, realisations: Sequence[int]) -> "PeriodicData":
-        """Return the data of these realisations alone, for fitting or for holding out.
+        """Return the data of some realisations, for fitting or as held-out data.
 
         >>> levels[0].select([0, 1]).voltage_V.shape[2]
         2
@@ -165,7 +158,7 @@ class PeriodicData:
         return drive, scale * np.fft.rfft(self.displacement_m, axis=0)[lines]
 
     def excited_lines(self) -> NDArray[np.int64]:
-        """Return the lines the drive occupies, as multiples of one over the period.
+        """Return the lines that the drive excites, as multiples of one over the period.
 
         >>> bool(np.all(np.diff(levels[0].excited_lines()) > 0))
         True
@@ -189,7 +182,7 @@ class PeriodicData:
 def cut_periods(
     group: Sequence[tuple[Recording, Repetition]], axes: Sequence[str], periods: int
 ) -> PeriodicData:
-    """Return the last periods of drives that repeat, one realisation for each recording."""
+    """Return the last periods of periodic recordings, one realisation for each recording."""
     drives_V: list[Array] = []
     displacements_m: list[Array] = []
     for recording, repetition in group:
@@ -213,16 +206,15 @@ def estimate_response(data: PeriodicData) -> FrequencyResponse:
 
         G = Y U^H (U U^H)^-1,   E = Y - G U              [Pintelon & Schoukens 2012]
 
-    Y, U are means over periods, one column per realisation. What E does between the periods of
-    a realisation is noise; what is left of it between realisations is nonlinear distortion.
+    Y, U are means over periods, one column per realisation. The variance of E between the periods
+    of a realisation is noise; further variance between realisations is nonlinear distortion.
 
-    data             realisations >= inputs; more of either realisations or periods for variances
-    LEAST_COHERENCE  below, an output's line is rejected; so are single lines whose residual
-                     stands out of their neighbourhood, where something else interferes
+    data  at least as many realisations as inputs, and one realisation or one period more
 
-    Orthogonal multisines keep U U^H well conditioned. With as many realisations as inputs
-    distortion cannot be seen; with one period, noise cannot be told from it and all variance is
-    called distortion.
+    Lines with a coherence below ``LEAST_COHERENCE`` are rejected, and so are single lines with an
+    outlying residual, which show interference. Orthogonal multisines keep U U^H well conditioned.
+    With as many realisations as inputs distortion is not measured; with one period, all variance
+    counts as distortion.
     """
     lines = data.excited_lines()
     drive, response = data.spectra(lines)
@@ -264,12 +256,12 @@ def estimate_response(data: PeriodicData) -> FrequencyResponse:
 def _output_variances(
     drive: ComplexArray, response: ComplexArray, G: ComplexArray
 ) -> tuple[Array, Array, float, NDArray[np.bool_]]:
-    """Variances of an output's mean over periods: in all, and from noise alone, (lines, outputs).
+    """Return total and noise variance of the means over periods, (lines, outputs) each.
 
-    Noise is smoothed over neighbouring lines as it is, distortion as a share of the output's
-    power: born before the dynamics, it peaks where they do, more sharply than the smoothing.
-    Then the number of complex degrees of freedom behind the first, and where single lines stand
-    out of their neighbourhood; those do not raise the variance of the lines around them.
+    Noise is smoothed over neighbouring lines directly, distortion as a share of the power of the
+    output: it arises before the dynamics and has their peaks, which are sharper than the
+    smoothing. Also returned are the complex degrees of freedom of the total variance, and which
+    lines are interference, (lines, outputs); these are excluded from the smoothing.
     """
     inputs, realisations, periods = drive.shape[1:]
     residual = response - np.einsum("koi,kirp->korp", G, drive)
@@ -280,14 +272,14 @@ def _output_variances(
     freedom = realisations - inputs
     draws = freedom or noise_freedom
     odd_lines = (len(residual) - 1) // 2 * 2 + 1
-    width = max(1, min(int(np.ceil(WANTED_FREEDOM / draws)) // 2 * 2 + 1, odd_lines))
+    width = max(1, min(int(np.ceil(TARGET_FREEDOM / draws)) // 2 * 2 + 1, odd_lines))
     total = noise
     if freedom:
         total = (np.abs(residual.mean(axis=3)) ** 2).sum(axis=2) / freedom
     power = (np.abs(np.einsum("koi,kirp->korp", G, drive)) ** 2).mean(axis=(2, 3))
-    # Lines far above their neighbours: mains, its harmonics, drift. They must stand out both as
-    # they are and as a share of the output's power: distortion at a sharp resonance does the
-    # first, noise between resonances the second.
+    # Interference is far above its neighbours: mains, its harmonics, drift. Both the variance and
+    # its share of the output power must exceed the limit: distortion at a sharp resonance exceeds
+    # only the first, noise between resonances only the second.
     limit = gammainccinv(draws, FALSE_ALARMS / total.size) / gammainccinv(draws, 0.5)
     level_lines = min(LEVEL_LINES, odd_lines)
     is_interference = np.ones(total.shape, dtype=np.bool_)
@@ -304,5 +296,5 @@ def _output_variances(
 
 
 def smoothed(variance: Array, width: int) -> Array:
-    """Average over ``width`` neighbouring lines, an odd number, reflecting at the ends."""
+    """Return the mean over an odd number of neighbouring lines, reflected at the ends."""
     return np.asarray(uniform_filter1d(variance, width, axis=0, mode="mirror"))

@@ -1,16 +1,17 @@
-"""Joint fit of hysteresis and dynamics of an axis, started from separate fits.
+"""Joint fit of hysteresis and dynamics of an axis, starting from separate fits.
 
     minimise over all segments   1/samples sum_lines |E(f)|^2 / sigma^2(f)
     y = y_off + G[Psi(sum_i w_i P_i[u])],    G of modes, lags and a delay with unit gain at rest
 
-E is the spectrum of measured minus modelled displacement, each segment about its own straight
-line, and sigma^2 the smoothed power of the residual: correlated noise, and what the operator does
-not follow, weigh as little as they deserve [Whittle 1953]. Hysteresis and lag imitate each other,
-so intervals of dynamics behind a fixed hysteresis are too narrow: of 14 fresh stages of
-``benchmarks/dynamics_coverage.py`` they held no delay and 4 dampings; the joint fit's, 12 and 13.
+E is the spectrum of measured minus modelled displacement, without the straight line of each
+segment. sigma^2 is the smoothed power of the residual, so that correlated noise and errors of the
+operator have small weights [Whittle 1953]. Hysteresis and lag imitate each other, so intervals of
+dynamics behind a fixed hysteresis are too narrow: on 14 fresh stages of
+``benchmarks/dynamics_coverage.py`` they contain the true delay of no stage and the true damping of
+4 stages; the intervals of the joint fit those of 12 and 13.
 
-A segment is uninterrupted, and the static fit determined its initial memory. The drive is that at
-the hysteresis: behind the hold of the controller and the declared pole of the amplifier.
+A segment is uninterrupted, and the static fit has determined its initial memory. The drive of the
+operator is that behind the hold of the controller and the declared pole of the amplifier.
 """
 
 from collections.abc import Sequence
@@ -36,15 +37,15 @@ from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlins
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
 
-SMALL_PLAYS = (0.05, 0.1, 0.2, 0.35)  # of the exciting drive's reach
-DISTINCT = 0.02  # of that reach: plays nearer to each other are one
-MAX_SAMPLES = 60_000  # of one segment: one second of a fast recording is as informative as ten
+SMALL_PLAYS = (0.05, 0.1, 0.2, 0.35)  # of the reach of the exciting drive
+MIN_DISTANCE = 0.02  # of that reach, between thresholds
+MAX_SAMPLES = 60_000  # of a segment: one second of a fast recording is as informative as ten
 RINGING = 10.0  # time constants after which a ring has decayed
-MAX_FREQUENCY = 0.4  # of a recording's rate: above, noise alone
+MAX_FREQUENCY = 0.4  # of the sampling rate: above is only noise
 BANDS_PER_DECADE, BAND_LINES = 10, 12  # over which the residual's power is averaged
 WEIGHT_ROUNDS = 3
-# A few steps between new weights; half of ``enough`` is the gain in log likelihood.
-STEPS = Rule(tolerance=0.0, enough=0.1, iterations=4, tries=6)
+# Few steps between updates of the weights; half of ``enough`` is the gain in log likelihood.
+RULE = Rule(tolerance=0.0, enough=0.1, iterations=4, tries=6)
 MAX_LOG_STEP = 0.3
 NEIGHBOURS = 30  # samples over which whitened noise may still be correlated
 PARTS = 12  # of a segment, each an independent sample of the operator error
@@ -53,7 +54,7 @@ TINY = 1e-300
 
 
 def with_small_plays(threshold_V: Array, voltage_V: Array) -> Array:
-    """Return the operator's thresholds and those of plays as small as a drive, ascending.
+    """Return increasing thresholds: of the operator, and of plays smaller than a drive.
 
     threshold_V  (plays,)    of the operator
     voltage_V    (samples,)  of the recording that excites the modes
@@ -61,19 +62,19 @@ def with_small_plays(threshold_V: Array, voltage_V: Array) -> Array:
     reach_V = 2.0 * float(np.median(np.abs(voltage_V - np.median(voltage_V))))
     small_V = reach_V * np.array(SMALL_PLAYS)
     distance_V = np.abs(small_V[:, None] - threshold_V).min(axis=1)
-    return np.unique(np.concatenate([threshold_V, small_V[distance_V > DISTINCT * reach_V]]))
+    return np.unique(np.concatenate([threshold_V, small_V[distance_V > MIN_DISTANCE * reach_V]]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Segment:
     """One uninterrupted segment of one recording.
 
-    recording     its name
-    states_V      (plays, samples)  of the operator's plays
+    recording     name
+    states_V      (plays, samples)  of the plays
     measured_m    (samples,)  rising with the drive
     basis         modes and lags of unit gain at the lines of the padded spectrum
     sensor        (lines,)  response of the declared sensor
-    padded        samples of the padded signal
+    padded        number of samples of the padded signal
     """
 
     recording: str
@@ -85,11 +86,11 @@ class Segment:
 
     @property
     def samples(self) -> int:
-        """Samples of the segment."""
+        """Number of samples of the segment."""
         return len(self.measured_m)
 
     def spectrum(self, signals: Array) -> ComplexArray:
-        """Return the padded spectra of signals about their first samples, (..., lines)."""
+        """Return the padded spectra of signals minus their first samples, (..., lines)."""
         return np.asarray(rfft(signals - signals[..., :1], self.padded))
 
     def signal(self, spectrum: ComplexArray) -> Array:
@@ -106,9 +107,9 @@ def segments_of(
 ) -> list[Segment]:
     """Return the segments of a recording whose initial memory the static fit determined.
 
-    axis         whose operator and declared poles make the drive of the plays
-    threshold_V  (plays,)  of the plays whose states are returned
-    dynamics     how long motion decays, and the rate of the controller
+    axis         operator and declared poles, which determine the drive of the plays
+    threshold_V  (plays,)  of the plays of the segments
+    dynamics     duration of the ringing, and sampling rate of the controller
     structure    modes and lags of the basis
     """
     rate_Hz, operator = recording.sampling_rate_Hz, axis.hysteresis
@@ -130,7 +131,8 @@ def segments_of(
             dynamics.sampling_rate_Hz,
         )
         inside_V = operator.envelope.run(drive_V - operator.voltage_offset_V)
-        # Between known plays a memory is a curve of slope at most one: its chords are admissible.
+        # The memory is a curve of slope at most one over the threshold: interpolation is
+        # admissible.
         memory_V = np.interp(threshold_V, operator.plays.threshold, start.memory_V)
         states_V, _ = play_columns(inside_V, threshold_V, memory_V)
         padded = next_fast_len(len(drive_V) + min(len(drive_V), ring), real=True)
@@ -160,9 +162,9 @@ def _drive_at_operator(
 ) -> Array:
     """Return the drive behind hold and declared amplifier, (samples,), without its images.
 
-    At the controller's rate the numbers are held for a tick: half a tick late, and the images of
-    the staircase, which the stage does not follow, are left out. Slower recordings hold samples of
-    a drive that is nearly straight between them.
+    At the rate of the controller, each value is held for one sample. The hold delays the drive by
+    half a sample; images of the staircase, which the stage does not follow, are omitted. Slower
+    recordings contain samples of a drive that is nearly linear between them.
     """
     if rate_Hz < 0.99 * controller_Hz:
         return behind_pole(voltage_V, amplifier_Hz, rate_Hz)
@@ -185,18 +187,18 @@ def fit_jointly(
     exciting: Recording,
     recordings: Sequence[Recording],
 ) -> tuple[LinearDynamics, JointFit] | None:
-    """Fit operator and dynamics together to all recordings whose initial memory is known.
+    """Fit operator and dynamics together to all recordings with a fitted initial memory.
 
     Returns the dynamics, whose intervals include the uncertainty of the hysteresis, and the record
-    of the fit; None where the initial memory of ``exciting`` is not known.
+    of the fit; None if the initial memory of ``exciting`` was not fitted.
 
-    axis        whose operator is the start; its thresholds are kept
-    dynamics    the start
-    exciting    the recording that excites the modes; among ``recordings``
+    axis        its operator is the start; thresholds do not change
+    dynamics    start
+    exciting    recording that excites the modes; among ``recordings``
 
-    Plays as small as the exciting drive are added to those of the operator: a loss angle that
-    does not depend on frequency must not pass for delay. Half of the change when they are left
-    out counts as uncertainty of the structure.
+    Plays smaller than the exciting drive are added to the operator, because a loss angle that does
+    not depend on frequency would be fitted as a delay. Half of the change without these plays
+    counts as uncertainty of the structure.
     """
     start_names = {start.recording for start in axis.starts}
     if exciting.name not in start_names:
@@ -250,7 +252,7 @@ def fit_jointly(
 class Layout:
     """Order of the parameters: play weights, dead zones, linear shape, all shares but the last.
 
-    plays        how many
+    plays        number of plays
     threshold_m  (zones,)  of the dead zones; the weight of the one at 0 is 1
     structure    modes and lags
     """
@@ -261,7 +263,7 @@ class Layout:
 
     @property
     def shape(self) -> slice:
-        """Rows of ln f, ln zeta, ln f of lags and the delay, in the order of LinearDynamics."""
+        """Indices of ln f, ln zeta, ln f of lags and the delay, in the order of LinearDynamics."""
         first = self.plays + len(self.threshold_m) - 1
         return slice(first, first + self.structure.shapes)
 
@@ -276,9 +278,9 @@ class Layout:
         dynamics: LinearDynamics,
         rows: NDArray[np.intp],
     ) -> Array:
-        """Return the parameters of a separate fit; new plays have weight 0.
+        """Return the parameters of separate fits; additional plays have weight 0.
 
-        rows  of the operator's plays among all plays
+        rows  indices of the plays of the operator among all plays
         """
         weight = np.zeros(self.plays)
         weight[rows] = operator.plays.weight
@@ -296,7 +298,7 @@ class Layout:
         return np.concatenate(parts)
 
     def split(self, theta: Array) -> tuple[Array, DeadZones, Array, Array]:
-        """Return play weights, dead zones, linear shape and all shares of the gain."""
+        """Return play weights, dead zones, linear shape and the shares of the gain."""
         zero = int(np.flatnonzero(self.threshold_m == 0.0)[0])
         weight = np.insert(theta[self.plays : self.shape.start], zero, 1.0)
         shares = theta[self.shape.stop :]
@@ -308,7 +310,7 @@ class Layout:
         )
 
     def simulate(self, theta: Array, segment: Segment) -> Array:
-        """Return the model's displacement, (samples,), about its first value."""
+        """Return the displacement of the model minus its first value, (samples,)."""
         weight, zones, shape, shares = self.split(theta)
         static_m = zones.run(weight @ segment.states_V)
         response = segment.sensor * (segment.basis.columns(shape) @ shares)
@@ -334,7 +336,7 @@ def _fit(segments: Sequence[Segment], layout: Layout, start: Array) -> tuple[Arr
     """Fit all parameters to all segments; return them and the weights of the lines."""
     logs = slice(layout.shape.start, layout.shape.stop - 1)
     lower, longest = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
-    lower[: layout.plays] = lower[logs.stop] = 0.0  # weights of plays, and the delay
+    lower[: layout.plays] = lower[logs.stop] = 0.0  # play weights and delay
     longest[logs] = MAX_LOG_STEP
     theta, weights = start, _line_weights([np.zeros(1) for _ in segments], segments, layout, start)
     for _ in range(WEIGHT_ROUNDS):
@@ -342,7 +344,7 @@ def _fit(segments: Sequence[Segment], layout: Layout, start: Array) -> tuple[Arr
             partial(_Point, segments, layout, weights),
             theta,
             (lower, np.full(layout.size, np.inf)),
-            rule=STEPS,
+            rule=RULE,
             longest=longest,
         ).x
         weights = _line_weights(weights, segments, layout, theta)
@@ -358,7 +360,7 @@ def _residual_rms(segments: Sequence[Segment], layout: Layout, theta: Array) -> 
 
 
 def _without_line(signals: Array) -> Array:
-    """Return signals, (..., samples), without their straight lines."""
+    """Return signals, (..., samples), minus their fitted straight lines."""
     time = np.linspace(-1.0, 1.0, signals.shape[-1])
     level = signals - signals.mean(axis=-1, keepdims=True)
     return np.asarray(level - np.multiply.outer(level @ time / (time @ time), time))
@@ -367,12 +369,12 @@ def _without_line(signals: Array) -> Array:
 def _line_weights(
     weights: list[Array], segments: Sequence[Segment], layout: Layout, theta: Array
 ) -> list[Array]:
-    """Return one over the standard deviation of each line; a weight never decreases.
+    """Return one over the standard deviation of each line, at least the previous weight.
 
-    A few low lines hold the whole of a slow sweep: free to lose their weight, they would give the
-    operator away for what little a better one gains elsewhere. For the same reason every segment
-    counts as if it had as many lines as the longest: its residual is the operator's error rather
-    than noise, and is not independent in every line.
+    The few lowest lines contain almost all of a slow sweep. If their weight could decrease, a
+    small gain at other lines would spoil the operator. For the same reason every segment counts as
+    if it had as many lines as the longest: its residual is an error of the operator rather than
+    noise, and not independent in every line.
     """
     longest = max(segment.samples for segment in segments)
     updated = []
@@ -391,7 +393,7 @@ def _line_weights(
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Parameters, and the residual of the weighted lines of every segment."""
+    """Parameters and the weighted residual spectra of all segments."""
 
     segments: Sequence[Segment]
     layout: Layout
@@ -421,9 +423,9 @@ class _Point:
 
 
 def _weighted_lines(signals: Array, weight: Array) -> Array:
-    """Real and imaginary parts of the weighted lines of signals, (..., 2 lines).
+    """Return real and imaginary parts of the weighted lines of signals, (..., 2 lines).
 
-    Half the spectrum of a real signal holds all of it: twice its squares are the whole sum.
+    The factor sqrt 2 accounts for the negative frequencies of a real signal.
     """
     spectrum: ComplexArray = rfft(signals) * (np.sqrt(2.0) * weight)
     return np.asarray(spectrum.view(np.float64))
@@ -432,13 +434,13 @@ def _weighted_lines(signals: Array, weight: Array) -> Array:
 def _covariance(
     segments: Sequence[Segment], layout: Layout, theta: Array, weights: list[Array]
 ) -> Array:
-    """Return the largest, parameter by parameter, of inverse curvature and two sandwiches.
+    """Return the largest, for each parameter, of inverse curvature and two sandwiches.
 
-        C^-1 M C^-1,   M the sum of products of scores that count as one draw      [White 1982]
+        C^-1 M C^-1,   M the sum of outer products of sums of dependent scores     [White 1982]
 
     Scores are whitened derivatives times the whitened residual. Sums over neighbouring samples
-    include noise that changes in time [Newey & West 1987]; sums over parts of a segment include
-    the operator's error, which repeats from cycle to cycle and changes as the drive sweeps on.
+    allow for noise that changes in time [Newey & West 1987]; sums over parts of a segment allow
+    for the error of the operator, which repeats from cycle to cycle and changes during a sweep.
     """
     curvature = np.zeros((layout.size, layout.size))
     by_sample, by_part = curvature.copy(), curvature.copy()

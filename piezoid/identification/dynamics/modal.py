@@ -1,4 +1,4 @@
-"""LinearDynamics: modes, lags and delay of an axis, with their uncertainty."""
+"""Parametric linear dynamics of an axis: modes, lags and delay, with their uncertainty."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +22,7 @@ from piezoid.operators.linear import (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinearDynamics:
-    """A parametric model of one axis in continuous time.
+    """Linear dynamics of one axis in continuous time.
 
         G(s) = e^(-s delay) F(s) [ sum_m g_m w_m^2 / (s^2 + 2 zeta_m w_m s + w_m^2)
                                    + sum_l g_l w_l / (s + w_l) + D ],   w = 2 pi f
@@ -30,20 +30,20 @@ class LinearDynamics:
     axis
     mode_frequency_Hz   (modes,)  undamped frequency of each mode, increasing
     mode_damping        (modes,)  zeta; above one a mode is two real poles
-    mode_gain_m_per_V   (modes,)  g: its share of the static gain
+    mode_gain_m_per_V   (modes,)  g: share of the static gain
     lag_frequency_Hz    (lags,)
     lag_gain_m_per_V    (lags,)
-    direct_gain_m_per_V  D: what lies above the measured band
+    direct_gain_m_per_V  D: dynamics above the measured band
     delay_s             >= 0
-    declared            F: known filters of the chain, not fitted
+    declared            F: declared filters of the chain, not fitted
     shape_covariance    (shapes, shapes)  of log frequencies, log dampings, log lags, delay
     static_gain_std_m_per_V  one standard deviation of the gain at rest
-    hold                how the drive of the data was to be understood
+    hold                ``zero_order`` or ``band_limited``: drive between its samples
     sampling_rate_Hz    of the data
-    band_Hz             lowest and highest frequency that was fitted
+    band_Hz             lowest and highest fitted frequency
     drive_rms_V         level of the data
     cost                weighted sum of squared residuals
-    expected_cost       what it would be if the model were true and the variances right
+    expected_cost       expected cost of a true model with correct variances
     """
 
     axis: str
@@ -88,7 +88,7 @@ class LinearDynamics:
 
     @property
     def cost_ratio(self) -> float:
-        """Cost over its expected value: near one, no linear dynamics is missing."""
+        """Cost over its expected value: near one if no dynamics are missing."""
         return self.cost / self.expected_cost
 
     def mode_frequency_interval_Hz(self) -> Array:
@@ -106,15 +106,15 @@ class LinearDynamics:
     def delay_interval_s(self) -> Array:
         """Return the 95 % interval of the delay, (2,), s, for this structure.
 
-        Terms outside the band take what the delay does not.
+        Terms outside the band can replace a part of the delay.
         """
         half = NORMAL_95 * np.sqrt(self.shape_covariance[-1, -1])
         return np.maximum([self.delay_s - half, self.delay_s + half], 0.0)
 
     def _interval(self, values: Array, first: int) -> Array:
-        """Intervals that are symmetric in the logarithm, as the fit is."""
+        """Return 95 % intervals that are symmetric in the logarithm."""
         variance = np.diag(self.shape_covariance)[first : first + len(values)]
-        factor = np.exp(np.minimum(NORMAL_95 * np.sqrt(variance), 300.0))  # that is: not known
+        factor = np.exp(np.minimum(NORMAL_95 * np.sqrt(variance), 300.0))  # avoids overflow
         return np.stack([values / factor, values * factor], axis=1)
 
     def response(self, frequency_Hz: ArrayLike) -> ComplexArray:
@@ -154,9 +154,9 @@ class LinearDynamics:
         return sample(self.realised(), sampling_rate_Hz)
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain lists and numbers that come back exactly.
+        """Return lists and numbers from which ``from_json`` restores the record exactly.
 
-        The file has room for several inputs and outputs, and for modes out of phase.
+        The format allows several inputs and outputs, and modes out of phase.
         """
         entries: dict[str, Any] = dict(vars(self))
         for name in ("mode_frequency_Hz", "mode_damping", "lag_frequency_Hz", "shape_covariance"):
@@ -177,7 +177,7 @@ class LinearDynamics:
 
     @staticmethod
     def from_json(record: dict[str, Any]) -> "LinearDynamics":
-        """Return the record that ``to_json`` wrote."""
+        """Return the record written by ``to_json``."""
         entries = {**record, "axis": record["outputs"][0]}
         for name in ("inputs", "outputs", "mode_rate_gain_m_s_per_V"):
             del entries[name]

@@ -1,4 +1,4 @@
-"""Modal form: its structure, the order of its parameters, and its columns at measured lines."""
+"""Modal form: structure, order of the parameters, and columns at measured lines."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,14 +14,14 @@ Hold = Literal["band_limited", "zero_order"]
 
 @dataclass(frozen=True, kw_only=True)
 class Structure:
-    """How many terms of each kind the model has.
+    """Numbers of terms of the modal form.
 
         G(s) = e^(-s tau) F(s) [ sum_m g_m w_m^2 / (s^2 + 2 zeta_m w_m s + w_m^2)
                                  + sum_l g_l w_l / (s + w_l) + D ]
 
-    modes   resonances, with (f, zeta) of their own; zeta > 1 is allowed
+    modes   resonances (f, zeta); zeta > 1 is allowed
     lags    first-order poles
-    direct  whether D stands for everything above the band
+    direct  whether there is a term D for dynamics above the band
     """
 
     modes: int
@@ -34,22 +34,22 @@ class Structure:
 
     @property
     def columns(self) -> int:
-        """Gains: modes, lags, direct term."""
+        """Number of gains: modes, lags, direct term."""
         return self.modes + self.lags + self.direct
 
     @property
     def shapes(self) -> int:
-        """Parameters that are not gains: frequencies, dampings, lags, delay."""
+        """Number of other parameters: frequencies, dampings, lags, delay."""
         return 2 * self.modes + self.lags + 1
 
 
 @dataclass(frozen=True, kw_only=True)
 class Filter:
-    """A declared part of the signal chain: a Butterworth low-pass of unit gain at rest.
+    """Declared filter of the signal chain: a Butterworth low-pass of unit gain at rest.
 
     name          ``amplifier``, ``sensor``, ...
-    frequency_Hz  > 0, where it has fallen by 3 dB
-    order         1 for a plain pole
+    frequency_Hz  > 0, at which the gain has fallen by 3 dB
+    order         1 for a single pole
     """
 
     name: str
@@ -57,7 +57,7 @@ class Filter:
     order: int = 1
 
     def system(self) -> ContinuousSystem:
-        """Return it as a linear system."""
+        """Return the filter as a linear system."""
         return butterworth(self.order, self.frequency_Hz)
 
 
@@ -65,10 +65,10 @@ class Filter:
 class Declaration:
     """Declared hold and filters of the chain, which are not fitted.
 
-    hold              ``zero_order`` when the drive column holds the numbers sent to the
-                      converter, ``band_limited`` when it was measured through a filter
+    hold              ``zero_order`` if the drive column contains the values sent to the converter,
+                      ``band_limited`` if it was measured through a filter
     filters           amplifier, sensor, anti-alias filter
-    longest_delay_s   delays up to here are tried as starts; None means four samples
+    longest_delay_s   longest delay tried as a start; None: four samples
     """
 
     hold: Hold = "zero_order"
@@ -76,7 +76,7 @@ class Declaration:
     longest_delay_s: float | None = None
 
     def response(self, frequency_Hz: Array, sampling_rate_Hz: float) -> ComplexArray:
-        """Return the declared chain, (lines,); a hold counts as the mean over its sample."""
+        """Return the response of the declared chain, (lines,); a hold averages over its sample."""
         chain = np.ones(len(frequency_Hz), dtype=np.complex128)
         if self.hold == "zero_order":
             turn = frequency_Hz / sampling_rate_Hz
@@ -88,17 +88,15 @@ class Declaration:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModalBasis:
-    """The columns that the gains multiply, at measured lines.
+    """Columns of the modal form at measured lines, which the gains multiply.
 
-    structure         of the model
-    frequency_Hz      (lines,)
-    sampling_rate_Hz  of converter and sensor
-    declaration       hold and known filters between drive and sensor
-    creep_from_Hz     where a slow part (f / from)^power e^(j phase) of all columns has gain one;
-                      None: there is none
+    structure         of the model frequency_Hz      (lines,) sampling_rate_Hz  of converter and
+    sensor declaration       hold and declared filters between drive and sensor creep_from_Hz
+    frequency at which the slow part (f / from)^power e^(j phase), a factor of all
+                      columns, has gain one; None: no slow part
 
-    A shape is log frequencies of modes, log dampings, log frequencies of lags, delay; behind them
-    power and phase of the slow part.
+    A shape is log frequencies of modes, log dampings, log frequencies of lags, delay; then power
+    and phase of the slow part.
     """
 
     structure: Structure
@@ -109,7 +107,7 @@ class ModalBasis:
 
     @property
     def shapes(self) -> int:
-        """Number of shape parameters, those of the slow part included."""
+        """Number of shape parameters, including the slow part."""
         return self.structure.shapes + (0 if self.creep_from_Hz is None else 2)
 
     def columns(self, shape: Array) -> ComplexArray:
@@ -129,15 +127,15 @@ class ModalBasis:
             (n, len(self.frequency_Hz), self.structure.columns), dtype=np.complex128
         )
         for column, parameters in enumerate(self._terms()):
-            touched = [*parameters, delay]
-            steps = np.zeros((len(touched), n))
-            steps[range(len(touched)), touched] = step
+            indices = [*parameters, delay]
+            steps = np.zeros((len(indices), n))
+            steps[range(len(indices)), indices] = step
             steps[-1, delay] /= self.sampling_rate_Hz
             shapes = np.concatenate([shape + steps, shape - steps])
-            shapes[:, delay] = np.maximum(shapes[:, delay], 0.0)  # at delay zero it is one-sided
+            shapes[:, delay] = np.maximum(shapes[:, delay], 0.0)  # one-sided at delay zero
             width = (shapes[: len(steps)] - shapes[len(steps) :]).sum(axis=1)
             up, down = np.split(self._term(shapes, parameters), 2)
-            derivatives[touched, :, column] = (up - down) / width[:, None]
+            derivatives[indices, :, column] = (up - down) / width[:, None]
         derivatives *= self._creep(shape)[:, None]
         if self.creep_from_Hz is not None:
             columns = self.columns(shape)
@@ -153,7 +151,7 @@ class ModalBasis:
         return np.asarray(gain * np.exp(1j * phase))
 
     def _terms(self) -> list[list[int]]:
-        """Return the shape parameters of each column but the delay."""
+        """Return the indices of the shape parameters of each column, without the delay."""
         n, lags = self.structure.modes, self.structure.lags
         modes = [[m, n + m] for m in range(n)]
         return [*modes, *([2 * n + k] for k in range(lags)), *([[]] * self.structure.direct)]

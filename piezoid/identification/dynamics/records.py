@@ -1,4 +1,4 @@
-"""Records of the dynamics beside the modes: joint fit, measured response."""
+"""Records of a model beside its modes: slow part, fit of a measured response, joint fit."""
 
 from dataclasses import dataclass
 
@@ -7,24 +7,24 @@ import numpy as np
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.robust import NORMAL_95
 
-# Creep of 1 to 5 % a decade is 0.1 to 0.4 dB, loops of 15 % lag by 9 degrees: far below these.
+# Creep of 1 to 5 % per decade is 0.1 to 0.4 dB, loops of 15 % lag by 9 degrees: far below.
 MAX_SLOPE_dB = 3.0
 MAX_LAG_deg = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class SlowPart:
-    """Quasi-static part of a response: creep and hysteresis, at all frequencies.
+    """Creep and hysteresis in a frequency response, at all frequencies.
 
         G_slow(f) = (f / from_Hz)^(slope / 20 dB) e^(j phase)
 
-    Creep that goes on at low frequency makes the gain fall; it and hysteresis make the phase lag,
-    by the same angle at every frequency. A pole or a filter does neither.
+    Creep makes the gain fall with frequency; creep and hysteresis make the phase lag by the same
+    angle at every frequency. A pole or a filter does neither.
 
     slope_dB, slope_ci95   of the gain, dB per decade
-    phase_deg, phase_ci95  delay and modes taken out
-    low_Hz, high_Hz        lines far below the first mode, which tell it
-    from_Hz                the first mode, where its gain is 1
+    phase_deg, phase_ci95  without delay and modes
+    low_Hz, high_Hz        range of the fitted lines, far below the first mode
+    from_Hz                frequency of the first mode, at which the gain of the slow part is 1
     is_taken               whether it may be creep and hysteresis, and was fitted with the modes
     """
 
@@ -63,11 +63,11 @@ class SlowPart:
 
     @property
     def falls(self) -> bool:
-        """Whether the gain falls for certain, as with creep."""
+        """Whether the gain falls significantly, as with creep."""
         return self.is_taken and self.slope_ci95[1] < 0.0
 
     def response(self, frequency_Hz: Array) -> ComplexArray:
-        """Return the slow part at some frequencies, (lines,); 1 where it is not taken."""
+        """Return the response of the slow part, (lines,); 1 if it is not taken."""
         if not self.is_taken:
             return np.ones(len(frequency_Hz), dtype=np.complex128)
         gain = (frequency_Hz / self.from_Hz) ** (self.slope_dB / 20.0)
@@ -79,17 +79,18 @@ class ResponseFit:
     """Record of a fit of dynamics to a measured frequency response.
 
     name            of the file
-    lines, used     in the file; coherent, and no single lines of interference
-    left_out_Hz     coherent lines that were left out for standing alone: mains and the like
-    gain_m_per_V    of the model's modes at rest
-    gain_ratio      over the middle of the hysteresis' slopes
-    factor          of the file's response, to be that of the model: below zero where its sign
-                    was against the axis' polarity, other than one where a recording says the gain
+    lines, used     number of lines in the file, and of coherent lines without interference
+    left_out_Hz     coherent lines that were left out as interference
+    gain_m_per_V    of the modes of the model at rest
+    gain_ratio      that gain over the middle of the slopes of the hysteresis
+    factor          from the response in the file to that of the model: negative if the sign is
+                    opposite to the polarity of the axis, not +-1 if a recording determines the
+                    gain
     noise_relative  standard deviation of one line far below the first mode, over the gain
-    left_relative   largest residual of the model, over the larger of gain
-                    there and gain at rest
-    left_Hz         and where
-    slow            None where too few lines lie far below the first mode
+    left_relative   largest residual of the model, over the larger of the gain at that line and the
+                    gain at rest
+    left_Hz         frequency of that residual
+    slow            None: too few lines far below the first mode
     """
 
     name: str
@@ -107,14 +108,14 @@ class ResponseFit:
 
 @dataclass(frozen=True, kw_only=True)
 class JointFit:
-    """Operator and dynamics fitted together; the dynamics themselves are in the axis.
+    """Record of a joint fit of operator and dynamics; the axis contains the dynamics.
 
-    recordings            of the fit, one for every segment
-    play_threshold_V      (plays,)  those of the operator, and small ones of the exciting drive
+    recordings            names, one for every segment
+    play_threshold_V      (plays,)  of the operator, and smaller ones for the exciting drive
     play_weight_m_per_V   (plays,)
     dead_zone_weight      (zones,)  at the operator's thresholds
-    separate_rms_m        residual of a separate fit of operator and dynamics, each segment
-    joint_rms_m           residual of the joint fit, each segment
+    separate_rms_m        residual of separate fits of operator and dynamics, for each segment
+    joint_rms_m           residual of the joint fit, for each segment
     """
 
     recordings: tuple[str, ...]

@@ -1,17 +1,17 @@
-"""fit_response: a measured frequency response -> modes, delay, creep slope, with intervals.
+"""Fit modes, delay and creep slope, with intervals, to a measured frequency response.
 
     G(f) = F(f) G_slow(f) G_modes(f),    G_slow = (f / f1)^(slope / 20 dB) e^(j phase)
 
-F are the declared poles the response was measured through; G_modes the modal form of
-``fit_dynamics``; G_slow falls as creep does, which no few poles follow. A slow part that is taken
-out first would lend its error to the delay (a thousandth of a radian is 0.16 us at 1 kHz), so all
-are fitted together at the end. The variance of each line, where its file tells little of that, is
+F is the response of the declared poles in the measurement; G_modes the modal form of
+``fit_dynamics``; G_slow falls like creep, which a few poles cannot represent. A slow part that is
+removed first would transfer its error to the delay (a thousandth of a radian is 0.16 us at 1 kHz),
+so all parts are fitted together at the end. The variance of each line is
 
     var G = a^2 + b^2 |G|^2                                    without coherence
-    var G = c |G|^2 (1 - coherence) / coherence                with it        [Bendat & Piersol]
+    var G = c |G|^2 (1 - coherence) / coherence                with coherence [Bendat & Piersol]
 
-a, b or c come from how the residual of neighbouring lines differs [von Neumann 1941]: a residual
-that is smooth, because a mode is missing, does not count as noise.
+a, b or c follow from differences of the residual between neighbouring lines [von Neumann 1941], so
+that a smooth residual, because a mode is missing, does not count as noise.
 """
 
 from dataclasses import dataclass, replace
@@ -40,17 +40,18 @@ from piezoid.records.frequency_response import (
 from piezoid.records.response_summary import apparent_modes
 
 NOISE_RATIOS = np.concatenate([[0.0], np.geomspace(1e-8, 1e4, 61)])  # a^2 over median b^2 |G|^2
-COHERENCE_LINES = 5  # over which a measured coherence is smoothed: each scatters by itself
-MIN_SHARE = 0.1  # of the median of (1 - coherence) / coherence: printed 1.000 is no certainty
-FIRST_NOISE = 0.01  # of the response: a first guess, which decides only the weights of round one
-OUTLIER, NEIGHBOUR = 6.0, 3.0  # standard deviations: one line of 10^8 by chance, and beside it
+COHERENCE_LINES = 5  # over which a measured coherence is smoothed
+MIN_SHARE = 0.1  # of the median of (1 - coherence) / coherence: a coherence of 1.000 is rounded
+FIRST_NOISE = 0.01  # of the response: decides only the weights of the first round
+# Standard deviations of an outlying line (10^-8 by chance) and at most of its neighbours.
+OUTLIER, NEIGHBOUR = 6.0, 3.0
 MIN_LINES = 20
 MAX_DELAY_PERIODS = 10.0  # of the highest line
-FAR_BELOW = 0.2  # of the first mode, which adds 4 % there and is fitted beside the slope
+FAR_BELOW = 0.2  # of the first mode, which adds 4 % there and is fitted with the slope
 SLOW_DECADES, SLOW_LINES = 0.5, 8
-EQUAL_COST = 1.25  # a cost within this of the least, or of that of noise, counts as equal
-NOISE_ROUNDS = 2  # of variance from residual, residual from fit
-# A modulus margin of 0.5 bears half the gain at any frequency; the fit may take half of that.
+EQUAL_COST = 1.25  # times the lowest cost, or that of noise: costs below count as equal
+NOISE_ROUNDS = 2  # of residual and variance in turn
+# A modulus margin of 0.5 tolerates errors of half the gain; the fit may use half of that.
 MAX_RESIDUAL = 0.25
 RESIDUAL_LINES = 3  # of the running median: a single line is noise
 TINY = float(np.finfo(np.float64).tiny)
@@ -70,13 +71,13 @@ STRUCTURES = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FittedResponse:
-    """The dynamics in a measured response, and the lines they were fitted to.
+    """Dynamics fitted to a measured response, and its lines.
 
     dynamics   of one path
-    measured   the lines, slow part taken out, with variances and what was rejected
-    slow       None where too few lines lie far below the first mode
-    residual, residual_Hz  largest residual, relative to the response, and where
-    noise      of one line far below the first mode, relative
+    measured   response without the slow part, with variances and rejected lines
+    slow       None: too few lines far below the first mode
+    residual, residual_Hz  largest relative residual and its frequency
+    noise      relative, of one line far below the first mode
     """
 
     dynamics: LinearDynamics
@@ -88,7 +89,7 @@ class FittedResponse:
 
     @property
     def is_determined(self) -> bool:
-        """Whether all numbers are identifiable and the residual is small."""
+        """Whether all parameters are identifiable and the residual is small."""
         return self.residual <= MAX_RESIDUAL and is_identifiable(self.dynamics)
 
 
@@ -97,7 +98,7 @@ def measured_response(
 ) -> ComplexArray:
     """Return the response of an axis to its own drive behind all declared poles, (lines,) m/V.
 
-    declared  those of the rig; what the measurement did not go through is put into it
+    declared  poles of the rig; poles that the measurement did not include are added
     """
     response = np.array(_path(record, axis).response_m_per_V)
     for pole in declared:
@@ -112,10 +113,10 @@ def fit_response(
     """Fit modes, delay and creep slope to the response of an axis to its own drive.
 
     record    of one file
-    declared  poles of the rig: known, and not fitted again
+    declared  poles of the rig, which are not fitted
 
-    Raises ``ExcitationError`` for too few coherent lines, ``IdentificationError`` where no
-    structure can be fitted.
+    Raises ``ExcitationError`` for too few coherent lines, ``IdentificationError`` if no structure
+    can be fitted.
     """
     path, f = _path(record, axis), record.frequency_Hz
     response = measured_response(record, axis, declared)
@@ -138,7 +139,7 @@ def fit_response(
         coherence = None if path.coherence is None else path.coherence[is_used]
         variance[is_used] = _variance(fast[is_used], residual[is_used], coherence)
         if not is_outlier.any():
-            # single lines that deviate from the model and from both neighbours
+            # Single lines that deviate from the model and from both neighbours.
             size = np.abs(residual[is_coherent]) / np.sqrt(variance[is_coherent])
             size = size / max(float(np.median(size)) / np.sqrt(np.log(2.0)), TINY)
             padded = np.pad(size, 1, mode="reflect")
@@ -152,17 +153,17 @@ def fit_response(
         lines = _lines(record, axis, response / slow.response(f), variance, is_outlier)
     used_lines = _usable_lines(lines)
     f, values = used_lines.frequency_Hz, used_lines.response[:, 0, 0]
-    at_rest = abs(dynamics.static_gain_m_per_V)
+    static_gain = abs(dynamics.static_gain_m_per_V)
     relative = np.abs(values - dynamics.response(f))
-    relative /= np.maximum(np.abs(values), at_rest)
-    typical = median_filter(relative, RESIDUAL_LINES, mode="nearest")
-    worst = int(np.argmax(typical))
+    relative /= np.maximum(np.abs(values), static_gain)
+    smooth = median_filter(relative, RESIDUAL_LINES, mode="nearest")
+    worst = int(np.argmax(smooth))
     spread = np.sqrt(used_lines.variance[:, 0, 0]) / np.abs(values)
     return FittedResponse(
         dynamics=dynamics,
         measured=lines,
         slow=slow,
-        residual=float(typical[worst]),
+        residual=float(smooth[worst]),
         residual_Hz=float(f[worst]),
         noise=float(np.median(spread[: max(len(spread) // 4, 1)])),
     )
@@ -186,7 +187,7 @@ def _lines(
     variance: Array,
     is_outlier: NDArray[np.bool_],
 ) -> FrequencyResponse:
-    """Return the response as the modal fit takes it; the drive's level is not in such files."""
+    """Return the response as input of the modal fit; files do not state the level of the drive."""
     path, shape = _path(record, axis), (len(response), 1, 1)
     coherence = np.ones(len(response)) if path.coherence is None else path.coherence
     return FrequencyResponse(
@@ -211,9 +212,9 @@ def _usable_lines(lines: FrequencyResponse) -> FrequencyResponse:
 
 
 def _best_fit(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearDynamics:
-    """Return the smallest structure whose residual is noise, else the smallest good one.
+    """Return the smallest structure whose residual is noise, or whose cost is near the lowest.
 
-    A structure with a mode that is not resolved counts only where there is no other.
+    Structures with unresolved modes are used only if there are no others.
     """
     usable = _usable_lines(lines)
     declaration = Declaration(
@@ -230,7 +231,7 @@ def _best_fit(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearD
         except IdentificationError as error:
             refusal = error
             continue
-        # A residual is noise if it differs from line to line as much as it is large
+        # Differences between neighbouring lines are as large as the residual itself if it is noise
         # [von Neumann 1941].
         residual = usable.response[:, 0, 0] - fit.response(usable.frequency_Hz)
         residual = residual / np.sqrt(usable.variance[:, 0, 0])
@@ -251,12 +252,12 @@ def _best_fit(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearD
 
 
 def slow_part(frequency_Hz: Array, response: ComplexArray, path: ResponsePath) -> SlowPart | None:
-    """Return slope and phase far below the first mode, None where too few lines are there.
+    """Return slope and phase far below the first mode; None if there are too few lines.
 
         ln |G| = g + (slope / 20 dB) ln f + c f^2,   arg G = phase + d f
 
-    c stands for what modes and poles add, d for their lag and the delay. The first mode is the
-    first peak, without one the frequency at which the gain has fallen by 3 dB.
+    c is the gain due to modes and poles, d their lag and the delay. The first mode is the first
+    peak, or without a peak the frequency at which the gain has fallen by 3 dB.
     """
     peaks = apparent_modes(frequency_Hz, replace(path, response_m_per_V=response))
     gain = np.abs(response)
@@ -272,7 +273,7 @@ def slow_part(frequency_Hz: Array, response: ComplexArray, path: ResponsePath) -
     slope, slope_std = _regression(by_log, np.log(np.abs(relative)))
     angle = np.unwrap(np.angle(response[low]))
     phase, phase_std = _regression(np.stack([constant, x], axis=1), angle)
-    phase -= np.pi * round(phase / np.pi)  # the sign of the response is the polarity's
+    phase -= np.pi * round(phase / np.pi)  # the polarity determines the sign of the response
     part = SlowPart.of(slope, slope_std, phase, phase_std, (float(f[0]), float(f[-1])), first_Hz)
     is_creep = part.slope_ci95[0] <= 0.0 and part.slope_dB > -MAX_SLOPE_dB
     is_lag = part.phase_ci95[0] <= 0.0 and part.phase_deg > -MAX_LAG_deg
@@ -280,7 +281,7 @@ def slow_part(frequency_Hz: Array, response: ComplexArray, path: ResponsePath) -
 
 
 def _regression(columns: Array, values: Array) -> tuple[float, float]:
-    """Return the first coefficient of least squares, and its standard deviation."""
+    """Return the first coefficient of a least-squares fit, and its standard deviation."""
     coefficients = np.linalg.lstsq(columns, values, rcond=None)[0]
     residual = values - columns @ coefficients
     spare = max(len(values) - columns.shape[1], 1)
@@ -291,7 +292,7 @@ def _regression(columns: Array, values: Array) -> tuple[float, float]:
 def _variance(response: ComplexArray, residual: ComplexArray, coherence: Array | None) -> Array:
     """Return the variance of each line, (lines,) m2/V2, from differences of the residual.
 
-    coherence  where it was measured
+    coherence  (lines,)  None: not measured
     """
     difference = 0.5 * np.abs(np.diff(residual)) ** 2
     power = np.abs(response) ** 2
@@ -300,7 +301,7 @@ def _variance(response: ComplexArray, residual: ComplexArray, coherence: Array |
         return max(float(np.mean(difference / (0.5 * (shape[1:] + shape[:-1])))), TINY)
 
     def minus_log_likelihood(shape: Array) -> float:
-        """Minus the mean log likelihood of the squared differences, the scale eliminated."""
+        """Return minus the mean log likelihood of the squared differences, scale eliminated."""
         log_shape = np.log(0.5 * (shape[1:] + shape[:-1]))
         return float(np.mean(log_shape)) + float(np.log(scale(shape)))
 

@@ -1,8 +1,7 @@
 """Validate a measured response against an axis, and scale its dynamics to the gain of the axis.
 
-A response is measured with small fast drives; the hysteresis is that of large slow ones. Their
-gains differ, and neither overrides the other; but a wrong unit, axis or sign makes them differ by
-more than ceramics do.
+A response is measured with small fast drives, the hysteresis with large slow drives. Their gains
+differ in any ceramic; a larger difference is due to a wrong unit, axis or sign.
 """
 
 from collections.abc import Iterable
@@ -21,12 +20,13 @@ from piezoid.identification.dynamics.response_fit import FittedResponse, fit_res
 from piezoid.identification.model import AxisModel
 from piezoid.records.frequency_response import FrequencyResponseRecord
 
-# Small drives move soft ceramics by 0.5 to 1 of what large ones do, and the least slope of a large
-# loop is about theirs: a gain beyond twice the ends of the slopes has another reason.
+# The gain of soft ceramics for small drives is 0.5 to 1 times that for large drives, about the
+# least slope of a large loop: a gain beyond twice the limits of the slopes has another cause.
 MAX_GAIN_RATIO = 2.0
-SAME_MODE = 0.1  # of itself: by so much amplitude and load move a mode between two measurements
-BELOW_MODE, ABOVE_BAND = 1.0 / 3.0, 2.0  # of a mode, of the lowest line: where gains compare
-MIN_MODE_SHARE = 0.1  # of the gain: a recording may not show a mode with less
+SAME_MODE = 0.1  # relative change of a mode with amplitude and load between two measurements
+# Gains are compared at a third of a mode, and at least at twice the lowest line.
+BELOW_MODE, ABOVE_BAND = 1.0 / 3.0, 2.0
+MIN_MODE_SHARE = 0.1  # of the gain: a recording may not show a mode with a smaller share
 
 
 def validate_response(
@@ -35,22 +35,21 @@ def validate_response(
     declared: tuple[Filter, ...],
     recorded: tuple[LinearDynamics, str] | None,
 ) -> tuple[str, LinearDynamics, FrequencyResponse, ResponseFit] | str:
-    """Fit a measured response, and use it where it agrees with the axis.
+    """Fit a measured response, and reject it if it contradicts the axis.
 
-    axis      with its hysteresis
-    declared  poles of the rig
-    recorded  dynamics that a recording determines, and its name: where modes agree, the gain is
-              that of the recording; where they do not, the response is not used
+    axis      with its hysteresis declared  poles of the rig recorded  dynamics determined by a
+    recording, and its name: if the modes agree, the gain is that
+              of the recording; if not, the response is rejected
 
     Returns:
-        The result in a sentence, the dynamics, the lines they were fitted to and the record of the
-        fit; or the reason why the response is not used.
+        The result in a sentence, the dynamics, the fitted lines and the record of the fit; or the
+        reason for the rejection.
     """
     try:
         fit = fit_response(response, axis.axis, declared)
     except (ExcitationError, IdentificationError) as refusal:
         return f"{response.name} is not used: {refusal}"
-    reason = _disagreement(axis, fit, recorded)
+    reason = _contradiction(axis, fit, recorded)
     if reason:
         return f"{response.name} is not used: {reason}"
     d, gain = fit.dynamics, fit.dynamics.static_gain_m_per_V
@@ -71,7 +70,7 @@ def validate_response(
     )
     flattest, greatest = axis.hysteresis.slope_sector_m_per_V
     gains = (
-        f"Small quick drives move it by {with_unit(record.gain_m_per_V, 'm')}/V, "
+        f"For small fast drives the gain is {with_unit(record.gain_m_per_V, 'm')}/V, "
         f"{significant(record.gain_ratio)} times the middle of the hysteresis' slopes "
         f"({with_unit(flattest, 'm')}/V to {with_unit(greatest, 'm')}/V): the hysteresis keeps "
         "its own gain, and a controller is designed for both"
@@ -85,10 +84,10 @@ def validate_response(
             gain_ratio=record.gain_ratio * factor,
         )
         gains += (
-            f"; {recorded[1]} shows the same mode, and the gain is its, "
+            f"; {recorded[1]} shows the same mode and determines the gain, "
             f"{significant(factor)} times that of the response"
         )
-    turned = "; its sign is turned to that of the recordings" if sign < 0 else ""
+    sign_change = "; its sign is inverted to that of the recordings" if sign < 0 else ""
     dynamics = replace(
         d,
         mode_gain_m_per_V=record.factor * d.mode_gain_m_per_V,
@@ -97,19 +96,20 @@ def validate_response(
         static_gain_std_m_per_V=abs(record.factor) * d.static_gain_std_m_per_V,
     )
     measured = replace(fit.measured, response=sign * fit.measured.response)
-    text = f"{response.name}, {_words(fit, record)}. {gains}{turned}"
+    text = f"{response.name}, {_describe(fit, record)}. {gains}{sign_change}"
     return text, dynamics, measured, record
 
 
-def _disagreement(
+def _contradiction(
     axis: AxisModel, fit: FittedResponse, recorded: tuple[LinearDynamics, str] | None
 ) -> str:
-    """Return why a response is not used, empty where it is."""
+    """Return why a response is rejected, or ''."""
     if not fit.is_determined:
         return (
-            f"no few modes follow it: {significant(100.0 * fit.residual, 2)} % of it are left at "
-            f"{with_unit(fit.residual_Hz, 'Hz')}, or the numbers of a mode are not known. "
-            "Measure more finely about each peak, or up to a lower frequency"
+            "no model of few modes fits it: the residual is "
+            f"{significant(100.0 * fit.residual, 2)} % at {with_unit(fit.residual_Hz, 'Hz')}, or "
+            "frequency or damping of a mode is not determined. Measure more finely about each "
+            "peak, or up to a lower frequency"
         )
     gain = abs(fit.dynamics.static_gain_m_per_V)
     flattest, greatest = axis.hysteresis.slope_sector_m_per_V
@@ -135,9 +135,9 @@ def _disagreement(
 
 
 def _gain_ratio(recorded: LinearDynamics, measured: LinearDynamics) -> float:
-    """Return the gain of a recording over that of a response, where both were measured.
+    """Return the gain of a recording over that of a response, at a frequency measured in both.
 
-    Not at rest: that lies below the band of a recording, where a lag may make anything of it.
+    The gain at rest lies below the band of a recording, where a fitted lag makes it meaningless.
     """
     low_Hz = max(
         BELOW_MODE * _strongest_Hz(recorded),
@@ -149,7 +149,7 @@ def _gain_ratio(recorded: LinearDynamics, measured: LinearDynamics) -> float:
 
 
 def _strongest_Hz(dynamics: LinearDynamics) -> float:
-    """Return the mode with the largest share of the gain; 0 if there is none."""
+    """Return the frequency of the mode with the largest share of the gain; 0 without a mode."""
     share = np.abs(dynamics.mode_gain_m_per_V)
     gain = abs(dynamics.static_gain_m_per_V)
     if not len(share) or share.max() < MIN_MODE_SHARE * gain:
@@ -157,8 +157,8 @@ def _strongest_Hz(dynamics: LinearDynamics) -> float:
     return float(dynamics.mode_frequency_Hz[int(np.argmax(share))])
 
 
-def _words(fit: FittedResponse, record: ResponseFit) -> str:
-    """Return band, modes, delay and slope, with their 95 % intervals."""
+def _describe(fit: FittedResponse, record: ResponseFit) -> str:
+    """Describe band, modes, delay and slope, with their 95 % intervals."""
     dynamics = fit.dynamics
     low_Hz, high_Hz = dynamics.band_Hz
     gain = dynamics.static_gain_m_per_V
@@ -177,34 +177,34 @@ def _words(fit: FittedResponse, record: ResponseFit) -> str:
         f"a pole at {with_unit(float(f), 'Hz')} ({_interval(lags_Hz[k], 'Hz')})"
         for k, f in enumerate(dynamics.lag_frequency_Hz)
     ]
-    left_out = f"{record.used} of {record.lines} lines used"
+    lines = f"{record.used} of {record.lines} lines used"
     if record.left_out_Hz:
-        left_out += f", {len(record.left_out_Hz)} that stand alone among those left out"
+        lines += f", {len(record.left_out_Hz)} left out as interference"
     return (
-        f"{with_unit(low_Hz, 'Hz')} to {with_unit(high_Hz, 'Hz')} ({left_out}): "
+        f"{with_unit(low_Hz, 'Hz')} to {with_unit(high_Hz, 'Hz')} ({lines}): "
         f"{', '.join(modes + lags)}; delay {with_unit(dynamics.delay_s, 's')} "
-        f"({_interval(dynamics.delay_interval_s(), 's')}); {_slope_words(fit)}"
+        f"({_interval(dynamics.delay_interval_s(), 's')}); {_describe_slope(fit)}"
     )
 
 
-def _slope_words(fit: FittedResponse) -> str:
+def _describe_slope(fit: FittedResponse) -> str:
     """Describe the response far below the first mode."""
     slow = fit.slow
     if slow is None:
-        return "too few lines lie far below the first mode to tell creep"
+        return "too few lines lie far below the first mode to show creep"
     low, high = slow.slope_ci95
     below = f"below {with_unit(slow.high_Hz, 'Hz')}"
     if slow.falls:
         return (
             f"{below} the gain falls by {significant(-slow.slope_dB, 2)} dB per decade "
-            f"({_interval((-high, -low), '', 2)}), as of creep"
+            f"({_interval((-high, -low), '', 2)}), like creep"
         )
     slope = (
         f"{significant(slow.slope_dB, 2)} dB per decade ({_interval((low, high), '', 2)}) {below}"
     )
     if low <= 0.0 <= high:
-        return f"no creep is seen, {slope}"
-    return f"the gain changes by {slope}, which is no creep and was not taken out"
+        return f"no creep was detected, {slope}"
+    return f"the gain changes by {slope}, which is no creep and was not removed"
 
 
 def _interval(bounds: Iterable[float], unit: str, digits: int = 3) -> str:

@@ -4,13 +4,13 @@ import numpy as np
 
 from piezoid.numerics.arrays import Array, ComplexArray
 
-SETTLED = 1e-6  # relative motion of the poles at which relocating stops
+TOLERANCE = 1e-6  # relative change of the poles at which the iteration stops
 
 
 def vector_fit(
     s: ComplexArray, response: ComplexArray, weight: Array, poles: ComplexArray, *, rounds: int
 ) -> ComplexArray:
-    """Relocate poles until sum_m R_m / (s - p_m) + D follows the responses.
+    """Fit the common poles of sum_m R_m / (s - p_m) + D to several responses.
 
         sigma(s) = d + sum_m c_m / (s - p_m),   sigma G = sum_m R_m / (s - p_m) + D
         new poles = zeros of sigma = eigenvalues of diag(p) - 1 c^T / d
@@ -18,12 +18,12 @@ def vector_fit(
 
     s         (lines,)           j w, scaled so that the band is of order one
     response  (lines, entries)   entries share their poles
-    weight    (lines, entries)   one over the standard deviation; zero leaves a line out
-    poles     (n,)               a start; complex ones with Im > 0 stand for a pair
-    rounds    at most; stops earlier once no pole moves by more than ``SETTLED``
-    returned  stable poles, the upper half of each pair and the real ones
+    weight    (lines, entries)   one over the standard deviation; zero excludes a line
+    poles     (n,)               start; a complex pole with Im > 0 represents a pair
+    rounds    maximum number of iterations, if the poles do not settle to ``TOLERANCE`` before
+    returned  stable poles: the upper pole of each pair, and real poles
 
-    Noise biases the result: it is a start for maximum likelihood, not an answer.
+    Noise biases the poles: they are a start for maximum likelihood.
     """
     direct = np.ones((len(s), 1))
     scale = float(np.linalg.norm(weight * np.abs(response)))
@@ -45,18 +45,16 @@ def vector_fit(
         solution = np.linalg.lstsq(matrix / size, target, rcond=None)[0] / size
         d = float(solution[-1])
         d = d if abs(d) > 1e-8 else float(np.copysign(1e-8, d))
-        new = _zeros_of_sigma(poles, solution[:-1], d)
-        settled = len(new) == len(poles) and bool(
-            (np.abs(new - poles) < SETTLED * np.abs(new)).all()
-        )
-        poles = new
-        if settled:
+        previous, poles = poles, _zeros_of_sigma(poles, solution[:-1], d)
+        if len(poles) != len(previous):
+            continue
+        if (np.abs(poles - previous) < TOLERANCE * np.abs(poles)).all():
             break
     return poles
 
 
 def start_poles(lowest: float, highest: float, pairs: int, real: int) -> ComplexArray:
-    """Spread lightly damped pairs evenly over a band, real poles evenly on a logarithmic scale."""
+    """Return lightly damped pairs, spread evenly over a band, and real poles, logarithmically."""
     imaginary = np.linspace(lowest, highest, pairs + 2)[1:-1]
     lags = np.geomspace(max(lowest, 1e-2 * highest), highest, real + 2)[1:-1]
     return np.concatenate([(-0.01 + 1j) * imaginary, -lags.astype(np.complex128)])
@@ -65,7 +63,7 @@ def start_poles(lowest: float, highest: float, pairs: int, real: int) -> Complex
 def weighted_misfit(
     s: ComplexArray, response: ComplexArray, weight: Array, poles: ComplexArray
 ) -> float:
-    """Return the weighted sum of squares after the best residues and direct terms."""
+    """Return the weighted sum of squared residuals for optimal residues and direct terms."""
     columns = np.concatenate([_fractions(s, poles), np.ones((len(s), 1))], axis=1)
     misfit = 0.0
     for g, w in zip(response.T, weight.T, strict=True):
@@ -82,7 +80,7 @@ def stacked(matrix: ComplexArray) -> Array:
 
 
 def _fractions(s: ComplexArray, poles: ComplexArray) -> ComplexArray:
-    """Partial fractions with real coefficients: two columns for a pair, one for a real pole."""
+    """Return partial fractions with real coefficients: two columns per pair, one per real pole."""
     pairs, real = poles[poles.imag > 0], poles[poles.imag == 0]
     upper, lower = 1 / (s[:, None] - pairs), 1 / (s[:, None] - np.conj(pairs))
     return np.concatenate([upper + lower, 1j * (upper - lower), 1 / (s[:, None] - real)], axis=1)

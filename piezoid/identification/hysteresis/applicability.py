@@ -1,15 +1,15 @@
 """Applicability of the Modified Prandtl-Ishlinskii class to the data.
 
-Three ways it does not, each told apart before a number is believed:
-a loop whose opening changes sign (the operator's branches never cross), a response that turns
-back while the drive goes on (no branch of an invertible operator does), and a wide loop that a
-lag alone explains (a play sum imitates lag, with weights that hold at no other rate). At one
-speed a lag of second order imitates a loop as well,
+The class is rejected for three reasons: a loop whose opening changes sign (branches of the
+operator never cross), a displacement that turns back while the drive continues (branches of an
+invertible operator are monotone), and a wide loop that a lag alone explains (a sum of plays
+imitates lag, with weights that hold at no other rate). At one speed a second-order lag imitates a
+loop as well,
 
     y = c + sum_k a_k x^k, k = 1..3,     x = w^2 / (s^2 + 2 d w s + w^2) e^(-s T) u
 
-and which of them it is, another speed tells. Three numbers are sought, what is linear is solved
-for at each of them; the error is on the rows that were held out of the plays as well.
+and only recordings at another speed distinguish the two. w, d and T are searched for, with the
+linear coefficients eliminated; the error is that on the rows held out of the fits of plays.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,7 +19,12 @@ import numpy as np
 
 from piezoid.formatting import with_unit
 from piezoid.identification.hysteresis.coordinates import Shape
-from piezoid.identification.hysteresis.order import Choice, attempt, folds_of, without_bends
+from piezoid.identification.hysteresis.order_selection import (
+    Choice,
+    fit_trial,
+    folds_of,
+    without_bends,
+)
 from piezoid.identification.hysteresis.pieces import Piece, Scales, response_range, widest_swing
 from piezoid.identification.hysteresis.scope import scope_of
 from piezoid.identification.hysteresis.search import Settings
@@ -31,78 +36,80 @@ from piezoid.operators.filters import later
 from piezoid.records.constant_drive import is_mostly_driven
 from piezoid.records.reversals import noise_of, reversals_of
 
-ROWS = 3000  # of all pieces together: three numbers need no more
-SAMPLES = 6000  # of one piece
-EVALUATIONS = 40
-EXPLAINED = 0.12  # of the residual without lag: seven lags have 0.01 to 0.08, loops 0.18 or more
+MAX_ROWS = 3000  # of all pieces together: enough for three parameters
+MAX_SAMPLES = 6000  # of one piece
+EVALUATIONS = 40  # per parameter beyond the first
+# Residual of a lag over that without lag: seven lags have 0.01 to 0.08, loops 0.18 or more.
+MAX_LAG_RESIDUAL = 0.12
 POWERS = (1, 2, 3)
-NO_LAG = np.array([np.log(1e-6), 0.0, 0.0])  # as shares of the longest: none
-WIDE = 0.01  # of the displacement range: a loop worth explaining
-CROSSING = 0.15  # of the widest opening: how far a loop may open the wrong way
+NO_LAG = np.array([np.log(1e-6), 0.0, 0.0])  # logarithms of lag and damping, delay
+WIDE = 0.01  # of the displacement range: a narrower loop needs no explanation
+MAX_CROSSING = 0.15  # of the widest opening: how far a loop may open the wrong way
 BINS = 20  # of the drive, in each of which the branches are averaged
-BUTTERFLY = 0.25  # of the displacement range: distance of both ends from an extremum between them
-BEYOND = 0.1  # of a drive's range at either end: less is driven over the same range
-TURNING = 0.05  # of the displacement range: how far a branch may turn back
-UNEXPLAINED = 0.08  # of the displacement range: held-out rms of an unusable fit
-FOLLOWED = 0.7  # of the rms of the motion: largest residual, half of the power explained
+MIN_BUTTERFLY = 0.25  # of the displacement range: distance of both ends from the extremum
+RANGE_MARGIN = 0.1  # of a drive's range at either end: ranges that differ by less count as equal
+MAX_TURN_BACK = 0.05  # of the displacement range, on one branch
+MAX_RESIDUAL = 0.08  # of the displacement range: held-out rms of a usable fit
+MAX_UNEXPLAINED = 0.7  # residual over rms of the motion: half of the power is explained
 POINTS = 41  # of the grid on which a loop's branches are compared
 MAX_JUMP = 0.2  # of a branch, between two samples: a parabola's chord is off by its square, 4 %
-AS_GOOD = 1.1  # held-out error of the lag alone over that of the hysteresis model
+COMPARABLE = 1.1  # held-out error of the lag alone over that of the hysteresis model
 
 
 @dataclass(frozen=True, kw_only=True)
-class LagRival:
-    """A lag without hysteresis, as it was fitted.
+class LagModel:
+    """A fitted second-order lag without hysteresis.
 
     frequency_Hz   undamped
     damping        of critical
     held_out_rms   scaled units
-    rises          whether its curve rises over the whole range: one that turns is no stage's
+    is_monotone    whether its static curve rises over the whole range, as that of any stage does
     """
 
     frequency_Hz: float
     damping: float
     held_out_rms: float
-    rises: bool
+    is_monotone: bool
 
 
-def fit_lag(pieces: Sequence[Piece], longest_lag_s: float, *, numbers: int) -> LagRival:
+def fit_lag(pieces: Sequence[Piece], longest_lag_s: float, *, parameters: int) -> LagModel:
     """Fit a second-order lag without hysteresis to pieces.
 
-    numbers  2: frequency and damping; 3: with a delay; 0: the cubic alone, without lag
+    parameters  2: frequency and damping; 3: and a delay; 0: the cubic alone, without lag
     """
-    thinned = tuple(map(_thinned, pieces))
-    squares, rows, x, rises = 0.0, 0, NO_LAG, True
+    thinned = tuple(map(_thin, pieces))
+    squares, rows, x, is_monotone = 0.0, 0, NO_LAG, True
     for fold in folds_of(thinned):
         training = fold.training
-        if numbers:
-            x = _search_lag(training, longest_lag_s, numbers)
+        if parameters:
+            x = _search_lag(training, longest_lag_s, parameters)
         columns = [_columns(piece, x, longest_lag_s) for piece in training]
         gain, _ = _regression(training, columns)
         slope = np.polynomial.Polynomial([0.0, *gain.tolist()]).deriv()
-        rises &= bool((slope(np.linspace(-1.0, 1.0, 41)) > 0.0).all())
+        is_monotone &= bool((slope(np.linspace(-1.0, 1.0, 41)) > 0.0).all())
         for number, piece in enumerate(fold.testing):
-            sample = fold.unseen_samples(number)
-            residual = piece.response[sample] - _columns(piece, x, longest_lag_s)[sample] @ gain
+            held_out = fold.held_out_samples(number)
+            columns_of_piece = _columns(piece, x, longest_lag_s)
+            residual = piece.response[held_out] - columns_of_piece[held_out] @ gain
             zero = float(residual.mean())
-            if number < fold.trained:
-                trained = training[number].counting()
-                fitted = columns[number][trained] @ gain
-                zero = float(np.mean(training[number].response[trained] - fitted))
+            if number < fold.halved:
+                sample = training[number].fitted_samples()
+                model = columns[number][sample] @ gain
+                zero = float(np.mean(training[number].response[sample] - model))
             squares += float(np.sum((residual - zero) ** 2))
-            rows += len(sample)
-    frequency, damping, _ = _lag_numbers(x, longest_lag_s)
-    return LagRival(
+            rows += len(held_out)
+    frequency, damping, _ = _frequency_damping_delay(x, longest_lag_s)
+    return LagModel(
         frequency_Hz=frequency,
         damping=damping,
         held_out_rms=float(np.sqrt(squares / max(rows, 1))),
-        rises=rises,
+        is_monotone=is_monotone,
     )
 
 
-def _thinned(piece: Piece) -> Piece:
+def _thin(piece: Piece) -> Piece:
     """Return a piece at a lower rate: a lag that causes a visible loop spans many samples."""
-    stride = max(1, len(piece.drive) // SAMPLES)
+    stride = max(1, len(piece.drive) // MAX_SAMPLES)
     return replace(
         piece,
         sampling_rate_Hz=piece.sampling_rate_Hz / stride,
@@ -110,12 +117,15 @@ def _thinned(piece: Piece) -> Piece:
         response=piece.response[::stride],
         first=-(-piece.first // stride),
         last=-(-piece.last // stride),
-        lost=piece.lost[piece.lost % stride == 0] // stride,
+        invalid=piece.invalid[piece.invalid % stride == 0] // stride,
     )
 
 
-def _lag_numbers(x: Array, longest_lag_s: float) -> tuple[float, float, float]:
-    """Return frequency, damping and delay: lag 2 d / w and delay are shares of the longest."""
+def _frequency_damping_delay(x: Array, longest_lag_s: float) -> tuple[float, float, float]:
+    """Return frequency (Hz), damping and delay (s).
+
+    x  logarithms of the lag 2 d / w and of the damping, delay; lag and delay over the longest lag
+    """
     lag_s, damping = float(np.exp(x[0])) * longest_lag_s, float(np.exp(x[1]))
     return damping / (np.pi * lag_s), damping, max(float(x[2]), 0.0) * longest_lag_s
 
@@ -147,7 +157,7 @@ def _columns(piece: Piece, x: Array, longest_lag_s: float) -> Array:
     """Return the powers of the lagged drive of a piece, (samples, powers)."""
     from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
-    frequency_Hz, damping, delay_s = _lag_numbers(x, longest_lag_s)
+    frequency_Hz, damping, delay_s = _frequency_damping_delay(x, longest_lag_s)
     w = 2.0 * np.pi * frequency_Hz
     continuous = ([w**2], [1.0, 2.0 * damping * w, w**2])
     b, a, _ = cont2discrete(continuous, 1.0 / piece.sampling_rate_Hz, method="foh")
@@ -158,11 +168,11 @@ def _columns(piece: Piece, x: Array, longest_lag_s: float) -> Array:
 
 
 def _regression(pieces: Sequence[Piece], columns: Sequence[Array]) -> tuple[Array, float]:
-    """Return the gains of columns at some rows, each piece about its mean, and their error."""
-    stride = max(1, sum(piece.rows for piece in pieces) // ROWS)
+    """Return the coefficients of columns and the mean square error, each piece about its mean."""
+    stride = max(1, sum(piece.rows for piece in pieces) // MAX_ROWS)
     designs, targets = [], []
     for piece, column in zip(pieces, columns, strict=True):
-        rows = piece.counting(stride)
+        rows = piece.fitted_samples(stride)
         designs.append(column[rows] - column[rows].mean(axis=0))
         targets.append(piece.response[rows] - piece.response[rows].mean())
     design, target = np.concatenate(designs), np.concatenate(targets)
@@ -174,7 +184,7 @@ def _regression(pieces: Sequence[Piece], columns: Sequence[Array]) -> tuple[Arra
 class Loop:
     """The opening of one loop: falling branch minus rising branch at the same drive.
 
-    drive     (points,)  inside the span that both branches share
+    drive     (points,)  inside the range that both branches share
     opening   (points,)  positive where the displacement lags the drive
     rise      (points,)  the rising branch
     span      drive range of the loop
@@ -192,10 +202,10 @@ class Loop:
 def loops_of(drive: Array, response: Array, noise: float) -> tuple[Loop, ...]:
     """Return the loops made by successive rising and falling branches of nearly equal span.
 
-    A branch that the drive jumped over was never recorded, and makes no loop.
+    Branches with large jumps of the drive are skipped.
 
     drive, response  (samples,)
-    noise            excursions of the drive that make no reversal
+    noise            excursions of the drive that are no reversal
     """
     turns = np.array(reversals_of(drive, noise), dtype=int)
     loops = []
@@ -232,49 +242,49 @@ def _branch_on_grid(grid: Array, drive: Array, response: Array) -> Array:
     return np.asarray(np.where(count > 2, mean, interpolated))
 
 
-def _loops(piece: Piece) -> tuple[Loop, ...]:
+def _loops_of_piece(piece: Piece) -> tuple[Loop, ...]:
     noise = max(noise_of(piece.fitted_drive), 0.02)
     return loops_of(piece.fitted_drive, piece.fitted_response, noise)
 
 
 def reason_in_loops(pieces: Sequence[Piece]) -> str:
-    """Return the reason in the recorded loops why the class does not apply, or ''.
+    """Return why the recorded loops contradict the class, or ''.
 
-    A material contradicts the class wherever it is driven over its range. What as many recordings
-    over the same range do not show is their own: a fast one's slew limit or long lag. So is a
-    branch that turns back or a loop that opens the wrong way in less than half of the recordings
-    with loops: a clock that slipped, an initial state, creep between levels.
+    A material contradicts the class in every recording over the same range. A contradiction in
+    half of them or fewer has causes in the recording: slew limit or long lag of a fast drive. The
+    same holds for branches that turn back or loops that open the wrong way in less than half of
+    all recordings with loops: a clock that slipped, an initial state, creep between levels.
     """
-    butterfly = _of_material(pieces, [_butterfly(piece) for piece in pieces])
+    butterfly = _reason_of_majority(pieces, [_butterfly(piece) for piece in pieces])
     if butterfly:
         return butterfly
-    looped, reasons = [], []
+    pieces_with_loops, reasons = [], []
     for piece in pieces:
-        loops = [loop for loop in _loops(piece) if loop.span > 0.4]
+        loops = [loop for loop in _loops_of_piece(piece) if loop.span > 0.4]
         if loops:
-            looped.append(piece)
+            pieces_with_loops.append(piece)
             height = float(np.ptp(piece.fitted_response))
             reasons.append(_contradiction(loops, height, white_noise_rms(piece.response)))
-    if 2 * sum(map(bool, reasons)) < len(looped):
+    if 2 * sum(map(bool, reasons)) < len(pieces_with_loops):
         return ""
-    return _of_material(looped, reasons)
+    return _reason_of_majority(pieces_with_loops, reasons)
 
 
-def _of_material(pieces: Sequence[Piece], reasons: Sequence[str]) -> str:
-    """Return the first reason that most recordings over the same range have; empty: none.
+def _reason_of_majority(pieces: Sequence[Piece], reasons: Sequence[str]) -> str:
+    """Return the first reason that holds for most pieces over the same range, or ''.
 
-    reasons  (pieces)  empty where there is none
+    reasons  (pieces)  '' for a piece that does not contradict the class
     """
     drives = [piece.fitted_drive for piece in pieces]
     ranges = [(float(drive.min()), float(drive.max())) for drive in drives]
     for piece, (low, high), reason in zip(pieces, ranges, reasons, strict=True):
-        margin = BEYOND * (high - low)
-        agreeing = [
+        margin = RANGE_MARGIN * (high - low)
+        contradicts = [
             bool(text)
             for text, (lowest, highest) in zip(reasons, ranges, strict=True)
             if lowest <= low + margin and highest >= high - margin
         ]
-        if reason and 2 * sum(agreeing) > len(agreeing):
+        if reason and 2 * sum(contradicts) > len(contradicts):
             return f"{piece.name}: {reason}"
     return ""
 
@@ -290,7 +300,7 @@ def _butterfly(piece: Piece) -> str:
     height = float(np.ptp(response))
     for curve, extreme in ((mean, "minimum"), (-mean, "maximum")):
         low_end, high_end = float(curve[0] - curve.min()), float(curve[-1] - curve.min())
-        if min(low_end, high_end) > BUTTERFLY * height:
+        if min(low_end, high_end) > MIN_BUTTERFLY * height:
             return (
                 f"the loop reverses its sign (a butterfly): the displacement has its {extreme} "
                 f"inside the range of the drive, {100 * low_end / height:.0f} % and "
@@ -302,22 +312,22 @@ def _butterfly(piece: Piece) -> str:
 
 
 def _bins(drive: Array) -> Samples:
-    """Return the number of the equal part of its range in which each sample of a drive lies."""
+    """Return the index of the bin of its range in which each sample of a drive lies."""
     return np.searchsorted(np.linspace(drive.min(), drive.max(), BINS + 1)[1:-1], drive)
 
 
 def _contradiction(loops: Sequence[Loop], height: float, noise: float) -> str:
     """Describe branches that turn back or loops that open the wrong way, or return ''."""
-    rise, doubt = _typical([loop.rise - loop.rise.mean() for loop in loops])
+    rise, error = _median_curve([loop.rise - loop.rise.mean() for loop in loops])
     drop = float((np.maximum.accumulate(rise) - rise).max())
-    if drop > TURNING * height + 6 * noise + 3 * doubt:
+    if drop > MAX_TURN_BACK * height + 6 * noise + 3 * error:
         return (
             f"the displacement turns back by {100 * drop / height:.1f} % of its range while the "
             "drive goes on rising; no branch of this operator does that"
         )
-    opening, doubt = _typical([loop.opening for loop in loops])
+    opening, error = _median_curve([loop.opening for loop in loops])
     wrong, widest = float(-opening.min()), float(np.abs(opening).max())
-    if wrong > max(CROSSING * widest, 8 * noise, 3 * doubt) and widest > WIDE * height / 2:
+    if wrong > max(MAX_CROSSING * widest, 8 * noise, 3 * error) and widest > WIDE * height / 2:
         return (
             f"the loop opens the wrong way by {100 * wrong / height:.2f} % of the range (widest "
             f"opening {100 * widest / height:.2f} %): the displacement leads the drive over part "
@@ -326,16 +336,17 @@ def _contradiction(loops: Sequence[Loop], height: float, noise: float) -> str:
     return ""
 
 
-def _typical(curves: Sequence[Array]) -> tuple[Array, float]:
-    """Return the median curve and how far the curves scatter about it, as a standard error."""
+def _median_curve(curves: Sequence[Array]) -> tuple[Array, float]:
+    """Return the pointwise median of curves and its standard error."""
     median = np.median(curves, axis=0)
     scatter = float(np.sqrt(np.mean((np.array(curves) - median) ** 2)))
     return np.asarray(median), scatter / float(np.sqrt(len(curves)))
 
 
 def widest_opening(pieces: Sequence[Piece]) -> float:
-    """Return how far the widest loop opens, scaled units."""
-    return max((float(loop.opening.max()) for p in pieces for loop in _loops(p)), default=0.0)
+    """Return the opening of the widest loop, scaled units."""
+    loops = [loop for piece in pieces for loop in _loops_of_piece(piece)]
+    return max((float(loop.opening.max()) for loop in loops), default=0.0)
 
 
 def reason_of_lag(
@@ -344,10 +355,10 @@ def reason_of_lag(
     settings: Settings,
     progress: Callable[[str], None] = lambda _: None,
 ) -> str:
-    """Return that a lag alone does as well as the best fit of a wide loop, or an empty text.
+    """Return a reason to reject hysteresis if a lag alone predicts a wide loop as well, or ''.
 
-    A lag that leaves much of what no lag leaves is none, however little the hysteresis does: a
-    wrong cable, two clocks, a slip or another machine's motion are followed by neither.
+    The lag must also explain most of the residual of a fit without lag: a wrong cable, two clocks,
+    a slip or the motion of another machine is followed by neither lag nor hysteresis.
     """
     widest = widest_opening(pieces)
     height = response_range(pieces)
@@ -355,11 +366,11 @@ def reason_of_lag(
         return ""
     progress("a lag alone, without hysteresis")
     zones = min(choice.best.shape.below, 2)
-    none = fit_lag(pieces, settings.longest_lag_s, numbers=0).held_out_rms
-    within = min(AS_GOOD * choice.best.held_out_rms, EXPLAINED * none)
+    without_lag = fit_lag(pieces, settings.longest_lag_s, parameters=0).held_out_rms
+    max_rms = min(COMPARABLE * choice.best.held_out_rms, MAX_LAG_RESIDUAL * without_lag)
     for lag in ("first_order", "delay"):
         shape = Shape(plays=0, below=zones, above=zones, lag=lag)
-        trial = attempt(pieces, shape, replace(settings, lag_s=None), within=within)
+        trial = fit_trial(pieces, shape, replace(settings, lag_s=None), max_rms=max_rms)
         if trial is not None:
             return (
                 f"a {lag.replace('_', '-')} lag of {with_unit(trial.lag_s, 's')} without any "
@@ -377,21 +388,25 @@ def limits_of_lag(
     longest_lag_s: float,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[tuple[Limit, ...], str]:
-    """Return what was never measured, and why no hysteresis was seen where a lag does as well.
+    """Return limits of the scope, and a reason to reject hysteresis if a lag fits as well, or ''.
 
-    A lag of second order is tried where no speed was varied: only there can it be a loop. Its two
-    numbers stand beside hysteresis without an envelope, whose two dozen follow the corners that a
-    lag makes at every turn: 0.20 % for 0.57 of a positioner that is all lag, where the lag leaves
-    0.54. On thirteen published laws a lag leaves from 1.2 (loops of five sizes, Coleman and
-    Hodgdon's) to 24 times what such hysteresis does, and from 0.18 of what no lag leaves.
+    A second-order lag is tried only if the speed was not varied: at several speeds it cannot
+    imitate a loop. Its two parameters are compared with hysteresis without an envelope, because
+    the two dozen parameters of an envelope follow the corners of a lag at every reversal: on a
+    positioner with lag alone, 0.20 % of the range with an envelope, 0.57 % without, and 0.54 % for
+    the lag. On thirteen published laws the error of a lag is 1.2 (loops of five sizes, Coleman and
+    Hodgdon's) to 24 times that of hysteresis without an envelope, and 0.18 times that of a fit
+    without lag or more.
     """
     scope = scope_of(pieces)
     if not scope.has_one_speed or scope.branches < 2:
         return scope.limits(), ""
     progress("a lag of second order, without hysteresis")
     height = response_range(pieces)
-    lag, delayed, none = (fit_lag(pieces, longest_lag_s, numbers=n) for n in (2, 3, 0))
-    best, plays = min(lag.held_out_rms, delayed.held_out_rms), choice.best.held_out_rms
+    lag, delayed, without_lag = (
+        fit_lag(pieces, longest_lag_s, parameters=count) for count in (2, 3, 0)
+    )
+    lag_rms, plays = min(lag.held_out_rms, delayed.held_out_rms), choice.best.held_out_rms
     straight = without_bends(choice).best.held_out_rms
     envelope = ", an envelope" if choice.best.shape.bends else ""
     comparison = (
@@ -402,8 +417,9 @@ def limits_of_lag(
     )
     reason = ""
     is_wide = widest_opening(pieces) > WIDE * height
-    explains = lag.rises and best < EXPLAINED * none.held_out_rms
-    if is_wide and explains and best <= AS_GOOD * straight:
+    max_rms = MAX_LAG_RESIDUAL * without_lag.held_out_rms
+    is_explained = lag.is_monotone and lag_rms < max_rms
+    if is_wide and is_explained and lag_rms <= COMPARABLE * straight:
         reason = f"the loop is phase lag, not hysteresis ({comparison})"
         if straight > plays:
             reason += f"; plays without an envelope {100 * straight / height:.2g} %"
@@ -413,45 +429,45 @@ def limits_of_lag(
 def reason_of_error(pieces: Sequence[Piece], choice: Choice) -> str:
     """State that the error of the best fit is too large to be used, or return ''."""
     share = choice.best.held_out_rms / response_range(pieces)
-    if share <= UNEXPLAINED:
+    if share <= MAX_RESIDUAL:
         return ""
     return (
-        f"the best fit leaves {100 * share:.1f} % of the displacement range on held-out data; "
-        "plays, dead zones and a lag are not what this response is made of"
+        f"the held-out error of the best fit is {100 * share:.1f} % of the displacement range: "
+        "plays, dead zones and a lag do not describe this response"
     )
 
 
-def reason_of_no_answer(pieces: Sequence[Piece], choice: Choice, scales: Scales) -> str:
-    """State that the displacement does not follow its drive, or return an empty text."""
+def reason_of_no_response(pieces: Sequence[Piece], choice: Choice, scales: Scales) -> str:
+    """State that the displacement does not follow its drive, or return ''."""
     responses = [piece.fitted_response for piece in pieces]
     motion_rms = float(np.sqrt(np.mean(np.concatenate([(y - y.mean()) ** 2 for y in responses]))))
     residual_rms = choice.best.held_out_rms
-    if residual_rms <= FOLLOWED * motion_rms or any(_follows(piece) for piece in pieces):
+    if residual_rms <= MAX_UNEXPLAINED * motion_rms or any(map(_follows_drive, pieces)):
         return ""
     stroke_m = abs(scales.displacement_m)
     low, high = widest_swing(pieces)
     return (
-        "the displacement does not follow the drive: of its "
-        f"{with_unit(motion_rms * stroke_m, 'm')} rms about the mean the best fit leaves "
-        f"{with_unit(residual_rms * stroke_m, 'm')} on held-out data, while "
-        f"the drive moves by {with_unit((high - low) * scales.voltage_V, 'V')}; a "
-        "feedback that holds the sensor, a stage that is not connected and another axis' column "
-        "look like that"
+        "the displacement does not follow the drive: the held-out error of the best fit is "
+        f"{with_unit(residual_rms * stroke_m, 'm')} rms, the motion about its mean "
+        f"{with_unit(motion_rms * stroke_m, 'm')} rms, while the drive moves by "
+        f"{with_unit((high - low) * scales.voltage_V, 'V')}. Possible causes: a feedback that "
+        "holds the sensor, a stage that is not connected, the column of another axis"
     )
 
 
-def _follows(piece: Piece) -> bool:
-    """Tell whether the response follows its drive, at once or at equal drive levels."""
+def _follows_drive(piece: Piece) -> bool:
+    """Return whether the response follows its drive, at once or at equal drive levels."""
     response = piece.fitted_response
     if is_mostly_driven(piece.fitted_drive, response):
         return True
-    # not by direction as well: a servo's drive rises where its sensor reads too little
+    # Rising and falling drive together: a servo raises its drive where the sensor reads too
+    # little.
     half = len(response) // 2
     bins, later_bins = np.split(_bins(piece.fitted_drive), [half])
     count = np.bincount(bins, minlength=BINS)
     level = np.bincount(bins, response[:half], BINS) / np.maximum(count, 1)
-    is_known = count[later_bins] > 0
-    measured, predicted = response[half:][is_known], level[later_bins][is_known]
+    is_filled = count[later_bins] > 0
+    measured, predicted = response[half:][is_filled], level[later_bins][is_filled]
     if not len(measured):
         return True
-    return float(np.std(measured - predicted)) < FOLLOWED * float(np.std(measured))
+    return float(np.std(measured - predicted)) < MAX_UNEXPLAINED * float(np.std(measured))

@@ -1,14 +1,14 @@
-"""Parameter vector of the fit, with bounds, and its operator.
+"""Parameter vector of the hysteresis fit: layout, bounds, and conversion to an operator.
 
 Everything is in scaled units, drive and displacement divided by half their range, so that all
 numbers are of order one. The parametrisation makes every constraint a bound on one number:
 
     play thresholds       r_i = d_1 + ... + d_i,            d_i >= a least gap
     initial memory        z_i(0) = u(0) + sum_(j<=i) d_j s_j,  -1 <= s_j <= 1   (admissible)
-    slopes of Psi         free numbers between two slopes, the two at the origin fixed to 1
+    slopes of Psi         free between two limits, the two at the origin fixed to 1
     kinks of Psi          sums of gaps >= a least gap, outwards from 0
     play weights          w_0 >= a least slope, w_i >= 0
-    slopes of gamma       free numbers within a factor of two of the one in the middle, which is 1
+    slopes of gamma       free within a factor of two of the middle slope, which is 1
 
 gamma is the envelope in front of the plays: without bends it is the identity and the model is
 Kuhnen's; with them it is the generalised Prandtl-Ishlinskii model with equal envelopes.
@@ -24,17 +24,16 @@ from piezoid.numerics.executor import Once
 from piezoid.operators.dead_zone import LINEAR, DeadZones, from_slopes
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
-LEAST_GAP = 2e-3
-GREATEST_GAP = 0.5
-GREATEST_REACH = 0.98
-LEAST_SLOPE = 1e-3  # at which a first guess still has an inverse
-# Slopes are relative to the mean one. Of 860 stages that two strangers drew from nineteen laws
-# none has a branch flatter than a quarter of it. A fit without these limits puts a steep piece
-# beside a flat one, and the inverse of the flat one makes a loop oscillate.
-LEAST_BEHIND_TURN = 0.4
-BENT = (0.4, 2.5)
-BENT_ENVELOPE = (0.5, 2.0)
-GREATEST_SLOPE = 4.0  # of all plays together, in front of a Psi that may be as flat as 0.4
+MIN_GAP, MAX_GAP = 2e-3, 0.5
+MAX_REACH = 0.98  # largest threshold over half the widest swing of the drive
+MIN_SLOPE = 1e-3  # at which a first guess still has an inverse
+# Slopes are relative to the mean slope. Of 860 simulated stages of nineteen laws none has a branch
+# flatter than a quarter of the mean. A fit without these limits alternates steep and flat
+# segments, and the inverse of a flat segment makes a loop oscillate.
+MIN_SLOPE_AFTER_REVERSAL = 0.4
+PSI_SLOPES = (0.4, 2.5)
+ENVELOPE_SLOPES = (0.5, 2.0)
+MAX_WEIGHT = 4.0  # of a play: Psi behind the plays may be as flat as 0.4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +53,8 @@ class Shape:
     bends: int = 0
 
     @property
-    def numbers(self) -> int:
-        """How many numbers the operator has: thresholds and weights, kinks and slopes."""
+    def parameters(self) -> int:
+        """Number of parameters of the operator: thresholds and weights, kinks and slopes."""
         return 2 * self.plays + 1 + 2 * (self.below + self.above) + 2 * self.bends
 
 
@@ -63,10 +62,10 @@ class Shape:
 class Coordinates:
     """Layout of the parameter vector for a shape and a number of pieces.
 
-    The first ``shared`` numbers belong to the operator and the lag; then each piece of recording
-    has its own offsets and memory slopes.
+    The first ``shared`` parameters are those of the operator and the lag; behind them each piece
+    has offsets and memory slopes.
 
-    offsets  (pieces,)  knots of each piece's zero: 1 is a constant, more follow slow motion
+    offsets  (pieces,)  knots of each piece's zero: 1 is a constant, more knots follow slow motion
     """
 
     shape: Shape
@@ -74,7 +73,7 @@ class Coordinates:
 
     @cached_property
     def slices(self) -> dict[str, slice]:
-        """Return name -> slice of the shared numbers, in their order."""
+        """Slice of each group of shared parameters, by name, in their order."""
         shape = self.shape
         counts = {
             "gap": shape.plays,
@@ -95,7 +94,7 @@ class Coordinates:
 
     @property
     def shared(self) -> int:
-        """How many numbers all pieces share."""
+        """Number of parameters that all pieces share."""
         return int(self.slices["lag"].stop)
 
     @property
@@ -114,17 +113,17 @@ class Coordinates:
         return slice(first, first + self.shape.plays)
 
     def bounds(self, longest_lag_s: float) -> tuple[Array, Array]:
-        """Return lower and upper bounds of every number."""
+        """Return lower and upper bounds of every parameter, (total,) each."""
         lower, upper = np.full(self.total, -np.inf), np.full(self.total, np.inf)
-        for name, numbers in self.slices.items():
-            lower[numbers], upper[numbers] = {
-                "gap": (LEAST_GAP, GREATEST_GAP),
-                "weight": (0.0, GREATEST_SLOPE),
-                "slope": BENT,
-                "envelope": BENT_ENVELOPE,
+        for name, group in self.slices.items():
+            lower[group], upper[group] = {
+                "gap": (MIN_GAP, MAX_GAP),
+                "weight": (0.0, MAX_WEIGHT),
+                "slope": PSI_SLOPES,
+                "envelope": ENVELOPE_SLOPES,
                 "lag": (0.0, longest_lag_s),
             }[name.rpartition("_")[2]]
-        lower[self.slices["weight"].start] = LEAST_BEHIND_TURN
+        lower[self.slices["weight"].start] = MIN_SLOPE_AFTER_REVERSAL
         for piece in range(len(self.offsets)):
             lower[self.memory_slice(piece)], upper[self.memory_slice(piece)] = -1.0, 1.0
         return lower, upper
@@ -138,30 +137,28 @@ class Coordinates:
         returned  (kinks, total) and (kinks,)
         """
         rows, constant = [], []
-        for name, numbers_of_name in self.slices.items():
-            numbers = range(numbers_of_name.start, numbers_of_name.stop)
-            if name == "weight":
-                numbers = numbers[1:]
-            elif not name.endswith(("slope", "envelope")):
+        for name, group in self.slices.items():
+            is_slope = name.endswith(("slope", "envelope"))
+            if not is_slope and name != "weight":
                 continue
-            for number in numbers:
+            for index in range(group.start if is_slope else group.start + 1, group.stop):
                 row = np.zeros(self.total)
-                row[number] = 1.0
-                is_first = number == numbers_of_name.start
-                if name != "weight" and not is_first:
-                    row[number - 1] = -1.0
+                row[index] = 1.0
+                is_middle_neighbour = is_slope and index == group.start
+                if is_slope and not is_middle_neighbour:
+                    row[index - 1] = -1.0
                 rows.append(row)
-                constant.append(-1.0 if name != "weight" and is_first else 0.0)
+                constant.append(-1.0 if is_middle_neighbour else 0.0)
         return np.reshape(rows, (-1, self.total)), np.array(constant)
 
-    def within_reach(self, theta: Array, swing: tuple[float, float] = (-1.0, 1.0)) -> Array:
-        """Return the vector with its thresholds drawn in below half the widest swing of the drive.
+    def within_reach(self, theta: Array, swing: tuple[float, float]) -> Array:
+        """Scale the thresholds so that the largest stays below half the swing of the drive.
 
-        A play wider than that never moves: nothing is known about it.
+        A play with a larger threshold never moves, so the data say nothing about it.
         """
         widest = float(theta[self.slices["gap"]].sum())
         low, high = operator_of(theta, self).envelope.run(np.array(swing))
-        reach = GREATEST_REACH * (high - low) / 2
+        reach = MAX_REACH * (high - low) / 2
         if widest <= reach:
             return theta
         narrowed = theta.copy()
@@ -178,7 +175,7 @@ class Scaled:
     knot            (zones,)      kinks of Psi with 0 among them, increasing
     slope           (zones + 1,)  slopes below, between and above the kinks
     zero            index of the kink at 0
-    lag_s           seconds
+    lag_s           lag behind the operator
     envelope        gamma, in front of the plays
     """
 
@@ -193,18 +190,18 @@ class Scaled:
 
     @Once
     def plays(self) -> PrandtlIshlinskii:
-        """All plays, that of threshold 0 first."""
+        """All plays, beginning with the play of threshold 0."""
         return PrandtlIshlinskii(
             threshold=np.concatenate([[0.0], self.threshold]), weight=self.weight
         )
 
     @Once
     def dead_zones(self) -> DeadZones:
-        """Psi."""
+        """Psi, the memoryless map behind the plays."""
         return from_slopes(self.knot, self.slope)
 
     def shape(self, lag: str) -> Shape:
-        """Return the shape whose vector can hold this operator, with a lag of this kind."""
+        """Return the shape of this operator with a lag of the given type."""
         return Shape(
             plays=len(self.gap),
             below=self.zero,
@@ -215,7 +212,7 @@ class Scaled:
 
 
 def operator_of(theta: Array, coordinates: Coordinates) -> Scaled:
-    """Read the shared part of the vector as an operator."""
+    """Return the operator of a parameter vector."""
     slices = coordinates.slices
     gap = theta[slices["gap"]]
     below = -np.cumsum(theta[slices["below_gap"]])[::-1]
@@ -236,7 +233,7 @@ def operator_of(theta: Array, coordinates: Coordinates) -> Scaled:
 
 
 def _envelope(below: Array, above: Array) -> DeadZones:
-    """Return gamma with its kinks at even places of the scaled drive."""
+    """Return gamma with its kinks spread evenly over the scaled drive."""
     bends = len(below)
     if not bends:
         return LINEAR
@@ -248,7 +245,7 @@ def _envelope(below: Array, above: Array) -> DeadZones:
 
 
 def vector_of(operator: Scaled, coordinates: Coordinates) -> Array:
-    """Write an operator as the vector of a fit whose pieces start at offset 0, memory at rest."""
+    """Return the parameter vector of an operator, with zero offsets and memory slopes."""
     theta = np.zeros(coordinates.total)
     slices, zero = coordinates.slices, operator.zero
     theta[slices["gap"]] = operator.gap
@@ -263,6 +260,6 @@ def vector_of(operator: Scaled, coordinates: Coordinates) -> Array:
     return theta
 
 
-def bent(operator: Scaled, bends: int) -> Scaled:
-    """Return the same operator with an envelope that may bend, and does not yet."""
+def with_flat_envelope(operator: Scaled, bends: int) -> Scaled:
+    """Return the operator with an identity envelope of ``bends`` kinks on each side."""
     return replace(operator, envelope=_envelope(np.ones(bends), np.ones(bends)))

@@ -1,8 +1,9 @@
-"""Slow trends over many equal cycles: gain, middle, and both reversals.
+"""Slow trends over many equal cycles: sensitivity, lag, and displacement at both reversals.
 
-    y_i = g_i c + z_i,     c the mean cycle,     trends of g_i, z_i and the tips by Theil and Sen
+    y_i = g_i c + z_i,     c the mean cycle,     trends of g_i, the lag and the tips by Theil and
+    Sen
 
-One fit over all cycles averages what goes on slowly; one number a cycle shows it far below the
+One fit over all cycles averages slow changes. One value per cycle shows changes far below the
 noise of a sample.
 """
 
@@ -19,24 +20,24 @@ from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.repetition import equal_cycles
 from piezoid.numerics.robust import Trend, spread_of, trend_of
 
-FEWEST = 8  # cycles: a trend of fewer may be one cycle that was odd
-MOST = 1000  # that are compared: each with each
-SURE = 1e-3  # false alarm probability of a trend, of four trends
-GAIN = 2e-4  # smaller changes over all cycles do not matter to a controller
-TIP = 0.02  # of the samples of a cycle at either end of the drive
-SLIDES = 0.1  # samples over all cycles: less is how a period that is no whole number is cut
-MOST_WITH_SLIDES = 50  # score, as for a lag that cannot be separated from loop width
-WANDERS = 3.0  # times the scatter of a tip by the noise of its samples
+MIN_CYCLES = 8  # a trend of fewer cycles may be a single unusual cycle
+MAX_CYCLES = 1000  # compared pair by pair
+MAX_P_VALUE = 1e-3  # false-alarm probability of each of the four trends
+MIN_GAIN_CHANGE = 2e-4  # smaller changes over all cycles do not matter to a controller
+TIP_SHARE = 0.02  # of the samples of a cycle, at either end of the drive
+MIN_SLIDE_SAMPLES = 0.1  # over all cycles: rounding of a non-integer period causes less
+MAX_SCORE_WITH_SLIDE = 50  # as for a lag that cannot be separated from loop width
+MIN_SIGNIFICANCE = 3.0  # change over its scatter, or scatter of a tip over its noise
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cycles:
-    """The equal cycles of a piece, samples between two taken straight.
+    """The equal cycles of a piece, linearly interpolated between its samples.
 
     name              of the recording
     sampling_rate_Hz  > 0
     drive, response   (cycles, samples)  scaled
-    period_samples    of one cycle, any number
+    period_samples    of one cycle, not necessarily an integer
     """
 
     name: str
@@ -50,20 +51,21 @@ class Cycles:
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of cycles."""
         return len(self.drive)
 
     @property
-    def _some(self) -> slice:
-        return slice(None, None, max(1, self.count // MOST))
+    def _compared(self) -> slice:
+        return slice(None, None, max(1, self.count // MAX_CYCLES))
 
     def trend(self, values: Array) -> Trend | None:
-        """Return the trend of one number a cycle, (cycles,), for each cycle."""
-        return trend_of(np.arange(self.count, dtype=np.float64)[self._some], values[self._some])
+        """Return the trend per cycle of values with one entry per cycle, (cycles,)."""
+        cycle = np.arange(self.count, dtype=np.float64)
+        return trend_of(cycle[self._compared], values[self._compared])
 
     def scatter(self, values: Array, trend: Trend) -> float:
-        """Return how far numbers scatter about their trend."""
-        return spread_of((values - trend.slope * np.arange(self.count))[self._some]).sigma
+        """Return the standard deviation of values, (cycles,), about their trend."""
+        return spread_of((values - trend.slope * np.arange(self.count))[self._compared]).sigma
 
     @cached_property
     def gain(self) -> Trend | None:
@@ -71,13 +73,13 @@ class Cycles:
         mean = self.response.mean(axis=0) - self.response.mean()
         centred = self.response - self.response.mean(axis=1)[:, None]
         trend = self.trend(centred @ mean / (mean @ mean))
-        if trend is None or trend.p_value > SURE or abs(trend.slope) * (self.count - 1) < GAIN:
+        if trend is None or trend.p_value > MAX_P_VALUE:
             return None
-        return trend
+        return None if abs(trend.slope) * (self.count - 1) < MIN_GAIN_CHANGE else trend
 
     @cached_property
     def slide(self) -> Trend | None:
-        """By how many samples a cycle the displacement slides against its drive, or None.
+        """Trend of the lag behind the drive, samples per cycle; None if it is not significant.
 
         - P / (2 pi) arg(Y_i / U_i),     first harmonics of cycle i and its period P
         """
@@ -86,16 +88,16 @@ class Cycles:
         phase = np.unwrap(np.angle((self.response @ wave) / (self.drive @ wave)))
         lag = -phase * self.period_samples / (2.0 * np.pi)
         trend = self.trend(lag)
-        if trend is None or trend.p_value > SURE:
+        if trend is None or trend.p_value > MAX_P_VALUE:
             return None
-        change = abs(trend.slope) * (self.count - 1)
-        return trend if change >= max(SLIDES, WANDERS * self.scatter(lag, trend)) else None
+        least_change = max(MIN_SLIDE_SAMPLES, MIN_SIGNIFICANCE * self.scatter(lag, trend))
+        return trend if abs(trend.slope) * (self.count - 1) >= least_change else None
 
 
 def cycles_of(piece: Piece) -> Cycles | None:
-    """Return the equal cycles of a piece; None if they are too few to show a trend."""
+    """Return the equal cycles of a piece; None if there are too few for a trend."""
     drive, response = piece.fitted_drive, piece.fitted_response
-    cycles = equal_cycles(drive, fewest=FEWEST) if np.ptp(drive) > 0.0 else None
+    cycles = equal_cycles(drive, fewest=MIN_CYCLES) if np.ptp(drive) > 0.0 else None
     if cycles is None:
         return None
     return Cycles(
@@ -108,49 +110,49 @@ def cycles_of(piece: Piece) -> Cycles | None:
 
 
 def trends_over_cycles(cycles: Cycles, stroke_m: float, noise: float) -> tuple[str, ...]:
-    """Return one sentence for everything that goes on slowly over equal cycles, but slides.
+    """Return a sentence for each significant trend of the sensitivity and of both tips.
 
-    stroke_m  what the number 1 of the response means
-    noise     white, of a sample, scaled units
+    stroke_m  displacement of one scaled unit
+    noise     rms of the white noise of a sample, scaled units
     """
-    around = cycles.drive.mean(axis=0)
-    width = max(int(TIP * len(around)), 1)
+    mean_drive = cycles.drive.mean(axis=0)
+    width = max(int(TIP_SHARE * len(mean_drive)), 1)
     noise_m = noise * stroke_m / width**0.5
-    order = np.argsort(around, kind="stable")
+    order = np.argsort(mean_drive, kind="stable")
     sentences = []
     if cycles.gain is not None:
         ends = (cycles.gain.slope, *cycles.gain.ci95)
         change, low, high = (100 * end * (cycles.count - 1) for end in ends)
         sentences.append(
-            f"{cycles.name}: cycle by cycle the sensitivity goes by {change:+.3g} % over "
+            f"{cycles.name}: cycle by cycle the sensitivity changes by {change:+.3g} % over "
             f"{cycles.count} equal cycles (95 %: {low:.3g} to {high:.3g} %)."
         )
-    for tip, where in (("upper", order[-width:]), ("lower", order[:width])):
-        level_m = stroke_m * cycles.response[:, where].mean(axis=1)
+    for tip, samples in (("upper", order[-width:]), ("lower", order[:width])):
+        level_m = stroke_m * cycles.response[:, samples].mean(axis=1)
         trend = cycles.trend(level_m)
         if trend is None:
             continue
         change_m = trend.slope * (cycles.count - 1)
-        # the first cycles may still forget what came before them: no scatter of the others
+        # A robust scatter: the first cycles may still depend on the initial state.
         scatter_m = cycles.scatter(level_m, trend)
-        parts = []
-        if trend.p_value < SURE and abs(change_m) > WANDERS * noise_m:
-            parts.append(f"goes by {with_unit(change_m, 'm')}")
-        if scatter_m > WANDERS * noise_m:
-            parts.append(
-                f"wanders by {with_unit(scatter_m, 'm')} rms about its trend, where the noise of "
-                f"its samples is {with_unit(noise_m, 'm')}"
+        changes = []
+        if trend.p_value < MAX_P_VALUE and abs(change_m) > MIN_SIGNIFICANCE * noise_m:
+            changes.append(f"moves by {with_unit(change_m, 'm')}")
+        if scatter_m > MIN_SIGNIFICANCE * noise_m:
+            changes.append(
+                f"wanders by {with_unit(scatter_m, 'm')} rms about its trend (noise of the mean "
+                f"of its samples: {with_unit(noise_m, 'm')})"
             )
-        if parts:
+        if changes:
             sentences.append(
                 f"{cycles.name}: over {cycles.count} equal cycles the {tip} tip "
-                f"{' and '.join(parts)}."
+                f"{' and '.join(changes)}."
             )
     return tuple(sentences)
 
 
 def limits_of_cycles(cycles: Sequence[Cycles]) -> tuple[Limit, ...]:
-    """Return limits for displacement that slides against its drive from cycle to cycle."""
+    """Return a limit for each piece whose lag between drive and displacement has a trend."""
     limits = []
     for recorded in cycles:
         trend = recorded.slide
@@ -162,8 +164,8 @@ def limits_of_cycles(cycles: Sequence[Cycles]) -> tuple[Limit, ...]:
         reason = (
             f"{recorded.name}: cycle by cycle the displacement {direction} its drive, by "
             f"{with_unit(slides_s, 's')} over {recorded.count} equal cycles ({ppm:+.3g} ppm of "
-            "the time): two clocks, it seems, or a lag or a loop that changes; no one lag or "
-            "width holds"
+            "the time): two clocks, or a lag or loop width that changes; no single lag or width "
+            "describes them"
         )
-        limits.append(Limit(lack="slides", reason=reason, most=MOST_WITH_SLIDES))
+        limits.append(Limit(lack="slides", reason=reason, most=MAX_SCORE_WITH_SLIDE))
     return tuple(limits)

@@ -1,4 +1,4 @@
-"""Estimate one axis from its recordings, from scaled pieces to an AxisModel."""
+"""Estimate the hysteresis of one axis: from its recordings to an AxisModel."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from piezoid.identification.hysteresis.applicability import (
     reason_in_loops,
     reason_of_error,
     reason_of_lag,
-    reason_of_no_answer,
+    reason_of_no_response,
 )
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.cycles import (
@@ -22,13 +22,12 @@ from piezoid.identification.hysteresis.cycles import (
 )
 from piezoid.identification.hysteresis.excluded_rows import without_outliers, without_transients
 from piezoid.identification.hysteresis.gauss_newton import minimise
-from piezoid.identification.hysteresis.order import (
+from piezoid.identification.hysteresis.order_selection import (
     ORDERS,
     Choice,
     choose_shape,
     without_bends,
 )
-from piezoid.identification.hysteresis.physical import physical, piece_start
 from piezoid.identification.hysteresis.pieces import (
     Piece,
     Rig,
@@ -39,15 +38,16 @@ from piezoid.identification.hysteresis.pieces import (
 )
 from piezoid.identification.hysteresis.scope import limits_as_recorded
 from piezoid.identification.hysteresis.search import (
-    Fitted,
+    HysteresisFit,
     Settings,
-    continued,
+    prune,
     search,
-    searched_from,
-    simplified,
+    search_from,
+    simulate_piece,
 )
 from piezoid.identification.hysteresis.sensor_noise import noise_is_most, sensor_noise
 from piezoid.identification.hysteresis.uncertainty import certify, jackknife, summarise
+from piezoid.identification.hysteresis.unit_scaling import piece_start, to_si_units
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.identification.quality import (
     IN_SAMPLE,
@@ -63,15 +63,15 @@ from piezoid.records.reversals import noise_of, reversals_of
 FIRST_SHAPE = Shape(plays=8, below=2, above=2)
 CHOOSING_ROWS = 4000
 FINAL_ROWS = 40_000
-LOOSE_KKT = 1e-6  # optimality of the quadratic program that the search starts from
-POLISH = 4  # Jacobians over every row once the thinned search is done
+MAX_KKT_GAP = 1e-6  # of the quadratic program that the search starts from
+POLISHING_ITERATIONS = 4  # over every row, after the search over thinned rows
 Progress = Callable[[str], None]
 Orders = Sequence[tuple[int, int]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Prepared:
-    """Pieces ready to be fitted, and remarks on the outliers and transients excluded from them."""
+class FitSetup:
+    """Pieces and settings of a fit, and remarks on excluded outliers and transients."""
 
     scales: Scales
     pieces: tuple[Piece, ...]
@@ -90,48 +90,47 @@ def estimate_axis(
 ) -> AxisModel:
     """Fit one axis: convex start, Gauss-Newton, order by held-out error, uncertainty, verdict.
 
-    recordings  of this axis, each with its own memory and zero; their order changes nothing but
-                that of ``starts``
+    recordings  of this axis, each with its own memory and zero; only the order of ``starts``
+                depends on theirs
     axis        name
-    rig         poles the laboratory declares
+    rig         poles that the laboratory declares
     orders      (plays, dead zones per side) to choose from
-    progress    told what is being done, for whoever waits
+    progress    called with a description of each step
 
-    Raises ``ExcitationError`` where drive or displacement does not move.
+    Raises ``ExcitationError`` if drive or displacement does not move.
     """
-    # Which recordings are left out together follows from their order, and in the last digit every
-    # sum over rows.
+    # The folds depend on the order of the recordings, and so do the last digits of sums over rows.
     ordered = tuple(sorted(recordings, key=lambda recording: recording.name))
-    data = _prepare(ordered, axis, rig, progress)
-    in_loops = reason_in_loops(data.pieces)
-    if in_loops:  # one small fit is enough to show how wrong the class is
+    setup = _prepare(ordered, axis, rig, progress)
+    loop_reason = reason_in_loops(setup.pieces)
+    if loop_reason:  # one small fit is enough to show how wrong the class is
         orders = orders[:1]
-    settings = replace(data.settings, rows=CHOOSING_ROWS, iterations=12)
-    choice = choose_shape(data.pieces, settings, orders=orders, progress=progress)
-    cycles = [trends for trends in map(cycles_of, data.pieces) if trends is not None]
+    settings = replace(setup.settings, rows=CHOOSING_ROWS, iterations=12)
+    choice = choose_shape(setup.pieces, settings, orders=orders, progress=progress)
+    cycles = [c for c in map(cycles_of, setup.pieces) if c is not None]
     slides = limits_of_cycles(cycles)
-    # Where lag or gain change from cycle to cycle, their residual hides by how much plays do
-    # better than one lag.
-    has_trend = bool(slides) or any(trends.gain is not None for trends in cycles)
-    lag = ""
-    if not in_loops and not has_trend:
-        lag = reason_of_lag(data.pieces, choice, settings, progress)
-    longest_s = data.settings.longest_lag_s
-    limits, second_order_lag = limits_of_lag(data.pieces, choice, longest_s, progress)
+    # A lag or gain that changes from cycle to cycle dominates the residual and hides the
+    # difference between plays and a lag.
+    has_trend = bool(slides) or any(c.gain is not None for c in cycles)
+    lag_reason = ""
+    if not loop_reason and not has_trend:
+        lag_reason = reason_of_lag(setup.pieces, choice, settings, progress)
+    longest_s = setup.settings.longest_lag_s
+    limits, second_order_reason = limits_of_lag(setup.pieces, choice, longest_s, progress)
     if has_trend:
-        second_order_lag = ""
-    if second_order_lag:
+        second_order_reason = ""
+    if second_order_reason:
         choice = without_bends(choice)
     rejection = (
-        reason_of_no_answer(data.pieces, choice, data.scales)
-        or lag
-        or second_order_lag
-        or in_loops
-        or reason_of_error(data.pieces, choice)
+        reason_of_no_response(setup.pieces, choice, setup.scales)
+        or lag_reason
+        or second_order_reason
+        or loop_reason
+        or reason_of_error(setup.pieces, choice)
     )
     progress("final fit")
-    fitted = _final(data, choice)
-    model = _axis_model(ordered, axis, rig, data, choice, fitted, rejection, cycles)
+    fit = _final_fit(setup, choice)
+    model = _axis_model(ordered, axis, rig, setup, choice, fit, rejection, cycles)
     limits = (*limits, *limits_as_recorded(ordered, axis), *slides)
     limits = tuple(sorted(limits, key=lambda limit: limit.most))
     names = [recording.name for recording in recordings]
@@ -139,78 +138,79 @@ def estimate_axis(
     return replace(model, starts=starts, quality=replace(model.quality, limits=limits))
 
 
-def _prepare(recordings: Sequence[Recording], axis: str, rig: Rig, progress: Progress) -> Prepared:
+def _prepare(recordings: Sequence[Recording], axis: str, rig: Rig, progress: Progress) -> FitSetup:
     progress("first fit")
     scales = scales_of(recordings, axis)
     pieces = pieces_of(recordings, axis, scales, rig)
     settings = Settings(
         longest_lag_s=longest_lag_s(pieces), sensor_pole_Hz=rig.sensor_bandwidth_Hz
     )
-    quick = replace(settings, rows=CHOOSING_ROWS, iterations=12)
-    rough = search(pieces, FIRST_SHAPE, quick)
-    pieces, outliers = without_outliers(rough)
+    coarse = replace(settings, rows=CHOOSING_ROWS, iterations=12)
+    fit = search(pieces, FIRST_SHAPE, coarse)
+    pieces, outliers = without_outliers(fit)
     if outliers:
-        rough = search(pieces, FIRST_SHAPE, quick)
-    pieces, transients = without_transients(rough)
-    return Prepared(
+        fit = search(pieces, FIRST_SHAPE, coarse)
+    pieces, transients = without_transients(fit)
+    return FitSetup(
         scales=scales,
         pieces=pieces,
-        settings=replace(settings, lag_s=rough.operator.lag_s),
+        settings=replace(settings, lag_s=fit.operator.lag_s),
         outliers=outliers,
         transients=transients,
     )
 
 
 def longest_lag_s(pieces: Sequence[Piece]) -> float:
-    """Return the longest lag worth searching: a quarter of the slower branches of the drive."""
+    """Return the upper bound of the lag: a quarter of the duration of the slower branches."""
     branches = []
     for piece in pieces:
-        turns = reversals_of(piece.drive, max(noise_of(piece.drive), 0.02))
-        edges = np.array([piece.first, *turns, piece.last])
+        reversals = reversals_of(piece.drive, max(noise_of(piece.drive), 0.02))
+        edges = np.array([piece.first, *reversals, piece.last])
         branches.extend((np.diff(edges) / piece.sampling_rate_Hz).tolist())
-    least_s = 10.0 / min(piece.sampling_rate_Hz for piece in pieces)
-    return max(least_s, 0.25 * float(np.quantile(branches, 0.9)))
+    ten_samples_s = 10.0 / min(piece.sampling_rate_Hz for piece in pieces)
+    return max(ten_samples_s, 0.25 * float(np.quantile(branches, 0.9)))
 
 
-def _final(data: Prepared, choice: Choice) -> Fitted:
-    """Search over all rows.
+def _final_fit(setup: FitSetup, choice: Choice) -> HysteresisFit:
+    """Fit the chosen shape to all rows.
 
-    Where that ends above the error that the folds' operators left on rows unseen, a better
-    minimum exists: the search is repeated from these operators.
+    An error in sample above the held-out error of the folds shows that a better minimum exists:
+    the search is then repeated from the operators of the folds.
     """
-    settings, best = replace(data.settings, rows=FINAL_ROWS), choice.best
-    fitted = search(data.pieces, best.shape, settings)
-    if fitted.minimum.rms > best.held_out_rms:
+    settings, best = replace(setup.settings, rows=FINAL_ROWS), choice.best
+    fit = search(setup.pieces, best.shape, settings)
+    if fit.minimum.rms > best.held_out_rms:
         repeated = (
-            searched_from(data.pieces, operator, best.shape.lag, settings)
-            for operator in best.fitted
+            search_from(setup.pieces, operator, best.shape.lag, settings)
+            for operator in best.operators
         )
-        closest = min((fitted, *repeated), key=lambda fit: fit.minimum.rms)
-        fitted = replace(closest, kkt_gap=fitted.kkt_gap)
-    fitted = simplified(fitted, iterations=settings.iterations)
-    if fitted.task.stride == 1:
-        return fitted
-    polished = minimise(fitted.minimum.theta, replace(fitted.task, stride=1), iterations=POLISH)
-    total = polished.iterations + fitted.minimum.iterations
-    return replace(fitted, minimum=replace(polished, iterations=total))
+        closest = min((fit, *repeated), key=lambda candidate: candidate.minimum.rms)
+        fit = replace(closest, kkt_gap=fit.kkt_gap)
+    fit = prune(fit, iterations=settings.iterations)
+    if fit.task.stride == 1:
+        return fit
+    all_rows = replace(fit.task, stride=1)
+    polished = minimise(fit.minimum.theta, all_rows, iterations=POLISHING_ITERATIONS)
+    total = polished.iterations + fit.minimum.iterations
+    return replace(fit, minimum=replace(polished, iterations=total))
 
 
 def _axis_model(
     recordings: Sequence[Recording],
     axis: str,
     rig: Rig,
-    data: Prepared,
+    setup: FitSetup,
     choice: Choice,
-    fitted: Fitted,
+    fit: HysteresisFit,
     rejection: str,
     cycles: Sequence[Cycles],
 ) -> AxisModel:
-    scales, theta = data.scales, fitted.minimum.theta
+    scales, theta = setup.scales, fit.minimum.theta
     stroke_m = abs(scales.displacement_m)
-    jack = jackknife(theta, fitted.task)
+    refits = jackknife(theta, fit.task)
     starts = tuple(
-        piece_start(piece, index, theta, fitted.task.coordinates, scales, float(piece.drive[0]))
-        for index, piece in enumerate(fitted.task.pieces)
+        piece_start(piece, index, theta, fit.task.coordinates, scales, float(piece.drive[0]))
+        for index, piece in enumerate(fit.task.pieces)
     )
     zero_m = float(np.mean([start.zero_m.mean() for start in starts]))
     drives = [recording.voltage_V(axis) for recording in recordings]
@@ -218,17 +218,17 @@ def _axis_model(
         float(np.abs(np.diff(u)).max()) * r.sampling_rate_Hz
         for u, r in zip(drives, recordings, strict=True)
     )
-    quality = _quality(fitted, choice, data.pieces, stroke_m)
+    quality = _quality(fit, choice, setup.pieces, stroke_m)
     trends = [
         remark
-        for of_piece in cycles
-        for remark in trends_over_cycles(of_piece, stroke_m, quality.noise_rms_m / stroke_m)
+        for cycles_of_piece in cycles
+        for remark in trends_over_cycles(cycles_of_piece, stroke_m, quality.noise_rms_m / stroke_m)
     ]
     return AxisModel(
         axis=axis,
-        hysteresis=physical(fitted.operator, scales, zero_m),
+        hysteresis=to_si_units(fit.operator, scales, zero_m),
         polarity=int(np.sign(scales.displacement_m)),
-        lag=Lag(kind=fitted.shape.lag, time_s=fitted.operator.lag_s),
+        lag=Lag(kind=fit.shape.lag, time_s=fit.operator.lag_s),
         rig=rig,
         starts=starts,
         voltage_V=(min(float(u.min()) for u in drives), max(float(u.max()) for u in drives)),
@@ -236,26 +236,26 @@ def _axis_model(
             applies=not rejection,
             reason=rejection,
             remarks=(
-                *data.outliers,
+                *setup.outliers,
                 *trends,
-                *data.transients,
-                *remarks_on(fitted, choice.kind, rig),
+                *setup.transients,
+                *remarks_on(fit, choice.kind, rig),
             ),
         ),
         quality=quality,
-        uncertainty=summarise(jack, fitted.task.coordinates, scales),
+        uncertainty=summarise(refits, fit.task.coordinates, scales),
         certificate=certify(
-            jack,
-            fitted.task.coordinates,
+            refits,
+            fit.task.coordinates,
             scales,
             choice.best.residual * stroke_m,
             slew,
-            fitted.task.longest_lag_s,
+            fit.task.longest_lag_s,
         ),
     )
 
 
-def remarks_on(fitted: Fitted, held_out_kind: str, rig: Rig) -> tuple[str, ...]:
+def remarks_on(fit: HysteresisFit, held_out_kind: str, rig: Rig) -> tuple[str, ...]:
     """Return remarks on excitation, on weights and lags at their bounds, and on the start."""
     remarks = []
     if held_out_kind == SECOND_HALF:
@@ -267,8 +267,8 @@ def remarks_on(fitted: Fitted, held_out_kind: str, rig: Rig) -> tuple[str, ...]:
         remarks.append(
             "The error is in sample: a single loop leaves nothing to test the model on."
         )
-    operator, plays = fitted.operator, fitted.shape.plays
-    for piece in fitted.task.pieces:
+    operator, plays = fit.operator, fit.shape.plays
+    for piece in fit.task.pieces:
         drive = piece.fitted_drive
         unexcited = int((forgetting_sample(drive, operator.threshold) >= len(drive)).sum())
         if unexcited:
@@ -279,7 +279,7 @@ def remarks_on(fitted: Fitted, held_out_kind: str, rig: Rig) -> tuple[str, ...]:
     on_zero = int((operator.weight[1:] <= 0.0).sum())
     if on_zero:
         remarks.append(f"{on_zero} of {plays} play weights lie on 0; only upper limits are given.")
-    if fitted.shape.lag != "none" and operator.lag_s <= 0.0:
+    if fit.shape.lag != "none" and operator.lag_s <= 0.0:
         poles = (rig.amplifier_bandwidth_Hz, rig.sensor_bandwidth_Hz)
         declared = ", ".join(with_unit(pole, "Hz") for pole in poles if pole is not None)
         check = "that both channels are sampled at the same instant"
@@ -293,20 +293,20 @@ def remarks_on(fitted: Fitted, held_out_kind: str, rig: Rig) -> tuple[str, ...]:
             remarks.append(
                 f"The fitted lag lies on 0: the displacement may lead the drive. Check {check}."
             )
-    if fitted.shape.lag != "none" and operator.lag_s >= 0.999 * fitted.task.longest_lag_s > 0.0:
+    if fit.shape.lag != "none" and operator.lag_s >= 0.999 * fit.task.longest_lag_s > 0.0:
         bound = with_unit(operator.lag_s, "s")
         remarks.append(f"The fitted lag lies on its upper bound, {bound}.")
-    if fitted.kkt_gap > LOOSE_KKT:
-        remarks.append(f"The convex start is optimal only to {fitted.kkt_gap:.1e}.")
+    if fit.kkt_gap > MAX_KKT_GAP:
+        remarks.append(f"The convex start is optimal only to {fit.kkt_gap:.1e}.")
     return tuple(remarks)
 
 
 def _quality(
-    fitted: Fitted, choice: Choice, pieces: Sequence[Piece], stroke_m: float
+    fit: HysteresisFit, choice: Choice, pieces: Sequence[Piece], stroke_m: float
 ) -> FitQuality:
-    minimum = fitted.minimum
+    minimum = fit.minimum
     residuals = [
-        continued(fitted, index, piece) - piece.response for index, piece in enumerate(pieces)
+        simulate_piece(fit, index, piece) - piece.response for index, piece in enumerate(pieces)
     ]
     noise = np.array(list(map(sensor_noise, pieces, residuals)))
     rows = [piece.rows for piece in pieces]
@@ -319,17 +319,17 @@ def _quality(
         noise_is_most=any(map(noise_is_most, pieces, residuals)),
         rows=sum(rows),
         effective_parameters=float(len(minimum.theta)),
-        kkt_gap=fitted.kkt_gap,
+        kkt_gap=fit.kkt_gap,
         gradient=minimum.gradient,
         converged=minimum.converged,
         orders=tuple(
             Order(
-                plays=t.shape.plays,
-                dead_zones=t.shape.below + t.shape.above,
-                bends=2 * t.shape.bends,
-                lag=t.shape.lag,
-                held_out_rms_m=t.held_out_rms * stroke_m,
+                plays=trial.shape.plays,
+                dead_zones=trial.shape.below + trial.shape.above,
+                bends=2 * trial.shape.bends,
+                lag=trial.shape.lag,
+                held_out_rms_m=trial.held_out_rms * stroke_m,
             )
-            for t in choice.trials
+            for trial in choice.trials
         ),
     )

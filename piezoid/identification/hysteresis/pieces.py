@@ -1,4 +1,4 @@
-"""Uninterrupted pieces of drive and displacement in scaled units."""
+"""Scaled pieces: uninterrupted drive and displacement in units of half their ranges."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -31,11 +31,11 @@ class Rig:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scales:
-    """How volts and metres become numbers of order one.
+    """Scales that convert volts and metres to values of order one.
 
     voltage_V        half the range of the drive
-    voltage_offset_V its middle
-    displacement_m   half the range of the displacement, negative where it falls as the drive rises
+    voltage_offset_V middle of the range of the drive
+    displacement_m   half the range of the displacement, negative if it falls as the drive rises
     """
 
     voltage_V: float
@@ -45,16 +45,16 @@ class Scales:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Piece:
-    """One uninterrupted stretch of one recording.
+    """One uninterrupted piece of a recording.
 
-    name              the recording's name
-    recording         its number among the recordings of the fit
+    name              of the recording
+    recording         its index among the recordings of the fit
     sampling_rate_Hz  > 0
     drive             (samples,)  scaled, behind the declared amplifier
     response          (samples,)  scaled, about zero
-    centre_m          what was subtracted from the displacement before scaling
-    first, last       rows that count; states are followed from sample 0 whatever ``first`` is
-    lost              (count,)  samples that are no measurement: they do not count
+    centre_m          displacement that was subtracted before scaling
+    first, last       range of the fitted rows; states are computed from sample 0 in any case
+    invalid           (count,)  samples without a valid measurement, which are not fitted
     begin             sample of the recording at which the piece begins
     """
 
@@ -66,7 +66,7 @@ class Piece:
     centre_m: float
     first: int
     last: int
-    lost: Samples = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    invalid: Samples = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     begin: int = 0
 
     def __post_init__(self) -> None:
@@ -74,63 +74,65 @@ class Piece:
 
     @Once
     def turns(self) -> NDArray[np.bool_]:
-        """Which samples of the drive are its first or a turn, (samples,)."""
+        """Whether a sample of the drive is the first or a reversal, (samples,)."""
         return turns_of(self.drive)
 
     @property
     def rows(self) -> int:
-        """How many samples there are from the first that counts to the last."""
+        """Number of samples in the range of the fitted rows, invalid ones included."""
         return self.last - self.first
 
     @property
     def fitted_drive(self) -> Array:
-        """The drive from the first sample that counts to the last, (rows,)."""
+        """Drive of the fitted rows, (rows,)."""
         return self.drive[self.first : self.last]
 
     @property
     def fitted_response(self) -> Array:
-        """The response from the first sample that counts to the last, (rows,)."""
+        """Response of the fitted rows, (rows,)."""
         return self.response[self.first : self.last]
 
-    def counting(self, stride: int = 1) -> Samples:
-        """Return every ``stride``-th of the samples that count, without those lost, (rows,)."""
+    def fitted_samples(self, stride: int = 1) -> Samples:
+        """Return every ``stride``-th of the fitted samples, without invalid ones, (rows,)."""
         sample = np.arange(self.first, self.last, stride)
-        return np.setdiff1d(sample, self.lost, assume_unique=True) if len(self.lost) else sample
+        if not len(self.invalid):
+            return sample
+        return np.setdiff1d(sample, self.invalid, assume_unique=True)
 
 
 def response_range(pieces: Sequence[Piece]) -> float:
-    """Return the range of the response in the piece in which it is widest."""
+    """Return the largest range of the response in one piece."""
     return max(float(np.ptp(piece.fitted_response)) for piece in pieces)
 
 
 def widest_swing(pieces: Sequence[Piece]) -> tuple[float, float]:
-    """Return from where to where the drive goes in the piece in which it goes furthest."""
+    """Return minimum and maximum of the drive in the piece with the largest range."""
     drives = [piece.drive[: piece.last] for piece in pieces]
     widest = max(drives, key=lambda drive: float(np.ptp(drive)))
     return float(widest.min()), float(widest.max())
 
 
 def scales_of(recordings: Sequence[Recording], axis: str) -> Scales:
-    """Return the scales of a set of recordings of one axis.
+    """Return the common scales of recordings of one axis.
 
-    Raises ``ExcitationError`` where the drive or the displacement does not move.
+    Raises ``ExcitationError`` if the drive or the displacement does not move.
     """
     drives = [recording.voltage_V(axis) for recording in recordings]
-    rests = all(is_at_rest(recording, axis) for recording in recordings)
+    is_constant = all(is_at_rest(recording, axis) for recording in recordings)
     low, high = min(float(u.min()) for u in drives), max(float(u.max()) for u in drives)
     spans = [float(np.ptp(recording.displacement_m(axis))) for recording in recordings]
     names = ", ".join(recording.name for recording in recordings)
     noise = " but for the noise of its reading" if high > low else ""
-    for what, never in (
-        (f"drive of axis {axis} never changes{noise}", rests),
+    for finding, applies in (
+        (f"drive of axis {axis} never changes{noise}", is_constant),
         (f"displacement of axis {axis} never changes", max(spans) <= 0.0),
     ):
-        if never:
+        if applies:
             raise ExcitationError(
-                f"{names}: the {what}",
-                needed="a sweep over the range the stage is used in",
-                remedy="Check which column is which, or record a sweep; drift, hum, other axes "
-                "and noise of a stage at rest are what piezoid diagnose tells.",
+                f"{names}: the {finding}",
+                needed="a sweep over the range in which the stage is used",
+                remedy="Check which column is which, or record a sweep. piezoid diagnose reports "
+                "drift, hum, coupling and noise of a stage at rest.",
             )
     covariance = sum(
         float(np.sum((u - u.mean()) * (y - y.mean())))
@@ -146,33 +148,33 @@ def scales_of(recordings: Sequence[Recording], axis: str) -> Scales:
 def pieces_of(
     recordings: Sequence[Recording], axis: str, scales: Scales, rig: Rig
 ) -> tuple[Piece, ...]:
-    """Cut recordings into scaled pieces, without stretches that are too short."""
+    """Cut recordings into scaled pieces, without pieces that are too short."""
     pieces = []
     for number, recording in enumerate(recordings):
         rate_Hz, bridged = recording.sampling_rate_Hz, np.array(recording.bridged, dtype=np.intp)
         scaled_V = (recording.voltage_V(axis) - scales.voltage_offset_V) / scales.voltage_V
-        for part in recording.pieces:
-            if part.stop - part.start < MINIMUM_SAMPLES:
+        for rows in recording.pieces:
+            if rows.stop - rows.start < MINIMUM_SAMPLES:
                 continue
-            measured_m = recording.displacement_m(axis)[part]
+            measured_m = recording.displacement_m(axis)[rows]
             centre_m = float((measured_m.max() + measured_m.min()) / 2)
-            is_inside = (bridged >= part.start) & (bridged < part.stop)
+            is_inside = (bridged >= rows.start) & (bridged < rows.stop)
             piece = Piece(
                 name=recording.name,
                 recording=number,
                 sampling_rate_Hz=rate_Hz,
-                drive=behind_pole(scaled_V[part], rig.amplifier_bandwidth_Hz, rate_Hz),
+                drive=behind_pole(scaled_V[rows], rig.amplifier_bandwidth_Hz, rate_Hz),
                 response=(measured_m - centre_m) / scales.displacement_m,
                 centre_m=centre_m,
                 first=0,
                 last=len(measured_m),
-                lost=bridged[is_inside] - part.start,
-                begin=part.start,
+                invalid=bridged[is_inside] - rows.start,
+                begin=rows.start,
             )
             pieces.append(piece)
     if not pieces:
         raise ExcitationError(
-            f"{', '.join(r.name for r in recordings)}: no uninterrupted stretch is longer than "
+            f"{', '.join(r.name for r in recordings)}: no uninterrupted piece is longer than "
             f"{MINIMUM_SAMPLES} samples",
             needed="a continuous recording of at least one sweep",
             remedy="Record again without losing samples.",
@@ -181,10 +183,10 @@ def pieces_of(
 
 
 def behind_pole(signal: Array, bandwidth_Hz: float | None, sampling_rate_Hz: float) -> Array:
-    """Return a signal, or columns, behind a declared pole, straight between samples; None: as is.
+    """Filter a signal or columns, linear between samples, by a declared pole; None: no pole.
 
-    A recording slower than the converter holds samples of a smooth drive; at the converter's own
-    rate the hold's half sample is left to the fitted lag.
+    A recording slower than the converter contains samples of a smooth drive. At the rate of the
+    converter, the fitted lag contains the half sample of the hold.
     """
     if bandwidth_Hz is None:
         return signal

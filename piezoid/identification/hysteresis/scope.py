@@ -1,7 +1,7 @@
-"""Scope of recordings: what they can identify, before any fit.
+"""Scope of recordings: limits to what a fit can identify, found before the fit.
 
-A branch that was never driven, a speed or an amplitude at which nothing was recorded: no residual
-tells of them. Each such lack is a sentence and the most that a score may be with it.
+No residual shows a branch, a speed or an amplitude that was never recorded. Each such lack becomes
+a sentence and an upper bound of the score.
 """
 
 from collections.abc import Sequence
@@ -14,18 +14,17 @@ from piezoid.identification.quality import Limit
 from piezoid.records.recording import Recording
 from piezoid.records.reversals import noise_of, reversals_of
 
-LARGE = 0.2  # of the drive's range: a branch that shows a loop
+LARGE = 0.2  # of the largest span: a branch that shows a loop
+SMALL = 0.02  # of the largest span: a smaller branch is no reversal
 ONE_LOOP = 3  # branches: from the middle up, down and back
-SMALL = 0.02  # of the same: less is no reversal
-ALIKE = 1.5  # how far the spans of two branches may differ to be compared at two speeds
-FASTER = 2.0  # loop width by a lag doubles with the speed, which exceeds any uncertainty
-OTHER_SIZE = 1.25  # times the span of the smallest: reversals of more than one size
-# the most a score may be: none of them is "good" (90), and what leaves open whether there is a
-# loop, or what it is, is no more than "usable with care" (50)
-MOST = {"branch": 20, "loop": 40, "speed": 50, "amplitude": 70, "recording": 85}
-# the same for what reading found odd about drive and displacement together: a clean recording of
-# the stage may look otherwise
-AS_RECORDED = {
+SIMILAR_SPANS = 1.5  # largest ratio of spans at which the speeds of two branches are compared
+MIN_SPEED_RATIO = 2.0  # doubles the loop width caused by a lag, beyond any uncertainty
+MIN_AMPLITUDE_RATIO = 1.25  # of spans between reversals, largest over smallest
+# Upper bounds of the score: never "good" (90), and at most "usable with care" (50) if the
+# existence or the cause of a loop is unknown.
+MAX_SCORE = {"branch": 20, "loop": 40, "speed": 50, "amplitude": 70, "recording": 85}
+# The same for checks of drive and displacement when the files are read.
+MAX_SCORE_AS_RECORDED = {
     "closed_loop": 40,
     "leads": 50,
     "smoothed": 50,
@@ -39,13 +38,11 @@ AS_RECORDED = {
 class Branch:
     """One monotone run of the drive, in scaled units.
 
-    recording     its number
-    span          signed
-    speed_per_s   without sign
-    is_whole      from one reversal to the next; the first and the last of a piece are not
+    span         signed
+    speed_per_s  magnitude
+    is_whole     whether it extends from reversal to reversal, unlike the first and last branch
     """
 
-    recording: int
     span: float
     speed_per_s: float
     is_whole: bool
@@ -53,11 +50,11 @@ class Branch:
 
 @dataclass(frozen=True, kw_only=True)
 class Scope:
-    """Properties of the recordings that decide what a fit can know.
+    """Properties of the recordings that limit what a fit can identify.
 
-    branches    that are large
-    recordings  how many
-    speeds      ratio of the fastest to the slowest of like branches of one direction
+    branches    number of large branches
+    recordings  number of recordings
+    speeds      ratio of the fastest to the slowest among similar branches of one direction
     amplitudes  ratio of the largest span to the smallest between two reversals
     """
 
@@ -68,71 +65,69 @@ class Scope:
 
     @property
     def is_untested(self) -> bool:
-        """Whether no part can be left out that the rest has seen the like of."""
+        """Whether the only recording is a single loop, of which no part can be held out."""
         return self.recordings == 1 and self.branches <= ONE_LOOP
 
     @property
     def has_one_speed(self) -> bool:
         """Whether loop width and lag cannot be separated."""
-        return self.speeds < FASTER
+        return self.speeds < MIN_SPEED_RATIO
 
     def limits(self, lag: str = "") -> tuple[Limit, ...]:
         """Return what was not measured, most important first.
 
-        lag  in parentheses: the residual of lags without hysteresis beside that of the fit
+        lag  comparison with lags without hysteresis, in parentheses
         """
-        lacks = []
-        if self.branches < 2:
-            lacks.append(
-                (
-                    "branch",
-                    "only one branch was recorded: hysteresis is the difference of two, and none "
-                    "was measured; the error is that of the fit",
-                )
-            )
-        elif self.is_untested:
-            lacks.append(
-                (
-                    "loop",
-                    "only one loop was recorded: no part of it can be left out to test the model "
-                    "on, and the error is that of the fit",
-                )
-            )
-        if self.branches > 1 and self.has_one_speed:
-            lacks.append(
-                (
-                    "speed",
-                    "branches of one size and direction were all driven at one speed: the width "
-                    "of the loop cannot be separated from a lag, and the model is untested at "
-                    f"other speeds{lag}",
-                )
-            )
-        if self.amplitudes < OTHER_SIZE:
-            lacks.append(
-                ("amplitude", "every branch has one amplitude: no smaller loop was ever measured")
-            )
-        if self.recordings == 1:
-            lacks.append(
-                (
-                    "recording",
-                    "only one recording determines the hysteresis: the model was not tested on "
-                    "another drive of this size",
-                )
-            )
-        return tuple(Limit(lack=name, reason=reason, most=MOST[name]) for name, reason in lacks)
+        rules = (
+            (
+                self.branches < 2,
+                "branch",
+                "only one branch was recorded: hysteresis is the difference of two, and none was "
+                "measured; the error is that of the fit",
+            ),
+            (
+                self.branches >= 2 and self.is_untested,
+                "loop",
+                "only one loop was recorded: no part of it can be left out to test the model on, "
+                "and the error is that of the fit",
+            ),
+            (
+                self.branches >= 2 and self.has_one_speed,
+                "speed",
+                "branches of one size and direction were all driven at one speed: the width of "
+                "the loop cannot be separated from a lag, and the model is untested at other "
+                f"speeds{lag}",
+            ),
+            (
+                self.amplitudes < MIN_AMPLITUDE_RATIO,
+                "amplitude",
+                "every branch has one amplitude: no smaller loop was ever measured",
+            ),
+            (
+                self.recordings == 1,
+                "recording",
+                "only one recording determines the hysteresis: the model was not tested on "
+                "another drive of this size",
+            ),
+        )
+        return tuple(
+            Limit(lack=lack, reason=reason, most=MAX_SCORE[lack])
+            for applies, lack, reason in rules
+            if applies
+        )
 
 
 def limits_as_recorded(recordings: Sequence[Recording], axis: str) -> tuple[Limit, ...]:
-    """Return what is odd about drive and displacement of an axis, as reading the files told it."""
+    """Return a limit for each failed check of drive and displacement as recorded."""
     return tuple(
         Limit(
             lack=statement.quantity,
             reason=f"{recording.name}: {statement.text.partition('. ')[0]}",
-            most=AS_RECORDED[statement.quantity],
+            most=MAX_SCORE_AS_RECORDED[statement.quantity],
         )
         for recording in recordings
         for statement in recording.statements
-        if statement.quantity in AS_RECORDED and statement.axis == axis
+        if statement.quantity in MAX_SCORE_AS_RECORDED and statement.axis == axis
     )
 
 
@@ -140,33 +135,32 @@ def scope_of(pieces: Sequence[Piece]) -> Scope:
     """Return the scope of pieces."""
     branches = [branch for piece in pieces for branch in branches_of(piece)]
     largest = max((abs(branch.span) for branch in branches), default=0.0)
-    large = [branch for branch in branches if abs(branch.span) > LARGE * largest]
+    large_branches = [branch for branch in branches if abs(branch.span) > LARGE * largest]
     complete = [branch for branch in branches if branch.is_whole] or branches
     spans = [abs(branch.span) for branch in complete if abs(branch.span) > SMALL * largest]
     return Scope(
-        branches=len(large),
+        branches=len(large_branches),
         recordings=len({piece.recording for piece in pieces}),
-        speeds=max(_speed_ratio(large, direction) for direction in (1.0, -1.0)),
+        speeds=max(_speed_ratio(large_branches, direction) for direction in (1.0, -1.0)),
         amplitudes=max(spans, default=1.0) / min(spans, default=1.0),
     )
 
 
 def branches_of(piece: Piece) -> list[Branch]:
-    """Return the monotone runs of a piece's drive, in their order."""
+    """Return the monotone runs of the drive of a piece, in their order."""
     drive = piece.fitted_drive
-    turns = reversals_of(drive, max(noise_of(drive), 0.02))
+    reversals = reversals_of(drive, max(noise_of(drive), 0.02))
     branches = []
-    for first, stop in zip((0, *turns), (*turns, len(drive) - 1), strict=True):
+    for first, stop in zip((0, *reversals), (*reversals, len(drive) - 1), strict=True):
         run = drive[first : stop + 1]
         span = float(run[-1] - run[0])
         if abs(span) <= 0.02 or len(run) < 3:
             continue
-        # a rest in front of a run, or behind it, is none of it
-        inside = np.abs(run - 0.5 * (run[0] + run[-1])) < 0.4 * abs(span)
-        moving_s = max(int(np.count_nonzero(inside)), 1) / piece.sampling_rate_Hz
+        # The middle 80 % of the span, without rests before or after the run.
+        is_middle = np.abs(run - 0.5 * (run[0] + run[-1])) < 0.4 * abs(span)
+        moving_s = max(int(np.count_nonzero(is_middle)), 1) / piece.sampling_rate_Hz
         branches.append(
             Branch(
-                recording=piece.recording,
                 span=span,
                 speed_per_s=0.8 * abs(span) / moving_s,
                 is_whole=first > 0 and stop < len(drive) - 1,
@@ -180,7 +174,7 @@ def _speed_ratio(branches: Sequence[Branch], direction: float) -> float:
     ordered = sorted((b for b in branches if b.span * direction > 0.0), key=lambda b: abs(b.span))
     largest, first = 1.0, 0
     for stop, branch in enumerate(ordered):
-        while abs(branch.span) > ALIKE * abs(ordered[first].span):
+        while abs(branch.span) > SIMILAR_SPANS * abs(ordered[first].span):
             first += 1
         speeds = [similar.speed_per_s for similar in ordered[first : stop + 1]]
         largest = max(largest, max(speeds) / min(speeds))

@@ -5,42 +5,42 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from piezoid.identification.hysteresis.convex_start import (
+    clustered_thresholds,
+    find_lag,
+    kuhnen_start,
+    linear_start,
+)
 from piezoid.identification.hysteresis.coordinates import (
     Coordinates,
     Scaled,
     Shape,
-    bent,
     operator_of,
     vector_of,
+    with_flat_envelope,
 )
 from piezoid.identification.hysteresis.gauss_newton import Minimum, Task, minimise, simulate
 from piezoid.identification.hysteresis.pieces import Piece
-from piezoid.identification.hysteresis.start import (
-    find_lag,
-    gathered_thresholds,
-    kuhnen_start,
-    linear_start,
-)
 from piezoid.numerics.arrays import Array
 
-FEW = 6  # plays: with more, the better of two starts is enough
-# Ridge, scaled: kinks of 0.1 cost 1e-11, a thousandth of the square of the finest noise (1e-4).
-WEAK = 1e-9
+MANY_PLAYS = 6  # with more plays the better of two starts is enough
+# Scaled: kinks of 0.1 cost 1e-11, a thousandth of the square of the lowest noise (1e-4).
+RIDGE = 1e-9
 THRESHOLDS = ("gap", "below_gap", "above_gap")
 SHARED = tuple(Coordinates(shape=Shape(plays=0, below=0, above=0), offsets=()).slices)
-CLOSE_GAP = 0.01  # of half the drive's range: thresholds nearer than that are one
-NO_WEIGHT = 1e-4  # of the total slope
-NO_KINK = 1e-3  # negligible change of slope
-NO_WORSE = 1.002  # rms of a fit with fewer parts that is kept
+MIN_DISTANCE = 0.01  # of half the drive's range: plays with closer thresholds are merged
+MIN_WEIGHT = 1e-4  # of the total slope: smaller weights are dropped
+MIN_KINK = 1e-3  # smaller changes of slope are dropped
+MAX_RMS_RATIO = 1.002  # of a pruned fit to the original
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Fitted:
-    """One fitted shape.
+class HysteresisFit:
+    """Fit of one shape.
 
-    task     the data and what the vector means
-    minimum  where Gauss-Newton ended
-    kkt_gap  of the quadratic program it started from
+    task     the data and the layout of the parameter vector
+    minimum  result of the Gauss-Newton search
+    kkt_gap  of the quadratic program that the search started from
     """
 
     task: Task
@@ -54,20 +54,20 @@ class Fitted:
 
     @property
     def shape(self) -> Shape:
-        """How many of what the fit really has."""
+        """Shape of the fit; after pruning smaller than requested."""
         return self.task.coordinates.shape
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """How a fit is made.
+    """Settings of a fit.
 
-    longest_lag_s   upper bound of the lag, s
+    longest_lag_s   upper bound of the lag
     sensor_pole_Hz  declared pole behind the operator, or None
-    rows            how many rows a search may use; more are thinned
-    follow_zero     whether slow motion of the zero is followed by knots
-    iterations      most Jacobians of a search
-    lag_s           where the lag begins; None searches for it over the whole range
+    rows            maximum number of rows; more are thinned
+    follow_zero     whether knots follow slow motion of the zero
+    iterations      maximum number of Jacobians
+    lag_s           start of the lag; None: found by a search over the full range
     """
 
     longest_lag_s: float
@@ -78,22 +78,22 @@ class Settings:
     lag_s: float | None = None
 
 
-def search(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> Fitted:
-    """Fit one shape to pieces, from a convex start."""
+def search(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> HysteresisFit:
+    """Fit one shape to pieces, starting from a convex problem."""
     lag_s = settings.lag_s
     if lag_s is None:
         lag_s = find_lag(pieces, shape.lag, settings.longest_lag_s)
     if shape.plays:
-        gathered = gathered_thresholds(pieces, shape, lag_s)
-        starts = [kuhnen_start(pieces, shape, lag_s, threshold) for threshold in (None, gathered)]
+        clustered = clustered_thresholds(pieces, shape, lag_s)
+        starts = [kuhnen_start(pieces, shape, lag_s, threshold) for threshold in (None, clustered)]
     else:
         starts = [linear_start(pieces, lag_s)]
-    # Kinks move the cost in jumps: weights first, thresholds once the rest is in place.
-    settled = sorted(
+    # The cost jumps as kinks pass samples: all other parameters are fitted before the thresholds.
+    fits = sorted(
         (
-            _settled(
+            _fit_with_fixed(
                 pieces,
-                bent(start.operator, shape.bends),
+                with_flat_envelope(start.operator, shape.bends),
                 shape.lag,
                 settings,
                 fixed=THRESHOLDS,
@@ -102,29 +102,29 @@ def search(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> Fitted:
             )
             for start in starts
         ),
-        key=lambda fitted: fitted.minimum.rms,
+        key=lambda fit: fit.minimum.rms,
     )
-    # Few plays have few good places, and the better start may lie beside them: search from both.
-    candidates = settled if shape.plays <= FEW else settled[:1]
+    # With few plays the better of two starts may lie farther from the minimum.
+    candidates = fits if shape.plays <= MANY_PLAYS else fits[:1]
     return min(
-        (_searched(fitted, settings) for fitted in candidates),
-        key=lambda fitted: fitted.minimum.rms,
+        (_fit_all(fit, settings) for fit in candidates),
+        key=lambda fit: fit.minimum.rms,
     )
 
 
-def searched_from(
+def search_from(
     pieces: Sequence[Piece], operator: Scaled, lag: str, settings: Settings
-) -> Fitted:
-    """Fit the shape of an operator from there: zeros and memory first, then all of it."""
-    return _searched(_settled(pieces, operator, lag, settings, fixed=SHARED), settings)
+) -> HysteresisFit:
+    """Fit the shape of an operator from its values: zeros and memory first, then the rest."""
+    return _fit_all(_fit_with_fixed(pieces, operator, lag, settings, fixed=SHARED), settings)
 
 
-def _searched(start: Fitted, settings: Settings) -> Fitted:
+def _fit_all(start: HysteresisFit, settings: Settings) -> HysteresisFit:
     minimum = minimise(start.minimum.theta, start.task, iterations=settings.iterations)
     return replace(start, minimum=minimum)
 
 
-def _settled(
+def _fit_with_fixed(
     pieces: Sequence[Piece],
     operator: Scaled,
     lag: str,
@@ -133,23 +133,24 @@ def _settled(
     fixed: tuple[str, ...],
     offset: float = 0.0,
     kkt_gap: float = 0.0,
-) -> Fitted:
-    """Optimise everything but some shared numbers, in a third of the iterations.
+) -> HysteresisFit:
+    """Fit all parameters except some shared groups, in a third of the iterations.
 
-    offset  scaled displacement at which the zeros of the pieces begin
+    fixed   names of the groups that keep the values of the operator
+    offset  start of the zeros of the pieces, scaled displacement
     """
     task = task_for(pieces, operator, lag, settings)
     theta = vector_of(operator, task.coordinates)
     for index in range(len(pieces)):
         theta[task.coordinates.offset_slice(index)] = offset
     minimum = minimise(theta, replace(task, fixed=fixed), iterations=settings.iterations // 3)
-    return Fitted(task=task, minimum=minimum, kkt_gap=kkt_gap)
+    return HysteresisFit(task=task, minimum=minimum, kkt_gap=kkt_gap)
 
 
 def task_for(pieces: Sequence[Piece], operator: Scaled, lag: str, settings: Settings) -> Task:
-    """Return the task whose vector can hold this operator on these pieces."""
+    """Return the least-squares problem for the shape of an operator on some pieces."""
     offsets = [1] * len(pieces)
-    if settings.follow_zero:  # one knot, and one more for every four cycles: slower than any loop
+    if settings.follow_zero:  # one knot and one more for every four cycles: slower than any loop
         levels = [np.signbit(p.fitted_drive - np.median(p.fitted_drive)) for p in pieces]
         crossings = [int(np.count_nonzero(np.diff(is_low))) for is_low in levels]
         offsets = [1 + min(count // 8, 12) for count in crossings]
@@ -159,73 +160,73 @@ def task_for(pieces: Sequence[Piece], operator: Scaled, lag: str, settings: Sett
         sensor_pole_Hz=settings.sensor_pole_Hz,
         stride=max(1, sum(piece.rows for piece in pieces) // settings.rows),
         longest_lag_s=settings.longest_lag_s,
-        ridge=WEAK,
+        ridge=RIDGE,
     )
 
 
-def continued(fitted: Fitted, index: int, piece: Piece) -> Array:
-    """Simulate a longer piece with the fitted parameters and zero."""
-    return simulate(fitted.minimum.theta, fitted.task, index, piece)
+def simulate_piece(fit: HysteresisFit, index: int, piece: Piece) -> Array:
+    """Simulate a piece with the fitted parameters, memory and zero of one piece of the fit."""
+    return simulate(fit.minimum.theta, fit.task, index, piece)
 
 
-def transferred(fitted: Fitted, pieces: Sequence[Piece]) -> Fitted:
-    """Fit only the zero and the initial memory of other pieces, with the operator fixed."""
+def refit_initial_state(fit: HysteresisFit, pieces: Sequence[Piece]) -> HysteresisFit:
+    """Fit zero and initial memory of other pieces, with the operator fixed."""
     settings = Settings(
-        longest_lag_s=fitted.task.longest_lag_s,
-        sensor_pole_Hz=fitted.task.sensor_pole_Hz,
+        longest_lag_s=fit.task.longest_lag_s,
+        sensor_pole_Hz=fit.task.sensor_pole_Hz,
         follow_zero=False,
         iterations=36,
     )
-    return _settled(pieces, fitted.operator, fitted.shape.lag, settings, fixed=SHARED)
+    return _fit_with_fixed(pieces, fit.operator, fit.shape.lag, settings, fixed=SHARED)
 
 
-def simplified(fitted: Fitted, *, iterations: int) -> Fitted:
-    """Return the fit without its superfluous plays and kinks, if it is as good without them."""
-    before, old = fitted.operator, fitted.task.coordinates
-    operator = _without_small_parts(before)
-    if len(operator.gap) == len(before.gap) and len(operator.knot) == len(before.knot):
-        return fitted
-    coordinates = Coordinates(shape=operator.shape(fitted.shape.lag), offsets=old.offsets)
-    task, theta = replace(fitted.task, coordinates=coordinates), vector_of(operator, coordinates)
-    radius = np.concatenate([[0.0], before.threshold])
+def prune(fit: HysteresisFit, *, iterations: int) -> HysteresisFit:
+    """Remove superfluous plays and kinks from a fit, unless its error grows without them."""
+    original, old = fit.operator, fit.task.coordinates
+    operator = _without_small_terms(original)
+    if len(operator.gap) == len(original.gap) and len(operator.knot) == len(original.knot):
+        return fit
+    coordinates = Coordinates(shape=operator.shape(fit.shape.lag), offsets=old.offsets)
+    task, theta = replace(fit.task, coordinates=coordinates), vector_of(operator, coordinates)
+    radius = np.concatenate([[0.0], original.threshold])
     for index in range(len(old.offsets)):
-        theta[coordinates.offset_slice(index)] = fitted.minimum.theta[old.offset_slice(index)]
-        # Memory slopes that give the remaining plays the states they had.
-        slopes = fitted.minimum.theta[old.memory_slice(index)]
-        curve = np.concatenate([[0.0], np.cumsum(before.gap * slopes)])
+        theta[coordinates.offset_slice(index)] = fit.minimum.theta[old.offset_slice(index)]
+        # Memory slopes that preserve the states of the remaining plays.
+        slopes = fit.minimum.theta[old.memory_slice(index)]
+        curve = np.concatenate([[0.0], np.cumsum(original.gap * slopes)])
         state = np.interp(operator.threshold, radius, curve)
         slopes = np.clip(np.diff(state, prepend=0.0) / operator.gap, -1.0, 1.0)
         theta[coordinates.memory_slice(index)] = slopes
     minimum = minimise(theta, task, iterations=iterations)
-    if minimum.rms > NO_WORSE * fitted.minimum.rms:
-        return fitted
-    return replace(fitted, task=task, minimum=minimum)
+    if minimum.rms > MAX_RMS_RATIO * fit.minimum.rms:
+        return fit
+    return replace(fit, task=task, minimum=minimum)
 
 
-def _without_small_parts(operator: Scaled) -> Scaled:
-    """Drop plays of negligible weight and kinks, and join plays of nearly equal threshold."""
+def _without_small_terms(operator: Scaled) -> Scaled:
+    """Drop plays and kinks of negligible size, and merge plays of nearly equal threshold."""
     threshold = [0.0]
     weight = [float(operator.weight[0])]
-    negligible = NO_WEIGHT * float(operator.weight.sum())
+    negligible = MIN_WEIGHT * float(operator.weight.sum())
     for r, w in zip(operator.threshold, operator.weight[1:], strict=True):
         if w <= negligible:
             continue
-        if r - threshold[-1] < CLOSE_GAP and len(threshold) > 1:
+        if r - threshold[-1] < MIN_DISTANCE and len(threshold) > 1:
             share = w / (w + weight[-1])
             threshold[-1] += share * (r - threshold[-1])
             weight[-1] += w
         else:
             threshold.append(float(r))
             weight.append(float(w))
-    moving = np.array(threshold[1:])
-    is_kink = np.abs(np.diff(operator.slope)) > NO_KINK
+    thresholds = np.array(threshold[1:])
+    is_kink = np.abs(np.diff(operator.slope)) > MIN_KINK
     is_kink[operator.zero] = True
     kinks = np.flatnonzero(is_kink)
     zero = int(np.searchsorted(kinks, operator.zero))
     return replace(
         operator,
-        gap=np.diff(moving, prepend=0.0),
-        threshold=moving,
+        gap=np.diff(thresholds, prepend=0.0),
+        threshold=thresholds,
         weight=np.array(weight),
         knot=operator.knot[kinks],
         slope=np.concatenate(

@@ -1,17 +1,17 @@
 """Sensor noise: from repeated periods if there are any, else from the residual.
 
-    s = rms(y[k + P] - y[k]) / sqrt 2,      a drive that repeats itself after P samples
-    s = min(rms(y), rms(y - model)),        any other
+    s = rms(y[k + P] - y[k]) / sqrt 2,      for a drive that repeats after P samples
+    s = min(rms(y), rms(y - model)),        for any other drive
 
-``rms`` takes third differences, which a smooth motion leaves none of. A drive that is coarse,
-jumps or is drawn at random moves the stage from sample to sample, and its own third differences
-would pass for noise: they cancel between two equal periods, and from the residual most of them are
-gone. A coarse converter errs by its step over sqrt 12 whatever the differences say.
+``rms`` is that of third differences, which suppress smooth motion. A coarse, jumping or random
+drive moves the stage from sample to sample, and third differences of that motion look like noise.
+They cancel between two equal periods, and the residual contains little of them. A coarse converter
+errs by its step over sqrt 12 in any case.
 
-Noise is not white: a sensor's pole makes neighbours alike, and part of it is 1/f. Differences of
-neighbours see neither, so they are taken ever further apart, for as long as they grow as noise
-does. One octave of 1/f noise that is 40 % of the variance adds 1 % to the rms; a motion doubles
-it three times over.
+Noise is not white: the pole of a sensor correlates neighbouring samples, and part of the noise is
+1/f. Differences of neighbouring samples contain neither, so the spacing of the differences is
+doubled as long as their rms grows like noise. One octave of 1/f noise with 40 % of the variance
+adds 1 % to the rms; a motion multiplies it by eight.
 """
 
 from collections.abc import Sequence
@@ -25,78 +25,78 @@ from piezoid.numerics.noise import white_noise_rms
 from piezoid.numerics.repetition import TOLERANCE, find_repetition
 from piezoid.records.sample_statistics import step_size
 
-MOST = 0.9  # of the samples that must repeat
-GROWTH = 1.1  # from one spacing to its double: between 1.01 of 1/f noise and 8 of a motion
-FEWEST = 64  # samples for each sample of spacing, or the median is itself noise
-POLE = 2  # octaves in which a sensor's pole may let go of its neighbours
-MOTION = 2.0  # times the noise of the residual: more is mostly motion
-DIGITS = 9  # of half the stroke: a step is the same however it was rounded
+MIN_REPEATED = 0.9  # of the samples
+MAX_GROWTH = 1.1  # from one spacing to its double: between 1.01 of 1/f noise and 8 of a motion
+SAMPLES_PER_SPACING = 64  # with fewer the median itself is noisy
+POLE_OCTAVES = 2  # of spacing, within which the correlation due to a sensor's pole vanishes
+MOTION = 2.0  # noise of the readings over that of the residual: with more, they are mostly motion
+DIGITS = 9  # of half the stroke: makes the step independent of rounding
 
 
 def sensor_noise(piece: Piece, residual: Array) -> float:
-    """Return the rms of the noise of a piece's readings, scaled units.
+    """Return the rms noise of the readings of a piece, scaled units.
 
     residual  (samples,)  model minus measurement
     """
     drive, response = piece.fitted_drive, piece.fitted_response
     step = step_size(np.round(response, DIGITS))
-    is_lost = np.isin(np.arange(piece.first, piece.last), piece.lost)
-    response = np.where(is_lost, np.nan, response)
-    later = _one_period_later(drive)
-    if later is not None:
-        between = response[later:] - response[:-later]
-        between = between[np.abs(drive[later:] - drive[:-later]) <= TOLERANCE * np.ptp(drive)]
-        noise = noise_rms((between,)) / sqrt(2.0)
+    is_invalid = np.isin(np.arange(piece.first, piece.last), piece.invalid)
+    response = np.where(is_invalid, np.nan, response)
+    period = _period_samples(drive)
+    if period is not None:
+        change = response[period:] - response[:-period]
+        change = change[np.abs(drive[period:] - drive[:-period]) <= TOLERANCE * np.ptp(drive)]
+        noise = noise_rms((change,)) / sqrt(2.0)
     else:
         noise = noise_rms(
-            (response, np.where(is_lost, np.nan, residual[piece.first : piece.last]))
+            (response, np.where(is_invalid, np.nan, residual[piece.first : piece.last]))
         )
     return max(noise, step / sqrt(12.0))
 
 
 def noise_is_most(piece: Piece, residual: Array) -> bool:
-    """Tell whether noise is not told from what a model leaves: the readings alone do not show it.
+    """Return whether the noise is only an upper bound, because it may contain errors of the model.
 
-    Where a drive that never repeats moves the stage from sample to sample, the readings' own
-    differences are motion, and those of the residual are whatever the model got wrong as well.
+    If a drive that never repeats moves the stage from sample to sample, differences of the
+    readings are motion, and those of the residual contain errors of the model.
     """
-    if _one_period_later(piece.fitted_drive) is not None:
+    if _period_samples(piece.fitted_drive) is not None:
         return False
     residual_noise = white_noise_rms(residual[piece.first : piece.last])
     return white_noise_rms(piece.fitted_response) > MOTION * residual_noise
 
 
 def noise_rms(signals: Sequence[Array]) -> float:
-    """Return the rms of noise that all signals hold, up to the spacing at which motion shows.
+    """Return the rms noise common to all signals, up to the spacing at which motion dominates.
 
-    signals  each (samples,): one reading with different parts of its motion taken off
+    signals  each (samples,): the same reading, minus different estimates of its motion
     """
-    octaves = max(1, (len(signals[0]) // FEWEST).bit_length())
+    octaves = max(1, (len(signals[0]) // SAMPLES_PER_SPACING).bit_length())
     levels = np.array(
         [min(white_noise_rms(y, spacing=2**octave) for y in signals) for octave in range(octaves)]
     )
-    if not levels.all():  # a converter so coarse that it stands: its step is the noise
+    if not levels.all():  # the reading is constant within a step of its converter
         return float(levels[0])
     growth = levels[1:] / levels[:-1]
     octave = 0
     while octave < len(growth):
-        # The growth of a pole is never above that of a random walk, and ever slower.
+        # Noise behind a pole grows at most like a random walk, and ever more slowly.
         pair = growth[octave : octave + 2]
-        slows = octave < POLE and len(pair) == 2 and bool(pair[1] < pair[0] < sqrt(2.0))
-        if growth[octave] > GROWTH and not slows:
+        slows = octave < POLE_OCTAVES and len(pair) == 2 and bool(pair[1] < pair[0] < sqrt(2.0))
+        if growth[octave] > MAX_GROWTH and not slows:
             break
         octave += 1
     return float(levels[: octave + 1].max())
 
 
-def _one_period_later(drive: Array) -> int | None:
-    """Return the period of a drive in samples, seen at least twice, or None."""
+def _period_samples(drive: Array) -> int | None:
+    """Return the period of a drive that contains at least two, in samples, or None."""
     repetition = find_repetition(drive) if np.ptp(drive) > 0.0 else None
     if repetition is not None:
         return repetition.period_samples
-    for parts in (2, 3):  # too few to be found, but the record may be cut at them
-        later = len(drive) // parts
-        repeats = np.abs(drive[later:] - drive[:-later]) <= TOLERANCE * np.ptp(drive)
-        if later >= MINIMUM_SAMPLES and repeats.mean() > MOST:
-            return later
+    for periods in (2, 3):  # too few for find_repetition, if the record ends with a period
+        period = len(drive) // periods
+        repeats = np.abs(drive[period:] - drive[:-period]) <= TOLERANCE * np.ptp(drive)
+        if period >= MINIMUM_SAMPLES and repeats.mean() > MIN_REPEATED:
+            return period
     return None

@@ -14,7 +14,7 @@ import numpy as np
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.forward import Run
 from piezoid.identification.hysteresis.estimate import longest_lag_s
-from piezoid.identification.hysteresis.physical import physical, piece_start
+from piezoid.identification.hysteresis.unit_scaling import piece_start, to_si_units
 from piezoid.identification.joint.vector import (
     FOLDS,
     NEVER_OUT,
@@ -148,7 +148,9 @@ def _model(
     is_tested = model.quality.is_tested
     return replace(
         model,
-        hysteresis=physical(operator, scales, float(np.mean([s.zero_m.mean() for s in starts]))),
+        hysteresis=to_si_units(
+            operator, scales, float(np.mean([s.zero_m.mean() for s in starts]))
+        ),
         lag=Lag(kind=coordinates.shape.lag, time_s=operator.lag_s),
         extensions=tuple(
             replace(extension, std=tuple(std[numbers].tolist()))

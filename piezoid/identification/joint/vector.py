@@ -20,12 +20,12 @@ from piezoid.identification.forward import Forward, Run
 from piezoid.identification.hysteresis.coordinates import (
     Coordinates,
     Scaled,
-    bent,
     operator_of,
     vector_of,
+    with_flat_envelope,
 )
-from piezoid.identification.hysteresis.physical import envelope_stretch
 from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_of
+from piezoid.identification.hysteresis.unit_scaling import envelope_stretch
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import where_of
@@ -105,7 +105,7 @@ def parts_of(
             sample = samples[number]
         sample = sample[(sample >= piece.first) & (sample < piece.last)]
         ringing = rows_after_steps(piece.drive, piece.sampling_rate_Hz, extensions)
-        sample = np.setdiff1d(sample, np.concatenate([piece.lost, ringing]))
+        sample = np.setdiff1d(sample, np.concatenate([piece.invalid, ringing]))
         # Blocks of several seconds; of the first every other quarter is never left out.
         duration_s = piece.rows / piece.sampling_rate_Hz
         blocks = int(np.clip(duration_s / BLOCK_s, *BLOCKS))
@@ -227,7 +227,7 @@ def state_of(
     scales = scales_from(model)
     operator = _scaled(model, scales, keep_lag=structure.lag)
     if structure.bends is not None and structure.bends != operator.envelope.zero:
-        operator = bent(operator, structure.bends)
+        operator = with_flat_envelope(operator, structure.bends)
     shape = operator.shape(model.lag.kind if structure.lag else "none")
     coordinates = Coordinates(shape=shape, offsets=(1,) * len(parts))
     theta = vector_of(operator, coordinates)

@@ -1,14 +1,14 @@
-"""Sweeps of the tunnelling current over the tip's height, from columns or a Z spectroscopy file.
+"""Sweeps of the tunnelling current over height, from columns or Z spectroscopy files.
 
-Rows at the preamplifier's limit are excluded. They are recognised by their shape: next to the
-surface an exponential falls from its largest value P to 0.9 P within a fixed share of the height
-it needs from 0.9 P to 0.45 P,
+Rows at the limit of the preamplifier are excluded. They are recognised by the shape of the
+current: next to the surface an exponential falls from its largest value P to 0.9 P within a fixed
+share of the height from 0.9 P to 0.45 P,
 
-    h(P to 0.9 P) / h(0.9 P to 0.45 P) = ln(1 / 0.9) / ln 2 = 0.152        whatever its decay,
+    h(P to 0.9 P) / h(0.9 P to 0.45 P) = ln(1 / 0.9) / ln 2 = 0.152        for any decay,
 
-and a clipped one within a far larger share, whether its readings repeat exactly or carry noise
-from behind the clipping stage. Rows are counted instead of heights: noise of the current cannot
-move them in height.
+and a clipped current within a far larger share, whether its readings repeat exactly or contain
+noise from behind the clipping stage. Rows are counted instead of heights: rows are sorted by
+height, which noise of the current does not affect.
 """
 
 import math
@@ -31,7 +31,7 @@ _SWEEP = re.compile(r"Current(?: \[(?!bwd)(?P<number>[^\]]+)\])?(?P<backward> \[
 _AVERAGE = "AVG"
 _BIAS_KEY = "Bias>Bias (V)"
 _TIMES_OF_A_ROW = ("Settling time (s)", "Integration time (s)")
-_MODULES = ("", "Z Spectroscopy>")  # what Nanonis writes in front of its own settings
+_MODULES = ("", "Z Spectroscopy>")  # prefixes of the settings in Nanonis files
 
 _SHOULDER = 0.9
 _HALF = 0.5 * _SHOULDER
@@ -39,8 +39,8 @@ _EXPONENTIAL = math.log(1.0 / _SHOULDER) / math.log(1.0 / 0.5)
 # 400 unclipped sweeps with 5 % noise and 3 % hysteresis: largest 2.4; clipped at half: 7.6.
 _TOO_LONG = 3.0
 _MIN_PLATEAU = 5  # rows on a plateau of readings that differ
-_REPEATED = 3  # neighbours in height with exactly the largest current: noise never does that
-# Averaged over a row, a current with hum or noise touches the limit before its mean gets there.
+_REPEATED = 3  # neighbours in height with exactly the largest current, which noise never causes
+# Averaged over a row, a current with hum or noise is clipped before its mean reaches the limit.
 _CLEAR = 0.8
 _SMOOTHED = 5  # rows of the running median
 
@@ -58,16 +58,15 @@ class Direction(Enum):
 class ApproachCurve:
     """One sweep of the current over the height, without missing and saturated rows.
 
-    label          for messages: the column or file it came from
-    direction      of the tip's travel
-    bias_V         its sign is the polarity expected of the current; None or 0 where the file does
-                   not know it
-    height_m       (points,)  grows when the tip retracts; neither start nor order matters
+    label          name of the column or file, for messages
+    direction      of the motion of the tip
+    bias_V         its sign is the expected polarity of the current; None or 0: not stated
+    height_m       (points,)  increases when the tip retracts; neither origin nor order matters
     current_A      (points,)  as measured, offset included
-    rows           rows of the recording, with and without numbers
-    saturated      rows left out because the amplifier stood at its limit
-    pair           sweeps of one name went to and fro one after the other; empty: alone
-    duration_s     of the one way; None where the file does not say
+    rows           number of rows of the recording, including missing ones
+    saturated      number of rows excluded because the amplifier was at its limit
+    pair           common name of a forward and a backward sweep in succession; '': single sweep
+    duration_s     of the sweep; None: not stated
     """
 
     label: str
@@ -90,12 +89,12 @@ class ApproachCurve:
 
     @property
     def points(self) -> int:
-        """Number of rows that hold both a height and a current."""
+        """Number of rows with both a height and a current."""
         return len(self.height_m)
 
     @property
     def polarity(self) -> float:
-        """The sign of the current: that of the bias or, where it is not known, of the largest."""
+        """Sign of the current: that of the bias, or if unknown that of the largest current."""
         if self.bias_V:
             return math.copysign(1.0, self.bias_V)
         middle_A = float(np.median(self.current_A))
@@ -106,24 +105,24 @@ class ApproachCurve:
 def read_z_spectroscopy(table: RawTable) -> tuple[ApproachCurve, ...]:
     """Return every sweep of a Z spectroscopy file, in the order of its columns.
 
-    The height is the swept column, which must be a displacement that grows when the tip retracts,
-    as ``Z rel (m)`` of Nanonis does. Single sweeps are used; the average only where the file
-    holds nothing else, since it would count the same noise twice. The bias is that of the sweep's
-    own column or, without one, of the file's head. Where neither states a bias, or it is 0 V and
-    was applied elsewhere, the sign of the current stands in. In a table without a column of that
-    name, every column that means a current is one, as ``I (pA)``. A head that states settling and
-    integration time of a row tells how long a sweep took.
+    The height is the swept column, which must be a displacement that increases when the tip
+    retracts, like ``Z rel (m)`` of Nanonis. The average of sweeps is used only if the file
+    contains no single sweeps, because it would count the same noise twice. The bias is that of the
+    column of the sweep, else of the header; without a bias, or with 0 V, the polarity is that of
+    the current. In a table without columns named like those of Nanonis, every column of a current
+    is a sweep, such as ``I (pA)``. The duration of a sweep follows from settling and integration
+    time of a row in the header.
     """
     height = table.find(table.independent) if table.independent else None
     unit = None if height is None else height.heading.unit
     if height is None or unit is None or unit.dimension is not Dimension.LENGTH:
         raise UnitError(
             f"{table.name}: the swept column is {table.independent!r}",
-            needed="a height with a unit of length, as 'Z rel (m)'",
+            needed="a height with a unit of length, such as 'Z rel (m)'",
             remedy="Take a Z spectroscopy; or build the sweep from two arrays.",
         )
     height_m = table.si(height.number)
-    sweeps = [  # column, number of the sweep, ' [bwd]' or nothing
+    sweeps = [  # column, number of the sweep, ' [bwd]' or ''
         (column, match["number"] or "", match["backward"] or "")
         for column in table.columns
         if (match := _SWEEP.fullmatch(column.heading.stem))
@@ -139,7 +138,7 @@ def read_z_spectroscopy(table: RawTable) -> tuple[ApproachCurve, ...]:
             needed="columns named 'Current (A)' or 'Current [00001] (A)', '[bwd]' for backward",
             remedy="Save the sweep with its current, or build the sweep from two arrays.",
         )
-    duration_s = None  # of one direction, where the head states the times of a row
+    duration_s = None  # of one direction, if the header states the times of a row
     for module in _MODULES:
         times = [table.metadata.get(module + key, "nan") for key in _TIMES_OF_A_ROW]
         try:
@@ -176,15 +175,16 @@ def read_approach(
     pair: str = "",
     duration_s: float | None = None,
 ) -> ApproachCurve:
-    """Take a sweep from two columns, leaving out rows without a number and saturated ones.
+    """Return the sweep of two columns, without missing and saturated rows.
 
-    height_m   (rows,)  m, grows when the tip retracts; NaN where a row is missing
-    current_A  (rows,)  A, of either polarity; NaN where a row is missing
-    bias_V     V, at the sample or the tip: only its sign relative to the current matters; None
-               or 0: the sign is taken from the current
+    height_m   (rows,)  increases when the tip retracts; NaN in missing rows current_A  (rows,)  of
+    either polarity; NaN in missing rows bias_V     at the sample or the tip, of which only the
+    sign matters; None or 0: the sign is that
+               of the current
     pair, duration_s  as in ``ApproachCurve``
 
-    Refused: columns of unequal length, too few rows with numbers, a height that does not move.
+    Raises ``RecordingError`` for columns of unequal length, ``ExcitationError`` for too few rows
+    with numbers or a constant height.
     """
     height = np.asarray(height_m, dtype=np.float64)
     current = np.asarray(current_A, dtype=np.float64)
@@ -201,7 +201,7 @@ def read_approach(
     if len(rows) < MIN_POINTS:
         clipped = f", {saturated} more lie at the amplifier's limit" if saturated else ""
         raise ExcitationError(
-            f"{label}: {len(rows)} rows hold both a height and a current{clipped}",
+            f"{label}: {len(rows)} rows contain both a height and a current{clipped}",
             needed=f"at least {MIN_POINTS}",
             remedy="Record the sweep again with more points.",
             points=len(rows),
@@ -209,7 +209,7 @@ def read_approach(
     if not np.ptp(height[rows]) > 0.0:
         raise ExcitationError(
             f"{label}: all heights are {height[rows][0]:.6g} m",
-            needed="a height that moves",
+            needed="a height that changes",
             remedy="Pass the relative height of the sweep, in metres.",
         )
     return ApproachCurve(
@@ -230,18 +230,18 @@ def rows_at_limit(current_A: Array) -> int:
 
     current_A  (rows,)  in order of the height, lowest first; of either polarity
 
-    Zero where no plateau is seen, or no fall behind it to compare it with. Rows up to where the
-    current falls to 0.8 of the limit count: part of their readings may have been cut.
+    Zero without a plateau, or if the current does not fall behind it. Rows count up to the fall of
+    the current to 0.8 of the limit, because parts of their readings may have been clipped.
     """
     rows = len(current_A)
     if rows < 2 * _MIN_PLATEAU:
         return 0
-    nearest = current_A[: max(rows // 20, _MIN_PLATEAU)]
-    upright_A = math.copysign(1.0, float(np.median(nearest))) * current_A
-    limit_A = float(np.median(upright_A[:_MIN_PLATEAU]))
+    lowest_rows = current_A[: max(rows // 20, _MIN_PLATEAU)]
+    positive_A = math.copysign(1.0, float(np.median(lowest_rows))) * current_A
+    limit_A = float(np.median(positive_A[:_MIN_PLATEAU]))
     if not limit_A > 0.0:
         return 0
-    smooth_A = median_filter(upright_A, _SMOOTHED, mode="nearest")
+    smooth_A = median_filter(positive_A, _SMOOTHED, mode="nearest")
 
     def first_below(share: float) -> int:
         below = np.flatnonzero(smooth_A < share * limit_A)
@@ -249,7 +249,7 @@ def rows_at_limit(current_A: Array) -> int:
 
     shoulder, half = first_below(_SHOULDER), first_below(_HALF)
     is_flat = shoulder > _TOO_LONG * _EXPONENTIAL * max(half - shoulder, 1)
-    is_largest = upright_A >= upright_A.max()
+    is_largest = positive_A >= positive_A.max()
     neighbours = np.convolve(is_largest.astype(np.float64), np.ones(_REPEATED), mode="valid")
     repeats = bool(np.any(neighbours >= _REPEATED)) and not bool(is_largest.all())
     if half < rows and (repeats or (is_flat and shoulder >= _MIN_PLATEAU)):

@@ -1,9 +1,9 @@
-"""fit_barrier: sweeps of one direction -> decay and apparent barrier, interval and confidence.
+"""Fit decay and apparent barrier, with interval and confidence, to sweeps of one direction.
 
-Neighbouring points of a sweep share drift, creep and vibration; an interval that counts them as
-independent is far too narrow. Blocks of neighbours, each holding an equal share of the information
-on the decay, are left out in turn, which also charges the estimate for a model that does not
-quite fit (jackknife form of the clustered sandwich; Bell & McCaffrey 2002).
+Neighbouring points of a sweep share drift, creep and vibration; an interval for independent points
+is far too narrow. Blocks of neighbours with equal shares of the information on the decay are left
+out in turn, so that the interval also covers small errors of the model (jackknife form of the
+clustered sandwich; Bell & McCaffrey 2002).
 """
 
 import math
@@ -26,16 +26,16 @@ from piezoid.numerics.robust import student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid.record_json import Interval
 
-# Few enough that neighbours in different blocks are nearly independent: under a gap with 1/f
-# unrest of 2 pm, ten blocks held 83 % of 60 truths, five 98 %, a third wider.
+# Few enough for nearly independent blocks: with 1/f motion of the gap of 2 pm, intervals of ten
+# blocks contain 83 % of 60 true values, those of five blocks 98 % and are a third wider.
 BLOCKS = 8
-MIN_POINTS = 20  # clear of the noise, to compare the slopes of both halves of a sweep
+MIN_POINTS = 20  # above the noise, to compare the slopes of both halves of a sweep
 TINY = 1e-300
 
 
 @dataclass(frozen=True, kw_only=True)
 class GapLaw:
-    """From sweeps: i = polarity I_0 exp(-k z) + offset, z growing when the tip retracts.
+    """Current over height: i = polarity I_0 exp(-k z) + offset, z increasing to retract the tip.
 
     polarity                  +1 or -1
     decay_per_m               k, and its 95 % interval; an upper end may be infinite
@@ -43,10 +43,9 @@ class GapLaw:
     current_at_zero_height_A  I_0 > 0, geometric mean over the sweeps, before any tip jump
     offset_A                  of the amplifier, with its sign, and its standard deviation
     floor_A                   rms noise without current
-    gap_jitter_m              relative noise / k: what the noise in proportion to the current
-                              amounts to
-    sweep_decay_per_m         k of each sweep alone; in a common law of each to and fro
-    confidence, reasons       how far to trust it, and every criterion it does not meet
+    gap_jitter_m              relative noise / k: motion of the gap that causes the relative noise
+    sweep_decay_per_m         k of each sweep; in a common law of each pair of sweeps
+    confidence, reasons       rating, and the criteria that are not met
     """
 
     polarity: float
@@ -78,7 +77,7 @@ class SweepEvidence:
     largest_jump       nepers, of the largest magnitude
     reaches_floor      the sweep reaches heights at which the current is below the noise
     slope_change       decay of the weak half over that of the strong half, minus one
-    outliers           fraction of the points beyond three standard deviations
+    outliers           share of the points beyond three standard deviations
     """
 
     points: int
@@ -100,7 +99,7 @@ class BarrierFit(GapLaw):
 
     labels      of the sweeps
     covariance  (2, 2) of k and ln I_0, correlated residuals allowed for
-    jumps       tip jumps that were allowed for
+    jumps       fitted tip jumps
     evidence    for the confidence
     """
 
@@ -114,7 +113,7 @@ class BarrierFit(GapLaw):
 
     @property
     def law(self) -> GapLaw:
-        """The gap law alone, as a model keeps it."""
+        """The gap law without covariance and evidence, as stored in a model."""
         return GapLaw(**{field.name: getattr(self, field.name) for field in fields(GapLaw)})
 
 
@@ -124,27 +123,28 @@ def fit_barrier(curves: Sequence[ApproachCurve]) -> BarrierFit:
         i = s ( A_c exp(-k z) + o ),  var i = floor^2 + (rho i)^2
         phi = (k / 10.246 nm^-1)^2 eV
 
-    curves  sweeps of one direction over one spot; they share k and o, each has its own A
+    curves  sweeps of one direction at one spot; they share k and o, each has an amplitude A
 
-    Nothing is selected and no logarithm of noise is taken. The interval holds the decays whose
-    weighted cost lies within t^2 of the least, widened by the ratio of the block covariance to
-    the plain one, so that correlated residuals and misfit count. It speaks of the height as
-    recorded. A weak or unstable sweep has a wide interval, low confidence and reasons; it is not
-    refused.
+    All points are fitted, and no logarithm of noise is taken. The interval contains the decays
+    whose weighted cost lies within t^2 of the minimum, widened by the ratio of the block
+    covariance to that of independent points, to cover correlated residuals and misfit. It takes
+    the recorded height as exact. A weak or unstable sweep has a wide interval and a low confidence
+    with reasons.
     """
     fit = fit_sweeps(curves)
     sweeps, decay = len(curves), fit.decay_per_m
     root = np.sqrt(fit.weight)
     jacobian, residual = fit.jacobian * root[:, None], fit.residual_A * root
-    by_decay, blocks = _block_covariance(jacobian, residual, fit.height_m, 0)
-    by_offset, _ = _block_covariance(jacobian, residual, fit.height_m, len(by_decay) - 1)
+    decay_covariance, blocks = _block_covariance(jacobian, residual, fit.height_m, 0)
+    offset = len(decay_covariance) - 1
+    offset_covariance, _ = _block_covariance(jacobian, residual, fit.height_m, offset)
     # ln I_0 = mean over sweeps of ln A + k z_0, with z_0 the lowest height.
     pieces = [fit.lowest_piece(sweep) for sweep in range(sweeps)]
-    to_pair = np.zeros((2, len(by_decay)))
-    to_pair[:, 0] = (1.0, fit.lowest_m)
+    gradient = np.zeros((2, len(decay_covariance)))
+    gradient[:, 0] = (1.0, fit.lowest_m)
     for piece in pieces:
-        to_pair[1, 1 + piece] += 1.0 / sweeps
-    covariance = to_pair @ by_decay @ to_pair.T
+        gradient[1, 1 + piece] += 1.0 / sweeps
+    covariance = gradient @ decay_covariance @ gradient.T
     decays = (decay,) if sweeps == 1 else tuple(_decay_of_sweep(fit, k) for k in range(sweeps))
     independent = 1.0 / max(float(_information(jacobian, 0).sum()), TINY)
     between = float(np.var(decays, ddof=1)) / sweeps if sweeps > 2 else 0.0
@@ -164,7 +164,7 @@ def fit_barrier(curves: Sequence[ApproachCurve]) -> BarrierFit:
         current_at_zero_height_A=math.exp(min(log_current + decay * fit.lowest_m, 700.0)),
         covariance=covariance,
         offset_A=fit.polarity * fit.offset_A,
-        offset_standard_A=math.sqrt(max(float(by_offset[-1, -1]), 0.0)),
+        offset_standard_A=math.sqrt(max(float(offset_covariance[-1, -1]), 0.0)),
         floor_A=fit.noise.floor_A,
         gap_jitter_m=fit.noise.relative / decay,
         sweep_decay_per_m=decays,
@@ -176,7 +176,7 @@ def fit_barrier(curves: Sequence[ApproachCurve]) -> BarrierFit:
 
 
 def _decay_of_sweep(fit: WeightedFit, sweep: int) -> float:
-    """Fit one sweep alone, with the weights of the common fit."""
+    """Return the decay of one sweep, with the weights of the common fit."""
     rows = fit.sweep == sweep
     sweep_fit = replace(
         fit,
@@ -189,11 +189,11 @@ def _decay_of_sweep(fit: WeightedFit, sweep: int) -> float:
 
 
 def _evidence(fit: WeightedFit, curves: Sequence[ApproachCurve]) -> SweepEvidence:
-    mean_A, height_m, clear = fit.mean_A, fit.height_m, fit.is_clear
+    mean_A, height_m, is_clear = fit.mean_A, fit.height_m, fit.is_clear
     slope_change = 0.0
-    if clear.sum() >= MIN_POINTS:
-        middle_m = 0.5 * (height_m[clear].min() + height_m[clear].max())
-        halves = [clear & (height_m <= middle_m), clear & (height_m > middle_m)]
+    if is_clear.sum() >= MIN_POINTS:
+        middle_m = 0.5 * (height_m[is_clear].min() + height_m[is_clear].max())
+        halves = [is_clear & (height_m <= middle_m), is_clear & (height_m > middle_m)]
         if min(half.sum() for half in halves) >= 5:
             root = np.sqrt(fit.weight) * mean_A
             residual = fit.log_residual
@@ -223,10 +223,10 @@ def barrier_reasons(
 ) -> tuple[Reason, ...]:
     """Return the criteria that a barrier does not meet, in the order of the rules.
 
-    decay_per_m, interval_per_m  k and its 95 % interval, of these sweeps or of all of a tip
+    decay_per_m, interval_per_m  k and its 95 % interval, of these sweeps or of all sweeps of a tip
     """
     e, rows = evidence, evidence.rows
-    missing = f"{rows - e.points - e.saturated} of {rows} rows hold no number"
+    missing = f"{rows - e.points - e.saturated} of {rows} rows contain no number"
     decades = math.log10(max(e.peak_A, 1e-30) / (CLEAR_OF_FLOOR * e.floor_A))
     barrier_eV = barrier_of_decay(decay_per_m)
     low_eV, high_eV = (barrier_of_decay(end) for end in interval_per_m)
@@ -238,9 +238,7 @@ def barrier_reasons(
     width = f"the 95 % interval runs from {low_eV:.3g} to {high_eV:.3g} eV"
     unstable = f"the current fluctuates by {100 * e.relative_noise:.2g} % of itself: unstable tip"
     jumps = f"{e.jumps} tip jump(s), the largest of {e.largest_jump:.2g} nepers"
-    floor = (
-        f"the sweep ends above the noise of {e.floor_A:.3g} A: the offset rests on the fitted law"
-    )
+    floor = f"the sweep ends above the noise of {e.floor_A:.3g} A: the offset is extrapolated"
     bend = (
         f"the decay of the weaker half differs by {100 * e.slope_change:.2g} % from that of the "
         "stronger: creep of the height, or not one exponential"
@@ -271,10 +269,10 @@ def barrier_reasons(
 
 
 def _information(jacobian: Array, column: int) -> Array:
-    """Return each point's share of the information on one parameter, the others unknown.
+    """Return the information of each point on one parameter, with the other parameters unknown.
 
     jacobian  (points, parameters)  whitened
-    returned  (points,)             squared, so that the sum is 1 / variance
+    returned  (points,)             their sum is 1 / variance
     """
     remaining, target = np.delete(jacobian, column, axis=1), jacobian[:, column]
     explained = remaining @ np.linalg.lstsq(remaining, target, rcond=None)[0]
@@ -289,12 +287,11 @@ def _block_covariance(
         C = (G - 1)/G sum_g delta_g delta_g',   delta_g = -(H - H_g)^-1 J_g' r_g,   H = J' J
 
     jacobian, residual  (points, parameters), (points,)  whitened
-    height_m            (points,)  blocks are neighbours in height; points of several sweeps at one
-                        height share a block
-    column              the parameter of which each block holds an equal share of information
+    height_m            (points,)  blocks are ranges of height; points of several sweeps at one
+                        height are in the same block
+    column              index of the parameter on which all blocks have equal information
 
-    Parameters that only one block determines (an amplitude inside it) are left to the
-    pseudo-inverse.
+    The pseudo-inverse handles parameters that only one block determines (an amplitude inside it).
     """
     heights, row = np.unique(height_m, return_inverse=True)
     by_height = np.bincount(row, weights=_information(jacobian, column), minlength=len(heights))

@@ -1,13 +1,13 @@
-"""Identify the junction's plant and barrier from records under a controller.
+"""Identify plant and barrier of the junction from records in closed loop.
 
 An open loop cannot be recorded: the tip crashes or is lost. In closed loop the drive responds to
-the noise of the current. With u = C (r - y), y = G u + n and gamma^2 the share of
-the drive's power that comes from the dither r,
+the noise of the current. With u = C (r - y), y = G u + n and gamma^2 the share of the power of the
+drive due to the dither r,
 
     S_yu / S_uu = gamma^2 G - (1 - gamma^2) / C             [Soderstrom & Stoica 1989, ch. 10]
 
-whatever the length of the record; the controller's own inverse is mixed into the plain estimate.
-The dither as instrument is free of it: S_yr / S_ur = G.
+for any length of the record: the naive estimate contains the inverse of the controller. With the
+dither as instrument the estimate is consistent: S_yr / S_ur = G.
 """
 
 import math
@@ -37,17 +37,17 @@ from piezoid.numerics.robust import student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid.record_json import Interval
 
-_HIGHEST_SHARE = 0.4  # of the sampling rate: beyond it a hold and a logarithm alias
-_FLAT_SHARE = 0.02  # of the sampling rate: the plant's poles of kilohertz leave it flat below
-_OPPOSED = 0.5  # of full correlation: noise alone stays well below
-_WIDE, _VERY_WIDE = 0.1, 0.3  # relative width of the gain's interval
-_PASSES = 2  # the drive as it is, then through the plant that this gives
+_HIGHEST_SHARE = 0.4  # of the sampling rate: above, hold and logarithm alias
+_FLAT_SHARE = 0.02  # of the sampling rate: poles of kilohertz do not matter below
+_OPPOSED = 0.5  # of full correlation: noise alone causes far less
+_WIDE, _VERY_WIDE = 0.1, 0.3  # relative width of the interval of the gain
+_PASSES = 2  # with the recorded drive, then with the drive filtered by the fitted plant
 _UNKNOWN_OFFSET_A = 2e-12  # standard deviation: preamplifiers are nulled to a few picoamperes
 
 
 @dataclass(frozen=True, kw_only=True)
 class Offset:
-    """Reading of the current sensor without a current, with sign, and its standard deviation."""
+    """Reading of the current sensor at zero current, and its standard deviation."""
 
     value_A: float
     standard_A: float
@@ -55,7 +55,7 @@ class Offset:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosedLoopFit(InstrumentFit):
-    """The plant and barrier of one record under its controller.
+    """Plant and barrier identified from one record in closed loop.
 
     label                  of the record
     gain_interval          95 %, nepers per volt
@@ -65,10 +65,10 @@ class ClosedLoopFit(InstrumentFit):
     barrier_eV             (k / 10.246 nm^-1)^2
     barrier_interval_eV    95 %, the uncertainty of the extension per volt included
     naive_gain             nepers per volt, median of |S_yu / S_uu| below a fiftieth of the rate
-    naive_reason           why it is what it is
-    dither_share           gamma^2 over all lines: how much of the drive's power is dither
-    confidence, reasons    how far to trust it
-    declared_pole_Hz       of the current sensor; None where it is not declared
+    naive_reason           explanation of its error
+    dither_share           gamma^2 over all lines: share of the dither in the power of the drive
+    confidence, reasons    rating and its reasons
+    declared_pole_Hz       of the current sensor; None: not declared
     """
 
     label: str
@@ -87,7 +87,7 @@ class ClosedLoopFit(InstrumentFit):
 
     @property
     def naive_error(self) -> float:
-        """The naive gain over the consistent one, minus one."""
+        """Relative error of the naive gain."""
         return self.naive_gain / self.plant.gain_nepers_per_V - 1.0
 
 
@@ -105,20 +105,20 @@ def identify_closed_loop(
 
         K = k g_z,   phi = (k / 10.246 nm^-1)^2 eV
 
-    record              with an external dither as reference
-    amplifier_pole_Hz   declared; the sensor's pole is fitted beside it
-    sensor_pole_Hz      as declared; None: estimated from the record. Both are taken as right to
+    record              with an external dither as reference amplifier_pole_Hz   declared; the pole
+    of the sensor is fitted in addition sensor_pole_Hz      declared; None: estimated from the
+    record. Declared poles have a tolerance of
                         10 %, which the intervals of delay and gain contain
-    offset_A            of the current and its standard deviation, from sweeps; None: a few
-                        picoamperes either way. Unseen, it turns ln K by offset over set point
-    known_mode          of the tip's drive, as another record of the rig has shown it; None: it is
-                        sought in this one
+    offset_A            of the current and its standard deviation, from sweeps; None: zero within a
+                        few picoamperes. An unknown offset changes ln K by offset over set point
+    known_mode          mode of the drive, estimated from another record of the rig; None: searched
+                        for in this record
     drive_gain_m_per_V  g_z, extension of the tip per volt at the converter
-    drive_gain_relative_uncertainty  standard uncertainty of g_z, it enters the barrier doubled;
-                        default 0: the interval then speaks of the extension as declared
+    drive_gain_relative_uncertainty  standard uncertainty of g_z; the barrier has twice as much. 0:
+                        the interval takes the extension as exact
 
-    Intervals otherwise rest on the scatter over periods or blocks with Student's t. The naive
-    estimate is what a plain transfer function gives on the same record, to be compared.
+    Intervals follow from the scatter over periods or blocks with Student's t. The naive estimate
+    is the transfer function S_yu / S_uu of the same record, for comparison.
     """
     offset = offset_A or Offset(value_A=0.0, standard_A=_UNKNOWN_OFFSET_A)
     record = replace(record, current_A=record.current_A - offset.value_A)
@@ -127,7 +127,7 @@ def identify_closed_loop(
     for _ in range(_PASSES):
         spectra = spectra_of_dither(record, highest_Hz=_HIGHEST_SHARE * rate_Hz, through=through)
         if through is None:
-            _refuse_falling(spectra, record)
+            _reject_falling_current(spectra, record)
         fit = fit_with_instrument(
             spectra,
             amplifier_pole_Hz=amplifier_pole_Hz,
@@ -136,10 +136,12 @@ def identify_closed_loop(
             sampling_rate_Hz=rate_Hz,
         )
         through = fit.plant
-    # An unknown offset moves ln i of every record by the same share.
-    of_offset = np.zeros((3, 3))
-    of_offset[0, 0] = (offset.standard_A / abs(record.set_point_A)) ** 2
-    fit = replace(fit, covariance=fit.covariance + of_offset, common=fit.common + of_offset)
+    # An unknown offset changes ln i of every record by the same amount.
+    due_to_offset = np.zeros((3, 3))
+    due_to_offset[0, 0] = (offset.standard_A / abs(record.set_point_A)) ** 2
+    fit = replace(
+        fit, covariance=fit.covariance + due_to_offset, common=fit.common + due_to_offset
+    )
     naive, share = naive_gain(
         record, highest_Hz=_HIGHEST_SHARE * rate_Hz, flat_Hz=_FLAT_SHARE * rate_Hz
     )
@@ -163,10 +165,10 @@ def identify_closed_loop(
         ),
         naive_gain=naive,
         naive_reason=(
-            f"{100.0 * share:.0f} % of the drive's movement is dither; the rest is converter "
-            "steps and the controller's answer to noise, which mixes minus the controller's "
-            "inverse into the plain transfer function: at low frequency its gain is off by "
-            f"{naive_error:+.0f} %"
+            f"{100.0 * share:.0f} % of the power of the drive is dither; the rest is converter "
+            "steps and the response of the controller to noise, which adds minus the "
+            "controller's inverse to the naive transfer function: at low frequency the gain is "
+            f"off by {naive_error:+.0f} %"
         ),
         dither_share=share,
         confidence=confidence,
@@ -175,12 +177,12 @@ def identify_closed_loop(
     )
 
 
-def _refuse_falling(spectra: LoopSpectra, record: LoopRecord) -> None:
-    """Refuse a current that falls as the drive rises: the drive has the opposite sign."""
-    flat = spectra.frequency_Hz <= _FLAT_SHARE * record.sampling_rate_Hz
+def _reject_falling_current(spectra: LoopSpectra, record: LoopRecord) -> None:
+    """Raise ``ExcitationError`` if the current falls as the drive rises: the drive is inverted."""
+    is_flat = spectra.frequency_Hz <= _FLAT_SHARE * record.sampling_rate_Hz
     instrument = spectra.reference.conj()
-    drive = np.mean(spectra.drive * instrument, axis=0)[flat]
-    output = np.mean(spectra.output * instrument, axis=0)[flat]
+    drive = np.mean(spectra.drive * instrument, axis=0)[is_flat]
+    output = np.mean(spectra.output * instrument, axis=0)[is_flat]
     power = float(np.sqrt(np.sum(np.abs(drive) ** 2) * np.sum(np.abs(output) ** 2)))
     if float(np.sum(drive.conj() * output).real) < -_OPPOSED * power:
         raise ExcitationError(
@@ -191,27 +193,29 @@ def _refuse_falling(spectra: LoopSpectra, record: LoopRecord) -> None:
 
 
 def _intervals(fit: InstrumentFit, blocks: int, *, declared: bool) -> tuple[Array, Array]:
-    """Ends of the 95 % intervals of the logs; a pole that has no upper end may be a delay."""
+    """Return the ends of the 95 % intervals of the logs.
+
+    A pole without an upper end may be a delay: its time constant is added to that of the delay.
+    """
     half = float(student_quantile(0.975, blocks - 1)) * np.sqrt(np.diag(fit.covariance))
     low, high = fit.logs - half, fit.logs + half
     rate_Hz = fit.plant.sampling_rate_Hz
     if not declared and high[1] >= bounds_of_logs(rate_Hz)[1][1]:
-        of_pole = rate_Hz / (2.0 * math.pi * fit.plant.sensor_pole_Hz)
-        high[2] = max(float(high[2]), float(fit.logs[2]) + of_pole)
+        time_constant = rate_Hz / (2.0 * math.pi * fit.plant.sensor_pole_Hz)
+        high[2] = max(float(high[2]), float(fit.logs[2]) + time_constant)
     return low, high
 
 
 def pole_interval(
     low: float, high: float, sampling_rate_Hz: float, declared_Hz: float | None = None
 ) -> Interval:
-    """Return the ends of a pole's interval from those of its logarithm, hertz.
+    """Return the ends of the interval of a pole from those of its logarithm, Hz.
 
-    A pole that may lie where a hold no longer shows it is bounded from below only, unless it is
-    declared.
+    A pole that may be too fast to be visible behind a hold has no upper end unless it is declared.
     """
     lowest, highest = (limits[1] for limits in bounds_of_logs(sampling_rate_Hz, declared_Hz))
-    bounded = high < highest or declared_Hz is not None
-    return math.exp(max(low, lowest)), math.exp(high) if bounded else math.inf
+    is_bounded = high < highest or declared_Hz is not None
+    return math.exp(max(low, lowest)), math.exp(high) if is_bounded else math.inf
 
 
 def _confidence(
@@ -219,8 +223,8 @@ def _confidence(
 ) -> tuple[Confidence, tuple[str, ...]]:
     """Return the confidence and the criteria that the fit does not meet.
 
-    half_gain  half the relative width of the gain's interval
-    declared   whether the pole of the current sensor is
+    half_gain  half the relative width of the interval of the gain
+    declared   whether the pole of the current sensor is declared
     """
     reasons: list[Reason] = []
     width = 2.0 * half_gain
@@ -230,7 +234,7 @@ def _confidence(
         reasons.append((grade, text))
     if fit.misfit > MISFIT:
         text = (
-            f"the plant of two poles and a delay leaves {fit.misfit:.2g} times the noise power: "
+            f"the residual of two poles and a delay has {fit.misfit:.2g} times the noise power: "
             "is the amplifier's pole right, does the current saturate?"
         )
         reasons.append((Confidence.MEDIUM, text))

@@ -1,22 +1,22 @@
-"""Confidence in a result of the tunnelling junction, and the criteria it does not meet."""
+"""Confidence rating of a result of the tunnelling junction, with its reasons."""
 
 from collections.abc import Iterable
 from enum import Enum
 
 
 class Confidence(Enum):
-    """How far a result may be trusted."""
+    """Rating of a result."""
 
     HIGH = "high"
     MEDIUM = "medium"
     LOW = "low"
 
 
-Reason = tuple[Confidence, str]  # highest confidence despite it, and a sentence with its numbers
+Reason = tuple[Confidence, str]  # highest possible rating, and a sentence with numbers
 
 
 def lowest_grade(reasons: Iterable[Reason]) -> tuple[Confidence, tuple[str, ...]]:
-    """Return the lowest grade of the reasons, high without any, and their texts, worst first."""
+    """Return the lowest rating of the reasons (high without any), and their texts, worst first."""
     by_grade = sorted(reasons, key=lambda reason: reason[0] is not Confidence.LOW)
     grade = by_grade[0][0] if by_grade else Confidence.HIGH
     return grade, tuple(text for _, text in by_grade)

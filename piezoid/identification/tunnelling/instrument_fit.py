@@ -1,26 +1,26 @@
-"""The junction's plant from cross spectra with an instrument: moments that vanish at the truth.
+"""Fit the plant of the junction to cross spectra with an instrument, by moments that vanish.
 
     m_k(theta) = mean over blocks of  (Y_bk - G_theta(w_k) U_bk) Z_bk*
 
-With Z the external dither the noise in the bracket is uncorrelated with it, loop or no loop, and
-the m_k vanish at the true plant [Soderstrom & Stoica 1983, instrumental variables]. With Z = U
-they would not: U answers to the noise through the controller. For a periodic dither the moments
-are those of the ratio of mean output to mean drive.
+With the external dither as Z, the noise in the bracket is uncorrelated with Z also in closed loop,
+and the m_k vanish at the true plant [Soderstrom & Stoica 1983, instrumental variables]. With Z = U
+they would not, because U responds to the noise through the controller. For a periodic dither the
+moments are those of the ratio of mean output to mean drive.
 
-Poles and delay all delay: what is declared of the poles decides between them, to within a data
-sheet's tolerance, which no record averages away. A mode of the tip's drive,
+Poles and delay have similar phases: the declared poles separate them, within the tolerance of a
+data sheet, which no record reduces. A mode of the drive of the tip,
 
     G_theta -> G_theta ( 1 - a + a / (1 - (f/f_m)^2 + j f / (f_m Q)) )
 
-is let in where the plant without one leaves more than noise: it would pass for gain and delay.
-Otherwise the tail of modes beyond the recorded lines is fitted,
+is added if the residual of the plant without a mode exceeds the noise; otherwise the mode would
+change gain and delay. Without a mode, the tail of modes beyond the recorded lines is fitted,
 
     G_theta -> G_theta ( 1 + r (f / sampling rate)^2 ),   r = (sampling rate / f_m)^2
 
-for one that carries the whole extension: it raises the gain as a faster pole does, and a delay
-found without it is not as sure as it looks. Errors of the declared poles give it either sign.
-What goes wrong: an undamped mode between half and one and a quarter of the sampling rate that is
-not seen as one rings in the hold's images, which no tail describes: the delay is less sure then.
+for a mode of the whole extension. The tail raises the gain like a faster pole; without it the
+interval of the delay would be too narrow. Errors of the declared poles give r either sign.
+Limitation: an undetected undamped mode between 0.5 and 1.25 times the sampling rate rings in the
+images of the hold, which no tail describes, and the interval of the delay is too narrow.
 """
 
 import math
@@ -36,46 +36,46 @@ from piezoid.numerics.arrays import Array, ComplexArray, freeze
 
 MIN_POLE_Hz = 100.0
 HIGHEST_POLE_SHARE = 0.5  # of the sampling rate
-# Standard deviation of ln(true pole / data sheet's): a tolerance of 10 %, anything inside alike.
+# Standard deviation of ln(true pole / declared pole): uniform within a tolerance of 10 %.
 POLE_SPREAD = 0.1 / math.sqrt(3.0)
 MISFIT = 2.0  # mean square of the weighted moments; 1 expected, 0.1 its scatter at 200 lines
-_ROUNDS = 4  # weights depend on the plant, weakly: they settle to a per mille after two
-_STEPS = 60  # of the solver; ten suffice where there is a plant to find
-_NEIGHBOURS = 9  # lines over which a variance is smoothed: few blocks make it rough
-_MODE_WORTH = 30.0  # fall of the cost for three numbers more; noise gives 3 +- 2.5
-_MODE_STARTS_SHARE = (0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.6, 0.8)  # of the sampling rate
+_ROUNDS = 4  # weights depend weakly on the plant: they converge to a per mille after two
+_STEPS = 60  # of the solver; ten suffice if the plant is identifiable
+_NEIGHBOURS = 9  # lines over which a variance of few blocks is smoothed
+_MIN_IMPROVEMENT = 30.0  # of the cost by the three parameters of a mode; noise gives 3 +- 2.5
+_MODE_STARTS = (0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.6, 0.8)  # of the sampling rate
 _MODE_LOW = (math.log(0.05), math.log(1.5), -1.0)  # ln(f_m / rate), ln Q, a
 _MODE_HIGH = (math.log(1.5), math.log(100.0), 1.0)
-_LARGEST_TAIL = 4.0  # r of a mode at half the sampling rate: nearer ones are modes
-_TAIL_SPREAD = 1.0  # standard deviation of r beforehand: a mode at the sampling rate
-_PLANT, _WITH_TAIL = 3, 4  # numbers of the plant; with the tail of modes beyond
-_LN_POLE, _TAIL = 1, 3  # indices among them
+_MAX_TAIL = 4.0  # r of a mode at half the sampling rate: modes below are fitted as such
+_TAIL_SPREAD = 1.0  # prior standard deviation of r: a mode at the sampling rate
+_PLANT, _WITH_TAIL = 3, 4  # number of parameters of the plant, and with the tail
+_LN_POLE, _TAIL = 1, 3  # their indices
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModeEstimate:
-    """A mode of the drive, estimated from one record.
+    """Mode of the drive, estimated from one record.
 
-    mode       estimate
-    numbers    ln(frequency / sampling rate), ln quality, share
-    deviation  their standard deviations
+    mode        estimate
+    parameters  ln(frequency / sampling rate), ln quality, share
+    deviations  standard deviations of ``parameters``
     """
 
     mode: DriveMode
-    numbers: tuple[float, ...]
-    deviation: tuple[float, ...]
+    parameters: tuple[float, ...]
+    deviations: tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class InstrumentFit:
-    """Fitted plant between drive and log current, with its uncertainty.
+    """Plant between drive and log current, with its uncertainty.
 
     plant       gain, sensor pole, delay
     logs        (3,)  ln gain, ln sensor pole, delay over the sampling period
-    covariance  (3, 3)  of logs: scatter over blocks, misfit, and the declared poles' tolerance
-    common      (3, 3)  the part of it that all records of one rig have alike
-    misfit      mean square of the weighted moments; near 1 when the plant's form fits
-    mode        of the tip's drive, beside the plant; None where none was seen
+    covariance  (3, 3)  of logs: scatter over blocks, misfit, and tolerance of the declared poles
+    common      (3, 3)  part of the covariance that is common to all records of one rig
+    misfit      mean square of the weighted moments; near 1 if the form of the plant is right
+    mode        of the drive of the tip; None: not detected
     """
 
     plant: JunctionPlant
@@ -98,15 +98,16 @@ def fit_with_instrument(
     known_mode: ModeEstimate | None = None,
     sampling_rate_Hz: float,
 ) -> InstrumentFit:
-    """Fit the plant by instrumental variables: its moments with the reference vanish.
+    """Fit the plant by instrumental variables, with the reference as instrument.
 
-    spectra         of the loop; its reference is the instrument
-    sensor_pole_Hz  as declared, 10 % either way; None: estimated from the record alone
-    known_mode      of the drive, as another record of the rig has shown it and as well as that
-                    knows it; None: to be estimated
+    spectra         of the loop
+    sensor_pole_Hz  declared, within 10 %; None: estimated from the record
+    known_mode      mode of the drive from another record of the rig, used as a prior with its
+                    standard deviations; None: estimated
 
-    Moments are weighted by their variance over blocks; gain and pole are kept positive by their
-    logarithms; the delay is sought from several starts, because a phase repeats.
+    Moments are weighted by their variance over blocks. The parameters are logarithms of gain and
+    pole, which keep both positive. Several starts of the delay are tried, because the phase is
+    periodic.
     """
     problem = _Moments(
         spectra=spectra,
@@ -116,12 +117,12 @@ def fit_with_instrument(
         sampling_rate_Hz=sampling_rate_Hz,
     )
     drive = np.where(np.abs(problem.drive) > 0.0, problem.drive, 1e-300)
-    response = problem.output / drive * problem.passed  # S_yz / S_uz
+    response = problem.output / drive * problem.filter_response  # S_yz / S_uz
     gain = float(np.median(np.abs(response[: max(len(response) // 4, 1)])))
     poles_Hz = (0.1 * sampling_rate_Hz, 0.4 * sampling_rate_Hz)
-    further = [0.0] if known_mode is None else list(known_mode.numbers)
+    tail_or_mode = [0.0] if known_mode is None else list(known_mode.parameters)
     starts = [
-        np.array([math.log(max(gain, 1e-12)), math.log(pole_Hz), delay, *further])
+        np.array([math.log(max(gain, 1e-12)), math.log(pole_Hz), delay, *tail_or_mode])
         for pole_Hz in (poles_Hz if sensor_pole_Hz is None else (sensor_pole_Hz,))
         for delay in (0.2, 1.0, 2.0)
     ]
@@ -129,12 +130,12 @@ def fit_with_instrument(
     freedom = problem.freedom(_WITH_TAIL)
     if known_mode is None and cost > freedom + 2.0 * math.sqrt(2.0 * freedom):
         starts_with_mode = [
-            np.append(logs[:_PLANT], [math.log(share), math.log(10.0), part])
-            for share in _MODE_STARTS_SHARE
-            for part in (0.1, 0.9)
+            np.append(logs[:_PLANT], [math.log(frequency), math.log(10.0), share])
+            for frequency in _MODE_STARTS
+            for share in (0.1, 0.9)
         ]
         with_mode = problem.settle(starts_with_mode, deviation)
-        if with_mode[1] < cost - _MODE_WORTH * cost / freedom:
+        if with_mode[1] < cost - _MIN_IMPROVEMENT * cost / freedom:
             logs, cost, deviation = with_mode
     misfit = cost / problem.freedom(len(logs))
     covariance, common = problem.covariance(logs, deviation, max(misfit, 1.0))
@@ -142,8 +143,8 @@ def fit_with_instrument(
     if (drive_mode := problem.mode(logs)) is not None:
         mode = ModeEstimate(
             mode=drive_mode,
-            numbers=tuple(logs[_PLANT:].tolist()),
-            deviation=tuple(np.sqrt(np.diag(covariance))[_PLANT:].tolist()),
+            parameters=tuple(logs[_PLANT:].tolist()),
+            deviations=tuple(np.sqrt(np.diag(covariance))[_PLANT:].tolist()),
         )
     return InstrumentFit(
         plant=problem.plant(logs),
@@ -158,10 +159,10 @@ def fit_with_instrument(
 def bounds_of_logs(
     sampling_rate_Hz: float, declared_pole_Hz: float | None = None
 ) -> tuple[list[float], list[float]]:
-    """Return the bounds of logs: any gain, a pole of 100 Hz to half the rate, 0 to 8 ticks.
+    """Return the bounds of logs: any gain, poles from 100 Hz to half the rate, 0 to 8 samples.
 
-    A hold shows nothing of a faster pole but a delay: the search for the pole ends where a record
-    can show it, or at twice the pole that is declared.
+    Behind a hold, a faster pole is indistinguishable from a delay. A declared pole extends the
+    upper bound to twice its frequency.
     """
     highest_Hz = max(HIGHEST_POLE_SHARE * sampling_rate_Hz, 2.0 * (declared_pole_Hz or 0.0))
     return [-60.0, math.log(MIN_POLE_Hz), 0.0], [60.0, math.log(highest_Hz), 8.0]
@@ -169,7 +170,7 @@ def bounds_of_logs(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Moments:
-    """Moments of one record as functions of logs: three of the plant, then tail or mode."""
+    """Moments of one record as functions of logs: of the plant, then tail or mode."""
 
     spectra: LoopSpectra
     amplifier_pole_Hz: float
@@ -188,8 +189,8 @@ class _Moments:
         return np.asarray(np.mean(self.spectra.drive * self.spectra.reference.conj(), axis=0))
 
     @cached_property
-    def passed(self) -> ComplexArray:
-        """Response of the plant that the drive has passed already, (lines,)."""
+    def filter_response(self) -> ComplexArray:
+        """Response of the plant by which the drive was filtered, (lines,); 1 without one."""
         through, frequency_Hz = self.spectra.through, self.spectra.frequency_Hz
         if through is None:
             return np.ones(len(frequency_Hz), dtype=np.complex128)
@@ -213,25 +214,28 @@ class _Moments:
             share=float(logs[5]),
         )
 
-    def freedom(self, numbers: int) -> int:
-        return max(2 * len(self.output) - numbers, 1)
+    def freedom(self, parameters: int) -> int:
+        return max(2 * len(self.output) - parameters, 1)
 
     def modelled(self, logs: Array) -> ComplexArray:
-        """The response over that of the plant the drive has passed already, (lines,)."""
+        """Return the response over ``filter_response``, (lines,)."""
         frequency_Hz = self.spectra.frequency_Hz
         response = self.plant(logs).frequency_response(frequency_Hz, self.mode(logs))
         if len(logs) == _WITH_TAIL:
             response = response * (1.0 + logs[_TAIL] * (frequency_Hz / self.sampling_rate_Hz) ** 2)
-        return np.asarray(response / self.passed)
+        return np.asarray(response / self.filter_response)
 
     def block_moments(self, relative: ComplexArray) -> ComplexArray:
-        """Each block's moments for a response over ``passed``, (blocks, lines)."""
+        """Return the moments of each block, (blocks, lines).
+
+        relative  (lines,)  response over ``filter_response``
+        """
         bracket = self.spectra.output - relative * self.spectra.drive
         return np.asarray(bracket * self.spectra.reference.conj())
 
     def deviation(self, response: ComplexArray) -> Array:
-        """Standard deviation of each part of the mean moments, (lines,)."""
-        moments = self.block_moments(response / self.passed)
+        """Return the standard deviation of each part of the mean moments, (lines,)."""
+        moments = self.block_moments(response / self.filter_response)
         variance = np.var(moments, axis=0, ddof=1) / (2.0 * len(moments))
         kernel = np.ones(min(_NEIGHBOURS, len(variance)))
         share = np.convolve(np.ones_like(variance), kernel, mode="same")
@@ -239,15 +243,15 @@ class _Moments:
         return np.asarray(np.sqrt(np.maximum(smooth, 1e-300)))
 
     def weighted(self, logs: Array, deviation: Array) -> Array:
-        """Mean moments in standard deviations, real and imaginary, (2 lines,)."""
+        """Return real and imaginary parts of the mean moments, standardised, (2 lines,)."""
         mean = (self.output - self.modelled(logs) * self.drive) / deviation
         return np.concatenate([mean.real, mean.imag])
 
     def settle(self, starts: Sequence[Array], deviation: Array) -> tuple[Array, float, Array]:
-        """Solve from every start, then weigh and solve in turn; (logs, cost, deviation)."""
+        """Solve from every start, then update weights and logs in turn: logs, cost, deviation."""
         logs, cost = min((self.solve(s, deviation) for s in starts), key=lambda pair: pair[1])
         for _ in range(_ROUNDS):
-            deviation = self.deviation(self.modelled(logs) * self.passed)
+            deviation = self.deviation(self.modelled(logs) * self.filter_response)
             logs, cost = self.solve(logs, deviation)
         return logs, cost, deviation
 
@@ -264,27 +268,27 @@ class _Moments:
         )
         return np.asarray(result.x, dtype=np.float64), 2.0 * float(result.cost)
 
-    def bounds(self, numbers: int) -> tuple[Array, Array]:
+    def bounds(self, parameters: int) -> tuple[Array, Array]:
         low, high = bounds_of_logs(self.sampling_rate_Hz, self.declared_pole_Hz)
-        if numbers == _WITH_TAIL:
-            return np.array([*low, -_LARGEST_TAIL]), np.array([*high, _LARGEST_TAIL])
+        if parameters == _WITH_TAIL:
+            return np.array([*low, -_MAX_TAIL]), np.array([*high, _MAX_TAIL])
         return np.array([*low, *_MODE_LOW]), np.array([*high, *_MODE_HIGH])
 
-    def priors(self, numbers: int) -> tuple[Array, Array]:
-        """Declared values, rows @ logs = centers to one, (priors, numbers), (priors,)."""
-        facts = [(_TAIL, 0.0, _TAIL_SPREAD)] if numbers == _WITH_TAIL else []
+    def priors(self, parameters: int) -> tuple[Array, Array]:
+        """Return rows (priors, parameters) and centers of unit variance: rows @ logs ~ centers."""
+        facts = [(_TAIL, 0.0, _TAIL_SPREAD)] if parameters == _WITH_TAIL else []
         if self.declared_pole_Hz is not None:
             facts.append((_LN_POLE, math.log(self.declared_pole_Hz), POLE_SPREAD))
         if self.known_mode is not None:
-            of_mode = zip(self.known_mode.numbers, self.known_mode.deviation, strict=True)
+            of_mode = zip(self.known_mode.parameters, self.known_mode.deviations, strict=True)
             facts += [(_PLANT + number, *fact) for number, fact in enumerate(of_mode)]
-        rows = np.zeros((len(facts), numbers))
+        rows = np.zeros((len(facts), parameters))
         for row, (number, _, spread) in zip(rows, facts, strict=True):
             row[number] = 1.0 / spread
         return rows, np.array([center / spread for _, center, spread in facts])
 
     def jacobian(self, logs: Array, deviation: Array) -> Array:
-        """d weighted / d logs by central differences, (2 lines, numbers)."""
+        """Return d weighted / d logs by central differences, (2 lines, parameters)."""
         low, high = self.bounds(len(logs))
         columns = []
         for step in 1e-5 * np.eye(len(logs)):
@@ -294,12 +298,12 @@ class _Moments:
         return np.column_stack(columns)
 
     def covariance(self, logs: Array, deviation: Array, misfit: float) -> tuple[Array, Array]:
-        """Sandwich over blocks, widened by misfit, and what the declared poles leave open.
+        """Return the covariance, and the part of it due to the tolerance of declared poles.
 
-        Each block's pull on the estimate, squared and summed. Few blocks make it uncertain, so
-        that no variance is taken below the one expected of moments of unit variance, (J' J)^-1.
-        What is declared pulls alike in every record; so does the amplifier's pole, which is not
-        fitted: by its tolerance times the shift of the estimate it would cause.
+        A sandwich over blocks: the squared influences of the blocks are summed and widened by the
+        misfit. With few blocks it is uncertain, so that variances are at least those of moments of
+        unit variance, (J' J)^-1. Declared values have the same influence in every record; so has
+        the pole of the amplifier, which is not fitted: its tolerance times the change it causes.
         """
         moments = self.block_moments(self.modelled(logs)) / deviation
         moments = moments - moments.mean(axis=0)
@@ -307,14 +311,14 @@ class _Moments:
         jacobian = self.jacobian(logs, deviation)
         prior, _ = self.priors(len(logs))
         inverse = np.linalg.pinv(np.vstack([jacobian, prior]))
-        of_record, of_prior = np.split(inverse, [len(jacobian)], axis=1)
-        pulls = parts @ of_record.T / len(parts)
-        sandwich = pulls.T @ pulls * len(parts) / (len(parts) - 1)
-        expected = of_record @ of_record.T
+        by_moments, by_prior = np.split(inverse, [len(jacobian)], axis=1)
+        influences = parts @ by_moments.T / len(parts)
+        sandwich = influences.T @ influences * len(parts) / (len(parts) - 1)
+        expected = by_moments @ by_moments.T
         stretch = np.sqrt(np.maximum(np.diag(expected) / np.diag(sandwich), 1.0))
         faster = replace(self, amplifier_pole_Hz=self.amplifier_pole_Hz * math.exp(1e-4))
         change = 1e4 * (faster.weighted(logs, deviation) - self.weighted(logs, deviation))
-        of_amplifier = POLE_SPREAD * (of_record @ change)
-        common = of_prior @ of_prior.T + np.outer(of_amplifier, of_amplifier)
+        by_amplifier = POLE_SPREAD * (by_moments @ change)
+        common = by_prior @ by_prior.T + np.outer(by_amplifier, by_amplifier)
         widened: Array = misfit * sandwich * np.outer(stretch, stretch)
         return widened + common, common

@@ -1,4 +1,4 @@
-"""Tunnelling part of a stage: gap law from Z spectroscopies, plant from closed loops."""
+"""Fit the tunnelling junction: gap law from Z spectroscopies, plant from closed loops."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -36,13 +36,13 @@ def fit_junction(
 ) -> TunnellingModel | None:
     """Fit the gap law to sweeps over height and the plant to closed loops, of one tip.
 
-    sweeps      tables over height; all sweeps of one direction share decay and offset, each keeps
-                its own zero of height
-    recordings  over time; those with drive, current and reference are closed loops
-    lab         what the laboratory declares, which closed loops cannot do without
+    sweeps      tables over height; all sweeps of one direction share decay and offset, each has a
+                zero of height
+    recordings  over time; recordings with drive, current and reference are closed loops
+    lab         declarations of the laboratory, required for closed loops
 
-    None where neither is there. Raises what ``read_z_spectroscopy``, ``fit_barrier``,
-    ``loops_of`` and ``identify_closed_loop`` raise.
+    Returns None if there are neither sweeps nor closed loops. Raises as ``read_z_spectroscopy``,
+    ``fit_barrier``, ``loops_of`` and ``identify_closed_loop``.
     """
     model = fit_sweeps_of_tip(sweeps) if sweeps else None
     gap_law = None if model is None else model.gap_law
@@ -66,7 +66,7 @@ def fit_junction(
 
 
 def fit_sweeps_of_tip(sweeps: Sequence[RawTable]) -> TunnellingModel:
-    """Fit the gap law to every sweep of Z spectroscopies taken with one tip, drift allowed for."""
+    """Fit the gap law, with drift, to all sweeps of Z spectroscopies with one tip."""
     curves = curves_of(sweeps)
     fits = {
         direction: fit_barrier(same_direction)
@@ -80,7 +80,7 @@ def fit_sweeps_of_tip(sweeps: Sequence[RawTable]) -> TunnellingModel:
     try:
         shift = compare_directions(forward, backward)
     except ExcitationError:
-        shift = None  # no current that both directions reach clear of their noise
+        shift = None  # no current is above the noise in both directions
     return TunnellingModel(
         gap_law=gap_law,
         loop_plant=None,
@@ -91,16 +91,16 @@ def fit_sweeps_of_tip(sweeps: Sequence[RawTable]) -> TunnellingModel:
 
 
 def curves_of(sweeps: Sequence[RawTable]) -> tuple[ApproachCurve, ...]:
-    """Return every sweep of every table, in their order."""
+    """Return all sweeps of all tables, in their order."""
     return tuple(curve for table in sweeps for curve in read_z_spectroscopy(table))
 
 
 def fit_loops(
     rig: LoopRig, loops: Sequence[LoopRecord], offset: Offset | None = None
 ) -> LoopPlant:
-    """Identify the plant of every closed-loop record, their mean, and the family around them.
+    """Identify the plant of every closed-loop record, their mean, and their family.
 
-    offset  of the current, where sweeps have shown it
+    offset  of the current, from sweeps; None: unknown
     """
 
     def identify(loop: LoopRecord, mode: ModeEstimate | None) -> ClosedLoopFit:
@@ -116,7 +116,7 @@ def fit_loops(
 
     fits = [identify(loop, None) for loop in loops]
     mode = next((fit.mode for fit in fits if fit.mode is not None), None)
-    if mode is not None:  # of the drive, hence of every record, also where noise hides it
+    if mode is not None:  # the drive has it in every record, also if noise hides it
         fits = [
             identify(loop, mode) if fit.mode is None else fit
             for loop, fit in zip(loops, fits, strict=True)
@@ -140,7 +140,7 @@ def fit_loops(
 
 
 def remarks_on_currents(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """Return one remark for every recording whose current over time could not be used."""
+    """Return a remark for each recording whose current over time could not be used."""
     return tuple(
         f"{recording.name}: its current over time was not used. The plant between drive and "
         "current needs the external dither beside them: name its column 'reference' in "

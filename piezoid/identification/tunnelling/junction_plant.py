@@ -1,4 +1,4 @@
-"""JunctionPlant: from drive volts to log current, sampled exactly behind the converter's hold.
+"""Plant of the junction from drive to log current, sampled exactly behind the hold.
 
     dy = K wa/(s + wa) wi/(s + wi) e^(-s tau) du      wa amplifier, wi current sensor, rad/s
 
@@ -7,10 +7,10 @@ whole number of samples not below tau, and rho = n Ts - tau the rest, the held p
 
     G(q) = K q^-n [ 1 - (1 - q^-1) sum_p c_p e^(-p rho) / (1 - e^(-p Ts) q^-1) ]
 
-A mode of the drive, 1 - a + a / (1 + s/(w Q) + s^2/w^2), adds a pair of poles to the sum; sampled
-like this it is right beyond half the sampling rate, where its images fall into the band. Amplifier
-and sensor enter alike, so only one of their poles can be found from data: the amplifier's is
-declared. Positive drive extends the tip: K > 0.
+A mode of the drive, 1 - a + a / (1 + s/(w Q) + s^2/w^2), adds a pair of poles to the sum; this
+sampling is exact also beyond half the sampling rate, where the images of the mode fall into the
+band. Amplifier and sensor enter symmetrically, so only one of their poles can be identified: that
+of the amplifier is declared. Positive drive extends the tip: K > 0.
 """
 
 import cmath
@@ -25,10 +25,10 @@ from piezoid.operators.linear import ContinuousSystem, recursive_filter, resonan
 
 @dataclass(frozen=True, kw_only=True)
 class DriveMode:
-    """A mode of the drive of the tip, in addition to the poles of the plant.
+    """Mode of the drive of the tip, in addition to the poles of the plant.
 
     frequency_Hz, quality  of the mode
-    share                  a, of the extension that it carries
+    share                  a, of the extension
     """
 
     frequency_Hz: float
@@ -43,25 +43,25 @@ class DriveMode:
 
     @property
     def system(self) -> ContinuousSystem:
-        """The same in continuous time, gain 1 at rest."""
+        """The mode in continuous time, with gain 1 at rest."""
         mode = resonance(self.frequency_Hz, 0.5 / self.quality)
         return replace(mode, C=self.share * mode.C, D=np.array([[1.0 - self.share]]))
 
     @property
     def poles(self) -> tuple[complex, complex]:
-        """The pair p of e^(-p t), rad/s."""
+        """Poles p of the transients e^(-p t), rad/s."""
         damping, frequency = 0.5 / self.quality, 2.0 * math.pi * self.frequency_Hz
-        swing = cmath.sqrt(damping**2 - 1.0)
-        return frequency * (damping + swing), frequency * (damping - swing)
+        root = cmath.sqrt(damping**2 - 1.0)
+        return frequency * (damping + root), frequency * (damping - root)
 
 
 @dataclass(frozen=True, kw_only=True)
 class JunctionPlant:
-    """The junction around a set point, as a controller sees it.
+    """Linear plant of the junction around a set point.
 
     gain_nepers_per_V  K = decay times tip extension per volt
     sensor_pole_Hz     of the current sensor
-    delay_s            from the sample that wrote a drive to the drive at the amplifier, >= 0
+    delay_s            between writing a sample and the drive at the amplifier, >= 0
     amplifier_pole_Hz  declared
     sampling_rate_Hz   of the controller
     """
@@ -83,11 +83,11 @@ class JunctionPlant:
         """
         period_s = 1.0 / self.sampling_rate_Hz
         samples = math.ceil(self.delay_s / period_s - 1e-9)
-        rest_s = max(samples * period_s - self.delay_s, 0.0)
+        remainder_s = max(samples * period_s - self.delay_s, 0.0)
         amplifier = 2.0 * math.pi * self.amplifier_pole_Hz
         sensor = 2.0 * math.pi * self.sensor_pole_Hz
         if abs(sensor / amplifier - 1.0) < 1e-6:
-            sensor = amplifier * (1.0 + 1e-6)  # a double pole, split by less than it matters
+            sensor = amplifier * (1.0 + 1e-6)  # a double pole, split by a negligible amount
         poles: list[complex] = [amplifier, sensor, *(() if mode is None else mode.poles)]
         terms = []
         for k, pole in enumerate(poles):
@@ -98,7 +98,7 @@ class JunctionPlant:
                 numerator *= (1.0 - mode.share) * spring + mode.share * stiffness
             distance = math.prod(zero - pole for zero in poles[:k] + poles[k + 1 :])
             share = numerator / (pole * distance)
-            terms.append((cmath.exp(-pole * period_s), share * cmath.exp(-pole * rest_s)))
+            terms.append((cmath.exp(-pole * period_s), share * cmath.exp(-pole * remainder_s)))
         return samples, terms
 
     def frequency_response(
@@ -106,7 +106,7 @@ class JunctionPlant:
     ) -> ComplexArray:
         """Return G at each frequency, (frequencies,) nepers per volt.
 
-        mode  of the drive, sampled with the plant; None: none
+        mode  of the drive, sampled with the plant
         """
         samples, terms = self._terms(mode)
         delay = np.exp(-2j * np.pi * frequency_Hz / self.sampling_rate_Hz)
@@ -122,11 +122,11 @@ class JunctionPlant:
         (pulse_a, share_a), (pulse_i, share_i) = ((p.real, c.real) for p, c in terms)
         pole_a, pole_i = np.array([1.0, -pulse_a]), np.array([1.0, -pulse_i])
         denominator = np.convolve(pole_a, pole_i)
-        missing = np.convolve([1.0, -1.0], share_a * pole_i + share_i * pole_a)
-        numerator = self.gain_nepers_per_V * (denominator - missing)
+        transient = np.convolve([1.0, -1.0], share_a * pole_i + share_i * pole_a)
+        numerator = self.gain_nepers_per_V * (denominator - transient)
         return np.concatenate([np.zeros(samples), numerator]), denominator
 
     def respond(self, drive_V: Array) -> Array:
-        """Return the log current a drive makes from rest, (samples,) nepers."""
+        """Return the response of the log current to a drive from rest, (samples,) nepers."""
         numerator, denominator = self.polynomials()
         return recursive_filter(numerator, denominator, drive_V)

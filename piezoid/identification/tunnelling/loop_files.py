@@ -2,7 +2,7 @@
 
     drive in volts at the converter -> amplifier -> Z piezo: g_z = its gain times the actuator's
 
-A missing declaration is refused with the line to write; nothing is assumed.
+A missing declaration raises an error with the line to write; nothing is assumed.
 """
 
 import math
@@ -17,30 +17,30 @@ from piezoid.operators.tunnelling import log_current
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 
-_LOST_FRACTION = 0.01  # of the samples below the floor: then the tip was not tunnelling
+_LOST_FRACTION = 0.01  # of the samples below the floor: with more, the tip was lost
 
 _LOOP = (Quantity.VOLTAGE, Quantity.CURRENT, Quantity.REFERENCE)
 _SET_POINT_FACTOR = 2.0  # factor between the declared set point and the median current
 _RATE_TOLERANCE = 0.01
-_REPEATS = 1e-6  # of the span: how well the periods of a dither agree, as files print them
+_REPEATS = 1e-6  # of the span: largest difference of the periods of a dither, as printed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoopRecord:
-    """Reference, drive and current of a closed loop on the log current, tick by tick.
+    """Reference, drive and current of a closed loop on the log current, sample by sample.
 
     label              for messages
     sampling_rate_Hz   > 0
     set_point_A        carries the current's sign
-    floor_A            > 0: currents below it count as a lost tip
-    reference          (samples,)  the external dither, in any unit: added to the set point or to
-                       the drive; it must not depend on the current
+    floor_A            > 0: smaller currents count as a lost tip
+    reference          (samples,)  external dither in any unit, added to the set point or to the
+                       drive; it must not depend on the current
     drive_V            (samples,)  at the converter, dither included; written after the current of
                        the same row was read
     current_A          (samples,)
-    period_samples     of a periodic dither; None where it is not periodic
+    period_samples     of the dither; None: not periodic
 
-    Refused: a current below the floor in more than a hundredth of the samples.
+    Raises ``ExcitationError`` if the current is below the floor in more than 1 % of the samples.
     """
 
     label: str
@@ -59,8 +59,8 @@ class LoopRecord:
             raise ValueError(f"{self.label}: sampling_rate_Hz is {self.sampling_rate_Hz}")
         if not self.floor_A > 0.0:
             raise ValueError(f"{self.label}: floor_A is {self.floor_A}, expected more than 0")
-        upright_A = math.copysign(1.0, self.set_point_A) * self.current_A
-        below = int(np.count_nonzero(upright_A < self.floor_A))
+        positive_A = math.copysign(1.0, self.set_point_A) * self.current_A
+        below = int(np.count_nonzero(positive_A < self.floor_A))
         if below > _LOST_FRACTION * self.samples:
             raise ExcitationError(
                 f"{self.label}: {below} of {self.samples} currents lie below {self.floor_A:.3g} A "
@@ -72,7 +72,7 @@ class LoopRecord:
 
     @property
     def samples(self) -> int:
-        """Number of ticks."""
+        """Number of samples."""
         return len(self.drive_V)
 
     @property
@@ -88,15 +88,15 @@ class LoopRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class LoopRig:
-    """Declared properties of the axis that regulates a current.
+    """Declared properties of an axis that controls a current.
 
     axis                   its name
     set_point_A            with the current's sign
     floor_A                > 0
     amplifier_pole_Hz      of the amplifier in front of the Z piezo
     drive_gain_m_per_V     g_z > 0, extension of the tip per volt at the converter
-    bandwidth_Hz           of the current sensor; None where not declared
-    feedback_ohm           of the current sensor; None where not declared
+    bandwidth_Hz           of the current sensor; None: not declared
+    feedback_ohm           of the current sensor; None: not declared
     extension_uncertainty  relative standard uncertainty of g_z
     """
 
@@ -111,12 +111,12 @@ class LoopRig:
 
 
 def is_loop(recording: Recording) -> bool:
-    """Whether a recording holds drive, current and reference of its axis."""
+    """Return whether a recording contains drive, current and reference of its axis."""
     return all(recording.find(quantity, recording.axis) is not None for quantity in _LOOP)
 
 
 def rig_of_loop(lab: Lab, axis: str) -> LoopRig:
-    """Return the declarations of an axis in lab.toml, or refuse with the missing lines."""
+    """Return the declarations of an axis in lab.toml, or raise an error with the missing lines."""
     amplifier, declared = lab.amplifier_of(axis), lab.tunnelling
     extension = lab.actuator_of(axis).gain_m_per_V
     needed = {
@@ -132,7 +132,7 @@ def rig_of_loop(lab: Lab, axis: str) -> LoopRig:
         raise LabFileError(
             f"{lab.place}: the closed loop of axis {axis} lacks "
             f"{', '.join(name.replace(chr(10), ' ') for name in missing)}",
-            needed="set point and floor of the loop, and what lies between converter and tip",
+            needed="set point and floor of the loop, amplifier and actuator of the tip",
             remedy=f"Write into lab.toml, one table for each heading:\n\n{lines}\n",
         )
     gain = {name: float(value) for name, value in needed.items() if value is not None}
@@ -175,7 +175,7 @@ def loops_of(recordings: Sequence[Recording], lab: Lab) -> tuple[LoopRig, tuple[
         raise LabFileError(
             f"{lab.place}: the controller runs at {declared_Hz:g} Hz, {loops[0].name} is recorded "
             f"at {rate_Hz:g} Hz",
-            needed="every tick of the loop: what happens between rows is folded into them",
+            needed="every tick of the loop: motion between rows aliases",
             remedy="Record each tick, or correct sampling_rate_Hz under [acquisition].",
         )
     rig = rig_of_loop(lab, axis)
@@ -183,9 +183,9 @@ def loops_of(recordings: Sequence[Recording], lab: Lab) -> tuple[LoopRig, tuple[
 
 
 def read_loop(recording: Recording, rig: LoopRig, *, lab_file: str = "lab.toml") -> LoopRecord:
-    """Take the longest uninterrupted stretch of a recording as a closed-loop record.
+    """Return the longest uninterrupted piece of a recording as a closed-loop record.
 
-    A reference that repeats itself is used period by period; any other as it is.
+    A periodic reference is analysed period by period, any other in blocks.
     """
     longest = max(recording.pieces, key=lambda piece: piece.stop - piece.start)
     channels = [recording.find(quantity, rig.axis) for quantity in _LOOP]
@@ -211,16 +211,17 @@ def read_loop(recording: Recording, rig: LoopRig, *, lab_file: str = "lab.toml")
 
 
 def period_of(reference: Array) -> int | None:
-    """Return the period of a signal in samples, seen at least twice; None without one."""
+    """Return the period of a signal that contains at least two, in samples, or None."""
     level = reference - reference.mean()
     span = float(np.ptp(level))
     if not span > 0.0:
         return None
     length = len(level)
     spectrum = np.fft.rfft(level, 2 * length)
-    common = np.fft.irfft(np.abs(spectrum) ** 2)[: length // 2 + 1]
-    # Of a repeated signal the overlap with itself, shifted by a period, is all of its power.
-    share = common / np.maximum(np.arange(length, length - len(common), -1), 1)
+    correlation = np.fft.irfft(np.abs(spectrum) ** 2)[: length // 2 + 1]
+    # The autocorrelation of a periodic signal at its period is its power.
+    overlap = np.arange(length, length - len(correlation), -1)
+    share = correlation / np.maximum(overlap, 1)
     for shift in np.flatnonzero(share > 0.5 * share[0]):
         if shift > 1 and np.abs(level[shift:] - level[:-shift]).max() <= _REPEATS * span:
             return int(shift)

@@ -1,7 +1,7 @@
-"""LoopPlant: the plant of a tip from all closed-loop records, and its family.
+"""Plant of a tip from all closed-loop records, and the family around it.
 
-Two spreads add in the family: what each record leaves uncertain, and what truly differs from
-record to record (tip, spot, temperature).
+The spread of the family is the sum of the uncertainty of each record and the variation between
+records (tip, spot, temperature).
 """
 
 import math
@@ -22,21 +22,21 @@ from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid.record_json import Interval
 
 _GRADES = (Confidence.LOW, Confidence.MEDIUM, Confidence.HIGH)
-_MIN_RECORDS = 3  # to see the spread between records
+_MIN_RECORDS = 3  # to estimate the spread between records
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoopSummary:
-    """One closed-loop record.
+    """Results of one closed-loop record.
 
-    recording     its name
+    recording     name
     gain          nepers per volt, and its 95 % interval
     barrier_eV    apparent, and its 95 % interval
-    naive_gain    of a plain transfer function, for comparison only
-    naive_reason  why it differs
-    dither_share  how much of the drive's power is dither
-    period_s      of the dither; None where it does not repeat itself
-    unrest        motion of the gap; None where the record is too short for it
+    naive_gain    of the transfer function S_yu / S_uu, for comparison only
+    naive_reason  explanation of its error
+    dither_share  share of the dither in the power of the drive
+    period_s      of the dither; None: not periodic
+    unrest        motion of the gap; None: the record is too short
     """
 
     recording: str
@@ -53,22 +53,18 @@ class LoopSummary:
 
 @dataclass(frozen=True, kw_only=True)
 class LoopPlant:
-    """From a closed loop: the plant, its intervals, the naive gain, and the family.
+    """Plant from closed loops, its intervals, and the family of plants.
 
-    plant                    nominal: the mean over the records
-    gain_interval            95 % of that mean, nepers per volt
-    sensor_pole_interval_Hz  95 %; an upper end may be infinite
-    delay_interval_s         95 %
-    barrier_eV               apparent, and its 95 % interval
-    naive_gain               nepers per volt, geometric mean, for comparison only
-    naive_reason             why it differs, of the record where it differs most
-    family                   the plants a controller has to hold, nominal first
-    family_records           how many records the family rests on
-    confidence, reasons      how far to trust it
-    modes                    of the drive, beside the plant, of every record that shows one
-    axis                     that regulates the current
-    rig                      what the laboratory declared of it; None outside files
-    records                  one by one
+    plant                    nominal: the mean over the records gain_interval            95 %
+    interval of that mean, nepers per volt sensor_pole_interval_Hz  95 %; an upper end may be
+    infinite delay_interval_s         95 % barrier_eV               apparent, and its 95 % interval
+    naive_gain               nepers per volt, geometric mean, for comparison only naive_reason
+    explanation of its error, for the record with the largest error family                   plants
+    that a controller has to stabilise, nominal first family_records           number of records
+    behind the family confidence, reasons      rating and its reasons modes                    of
+    the drive, in addition to the plant, from each record that shows one axis
+    that controls the current rig                      declarations of the laboratory; None outside
+    files records                  results of each record
     """
 
     plant: JunctionPlant
@@ -92,9 +88,9 @@ class LoopPlant:
 def describe_loop_plant(
     fits: Sequence[ClosedLoopFit], rig: LoopRig, records: Sequence[LoopSummary] = ()
 ) -> LoopPlant:
-    """Combine the fits of one tip's records into its plant and the family around it.
+    """Combine the fits of the records of one tip into its plant and the family around it.
 
-    A single record's own intervals are kept; those of a mean rest on the scatter of the records.
+    The intervals are those of a single record, or follow from the scatter of several records.
     """
     family = spread_family(fits)
     gain, pole_Hz = fits[0].gain_interval, fits[0].sensor_pole_interval_Hz
@@ -106,7 +102,7 @@ def describe_loop_plant(
         gain = math.exp(low[0]), math.exp(high[0])
         pole_Hz = pole_interval(low[1], high[1], rate_Hz, fits[0].declared_pole_Hz)
         longest_s = max(float(high[2]), 0.0) / rate_Hz
-        if not math.isfinite(pole_Hz[1]):  # then the pole may be a delay of its own
+        if not math.isfinite(pole_Hz[1]):  # the pole may then be part of the delay
             longest_s = max(longest_s, *(fit.delay_interval_s[1] for fit in fits))
         delay_s = (max(float(low[2]), 0.0) / rate_Hz, longest_s)
     decay = family[0].gain_nepers_per_V / rig.drive_gain_m_per_V
@@ -139,18 +135,18 @@ def describe_loop_plant(
 
 
 def spread_family(fits: Sequence[ClosedLoopFit]) -> tuple[JunctionPlant, ...]:
-    """Return the family of plants that a controller for these junctions has to hold.
+    """Return the family of plants that a controller for these junctions has to stabilise.
 
         Sigma = within + between,   members theta +- q Sigma e_j / sqrt(Sigma_jj)
 
-    fits      of one rig; several spots, tips or days make the family representative
-    returned  the nominal plant, then those of lowest and highest gain, sensor pole and delay,
-              each with the others where the data put them in that case
+    fits      of one rig; several spots, tips or days make the family representative returned  the
+    nominal plant, then plants of lowest and highest gain, sensor pole and delay, with
+              the other parameters following by correlation
 
-    ``q`` is Student's for one further junction. A member is where an ellipsoid touches its
-    bounding box: there gain, pole or delay is extreme and the others follow their correlation, no
-    further than a pole and a delay are ever sought: a record that cannot tell one from the other
-    allows neither to be anything.
+    ``q`` is the quantile of Student's t for one further junction. Members are the points at which
+    an ellipsoid touches its bounding box: one parameter is extreme and the others follow their
+    correlation, within the bounds of pole and delay in the fit, which matter for records that
+    cannot separate pole and delay.
     """
     mean = np.mean([fit.logs for fit in fits], axis=0)
     of_record, between, common = _covariances(fits)
@@ -162,22 +158,23 @@ def spread_family(fits: Sequence[ClosedLoopFit]) -> tuple[JunctionPlant, ...]:
     low, high = bounds_of_logs(nominal.sampling_rate_Hz, fits[0].declared_pole_Hz)
     members = [nominal]
     for column in range(3):
-        arm = reach * covariance[:, column] / max(math.sqrt(covariance[column, column]), 1e-300)
-        for step in (-arm, arm):
-            # Pole and delay that look alike go up and down together: cut one by one at their
-            # bounds they would leave that line, and with it what the record does know.
-            room = np.where(step > 0.0, np.subtract(high, mean), np.subtract(mean, low))
-            share = min(1.0, *room[1:] / np.maximum(np.abs(step[1:]), 1e-300))
+        deviation = max(math.sqrt(covariance[column, column]), 1e-300)
+        change = reach * covariance[:, column] / deviation
+        for step in (-change, change):
+            # Correlated pole and delay are shortened together: limited one by one at their bounds
+            # they would contradict the record.
+            distance = np.where(step > 0.0, np.subtract(high, mean), np.subtract(mean, low))
+            share = min(1.0, *distance[1:] / np.maximum(np.abs(step[1:]), 1e-300))
             members.append(_plant(mean + step * np.array([1.0, share, share]), nominal))
     return tuple(members)
 
 
 def mean_of(fits: Sequence[ClosedLoopFit]) -> tuple[Array, Array]:
-    """Return the mean of several records' logs and half its 95 % interval, (3,) each.
+    """Return the mean of the logs of several records and half its 95 % interval, (3,) each.
 
-    Where the spread between records cannot be seen, the uncertainty of each counts, or the
-    distance of two where that is more [Birge 1932]. What the declared poles leave open is the same
-    in all of them and does not average.
+    With too few records for the spread between them, the uncertainty of each is used, or the
+    distance of two if it is larger [Birge 1932]. The uncertainty due to declared poles is common
+    to all records and does not decrease in the mean.
     """
     logs = np.array([fit.logs for fit in fits])
     of_record, between, common = _covariances(fits)
@@ -188,15 +185,15 @@ def mean_of(fits: Sequence[ClosedLoopFit]) -> tuple[Array, Array]:
     else:
         reach = float(student_quantile(0.975, len(fits) - 1))
         total = np.diag(between + of_record)
-    alike = NORMAL_95**2 * np.diag(common)
-    return logs.mean(axis=0), np.sqrt(reach**2 * total / len(fits) + alike)
+    common_part = NORMAL_95**2 * np.diag(common)
+    return logs.mean(axis=0), np.sqrt(reach**2 * total / len(fits) + common_part)
 
 
 def _covariances(fits: Sequence[ClosedLoopFit]) -> tuple[Array, Array | None, Array]:
-    """Return the covariance of a record's own, between records, and common to all of a rig.
+    """Return the covariances of each record, between records, and common to all of a rig.
 
-    The second is the scatter of the estimates less the first [DerSimonian & Laird 1986, in three
-    dimensions]; None with fewer than three records, which cannot show it.
+    The second is the scatter of the estimates minus the first [DerSimonian & Laird 1986, in three
+    dimensions]; None with fewer than three records.
     """
     common = np.mean([fit.common for fit in fits], axis=0)
     of_record = np.mean([fit.covariance - fit.common for fit in fits], axis=0)

@@ -1,10 +1,10 @@
-"""Motion of the gap while the loop is closed: drift, mains lines, spectrum, limit of resolution.
+"""Motion of the gap in closed loop: drift, mains lines, spectrum, limit of resolution.
 
-The motion is what the drive does not explain of the log current, in metres,
+The motion is the part of the log current that the drive does not explain, in metres,
 
-    d = -(y - G u) / k        > 0 where the gap was opened
+    d = -(y - G u) / k        > 0 for a wider gap
 
-so that the loop, which hides it below its bandwidth, is undone.
+which removes the suppression of the motion by the loop below its bandwidth.
 """
 
 import math
@@ -22,14 +22,14 @@ from piezoid.records.sample_statistics import step_size
 
 _MAINS_Hz = (50.0, 60.0)
 _HARMONICS = 6
-_PEAK_RATIO = 10.0  # power over its expectation in noise; exceeded once in 20000
+_PEAK_RATIO = 10.0  # power over its expectation in noise, exceeded once in 20000 lines
 _DRIFT_BLOCKS = 10
 _MIN_DURATION_s = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class CurrentChain:
-    """Properties of the current amplifier and converter; None: not known.
+    """Properties of the current amplifier and converter; None: unknown.
 
     bandwidth_Hz   of one reading: 1 / (2 integration time) for an averaged one
     feedback_ohm   resistor of the transimpedance stage
@@ -44,7 +44,7 @@ class CurrentChain:
 
     @property
     def johnson_A(self) -> float:
-        """Rms Johnson noise of one reading, sqrt(4 k T B / R); zero where not declared."""
+        """Rms Johnson noise of one reading, sqrt(4 k T B / R); 0 if not declared."""
         if self.bandwidth_Hz is None or self.feedback_ohm is None:
             return 0.0
         power = 4.0 * BOLTZMANN_J_PER_K * self.temperature_K * self.bandwidth_Hz
@@ -52,11 +52,11 @@ class CurrentChain:
 
     @property
     def quantisation_A(self) -> float:
-        """Rms of one converter step, step / sqrt(12); zero where not declared."""
+        """Rms of one converter step, step / sqrt(12); 0 if unknown."""
         return 0.0 if self.adc_step_A is None else self.adc_step_A / math.sqrt(12.0)
 
     def shot_A(self, current_A: float) -> float:
-        """Rms shot noise of one reading, sqrt(2 e |i| B); zero where B is not declared."""
+        """Return the rms shot noise of one reading, sqrt(2 e |i| B); 0 if B is unknown."""
         bandwidth_Hz = self.bandwidth_Hz or 0.0
         return math.sqrt(2.0 * ELEMENTARY_CHARGE_C * abs(current_A) * bandwidth_Hz)
 
@@ -65,7 +65,7 @@ class CurrentChain:
 class MainsLine:
     """One harmonic of the mains in the gap.
 
-    frequency_Hz  as found, near a multiple of 50 or 60 Hz
+    frequency_Hz  of the peak, near a multiple of 50 or 60 Hz
     amplitude_m   of the sine
     """
 
@@ -78,7 +78,7 @@ class NoiseSource:
     """One source of noise and its size in the gap.
 
     name   shot, johnson, adc_step, drive_step or gap
-    rms_m  in the bandwidth asked for; a drive step counts whole, it does not average out
+    rms_m  within the bandwidth; a drive step counts at full size, because it does not average
     """
 
     name: str
@@ -89,13 +89,13 @@ class NoiseSource:
 class LoopNoise:
     """Motion of the gap during one record, and the limits of its resolution.
 
-    drift_m_per_s        > 0 where the gap opens, and its 95 % interval
-    mains                harmonics of the mains that stand out
-    bandwidth_Hz         of the figures below
+    drift_m_per_s        > 0 if the gap opens, and its 95 % interval
+    mains                significant harmonics of the mains
+    bandwidth_Hz         of the values below
     gap_rms_m            of the motion, drift removed
-    sources              shot, johnson, adc_step, drive_step, gap; 0 where nothing is known of one
-    limiting_source      the largest of all
-    limiting_electronics the largest except for the motion of the gap itself
+    sources              shot, johnson, adc_step, drive_step, gap; 0 if unknown
+    limiting_source      largest source
+    limiting_electronics largest source except the motion of the gap
     """
 
     drift_m_per_s: float
@@ -111,11 +111,12 @@ class LoopNoise:
 def measure_loop_noise(record: LoopRecord, plant: JunctionPlant, rig: LoopRig) -> LoopNoise | None:
     """Measure the motion of the gap during a closed-loop record, and list its sources.
 
-    plant  identified from the record, or from one like it
+    plant  identified from the record, or from a similar one
 
     Returns None for a record of less than half a second, which cannot resolve mains lines.
-    Converter steps are those the columns show; a column without steps counts as none. Without a
-    declared bandwidth of the current sensor the plant's pole is used, half the rate at most.
+    Converter steps are estimated from the columns; a column without visible steps has none.
+    Without a declared bandwidth of the current sensor its fitted pole is used, half the rate at
+    most.
     """
     from scipy.signal import detrend
 
@@ -129,13 +130,13 @@ def measure_loop_noise(record: LoopRecord, plant: JunctionPlant, rig: LoopRig) -
         adc_step_A=step_size(record.current_A),
     )
     motion_m = gap_motion(record, plant, decay_per_m)
-    # The drift from the steps between block means: a walk has no trend line.
+    # The drift follows from differences of block means: a random walk has no trend line.
     length = len(motion_m) // _DRIFT_BLOCKS
     means = motion_m[: length * _DRIFT_BLOCKS].reshape(_DRIFT_BLOCKS, length).mean(axis=1)
     rates = np.diff(means) * rate_Hz / length
     drift, standard = float(np.mean(rates)), np.std(rates, ddof=1) / np.sqrt(len(rates))
     half = float(student_quantile(0.975, len(rates) - 1) * standard)
-    level_m = np.asarray(detrend(motion_m))  # drift would leak over every frequency
+    level_m = np.asarray(detrend(motion_m))  # drift would leak to all frequencies
     frequency_Hz, density = power_density(level_m, rate_Hz)
     bandwidth_Hz = float(chain.bandwidth_Hz or 0.0)
     in_band = density[frequency_Hz <= bandwidth_Hz]
@@ -162,7 +163,7 @@ def measure_loop_noise(record: LoopRecord, plant: JunctionPlant, rig: LoopRig) -
 
 
 def gap_motion(record: LoopRecord, plant: JunctionPlant, decay_per_m: float) -> Array:
-    """Return the log current that the drive does not explain, (samples,) metres of gap."""
+    """Return the motion of the gap from log current and drive, (samples,) m."""
     unexplained = record.log_current - plant.respond(record.drive_V - record.drive_V[0])
     return np.asarray(-unexplained / decay_per_m)
 
@@ -176,11 +177,11 @@ def budget_resolution(
     chain: CurrentChain,
     gap_rms_m: float,
 ) -> tuple[NoiseSource, ...]:
-    """Return every source of noise in metres of gap.
+    """Return all sources of noise in metres of gap.
 
-    Shot 2 e i B, Johnson 4 k T B / R and the share 2 B / f_s of the converter's step^2 / 12 are
-    divided by k i; a drive step counts as step / sqrt(12) times the extension per volt. The last
-    source, the gap, is the measured motion less the noise of the current's electronics in it.
+    Shot noise 2 e i B, Johnson noise 4 k T B / R and the share 2 B / f_s of the converter's
+    step^2 / 12 are divided by k i; a drive step counts as step / sqrt(12) times the extension per
+    volt. The last source, the gap, is the measured motion minus the noise of the current sensor.
     """
     per_ampere = 1.0 / (decay_per_m * abs(set_point_A))
     in_band = min(2.0 * (chain.bandwidth_Hz or 0.0) / sampling_rate_Hz, 1.0)
@@ -196,7 +197,7 @@ def budget_resolution(
 
 
 def power_density(signal: Array, sampling_rate_Hz: float) -> tuple[Array, Array]:
-    """Return the one-sided power density by half overlapping Hann windows [Welch 1967].
+    """Return the one-sided power density from half-overlapping Hann windows [Welch 1967].
 
     signal    (samples,)
     returned  frequencies and densities, unit^2/Hz; their sum times the spacing is the variance
@@ -209,7 +210,7 @@ def power_density(signal: Array, sampling_rate_Hz: float) -> tuple[Array, Array]
 
 
 def _mains_lines(level_m: Array, sampling_rate_Hz: float) -> tuple[MainsLine, ...]:
-    """Return harmonics of 50 and 60 Hz that exceed the power around them."""
+    """Return harmonics of 50 and 60 Hz that exceed the power at neighbouring frequencies."""
     window = np.hanning(len(level_m))
     power = np.abs(np.fft.rfft(level_m * window)) ** 2
     spacing_Hz = sampling_rate_Hz / len(level_m)
@@ -220,7 +221,7 @@ def _mains_lines(level_m: Array, sampling_rate_Hz: float) -> tuple[MainsLine, ..
             min(int((nominal_Hz + 8.0) / spacing_Hz), len(power)),
         )
         off_Hz = np.abs(around * spacing_Hz - nominal_Hz)
-        reach_Hz = max(0.004 * nominal_Hz, spacing_Hz)  # networks keep their frequency to 0.4 %
+        reach_Hz = max(0.004 * nominal_Hz, spacing_Hz)  # tolerance of the mains: 0.4 %
         inside = around[off_Hz <= reach_Hz]
         outside = around[off_Hz > reach_Hz + 2.0 * spacing_Hz]
         if len(inside) == 0 or len(outside) < 8:

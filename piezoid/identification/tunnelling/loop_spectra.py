@@ -1,14 +1,15 @@
 """Spectra of reference, drive and log current, block by block.
 
-All three signals are differenced first: G commutes with that, and drift, which would leak from
-the block edges over every line, becomes a constant. A periodic dither is cut into its periods, so
-that nothing leaks at all; any other is cut into tapered blocks, not overlapping, so that they
-are independent witnesses. What the drive did just before a block is answered inside it: with
-poles of 2 kHz and blocks of 512 that takes 0.2 % off the gain, more than noise does. So the drive
-can be passed through a plant near the true one before it is cut, and only the ratio is left.
+All three signals are differenced first: G commutes with differences, and drift, which would leak
+from the edges of the blocks to all lines, becomes a constant. A periodic dither is cut into its
+periods, without leakage; any other dither into tapered blocks without overlap, which are
+independent. A block contains the response to the drive just before it: with poles of 2 kHz and
+blocks of 512 samples this reduces the gain by 0.2 %, more than noise does. The drive can therefore
+be filtered by a plant close to the true plant before it is cut, so that only their ratio is
+estimated.
 
-Lines at multiples of 50 and of 60 Hz are left out: mains hum repeats with every period whose
-length is a whole number of its cycles, and would pass for an answer to the dither.
+Lines at multiples of 50 and 60 Hz are left out: mains hum repeats in every period that contains a
+whole number of its cycles, and would look like a response to the dither.
 """
 
 from dataclasses import dataclass, replace
@@ -21,10 +22,10 @@ from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRecord
 from piezoid.numerics.arrays import Array, ComplexArray
 
-FEWEST_BLOCKS = 8
+MIN_BLOCKS = 8
 _MAINS_Hz = (50.0, 60.0)
 _HIGHEST_MAINS_Hz = 500.0
-_LEAST_LINE = 1e-3  # of the strongest line's power; a periodic dither has none elsewhere
+_MIN_POWER = 1e-3  # of the strongest line; a periodic dither has no power at other lines
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,9 +34,9 @@ class LoopSpectra:
 
     frequency_Hz  (lines,)
     reference     (blocks, lines)
-    drive         (blocks, lines)  behind ``through`` where there is one
+    drive         (blocks, lines)  filtered by ``through``
     output        (blocks, lines)  of the log current
-    through       the plant that the drive was passed through before it was cut
+    through       plant by which the drive was filtered before it was cut; None: not filtered
     """
 
     frequency_Hz: Array
@@ -53,9 +54,9 @@ class LoopSpectra:
 def spectra_of_dither(
     record: LoopRecord, *, highest_Hz: float, through: JunctionPlant | None = None
 ) -> LoopSpectra:
-    """Return the spectra on the lines the dither excites, up to a highest frequency.
+    """Return the spectra at the lines excited by the dither, up to a highest frequency.
 
-    through  a plant near the true one for the drive to pass; None: the drive as it is
+    through  plant close to the true one, by which the drive is filtered; None: not filtered
     """
     if record.period_samples is None:
         length = _block_length(record)
@@ -65,11 +66,11 @@ def spectra_of_dither(
         window[length - taper :] = window[:taper][::-1]
     else:
         length, periods = record.period_samples, (record.samples - 1) // record.period_samples
-        if periods < FEWEST_BLOCKS:
+        if periods < MIN_BLOCKS:
             raise ExcitationError(
-                f"{record.label}: {record.samples} samples hold {periods} whole periods of "
-                f"{length}, the first sample lost to the difference",
-                needed=f"at least {FEWEST_BLOCKS} periods, to separate the dither from the noise",
+                f"{record.label}: {record.samples} samples contain {periods} whole periods of "
+                f"{length}, without the first sample",
+                needed=f"at least {MIN_BLOCKS} periods, to separate the dither from the noise",
                 remedy="Record longer, or shorten the dither's period.",
             )
         window = np.ones(length)
@@ -77,8 +78,8 @@ def spectra_of_dither(
     inside = (spectra.frequency_Hz > 0.0) & (spectra.frequency_Hz <= highest_Hz)
     difference = 2.0 * np.sin(np.pi * spectra.frequency_Hz / record.sampling_rate_Hz)
     power = np.sum(np.abs(spectra.reference) ** 2, axis=0)
-    power[inside] /= difference[inside] ** 2  # of the dither itself, not of its differences
-    for mains_Hz in _MAINS_Hz:  # lines on which a harmonic falls, to half a line
+    power[inside] /= difference[inside] ** 2  # power of the dither, not of its differences
+    for mains_Hz in _MAINS_Hz:  # lines within half a line of a harmonic
         harmonic_Hz = np.maximum(np.round(spectra.frequency_Hz / mains_Hz), 1.0) * mains_Hz
         distance_Hz = np.abs(spectra.frequency_Hz - harmonic_Hz)
         is_mains = distance_Hz < 0.5 * record.sampling_rate_Hz / length
@@ -89,16 +90,17 @@ def spectra_of_dither(
             needed="a dither that does not depend on the current",
             remedy="Add a small multisine to the set point or to the drive and record it.",
         )
-    return _lines(spectra, inside & (power > _LEAST_LINE * np.max(power[inside])))
+    return _lines(spectra, inside & (power > _MIN_POWER * np.max(power[inside])))
 
 
 def naive_gain(record: LoopRecord, *, highest_Hz: float, flat_Hz: float) -> tuple[float, float]:
-    """Return the gain of a plain transfer function where the plant is flat, and dither's share.
+    """Return the median of |S_yu / S_uu| at low frequency, and the share of the dither.
 
-    The share is how much of the drive's power the dither explains, 0 to 1:
-    |S_ur|^2 / (S_uu S_rr), summed over all lines with the weight S_uu
+    The share is the part of the power of the drive that the dither explains, 0 to 1:
+    |S_ur|^2 / (S_uu S_rr), averaged over all lines with the weight S_uu
 
-    highest_Hz, flat_Hz  the lines end there; the plant is flat up to there
+    highest_Hz  of the lines
+    flat_Hz     up to which the plant is flat
     """
     length = _block_length(record)
     spectra = _cut(record, length, length // 2, np.hanning(length + 1)[:-1])
@@ -114,7 +116,7 @@ def naive_gain(record: LoopRecord, *, highest_Hz: float, flat_Hz: float) -> tupl
 
 
 def _block_length(record: LoopRecord) -> int:
-    """A power of two that leaves at least thirty-two blocks without overlap."""
+    """Return the power of two that gives at least 32 blocks without overlap."""
     return max(int(2 ** np.floor(np.log2(record.samples / 33))), 16)
 
 

@@ -1,11 +1,11 @@
-"""TunnellingModel: the junction from sweeps, from closed loops, and from both together.
+"""Model of the junction from sweeps, from closed loops, and from both together.
 
-Sweeps measure k over the height they were given, the loop over the extension per volt it was
-given. Their ratio is free of the barrier:
+Sweeps measure k relative to the recorded height, the loop relative to the declared extension per
+volt. Their ratio does not depend on the barrier:
 
-    k_loop / k_sweep = (true extension per volt) / (declared one)    if the sweep's height is true
+    k_loop / k_sweep = (true extension per volt) / (declared)    if the height of the sweep is true
 
-so that a disagreement says that one of the two calibrations, or the spot, is another.
+so that a disagreement shows that one of the two calibrations is wrong, or that the spots differ.
 """
 
 import math
@@ -24,10 +24,9 @@ class JointBarrier:
     """Decay and barrier of sweeps and loop together.
 
     ratio           k of the loop over k of the sweeps, and its 95 % interval
-    agree           whether that interval holds 1
-    decay_per_m     weighted mean of both; None where they disagree
-    decay_interval_per_m  95 % of it; where they disagree, from the lower end of the lower to the
-                    upper end of the higher
+    agree           whether that interval contains 1
+    decay_per_m     weighted mean of both; None if they disagree
+    decay_interval_per_m  95 % interval of the mean; if they disagree, the range of both intervals
     barrier_eV, barrier_interval_eV  of the decay
     """
 
@@ -43,10 +42,10 @@ class JointBarrier:
 def join_barriers(sweeps: tuple[float, Interval], loop: tuple[float, Interval]) -> JointBarrier:
     """Combine two decays with their 95 % intervals, in the logarithm, by inverse variance.
 
-    sweeps, loop  decay and interval, 1/m; an interval without an end counts as no information
+    sweeps, loop  decay and interval, 1/m; an unbounded interval carries no information
 
-    Decays that differ by more than their standard deviations widen the mean by that much
-    (Birge's ratio).
+    If the decays differ by more than their standard deviations, the interval of the mean is
+    widened by that ratio (Birge).
     """
     variances = [
         (math.log(high / low) / (2.0 * NORMAL_95)) ** 2
@@ -66,10 +65,10 @@ def join_barriers(sweeps: tuple[float, Interval], loop: tuple[float, Interval]) 
         mean = math.log(sweeps[0]) + share * log_ratio
         excess = weights[0] * share * log_ratio**2 if total > 0.0 else 0.0
         spread = math.sqrt(max(excess, 1.0) / total) if total > 0.0 else math.inf
-        decay, interval = math.exp(mean), _around(mean, NORMAL_95 * spread)
+        decay, interval = math.exp(mean), _exp_interval(mean, NORMAL_95 * spread)
     return JointBarrier(
         ratio=math.exp(log_ratio),
-        ratio_interval=_around(log_ratio, half),
+        ratio_interval=_exp_interval(log_ratio, half),
         agree=agree,
         decay_per_m=decay,
         decay_interval_per_m=interval,
@@ -78,8 +77,8 @@ def join_barriers(sweeps: tuple[float, Interval], loop: tuple[float, Interval]) 
     )
 
 
-def _around(center: float, half: float) -> Interval:
-    """Return exp(center -+ half); everything positive where half is infinite."""
+def _exp_interval(center: float, half: float) -> Interval:
+    """Return exp(center -+ half); (0, inf) if half is infinite."""
     if not math.isfinite(half):
         return 0.0, math.inf
     return math.exp(center - half), math.exp(center + half)
@@ -87,14 +86,13 @@ def _around(center: float, half: float) -> Interval:
 
 @dataclass(frozen=True, kw_only=True)
 class TunnellingModel:
-    """The tunnelling junction: from sweeps, from the closed loop, or from both.
+    """Model of the tunnelling junction, from sweeps, closed loops, or both.
 
-    gap_law     None where no sweep was recorded; of both directions together, drift allowed for
-    loop_plant  None where no loop was recorded
-    forward     of the forward sweeps as recorded, drift in its decay; None unless there are both
-    backward    of the backward sweeps likewise
-    shift       between both; None too where no current stands clear of the noise in both
-    joint       of sweeps and loop together; None unless there are both
+    gap_law     of all sweeps together, corrected for drift; None: no sweeps loop_plant  None: no
+    closed loops forward     of the forward sweeps, not corrected for drift; None unless there are
+    both directions backward    of the backward sweeps likewise shift       between both
+    directions; None also if no current is above the noise in both joint       of sweeps and loops
+    together; None unless there are both
     """
 
     gap_law: GapLaw | None

@@ -4,15 +4,15 @@ A gap that opens at v while the height is swept at s, away from the surface and 
 
     d(t) = z(t) + v t,    k_away = k (1 + v/s),    k_back = k (1 - v/s)
 
-so that the mean of both is k whatever the drift, and half their difference tells it. The drift
-also moves the way back as a whole: at a height z that is h below the turn,
+so that the mean of both is k for any drift, and half their difference is the drift. Drift also
+shifts the backward sweep: at a height z that is h below the turning point,
 
     ln i_away - ln i_back = 2 k (v/s) h
 
-and what the two ways of telling it differ by is hysteresis, which leaves the mean alone where it
-delays both ways alike, or a slow unrest of the gap, which does not. One direction by itself
-cannot tell drift from barrier: its interval holds every drift that a laboratory has [95 % within
-100 pm/s].
+The two estimates of the drift differ due to hysteresis, which does not change the mean if it
+delays both directions equally, or due to slow motion of the gap, which does. A single direction
+cannot separate drift from barrier: its interval covers the usual drifts of laboratories [95 %
+within 100 pm/s].
 """
 
 import math
@@ -35,26 +35,26 @@ from piezoid.numerics.robust import NORMAL_95, student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid.record_json import Interval
 
-_DRIFT_m_per_s = 50e-12  # standard deviation: 1 to 100 pm/s in the laboratories we know of
-_UNSTATED_s = 1.8  # of one way if no file states it: 95 % limit for 0.1 to 5 s to and fro
-_MAX_DRIFT = 0.25  # of the travel, standard deviation: with more it is no sweep
-# 95 %, of the drift: creep that began 30 s ago changes by a tenth between both ways of 3 s, and
-# the mean of both takes up half of that.
-_INCONSTANT = 0.05
-_STRONG_DRIFT = 0.1  # of the sweep's speed: beyond it second orders are percents
-# 95 %, of that difference. Of 158 to and fro with hysteresis to 3 % and 1/f unrest to 2 pm, the
-# intervals held 91 % without it, 96 % with a half, 97 % with the whole; of 150 clipped ones 91 %
-# with a half.
-_UNCLOSED = 0.75
-_MIN_SPEED = 0.05  # of the decay: slower than this the height did not move against the drift
+_DRIFT_m_per_s = 50e-12  # standard deviation: laboratories have 1 to 100 pm/s
+_UNSTATED_s = 1.8  # duration of a sweep if not stated: 95 % limit for pairs of 0.1 to 5 s
+_MAX_DRIFT = 0.25  # standard deviation relative to the travel of a valid sweep
+# 95 %, relative to the drift: creep that began 30 s before changes by a tenth between two sweeps
+# of 3 s each, and their mean by half of that.
+_DRIFT_CHANGE = 0.05
+_STRONG_DRIFT = 0.1  # of the speed of the sweep: above, second-order terms are several percent
+# 95 %, relative to the difference of the two estimates of the drift. For 158 pairs of sweeps with
+# hysteresis up to 3 % and 1/f motion up to 2 pm the intervals contain 91 % of the true values
+# without this term, 96 % with a factor of 0.5, 97 % with 1; for 150 clipped pairs 91 % with 0.5.
+_MISMATCH_SHARE = 0.75
+_MIN_SPEED = 0.05  # smallest speed of the height minus that of the drift, relative
 
 
 @dataclass(frozen=True, kw_only=True)
 class DirectionShift:
-    """How the backward sweeps differ from the forward ones.
+    """Difference between backward and forward sweeps.
 
     reference_current_A  magnitude at which the heights are compared
-    shift_m              height of that current backward minus forward; hysteresis, creep, drift
+    shift_m              height of that current, backward minus forward: hysteresis, creep, drift
     shift_interval_m     95 %
     decay_change         decay backward over forward, minus one
     decay_change_interval  95 %
@@ -68,19 +68,19 @@ class DirectionShift:
 
     @property
     def is_one_decay(self) -> bool:
-        """Whether both directions are compatible with one decay."""
+        """Whether one decay is compatible with both directions."""
         low, high = self.decay_change_interval
         return low <= 0.0 <= high
 
 
 def compare_directions(forward: BarrierFit, backward: BarrierFit) -> DirectionShift:
-    """Compare the two directions at a current that both reach above their noise.
+    """Compare both directions at a current that is above the noise in both.
 
         z(i) = ( ln I_0 - ln i ) / k,    shift = z_backward(i) - z_forward(i)
 
-    The reference is the geometric mean of the smaller peak and three times the larger floor; there
-    decay and height are nearly uncorrelated. Intervals by the delta method from the block
-    covariances, the directions taken as independent.
+    The reference current is the geometric mean of the smaller peak and three times the larger
+    floor, at which decay and height are nearly uncorrelated. Intervals follow from the block
+    covariances by the delta method, for independent directions.
     """
     fits = (forward, backward)
     peak_A = min(fit.evidence.peak_A for fit in fits)
@@ -115,29 +115,29 @@ def compare_directions(forward: BarrierFit, backward: BarrierFit) -> DirectionSh
 
 @dataclass(frozen=True, kw_only=True)
 class DecayEstimate:
-    """The decay of one sweep, or of one to and fro.
+    """Decay of one sweep, or of a pair of sweeps.
 
     decay_per_m     k
-    below, above    distance of the ends of its 95 % interval, relative; infinite where open
-    drift           v/s, half the relative difference of both ways; None of one way alone
-    unseen          what of both distances is for drift that the sweep cannot tell, relative
+    below, above    relative distances of the ends of its 95 % interval; may be infinite
+    drift           v/s, half the relative difference of both directions; None: single sweep
+    due_to_drift    part of both distances that is due to unknown drift, relative
     """
 
     decay_per_m: float
     below: float
     above: float
     drift: float | None
-    unseen: tuple[float, float] = (0.0, 0.0)
+    due_to_drift: tuple[float, float] = (0.0, 0.0)
 
 
 def common_law(curves: Sequence[ApproachCurve], fits: Mapping[Direction, BarrierFit]) -> GapLaw:
-    """Return the law of all sweeps together: their decay free of drift, the mean of the rest.
+    """Return the common law of all sweeps: decay corrected for drift, means of other values.
 
-    curves  at least one, of one junction; those of one ``pair`` and both directions tell the drift
-    fits    of the directions there are, as ``fit_barrier`` gives them
+    curves  at least one, of one junction; two directions of one ``pair`` determine the drift
+    fits    of each recorded direction, by ``fit_barrier``
 
-    Every pair is one estimate, and so is every sweep that has no way back, with the drift it may
-    have had in its variance.
+    Every pair is one estimate, and so is every single sweep, whose variance includes an unknown
+    drift.
     """
     pairs: dict[str, list[ApproachCurve]] = {}
     singles = []
@@ -151,7 +151,7 @@ def common_law(curves: Sequence[ApproachCurve], fits: Mapping[Direction, Barrier
     decay, interval = _combine(estimates)
     laws = tuple(fits.values())
     peak_A = min(fit.evidence.peak_A for fit in laws)
-    # Where that current flows is seen by every direction; its mean height is what drift leaves.
+    # All directions reach that current; the mean of its heights is corrected for drift.
     height_m = np.mean(
         [math.log(law.current_at_zero_height_A / peak_A) / law.decay_per_m for law in laws]
     )
@@ -190,24 +190,24 @@ def _estimate(curves: Sequence[ApproachCurve]) -> DecayEstimate:
     else:
         drift = 0.5 * (fits[1].decay_per_m - fits[0].decay_per_m) / decay
         mismatch = _closure_error(curves, fits) / decay
-        drift_below = drift_above = math.hypot(_INCONSTANT * drift, _UNCLOSED * mismatch)
+        drift_below = drift_above = math.hypot(_DRIFT_CHANGE * drift, _MISMATCH_SHARE * mismatch)
     return DecayEstimate(
         decay_per_m=decay,
         below=math.hypot(below / decay, drift_below),
         above=math.hypot(above / decay, drift_above),
         drift=drift,
-        unseen=(drift_below, drift_above),
+        due_to_drift=(drift_below, drift_above),
     )
 
 
 def _closure_error(curves: Sequence[ApproachCurve], fits: Sequence[BarrierFit]) -> float:
-    """Return the drift from both decays minus that from the shift of the way back, times k."""
+    """Return k times the difference of the drifts from the decays and from the shift."""
     first, second = fits
     lowest_m = min(float(curve.height_m.min()) for curve in curves)
     turn_m = max(float(curve.height_m.max()) for curve in curves)
-    # In the middle of the clear range, the estimates of decay and shift are independent.
-    clear = first.evidence.peak_A / (CLEAR_OF_FLOOR * first.floor_A)
-    middle_m = lowest_m + 0.5 * math.log(max(clear, 1.0)) / first.decay_per_m
+    # In the middle of the range above the floor, estimates of decay and shift are independent.
+    ratio = first.evidence.peak_A / (CLEAR_OF_FLOOR * first.floor_A)
+    middle_m = lowest_m + 0.5 * math.log(max(ratio, 1.0)) / first.decay_per_m
     below_turn_m = turn_m - min(middle_m, 0.5 * (lowest_m + turn_m))
     log_ratio = math.log(first.current_at_zero_height_A / second.current_at_zero_height_A)
     decay_difference = first.decay_per_m - second.decay_per_m
@@ -216,9 +216,9 @@ def _closure_error(curves: Sequence[ApproachCurve], fits: Sequence[BarrierFit]) 
 
 
 def _combine(estimates: Sequence[DecayEstimate]) -> tuple[float, Interval]:
-    """Return the common decay and its 95 % interval, by random effects of ln k.
+    """Return the common decay and its 95 % interval, by a random-effects model of ln k.
 
-    What differs between estimates counts at Student's quantile of their number [DerSimonian &
+    The variance between estimates has the quantile of Student's t for their number [DerSimonian &
     Laird 1986].
     """
     if len(estimates) == 1:
@@ -253,9 +253,9 @@ def _reasons(
     decay_per_m: float,
     interval_per_m: Interval,
 ) -> list[Reason]:
-    """Return the criteria each direction does not meet, and the drift that sweeps show or hide.
+    """Return the criteria that each direction does not meet, and a reason for drift.
 
-    What all directions have in common is given once.
+    Reasons common to all directions are listed once.
     """
     by_direction = {
         direction: barrier_reasons(fit.evidence, decay_per_m, interval_per_m)
@@ -271,17 +271,17 @@ def _reasons(
     one_way = [estimate for estimate in estimates if estimate.drift is None]
     drift = max((abs(e.drift) for e in estimates if e.drift is not None), default=0.0)
     if one_way:
-        below, above = one_way[0].unseen
+        below, above = one_way[0].due_to_drift
         text = (
-            f"{len(one_way)} sweep(s) went one way only, which cannot tell drift of the height "
-            f"from barrier: the interval holds a decay {100.0 * below:.2g} % smaller to "
-            f"{100.0 * above:.2g} % larger for it; sweep to and fro"
+            f"{len(one_way)} sweep(s) went one way only, which cannot separate drift of the "
+            f"height from barrier: the interval contains a decay {100.0 * below:.2g} % smaller to "
+            f"{100.0 * above:.2g} % larger for it; sweep in both directions"
         )
         reasons.append((Confidence.MEDIUM, text))
     elif drift > _STRONG_DRIFT:
         text = (
             f"the height drifted or crept by {100.0 * drift:.2g} % of its own motion; the mean of "
-            "both ways is free of it as far as it was steady: sweep faster"
+            "both directions is free of steady drift only: sweep faster"
         )
         reasons.append((Confidence.MEDIUM, text))
     return reasons

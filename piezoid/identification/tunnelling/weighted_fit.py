@@ -1,14 +1,14 @@
-"""Least squares fit of one gap law to several sweeps, with noise and tip jumps from the data.
+"""Least-squares fit of one gap law to several sweeps, with noise and tip jumps from the data.
 
-    i_j = s ( A_c exp(-k (z_j - z_0)) + o ),   c the piece that point j belongs to
+    i_j = s ( A_c exp(-k (z_j - z_0)) + o ),   c the piece of point j
 
-Pieces are sweeps, and the parts of a sweep between tip jumps; they share decay and offset. For a
-given decay the amplitudes and the offset solve a linear weighted least squares problem [Golub &
-Pereyra 1973], so only the decay is searched, over all plausible values: the fit needs no start
-value and has no local minimum. Weights and noise model are estimated in turn with the current.
+Pieces are sweeps, or parts of a sweep between tip jumps; they share decay and offset. For a given
+decay, amplitudes and offset solve a linear weighted least-squares problem [Golub & Pereyra 1973],
+so only the decay is searched for, over all plausible values: the fit needs no start value and
+finds the global minimum. Weights and noise model are estimated in turn with the current.
 
-At a tip jump the log current steps at one height because the tip changed, not the gap. Jumps are
-sought where the current is clear of the floor, by the medians on either side of each point.
+At a tip jump the log current has a step at one height because the tip changed, not the gap. Jumps
+are detected at currents above the floor, by the medians on either side of each point.
 """
 
 import math
@@ -26,18 +26,17 @@ MIN_DECAY_PER_M = 0.5e9  # 0.0024 eV: no junction
 MAX_DECAY_PER_M = 60e9  # 34 eV: no junction either
 _GRID = np.geomspace(MIN_DECAY_PER_M, MAX_DECAY_PER_M, 160)
 
-_ROUGHEST = 3.0  # largest relative noise considered: beyond it there is no signal
-_SMOOTHEST = 1e-6
+_MIN_NOISE, _MAX_NOISE = 1e-6, 3.0  # relative; with more there is no signal
 
-_SIDE = 5  # points on either side of a jump: a median of five survives two outliers
+_SIDE = 5  # points on either side of a jump: a median of five tolerates two outliers
 _MEDIAN_OF_SIDE = 0.536  # standard deviation of the median of five unit normals
 _ALARM = 6.0  # robust standard deviations; the windows overlap, so their spread is uncertain
-_MIN_JUMP_NEPERS = 0.05  # a jump below this moves no decay by a percent
-MAX_JUMPS = 3  # with more of them there is no tip to speak of
+_MIN_JUMP_NEPERS = 0.05  # a smaller jump changes no decay by a percent
+MAX_JUMPS = 3  # with more jumps the tip is unusable
 
 OUTLIER = 3.0  # standard deviations; a normal residual passes it once in 370
-CLEAR_OF_FLOOR = 3.0  # times the floor: where a log of the current means something
-_REPEATED = 0.9  # fewer distinct currents than this share of the points: they are steps
+CLEAR_OF_FLOOR = 3.0  # times the floor: above, the log of the current is used
+_REPEATED = 0.9  # distinct currents over points: fewer are steps of a converter
 _ROUNDS = 25
 _TOLERANCE = 1e-7  # relative change of the decay
 
@@ -46,9 +45,9 @@ _TOLERANCE = 1e-7  # relative change of the decay
 class TipJump:
     """One step of the log current along a sweep.
 
-    sweep     which of the fitted sweeps, from 0
-    height_m  between the two points it lies between
-    nepers    upwards in height positive
+    sweep     index of the sweep
+    height_m  mean of its two neighbouring points
+    nepers    step of the log current with increasing height
     """
 
     sweep: int
@@ -58,11 +57,11 @@ class TipJump:
 
 @dataclass(frozen=True, kw_only=True)
 class CurrentNoise:
-    """The noise of a current reading, v(i) = floor^2 + (rho i)^2.
+    """Noise of a current reading, v(i) = floor^2 + (rho i)^2.
 
-    floor_A        A, of no current at all: converter steps included
-    relative       rho: a gap that jitters by sigma makes rho = k sigma
-    quantisation_A of the converter steps alone, the least that the floor can be
+    floor_A        without current, converter steps included
+    relative       rho; motion of the gap by sigma causes rho = k sigma
+    quantisation_A of the converter steps alone, the lower bound of the floor
     """
 
     floor_A: float
@@ -77,19 +76,19 @@ class CurrentNoise:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WeightedFit:
-    """Points of several sweeps and the exponential with offset that fits them.
+    """Points of several sweeps and the fitted exponential with offset.
 
     height_m     (points,)  above ``lowest_m``, so that exponentials stay below one
     current_A    (points,)  times the polarity
-    sweep        (points,)  number of the sweep, from 0
-    piece        (points,)  number of the amplitude that applies, from 0
+    sweep        (points,)  index of the sweep
+    piece        (points,)  index of the piece
     weight       (points,)  1 / variance, 1/A^2
     lowest_m     lowest height of all sweeps
     polarity     +1 or -1: the sign of the current, from the data
     noise        of the current
     jumps        tip jumps, each of which separates two pieces
     decay_per_m  k
-    amplitude_A  (pieces,)  current at the lowest height; zero where the data want it negative
+    amplitude_A  (pieces,)  >= 0, current at the lowest height
     offset_A     of the amplifier, times the polarity
     cost         weighted sum of squared residuals
     """
@@ -133,7 +132,7 @@ class WeightedFit:
         )
 
     def at_best_decay(self) -> "WeightedFit":
-        """Return the fit of least cost: on a grid of all plausible decays, refined around it."""
+        """Return the fit of least cost: the best of a grid of plausible decays, refined."""
         from scipy.optimize import minimize_scalar
 
         best = int(np.argmin([self.at_decay(decay).cost for decay in _GRID.tolist()]))
@@ -148,19 +147,19 @@ class WeightedFit:
     def decay_interval(self, excess: float) -> tuple[float, float]:
         """Return the range of decays whose cost exceeds the minimum by no more than ``excess``.
 
-        A bound of 0 or infinity means that the data exclude no decay on that side.
+        0 or infinity means that the data do not bound the decay on that side.
         """
         from scipy.optimize import brentq
 
-        def above(decay: float) -> float:
+        def cost_above_limit(decay: float) -> float:
             return self.at_decay(decay).cost - self.cost - excess
 
         interval = []
         for limit, unbounded in ((MIN_DECAY_PER_M, 0.0), (MAX_DECAY_PER_M, np.inf)):
             end, inside = unbounded, self.decay_per_m
             for outside in np.geomspace(self.decay_per_m, limit, 60)[1:].tolist():
-                if above(outside) > 0.0:
-                    end = float(brentq(above, inside, outside, rtol=1e-10))
+                if cost_above_limit(outside) > 0.0:
+                    end = float(brentq(cost_above_limit, inside, outside, rtol=1e-10))
                     break
                 inside = outside
             interval.append(end)
@@ -168,7 +167,7 @@ class WeightedFit:
 
     @property
     def mean_A(self) -> Array:
-        """The modelled current without offset, times the polarity, (points,)."""
+        """Modelled current without offset, times the polarity, (points,)."""
         mean: Array = self.amplitude_A[self.piece] * np.exp(-self.decay_per_m * self.height_m)
         return mean
 
@@ -180,26 +179,26 @@ class WeightedFit:
 
     @property
     def jacobian(self) -> Array:
-        """Derivatives of the current by k, ln A of each piece and the offset, (points, all)."""
+        """Derivatives by k, ln A of each piece and the offset, (points, parameters)."""
         mean = self.mean_A
         by_piece = [mean * (self.piece == piece) for piece in range(len(self.amplitude_A))]
         return np.column_stack([-self.height_m * mean, *by_piece, np.ones_like(mean)])
 
     @property
     def is_clear(self) -> NDArray[np.bool_]:
-        """Whether a point is clear of the floor and has a logarithm, (points,)."""
+        """Whether a point is above the floor and has a logarithm, (points,)."""
         above = self.mean_A > CLEAR_OF_FLOOR * self.noise.floor_A
         return np.asarray(above & (self.current_A > self.offset_A))
 
     @property
     def log_residual(self) -> Array:
-        """Log of measured over modelled current, (points,); zero where not clear of the floor."""
-        ratio, clear = np.ones_like(self.mean_A), self.is_clear
-        ratio[clear] = (self.current_A - self.offset_A)[clear] / self.mean_A[clear]
+        """Log of measured over modelled current, (points,); 0 unless ``is_clear``."""
+        ratio, is_clear = np.ones_like(self.mean_A), self.is_clear
+        ratio[is_clear] = (self.current_A - self.offset_A)[is_clear] / self.mean_A[is_clear]
         return np.asarray(np.log(ratio))
 
     def lowest_piece(self, sweep: int) -> int:
-        """Return the piece that holds the lowest height of a sweep."""
+        """Return the index of the piece with the lowest height of a sweep."""
         rows = np.flatnonzero(self.sweep == sweep)
         return int(self.piece[rows[np.argmin(self.height_m[rows])]])
 
@@ -209,8 +208,8 @@ def fit_sweeps(curves: Sequence[ApproachCurve]) -> WeightedFit:
 
     curves  at least one, of one junction
 
-    Raises ``ExcitationError`` for a current that grows with the height: the height has the
-    opposite sign.
+    Raises ``ExcitationError`` for a current that increases with the height: the height is
+    inverted.
     """
     fit = _settle(_first_fit(curves))
     for _ in range(MAX_JUMPS):
@@ -218,16 +217,16 @@ def fit_sweeps(curves: Sequence[ApproachCurve]) -> WeightedFit:
         if not jumps:
             break
         largest = max(jumps, key=lambda jump: abs(jump.nepers))
-        # The part of the sweep beyond the jump gets an amplitude of its own.
-        beyond = fit.height_m + fit.lowest_m > largest.height_m
-        split = 2 * fit.piece + ((fit.sweep == largest.sweep) & beyond)
+        # The part of the sweep beyond the jump becomes another piece.
+        is_beyond = fit.height_m + fit.lowest_m > largest.height_m
+        split = 2 * fit.piece + ((fit.sweep == largest.sweep) & is_beyond)
         piece = np.unique(split, return_inverse=True)[1]
         fit = _settle(replace(fit, piece=piece, jumps=(*fit.jumps, largest)).at_best_decay())
     return fit
 
 
 def _first_fit(curves: Sequence[ApproachCurve]) -> WeightedFit:
-    """Fit all sweeps with a first guess of the noise, and decide the polarity of the current."""
+    """Fit all sweeps with a rough estimate of the noise, and determine the polarity."""
     sweep = np.repeat(np.arange(len(curves)), [c.points for c in curves])
     height_m = np.concatenate([c.height_m for c in curves])
     current_A = np.concatenate([c.current_A for c in curves])
@@ -235,14 +234,14 @@ def _first_fit(curves: Sequence[ApproachCurve]) -> WeightedFit:
     if 1 < len(levels) < _REPEATED * len(current_A):
         quantisation_A = float(np.min(np.diff(levels))) / math.sqrt(12.0)
     floor_A = max(quantisation_A, 1e-30)
-    for curve in curves:  # noise of the weaker half of a sweep, from neighbours in height
+    for curve in curves:  # noise of the half with the smaller current, from neighbours in height
         by_height = curve.current_A[np.argsort(curve.height_m, kind="stable")]
         distance = np.abs(by_height - np.median(by_height))
         steps = np.diff(by_height[distance <= np.median(distance)])
         roughness_A = float(1.4826 * np.median(np.abs(steps)) / np.sqrt(2.0))
         floor_A = max(floor_A, roughness_A)
     noise = CurrentNoise(floor_A=floor_A, relative=0.05, quantisation_A=quantisation_A)
-    upright = WeightedFit(
+    positive = WeightedFit(
         height_m=height_m - height_m.min(),
         current_A=current_A,
         sweep=sweep,
@@ -252,24 +251,24 @@ def _first_fit(curves: Sequence[ApproachCurve]) -> WeightedFit:
         polarity=1.0,
         noise=noise,
     )
-    signs = (upright, replace(upright, current_A=-current_A, polarity=-1.0))
+    signs = (positive, replace(positive, current_A=-current_A, polarity=-1.0))
     fit = min(
         (candidate.at_best_decay() for candidate in signs),
         key=lambda fit: (fit.cost, fit.polarity != curves[0].polarity),
     )
-    mirrored_m = upright.height_m.max() - upright.height_m
+    mirrored_m = positive.height_m.max() - positive.height_m
     mirrored = [replace(candidate, height_m=mirrored_m).at_best_decay() for candidate in signs]
     if min(candidate.cost for candidate in mirrored) < 0.5 * fit.cost:
         raise ExcitationError(
             f"{curves[0].label}: the current grows with the height",
-            needed="a height that grows when the tip retracts, so that the current falls",
+            needed="a height that increases when the tip retracts, so that the current falls",
             remedy="Pass the height with the opposite sign.",
         )
     return fit
 
 
 def _settle(fit: WeightedFit) -> WeightedFit:
-    """Iterate mean and noise until the decay converges."""
+    """Fit mean and noise in turn until the decay converges."""
     for _ in range(_ROUNDS):
         previous = fit.decay_per_m
         deviation = np.sqrt(fit.noise.variance(fit.mean_A))
@@ -285,24 +284,24 @@ def _settle(fit: WeightedFit) -> WeightedFit:
 
 
 def _estimate_noise(residual_A: Array, mean_A: Array, quantisation_A: float) -> CurrentNoise:
-    """Return floor and relative noise that make the residuals most likely.
+    """Return the maximum-likelihood estimate of floor and relative noise.
 
         maximise  - sum ( ln v_j + r_j^2 / v_j )      over floor >= quantisation, rho >= 0
 
-    r  residual_A  (points,)  A, measured minus mean; outliers already pulled in
-    i  mean_A      (points,)  A
+    r  residual_A  (points,)  measured minus mean, outliers clipped
+    i  mean_A      (points,)
 
-    A search in two logarithms, so that neither part can become negative. Pseudo-likelihood
-    [Carroll & Ruppert 1988]: given the mean, the noise maximises a normal likelihood; given the
-    noise, the mean is refitted.
+    The search uses logarithms, so that both remain positive. Pseudo-likelihood [Carroll & Ruppert
+    1988]: given the mean, the noise maximises a normal likelihood; given the noise, the mean is
+    refitted.
     """
     from scipy.optimize import minimize
 
     typical_A = max(float(np.sqrt(np.mean(residual_A**2))), quantisation_A, 1e-30)
     scale_A = max(float(np.max(np.abs(mean_A))), typical_A)
-    smoothest, roughest = math.log(_SMOOTHEST), math.log(_ROUGHEST)
+    min_log, max_log = math.log(_MIN_NOISE), math.log(_MAX_NOISE)
     lowest = math.log(max(quantisation_A, 1e-6 * typical_A))
-    low, high = (lowest, smoothest), (math.log(10.0 * typical_A) + 1e-9, roughest)
+    low, high = (lowest, min_log), (math.log(10.0 * typical_A) + 1e-9, max_log)
 
     def noise_of(logs: Array) -> CurrentNoise:
         floor_A, relative = math.exp(float(logs[0])), math.exp(float(logs[1]))
@@ -316,9 +315,9 @@ def _estimate_noise(residual_A: Array, mean_A: Array, quantisation_A: float) -> 
     starts = (
         (
             math.log(max(dark_A, 1e-6 * typical_A)),
-            math.log(max(typical_A / scale_A, _SMOOTHEST)),
+            math.log(max(typical_A / scale_A, _MIN_NOISE)),
         ),
-        (math.log(typical_A), smoothest / 2.0),
+        (math.log(typical_A), min_log / 2.0),
     )
     minima = [
         minimize(
@@ -338,9 +337,9 @@ def _find_jump(fit: WeightedFit, sweep: int) -> TipJump | None:
 
         t = (median after - median before) / its standard deviation from the noise model
 
-    A jump also inflates the fitted noise, so the noise model only says how the noise *varies*
-    along the sweep; its scale comes from the same statistic at all other points, which a smooth
-    misfit moves alike.
+    A jump also increases the fitted noise, so the noise model only gives the *variation* of the
+    noise along the sweep; its scale is that of the same statistic at all other points, which also
+    contain any smooth misfit.
     """
     rows = np.flatnonzero((fit.sweep == sweep) & fit.is_clear)
     if len(rows) < 4 * _SIDE:

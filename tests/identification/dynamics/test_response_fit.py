@@ -141,7 +141,7 @@ def test_the_response_becomes_the_dynamics_and_the_hysteresis_keeps_its_gain(
     assert "a mode at 812" in said
     assert "quality 30" in said
     assert "the hysteresis keeps its own gain" in said
-    assert ("its sign is turned" in said) == (polarity < 0.0)
+    assert ("its sign is inverted" in said) == (polarity < 0.0)
 
 
 @pytest.mark.parametrize("factor", [15.0, 1e-3])

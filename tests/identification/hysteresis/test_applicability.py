@@ -149,4 +149,4 @@ def test_a_gain_that_changes_over_the_cycles_makes_no_lag_of_a_loop(
     noise_um = np.random.default_rng(2).normal(0.0, 0.01, 4800)
     found = fit([recorded(tmp_path, field, response_um + noise_um)])["x"]
     assert "phase lag" not in found.verdict.reason
-    assert any("the sensitivity goes by +" in said for said in found.verdict.remarks)
+    assert any("the sensitivity changes by +" in said for said in found.verdict.remarks)

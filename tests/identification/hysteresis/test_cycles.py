@@ -35,7 +35,7 @@ def said(folder: Path, law: str, change: Array, added_um: Array) -> str:
 @pytest.mark.parametrize("law", LAWS)
 def test_a_sensitivity_that_falls_slowly_is_told_with_its_size(tmp_path: Path, law: str) -> None:
     text = said(tmp_path, law, 1.0 - 0.013 * CYCLE / (COUNT - 1), np.zeros(len(CYCLE)))
-    assert "the sensitivity goes by -1.3" in text
+    assert "the sensitivity changes by -1.3" in text
 
 
 @pytest.mark.parametrize("shape", ["sine", "triangle"])
@@ -55,7 +55,7 @@ def test_a_period_of_no_whole_number_of_samples_hides_no_trend(tmp_path: Path, s
         cycles = cycles_of(piece)
         assert cycles is not None
         text = " ".join(trends_over_cycles(cycles, stroke_m, 1e-6 * NOISE_um / stroke_m))
-        assert ("the sensitivity goes by -1." in text) == (lost > 0.0)
+        assert ("the sensitivity changes by -1." in text) == (lost > 0.0)
 
 
 def test_a_drive_that_shrinks_is_no_sensitivity_that_falls() -> None:

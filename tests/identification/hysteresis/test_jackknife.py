@@ -8,7 +8,7 @@ import pytest
 from piezoid.identification.hysteresis.estimate import remarks_on
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.hysteresis.search import Settings, search
-from piezoid.identification.hysteresis.uncertainty import Jackknife, left_out
+from piezoid.identification.hysteresis.uncertainty import Jackknife, leave_blocks_out
 from piezoid.identification.quality import OTHER_RECORDINGS
 from piezoid.numerics.arrays import Array
 from tests.identification.hysteresis.test_order import SHAPE, pieces
@@ -27,12 +27,12 @@ def blocks_of(count: int) -> tuple[Array, Array]:
 def jackknife_of(count: int) -> Jackknife:
     """One number that is free, one held from below, one held from above."""
     bounds = np.array([-10.0, 0.0, 0.0]), np.array([10.0, 2.0, 1.0])
-    return left_out(np.array([0.5, 0.0, 1.0]), bounds, *blocks_of(count))
+    return leave_blocks_out(np.array([0.5, 0.0, 1.0]), bounds, *blocks_of(count))
 
 
 def test_numbers_on_a_bound_stay_there_whichever_block_is_left_out() -> None:
     found = jackknife_of(12)
-    assert found.free.tolist() == [True, False, False]
+    assert found.is_free.tolist() == [True, False, False]
     assert (found.replicates[:, 1:] == [0.0, 1.0]).all()
 
 

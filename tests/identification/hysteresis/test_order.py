@@ -5,7 +5,7 @@ import math
 import pytest
 
 from piezoid.identification.hysteresis.coordinates import Shape
-from piezoid.identification.hysteresis.order import Trial, attempt
+from piezoid.identification.hysteresis.order_selection import Trial, fit_trial
 from piezoid.identification.hysteresis.pieces import Piece, Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings
 from tests.identification.hysteresis.stages import decaying, recording
@@ -24,7 +24,7 @@ def pieces(count: int) -> tuple[Piece, ...]:
 
 def whole(count: int) -> Trial:
     """Try the shape on every fold."""
-    found = attempt(pieces(count), SHAPE, SETTINGS, within=math.inf)
+    found = fit_trial(pieces(count), SHAPE, SETTINGS, max_rms=math.inf)
     assert found is not None
     return found
 
@@ -32,7 +32,7 @@ def whole(count: int) -> Trial:
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_a_trial_within_its_limit_is_the_one_without_a_limit(count: int) -> None:
     free = whole(count)
-    just = attempt(pieces(count), SHAPE, SETTINGS, within=free.held_out_rms)
+    just = fit_trial(pieces(count), SHAPE, SETTINGS, max_rms=free.held_out_rms)
     assert just is not None
     assert just.residual.tobytes() == free.residual.tobytes()
     assert just.lag_s == free.lag_s
@@ -41,4 +41,4 @@ def test_a_trial_within_its_limit_is_the_one_without_a_limit(count: int) -> None
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_a_trial_beyond_its_limit_is_none_however_little_it_misses(count: int) -> None:
     within = math.nextafter(whole(count).held_out_rms, 0.0)
-    assert attempt(pieces(count), SHAPE, SETTINGS, within=within) is None
+    assert fit_trial(pieces(count), SHAPE, SETTINGS, max_rms=within) is None

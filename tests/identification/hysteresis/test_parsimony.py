@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezoid.identification.hysteresis.estimate import estimate_axis
-from piezoid.identification.hysteresis.order import folds_of, is_untested
+from piezoid.identification.hysteresis.order_selection import folds_of, is_untested
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.model import AxisModel
 from tests.identification.hysteresis.stages import decaying, play_sum, recording
@@ -96,10 +96,10 @@ def test_a_recording_whose_parts_go_unequally_far_is_held_out_by_its_parts() -> 
         noise_m = rng.normal(0.0, 5e-8, len(drive))
         made.append(replace(recording(drive, clean_m + noise_m, f"{name}.csv"), breaks=breaks))
     pieces = pieces_of(made, "x", scales_of(made, "x"), Rig())
-    folds = [fold for fold in folds_of(pieces) if fold.trained]
-    assert [(fold.trained, len(fold.testing)) for fold in folds] == [(1, 2)]
-    assert len(folds[0].unseen_samples(0)) == pytest.approx(len(wide) / 2, abs=1)
-    assert len(folds[0].unseen_samples(1)) == len(wide)
+    folds = [fold for fold in folds_of(pieces) if fold.halved]
+    assert [(fold.halved, len(fold.testing)) for fold in folds] == [(1, 2)]
+    assert len(folds[0].held_out_samples(0)) == pytest.approx(len(wide) / 2, abs=1)
+    assert len(folds[0].held_out_samples(1)) == len(wide)
     quality = estimate_axis(made, "x", Rig(), orders=((2, 0), (8, 2))).quality
     assert quality.held_out_rms_m < 0.02 * quality.range_m
 

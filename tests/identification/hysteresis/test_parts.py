@@ -7,16 +7,16 @@ import pytest
 
 from piezoid.identification.hysteresis.coordinates import Shape, operator_of
 from piezoid.identification.hysteresis.gauss_newton import rms_of
-from piezoid.identification.hysteresis.physical import physical
 from piezoid.identification.hysteresis.pieces import Rig, Scales, pieces_of, scales_of
-from piezoid.identification.hysteresis.search import Fitted, Settings, search, simplified
+from piezoid.identification.hysteresis.search import HysteresisFit, Settings, prune, search
 from piezoid.identification.hysteresis.uncertainty import (
     adversarial_drives,
     distance_terms,
     jackknife,
     loop_width_m,
-    reached_difference,
+    max_difference_m,
 )
+from piezoid.identification.hysteresis.unit_scaling import to_si_units
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import LINEAR
 from tests.identification.hysteresis.stages import decaying, play_sum, recording
@@ -32,7 +32,7 @@ def stage(drive: Array, seed: int, noise_m: float = 2e-8) -> Array:
     return clean + np.random.default_rng(seed).normal(0, noise_m, len(drive))
 
 
-def fitted(seed: int = 0, noise_m: float = 2e-8) -> tuple[Fitted, Scales]:
+def fitted(seed: int = 0, noise_m: float = 2e-8) -> tuple[HysteresisFit, Scales]:
     drive = np.concatenate([decaying(24, per_unit=20)] * 2)
     one = recording(drive, stage(drive, seed, noise_m))
     scales = scales_of([one], "x")
@@ -41,7 +41,7 @@ def fitted(seed: int = 0, noise_m: float = 2e-8) -> tuple[Fitted, Scales]:
 
 def test_loop_width_is_that_of_a_simulated_full_loop() -> None:
     found, scales = fitted()
-    model = physical(found.operator, scales)
+    model = to_si_units(found.operator, scales)
     full = scales.voltage_V * np.concatenate(
         [np.linspace(0, 1, 50), np.linspace(1, -1, 201), np.linspace(-1, 1, 201)]
     )
@@ -52,7 +52,7 @@ def test_loop_width_is_that_of_a_simulated_full_loop() -> None:
 
 
 def test_intervals_have_the_size_of_the_scatter_over_new_noise() -> None:
-    def width(vector: Array, found: Fitted, scales: Scales) -> Array:
+    def width(vector: Array, found: HysteresisFit, scales: Scales) -> Array:
         return np.array([loop_width_m(vector, found.task.coordinates, scales)])
 
     estimates, half_widths = [], []
@@ -74,22 +74,22 @@ def test_simplification_drops_parts_without_use_and_is_as_good() -> None:
     idle = replace(
         found, minimum=replace(found.minimum, theta=theta, rms=rms_of(theta, found.task))
     )
-    simple = simplified(idle, iterations=30)
+    simple = prune(idle, iterations=30)
     assert simple.shape.plays < found.shape.plays
     assert simple.minimum.rms <= 1.002 * idle.minimum.rms
 
 
 def test_distance_of_two_models_bounds_what_any_drive_reaches(rng: np.random.Generator) -> None:
     found, scales = fitted()
-    model = physical(found.operator, scales)
+    model = to_si_units(found.operator, scales)
     drives_V = adversarial_drives(scales.voltage_V, 1)
     for _ in range(20):
         theta = found.minimum.theta.copy()
         shared = slice(0, found.task.coordinates.shared)
         theta[shared] *= 1 + 0.05 * rng.standard_normal(shared.stop)
-        other = physical(operator_of(theta, found.task.coordinates), scales)
+        other = to_si_units(operator_of(theta, found.task.coordinates), scales)
         plays_m, zones_m = distance_terms(model, other, scales.voltage_V)
-        reached_m = reached_difference(model, other, drives_V, scales.voltage_V)
+        reached_m = max_difference_m(model, other, drives_V, scales.voltage_V)
         assert 0 < reached_m <= plays_m + zones_m
     same = distance_terms(model, model.rescaled(3.0), scales.voltage_V)
     np.testing.assert_allclose(same, 0.0, atol=1e-18)
@@ -97,7 +97,7 @@ def test_distance_of_two_models_bounds_what_any_drive_reaches(rng: np.random.Gen
 
 def test_without_dead_zones_the_bound_is_attained() -> None:
     found, scales = fitted()
-    model = physical(found.operator, scales)
+    model = to_si_units(found.operator, scales)
     plays = replace(model.plays, weight=model.plays.weight * np.linspace(0.9, 1.1, 7))
     model = replace(model, dead_zones=LINEAR)
     other = replace(model, plays=plays)
@@ -107,6 +107,6 @@ def test_without_dead_zones_the_bound_is_attained() -> None:
     other = replace(other, dead_zones=model.dead_zones)
     plays_m, zones_m = distance_terms(model, other, scales.voltage_V)
     none = np.zeros(1)
-    reached_m = reached_difference(model, other, none, scales.voltage_V)
+    reached_m = max_difference_m(model, other, none, scales.voltage_V)
     assert zones_m == pytest.approx(0.0, abs=1e-18)
     assert reached_m == pytest.approx(plays_m, rel=1e-9)

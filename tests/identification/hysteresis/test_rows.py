@@ -6,7 +6,7 @@ import pytest
 from piezoid.identification.hysteresis.coordinates import Coordinates, Shape
 from piezoid.identification.hysteresis.gauss_newton import (
     Task,
-    column_places,
+    column_indices,
     forward_of,
     rows_of,
     simulate,
@@ -72,7 +72,7 @@ def test_tangents_are_finite_differences_of_the_simulation(
     samples, blocks = zip(*rows_of(theta, task, 0), strict=True)
     sample, tangent = np.concatenate(samples), np.vstack(blocks)[:, :-1]
     assert set(np.diff(sample)) == {stride}
-    for j, place in enumerate(column_places(coordinates, 0)):
+    for j, place in enumerate(column_indices(coordinates, 0)):
         step = STEP * np.eye(coordinates.total)[place]
         up = simulate(theta + step, task, 0, piece)
         down = simulate(theta - step, task, 0, piece)

@@ -73,6 +73,6 @@ def test_readings_that_were_lost_say_nothing_of_it(tmp_path: Path) -> None:
     recording = recorded(tmp_path, field, reading_um)
     scales = scales_of((recording,), "x")
     (piece,) = pieces_of((recording,), "x", scales, Rig())
-    assert len(piece.lost) > 1000
+    assert len(piece.invalid) > 1000
     found_m = abs(scales.displacement_m) * sensor_noise(piece, -piece.response)
     assert 1e6 * found_m == pytest.approx(NOISE_um, rel=0.1)

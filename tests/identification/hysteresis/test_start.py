@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from piezoid.identification.hysteresis.coordinates import Shape
-from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
-from piezoid.identification.hysteresis.start import (
+from piezoid.identification.hysteresis.convex_start import (
+    bounded_optimum,
     constraints_of,
     find_lag,
     kuhnen_start,
-    placed_zones,
     triangle_of,
-    within_bounds,
+    zone_thresholds,
 )
+from piezoid.identification.hysteresis.coordinates import Shape
+from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import constrained_least_squares, stationarity
 from piezoid.operators.filters import lagged
@@ -61,11 +61,11 @@ def test_weights_that_only_know_bounds_are_those_of_the_general_program(
     one = recording(drive, bent + 1e-9 * rng.normal(size=len(drive)))
     pieces = pieces_of([one], "x", scales_of([one], "x"), Rig())
     shape, threshold = Shape(plays=12, below=2, above=2), np.arange(13) / 13
-    zones = placed_zones(-1.0, 1.0, shape)
+    zones = zone_thresholds(-1.0, 1.0, shape)
     triangle = triangle_of(pieces, threshold, zones, 0.0)
     limits = constraints_of(threshold, zones, len(triangle))
     nothing = np.zeros(len(triangle))
-    bounded = within_bounds(triangle, threshold, zones)
+    bounded = bounded_optimum(triangle, threshold, zones)
     general = constrained_least_squares(triangle, nothing, *limits)
     np.testing.assert_allclose(bounded, general.x, atol=1e-5)
     assert stationarity(triangle, bounded, nothing, limits[0], limits[1:]) < 1e-9

@@ -22,7 +22,7 @@ def test_rows_without_numbers_are_counted_and_lower_the_confidence(
     )
     fit, reference = fit_barrier([holed]), fit_barrier([whole])
     assert fit.confidence is Confidence.LOW
-    assert "134 of 200 rows hold no number" in fit.reasons[0]
+    assert "134 of 200 rows contain no number" in fit.reasons[0]
     width, narrow = (np.ptp(f.decay_interval_per_m) for f in (fit, reference))
     assert width > 1.2 * narrow  # a third of the points: sqrt(3) expected, itself uncertain
     assert fit.decay_interval_per_m[0] < DECAY_PER_M < fit.decay_interval_per_m[1]
@@ -173,7 +173,7 @@ def test_a_height_of_the_other_sign_is_refused(rng: np.random.Generator) -> None
     ("height_m", "current_A", "match"),
     [
         (np.zeros(20), np.ones(20), "all heights are"),
-        (np.arange(20.0), np.full(20, np.nan), "0 rows hold both"),
+        (np.arange(20.0), np.full(20, np.nan), "0 rows contain both"),
         (np.arange(20.0), np.ones(19), "shape"),
     ],
 )

@@ -1,11 +1,10 @@
 """Order selection: the smallest number of plays and dead zones that predicts as well.
 
-As well is within 3 % of the best. A standard error of the paired difference on top of that was
-tried and is not taken: on laws that plays follow badly (Dahl, Duhem) it doubled the error on fresh
-drives.
-Judged on rows the fit did not see: on other recordings where there are several, else on the
-second half of the only one, as of one that goes further than all others. Random splits would prove
-nothing; neighbouring samples are copies.
+"As well" means within 3 % of the best held-out error. Adding a standard error of the paired
+difference doubles the error on fresh drives for laws that plays follow badly (Dahl, Duhem).
+The held-out rows are other recordings if there are several, else the second half of the only
+recording; a recording with the largest range is halved as well. Random splits prove nothing,
+because neighbouring samples are almost equal.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -17,11 +16,11 @@ from piezoid.identification.hysteresis.coordinates import Scaled, Shape
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.scope import scope_of
 from piezoid.identification.hysteresis.search import (
-    Fitted,
+    HysteresisFit,
     Settings,
-    continued,
+    refit_initial_state,
     search,
-    transferred,
+    simulate_piece,
 )
 from piezoid.identification.quality import (
     IN_SAMPLE,
@@ -35,12 +34,12 @@ ORDERS = ((2, 0), (4, 1), (8, 2), (12, 4), (16, 6))
 LAGS = ("delay", "first_order")
 BENDS = (3, 6)
 CLOSE = 1.03  # times the rms of the best: not noticeable
-CLOSE_IN_SAMPLE = 1.15  # the error of the fit itself falls with every number more
+CLOSE_IN_SAMPLE = 1.15  # the error in sample falls with every further parameter
 NO_BETTER = 2  # consecutive orders without improvement, after which the search stops
 FOLDS = 3
-MANY = 12  # crossings of the middle: so many are more than one loop, whatever their noise
-BEYOND = 0.1  # of half the drive range: allowed extrapolation of a model
-ROUNDED = 1e-9  # of a sum of squares: more than its rounding
+MAX_CROSSINGS = 12  # of the middle of the drive, in a recording of a single loop with its noise
+MAX_EXTRAPOLATION = 0.1  # of half the drive range
+ROUNDING = 1e-9  # of a sum of squares
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,43 +48,43 @@ class Fold:
 
     training  pieces, or first halves of pieces
     testing   pieces
-    trained   how many of the pieces tested were trained on in part: both begin with them
+    halved    number of pieces in both: both begin with them, ``training`` has their first halves
     """
 
     training: tuple[Piece, ...]
     testing: tuple[Piece, ...]
-    trained: int
+    halved: int
 
-    def unseen_samples(self, number: int) -> Samples:
-        """Return the samples of a tested piece that count and were not trained on."""
+    def held_out_samples(self, number: int) -> Samples:
+        """Return the samples of a tested piece that were not trained on."""
         piece = self.testing[number]
-        if number >= self.trained or self.training == self.testing:
-            return piece.counting()  # a single loop has no unseen part: all of it is used
-        return replace(piece, first=self.training[number].last).counting()
+        if number >= self.halved or self.training == self.testing:
+            return piece.fitted_samples()  # a single loop is both training and testing data
+        return replace(piece, first=self.training[number].last).fitted_samples()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
     """One shape and its held-out error.
 
-    shape     what was fitted
-    residual  (rows,)  on rows the fits of all folds did not see, scaled units
-    fitted    the operator of each fold, scaled units
+    shape      that was fitted
+    residual   (rows,)  on the held-out rows of all folds, scaled units
+    operators  of the folds, scaled units
     """
 
     shape: Shape
     residual: Array
-    fitted: tuple[Scaled, ...]
+    operators: tuple[Scaled, ...]
 
     @property
     def held_out_rms(self) -> float:
-        """Return the rms of the residual."""
+        """Rms of the residual."""
         return float(np.sqrt(np.mean(self.residual**2)))
 
     @property
     def lag_s(self) -> float:
-        """Return the fitted lag of the last fold."""
-        return self.fitted[-1].lag_s
+        """Fitted lag of the last fold."""
+        return self.operators[-1].lag_s
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,7 +93,7 @@ class Choice:
 
     best    the chosen trial
     trials  all, in the order they were tried
-    kind    of what is held out, as ``FitQuality`` has it
+    kind    of the held-out data, as in ``FitQuality``
     """
 
     best: Trial
@@ -109,10 +108,10 @@ def choose_shape(
     orders: Sequence[tuple[int, int]] = ORDERS,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Choice:
-    """Try orders, then envelopes and lags, and take the smallest that predicts as well.
+    """Fit orders, then envelopes and lags, and choose the smallest that predicts as well.
 
-    An envelope has something to bend only where minor loops stand at several biases, and then it
-    needs the plays: it is tried at the richest order, then at smaller ones.
+    An envelope helps only with minor loops at several biases, and then together with many plays:
+    it is tried with the largest order, then with smaller ones.
     """
     in_sample = is_untested(pieces)
 
@@ -121,7 +120,7 @@ def choose_shape(
             f"{shape.plays} plays, {shape.below + shape.above} dead zones, {2 * shape.bends} "
             f"bends, {shape.lag.replace('_', ' ')}"
         )
-        trial = attempt(pieces, shape, settings, within=np.inf)
+        trial = fit_trial(pieces, shape, settings, max_rms=np.inf)
         assert trial is not None  # no error is above infinity
         return trial
 
@@ -130,13 +129,13 @@ def choose_shape(
     straight = _smallest_as_good(trials, in_sample)
     lagged = [fit(replace(straight.shape, lag=lag)) for lag in LAGS[1:]]
     best_lagged = min(lagged, key=lambda trial: trial.held_out_rms)
-    if not _is_as_good(straight, best_lagged, in_sample):  # with the wrong lag no size helps
+    if not _is_as_good(straight, best_lagged, in_sample):  # no order helps with the wrong lag
         shapes = [replace(shape, lag=best_lagged.shape.lag) for shape in shapes]
         larger = [shape for shape in shapes if shape.plays > straight.shape.plays]
         trials += _fit_growing(larger, fit, in_sample)
         straight = _smallest_as_good((*trials, best_lagged), in_sample)
-    richest = max(shapes, key=lambda shape: shape.plays)
-    trials += [fit(replace(richest, bends=bends)) for bends in BENDS]
+    largest = max(shapes, key=lambda shape: shape.plays)
+    trials += [fit(replace(largest, bends=bends)) for bends in BENDS]
     best = _smallest_as_good(trials, in_sample)
     if best.shape.bends:
         for shape in shapes:
@@ -146,16 +145,16 @@ def choose_shape(
                     break
     trials += lagged
     best = _smallest_as_good(trials, in_sample)
-    kind = OTHER_RECORDINGS if all(f.trained == 0 for f in folds_of(pieces)) else WIDEST_HALVED
+    kind = OTHER_RECORDINGS if all(f.halved == 0 for f in folds_of(pieces)) else WIDEST_HALVED
     if in_sample:
         kind = IN_SAMPLE
-    elif _recordings(pieces) == 1:
+    elif _count_recordings(pieces) == 1:
         kind = SECOND_HALF
     return Choice(best=best, trials=tuple(trials), kind=kind)
 
 
 def without_bends(choice: Choice) -> Choice:
-    """Return the choice among the shapes without an envelope."""
+    """Return the choice among the trials without an envelope."""
     straight = [trial for trial in choice.trials if not trial.shape.bends]
     best = _smallest_as_good(straight, choice.kind == IN_SAMPLE)
     return replace(choice, best=best)
@@ -164,7 +163,7 @@ def without_bends(choice: Choice) -> Choice:
 def _fit_growing(
     shapes: Sequence[Shape], fit: Callable[[Shape], Trial], in_sample: bool
 ) -> list[Trial]:
-    """Try shapes of growing size until ``NO_BETTER`` of them in a row improve nothing."""
+    """Fit shapes of growing size until ``NO_BETTER`` of them in a row improve nothing."""
     trials: list[Trial] = []
     for shape in shapes:
         trials.append(fit(shape))
@@ -179,109 +178,112 @@ def _fit_growing(
 
 def _smallest_as_good(trials: Sequence[Trial], in_sample: bool) -> Trial:
     best = min(trials, key=lambda trial: trial.held_out_rms)
-    ordered = sorted(trials, key=lambda trial: trial.shape.numbers)
+    ordered = sorted(trials, key=lambda trial: trial.shape.parameters)
     return next(trial for trial in ordered if _is_as_good(trial, best, in_sample))
 
 
 def _is_as_good(smaller: Trial, best: Trial, in_sample: bool) -> bool:
-    """Tell whether the smaller of two may stand for the better."""
+    """Return whether the error of the smaller shape is close to that of the best."""
     close = CLOSE_IN_SAMPLE if in_sample else CLOSE
     return smaller.held_out_rms <= close * best.held_out_rms
 
 
-def attempt(
-    pieces: Sequence[Piece], shape: Shape, settings: Settings, *, within: float
+def fit_trial(
+    pieces: Sequence[Piece], shape: Shape, settings: Settings, *, max_rms: float
 ) -> Trial | None:
-    """Try a shape as the others were tried; None where its held-out error is above ``within``.
+    """Fit a shape to every fold; None if its held-out error is above ``max_rms``.
 
-    A shape that is that wrong on some folds stays so whatever the others show: they are skipped.
+    Further folds are skipped once the error exceeds the limit whatever they contribute.
     """
     folds = list(folds_of(pieces))
-    rows = sum(len(fold.unseen_samples(k)) for fold in folds for k in range(len(fold.testing)))
-    room = within**2 * rows * (1.0 + ROUNDED)
+    rows = sum(len(fold.held_out_samples(k)) for fold in folds for k in range(len(fold.testing)))
+    max_squares = max_rms**2 * rows * (1.0 + ROUNDING)
     residuals, operators = [], []
     for fold in folds:
-        fitted = search(fold.training, shape, settings)
-        residual = _unseen(fitted, fold)
+        fit = search(fold.training, shape, settings)
+        residual = _held_out_residual(fit, fold)
         residuals.append(residual)
-        operators.append(fitted.operator)
-        room -= float(residual @ residual)
-        if room < 0.0:
+        operators.append(fit.operator)
+        max_squares -= float(residual @ residual)
+        if max_squares < 0.0:
             return None
-    trial = Trial(shape=shape, residual=np.concatenate(residuals), fitted=tuple(operators))
-    return None if trial.held_out_rms > within else trial
+    trial = Trial(shape=shape, residual=np.concatenate(residuals), operators=tuple(operators))
+    return None if trial.held_out_rms > max_rms else trial
 
 
-def _recordings(pieces: Sequence[Piece]) -> int:
+def _count_recordings(pieces: Sequence[Piece]) -> int:
     return len({piece.recording for piece in pieces})
 
 
 def folds_of(pieces: Sequence[Piece]) -> Iterator[Fold]:
-    """Yield folds that test whole recordings in turn, or the second half of a single one.
+    """Yield folds that test whole recordings in turn, or the second half of a single recording.
 
-    A recording that goes further than all the others tells what they cannot know: its first half
-    stays in the training, as of each of two, for one alone tells too little of a shape that both
-    together can tell. Such parts stand first, at the same places as what they are parts of.
+    A recording with a larger range than all others is split in half, so that no fold extrapolates;
+    so is each of two recordings, because one alone determines too little of a shape. The halves
+    come first in ``training``, in the order of their pieces in ``testing``.
     """
-    count = _recordings(pieces)
+    count = _count_recordings(pieces)
     if is_untested(pieces):
-        yield Fold(training=tuple(pieces), testing=tuple(pieces), trained=len(pieces))
+        yield Fold(training=tuple(pieces), testing=tuple(pieces), halved=len(pieces))
         return
     folds = min(count, FOLDS)
     for fold in range(folds):
         held_out = [p for p in pieces if p.recording % folds == fold]
         remaining = tuple(p for p in pieces if p.recording % folds != fold)
         wide = tuple(p for p in held_out if count == 2 or not _is_covered(p, remaining))
-        parts = tuple(replace(p, last=p.first + p.rows // 2) for p in wide)
-        if held_out and (remaining or parts):
+        halves = tuple(replace(p, last=p.first + p.rows // 2) for p in wide)
+        if held_out and (remaining or halves):
             yield Fold(
-                training=(*parts, *remaining),
+                training=(*halves, *remaining),
                 testing=(*wide, *(p for p in held_out if p not in wide)),
-                trained=len(parts),
+                halved=len(halves),
             )
 
 
 def _is_covered(piece: Piece, remaining: Sequence[Piece]) -> bool:
-    """Tell whether other pieces go as far as this one, in one swing and to either side."""
+    """Return whether the other pieces cover the range and the swing of this piece."""
     if not remaining:
         return False
     drives = [p.fitted_drive for p in (piece, *remaining)]
     (low, high), *ranges = [(float(drive.min()), float(drive.max())) for drive in drives]
     return (
-        min(a for a, _ in ranges) <= low + BEYOND
-        and max(b for _, b in ranges) >= high - BEYOND
-        and max(b - a for a, b in ranges) >= high - low - BEYOND
+        min(a for a, _ in ranges) <= low + MAX_EXTRAPOLATION
+        and max(b for _, b in ranges) >= high - MAX_EXTRAPOLATION
+        and max(b - a for a, b in ranges) >= high - low - MAX_EXTRAPOLATION
     )
 
 
 def is_untested(pieces: Sequence[Piece]) -> bool:
-    """Tell whether one loop is all there is: its second half is a branch the first never saw."""
-    if _recordings(pieces) > 1:
+    """Return whether there is one loop only, so that no part of it can be held out.
+
+    The second half of a loop is a branch that the first half does not contain.
+    """
+    if _count_recordings(pieces) > 1:
         return False
     crossings = 0
     for piece in pieces:
         drive = piece.fitted_drive
         is_low = np.signbit(drive - 0.5 * (drive.max() + drive.min()))
         crossings += int(np.count_nonzero(np.diff(is_low)))
-    return crossings <= MANY and scope_of(pieces).is_untested
+    return crossings <= MAX_CROSSINGS and scope_of(pieces).is_untested
 
 
-def _unseen(fitted: Fitted, fold: Fold) -> Array:
-    """Return the residual of a fit where it was not trained.
+def _held_out_residual(fit: HysteresisFit, fold: Fold) -> Array:
+    """Return the residual of a fit on the held-out rows of its fold.
 
-    Zero and memory of other recordings are fitted, and the zero of the half of one that is among
-    others; that of the only recording stays where its first half left it.
+    Zero and memory of whole held-out recordings are fitted. The second half of a recording keeps
+    the memory of the first; its zero is fitted unless it is the only recording.
     """
-    fresh = fold.testing[fold.trained :]
-    refitted = transferred(fitted, fresh) if fresh else fitted
-    is_only_recording = _recordings((*fold.training, *fold.testing)) == 1
+    whole_pieces = fold.testing[fold.halved :]
+    refitted = refit_initial_state(fit, whole_pieces) if whole_pieces else fit
+    is_only_recording = _count_recordings((*fold.training, *fold.testing)) == 1
     residuals = []
     for number, piece in enumerate(fold.testing):
-        if number < fold.trained:  # keep the zero of the training part
-            output = continued(fitted, number, fold.training[number])
+        if number < fold.halved:  # keep the zero of the training half
+            output = simulate_piece(fit, number, fold.training[number])
         else:
-            output = continued(refitted, number - fold.trained, piece)
-        error = (output - piece.response)[fold.unseen_samples(number)]
-        is_offset_free = number < fold.trained and not is_only_recording
+            output = simulate_piece(refitted, number - fold.halved, piece)
+        error = (output - piece.response)[fold.held_out_samples(number)]
+        is_offset_free = number < fold.halved and not is_only_recording
         residuals.append(error - error.mean() if is_offset_free else error)
     return np.concatenate(residuals)

@@ -12,10 +12,12 @@ from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlins
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 
-def physical(operator: Scaled, scales: Scales, offset_m: float = 0.0) -> ModifiedPrandtlIshlinskii:
-    """Return the operator in SI units, rising with the drive whatever the sensor's polarity.
+def to_si_units(
+    operator: Scaled, scales: Scales, offset_m: float = 0.0
+) -> ModifiedPrandtlIshlinskii:
+    """Return the operator in SI units, rising with the drive for either polarity of the sensor.
 
-    The envelope is gauged to keep the range of the drive: gamma(R) - gamma(-R) = 2 R.
+    The envelope is normalised to the range of the drive: gamma(R) - gamma(-R) = 2 R.
     """
     stroke_m = abs(scales.displacement_m)
     stretch = envelope_stretch(operator)
@@ -36,10 +38,10 @@ def physical(operator: Scaled, scales: Scales, offset_m: float = 0.0) -> Modifie
 def piece_start(
     piece: Piece, index: int, theta: Array, coordinates: Coordinates, scales: Scales, first: float
 ) -> PieceStart:
-    """Return where a piece began: its memory before the first sample, and its zero.
+    """Return the initial state of a piece: its memory before the first sample, and its zero.
 
-    index  number of the piece in the vector
-    first  scaled drive at the ceramic at the first sample
+    index  of the piece in the parameter vector
+    first  scaled drive behind the amplifier at the first sample
     """
     operator = operator_of(theta, coordinates)
     memory = Forward(operator=operator).memory(first, theta[coordinates.memory_slice(index)])
@@ -54,7 +56,7 @@ def piece_start(
 
 
 def envelope_stretch(operator: Scaled) -> float:
-    """Return the factor that makes the envelope keep the range of the drive."""
+    """Return the factor that normalises the envelope to the range of the drive."""
     low, high = operator.envelope.run(np.array([-1.0, 1.0]))
     return float(2.0 / (high - low))
 
@@ -73,9 +75,9 @@ def parameter_names(operator: Scaled) -> tuple[str, ...]:
 
 
 def parameter_values(theta: Array, coordinates: Coordinates, scales: Scales) -> Array:
-    """Return the shared part of a vector as physical parameters."""
-    scaled = operator_of(theta, coordinates)
-    model = physical(scaled, scales)
+    """Return the shared parameters of a vector in SI units, (parameters,)."""
+    operator = operator_of(theta, coordinates)
+    model = to_si_units(operator, scales)
     return np.concatenate(
         [
             model.plays.threshold[1:],
@@ -83,6 +85,6 @@ def parameter_values(theta: Array, coordinates: Coordinates, scales: Scales) -> 
             model.dead_zones.threshold,
             model.dead_zones.weight,
             model.envelope.weight,
-            [scaled.lag_s],
+            [operator.lag_s],
         ]
     )

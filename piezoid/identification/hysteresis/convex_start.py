@@ -1,10 +1,9 @@
 """Start of the search: lag, play thresholds, and Kuhnen's quadratic program for the weights.
 
-The program parametrises the inverse of Psi, so that it is convex; the lag is removed first,
-because a lag that is not removed looks like hysteresis and corrupts the weights. With many plays
-on a fine grid it finds where the curvature of the loading curve is; its weights, gathered into the
-wanted number of groups, are thresholds from which a search with few plays does not end beside the
-best ones.
+The program is convex because it parametrises the inverse of Psi. The lag is removed first: it
+would look like hysteresis and corrupt the weights. A program with many plays on a fine grid
+locates the curvature of the loading curve. The centres of clusters of its weights are the second
+set of thresholds, from which a search with few plays avoids poor local minima.
 """
 
 from collections.abc import Sequence
@@ -13,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.identification.hysteresis.coordinates import (
-    LEAST_GAP,
-    LEAST_SLOPE,
+    MIN_GAP,
+    MIN_SLOPE,
     Scaled,
     Shape,
 )
@@ -32,14 +31,14 @@ from piezoid.operators.dead_zone import DeadZones, from_slopes
 from piezoid.operators.filters import lagged
 from piezoid.operators.play import play_blocks, play_columns
 
-ROWS = 6000  # rows of a recording that suffice for a start
-LEAST_INVERSE_SLOPE = 0.02  # of Psi'
+ROWS = 6000  # of a recording, which suffice for a start
+MIN_INVERSE_SLOPE = 0.02  # of Psi'
 GRID = 39  # plays of the fine grid
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Start:
-    """A convex start.
+    """Start of a search.
 
     operator  scaled operator, central slope 1
     offset    scaled displacement at which the operator's output is 0
@@ -68,32 +67,32 @@ def kuhnen_start(
         threshold = 0.5 * (high - low) * np.arange(shape.plays + 1) / (shape.plays + 1)
     highest = max(float(piece.response.max()) for piece in pieces)
     lowest = min(float(piece.response.min()) for piece in pieces)
-    zones = placed_zones(lowest, highest, shape)
+    zones = zone_thresholds(lowest, highest, shape)
     optimum = optimum_of(triangle_of(pieces, threshold, zones, lag_s), threshold, zones)
     weight = np.maximum(optimum.x[: shape.plays + 1], 0.0)
     inverse = DeadZones(
         threshold=zones, weight=optimum.x[shape.plays + 1 : shape.plays + 1 + len(zones)]
     )
     constant = float(np.mean(optimum.x[shape.plays + 1 + len(zones) :]))
-    operator, offset = recentred(threshold, weight, inverse.inverse(), constant, lag_s)
+    operator, offset = recentre(threshold, weight, inverse.inverse(), constant, lag_s)
     return Start(operator=operator, offset=offset, kkt_gap=optimum.kkt_gap)
 
 
-def placed_zones(low: float, high: float, shape: Shape) -> Array:
-    """Place the thresholds of Psi' at (j -+ 1/2) / l of the extreme displacement."""
+def zone_thresholds(low: float, high: float, shape: Shape) -> Array:
+    """Return the thresholds of Psi', 0 and (j - 1/2) / l of each extreme displacement."""
     above = (np.arange(1, shape.above + 1) - 0.5) / max(shape.above, 1) * high
     below = (np.arange(-shape.below, 0) + 0.5) / max(shape.below, 1) * -low
     return np.concatenate([below, [0.0], above])
 
 
 def triangle_of(pieces: Sequence[Piece], threshold: Array, zones: Array, lag_s: float) -> Array:
-    """Return the triangle of the rows [z | -s(y) | offsets], one offset for each piece."""
+    """Return the triangular factor of the rows [z | -s(y) | offsets], one offset per piece."""
     plays, count = len(threshold), len(zones)
     unit = DeadZones(threshold=zones, weight=np.ones(count))
     unknowns = plays + count + len(pieces)
     triangle = empty_triangle(unknowns)
     for index, piece in enumerate(pieces):
-        sample = piece.counting(max(1, piece.rows // ROWS))
+        sample = piece.fitted_samples(max(1, piece.rows // ROWS))
         rows = np.zeros((len(sample), unknowns), order="F")
         begin = 0
         for first, states in play_blocks(piece.drive, threshold, np.full(plays, piece.drive[0])):
@@ -109,25 +108,25 @@ def triangle_of(pieces: Sequence[Piece], threshold: Array, zones: Array, lag_s: 
 
 
 def optimum_of(triangle: Array, threshold: Array, zones: Array) -> Optimum:
-    """Solve the program on the triangle of its rows, the offsets' columns last."""
+    """Solve the program, given the triangular factor of its rows with the offsets last."""
     limits = constraints_of(threshold, zones, triangle.shape[1])
-    nothing = np.zeros(len(triangle))
-    x = within_bounds(triangle, threshold, zones)
-    if x[0] < LEAST_SLOPE:
-        return constrained_least_squares(triangle, nothing, *limits)
+    target = np.zeros(len(triangle))
+    x = bounded_optimum(triangle, threshold, zones)
+    if x[0] < MIN_SLOPE:
+        return constrained_least_squares(triangle, target, *limits)
     constraint, lower, upper = limits
     return Optimum(
         x=x,
         cost=float(np.sum((triangle @ x) ** 2)),
-        kkt_gap=stationarity(triangle, x, nothing, constraint, (lower, upper)),
+        kkt_gap=stationarity(triangle, x, target, constraint, (lower, upper)),
     )
 
 
-def within_bounds(triangle: Array, threshold: Array, zones: Array) -> Array:
-    """Return the optimum without the limit of w_0, by a search that knows only bounds.
+def bounded_optimum(triangle: Array, threshold: Array, zones: Array) -> Array:
+    """Return the optimum without the limit of w_0, by least squares within bounds.
 
-    Slopes instead of weights of Psi' make their limits bounds, and w_0 follows from the others:
-    w_0 = 1 - sum_(i>0) (1 - r_i) w_i in scaled units, r_0 = 0.
+    The unknowns are slopes of Psi' instead of weights, so that their limits are bounds; w_0
+    follows from the normalisation: w_0 = 1 - sum_(i>0) (1 - r_i) w_i in scaled units, r_0 = 0.
     """
     plays, count = len(threshold), len(zones)
     zero = int(np.flatnonzero(zones == 0.0)[0])
@@ -137,7 +136,7 @@ def within_bounds(triangle: Array, threshold: Array, zones: Array) -> Array:
         if zone != zero:
             free[plays + zone, plays + zone + (1 if zone < zero else -1)] = -1.0
     lower = np.full(len(free) - 1, -np.inf)
-    lower[: plays - 1], lower[plays - 1 : plays - 1 + count] = 0.0, LEAST_INVERSE_SLOPE
+    lower[: plays - 1], lower[plays - 1 : plays - 1 + count] = 0.0, MIN_INVERSE_SLOPE
     step = bounded_step(
         triangle @ free[:, 1:], -triangle[:, 0], lower, np.full(len(lower), np.inf)
     )
@@ -147,7 +146,7 @@ def within_bounds(triangle: Array, threshold: Array, zones: Array) -> Array:
 
 
 def constraints_of(threshold: Array, zones: Array, unknowns: int) -> tuple[Array, Array, Array]:
-    """Return A, l and u of the program: weights, slopes of Psi', and a normalisation."""
+    """Return A, l and u of l <= A x <= u: weights, slopes of Psi', and a normalisation."""
     plays, count = len(threshold), len(zones)
     zero = int(np.flatnonzero(zones == 0.0)[0])
     rows = np.zeros((plays + count + 1, unknowns))
@@ -155,49 +154,49 @@ def constraints_of(threshold: Array, zones: Array, unknowns: int) -> tuple[Array
     for i in range(count):
         rows[plays + i, plays + min(i, zero) : plays + max(i, zero) + 1] = 1.0
     rows[-1, :plays] = 1.0 - threshold
-    lower = np.concatenate([np.zeros(plays), np.full(count, LEAST_INVERSE_SLOPE), [1.0]])
-    lower[0] = LEAST_SLOPE
+    lower = np.concatenate([np.zeros(plays), np.full(count, MIN_INVERSE_SLOPE), [1.0]])
+    lower[0] = MIN_SLOPE
     upper = np.full(len(rows), np.inf)
     upper[-1] = 1.0
     return rows, lower, upper
 
 
-def recentred(
+def recentre(
     threshold: Array, weight: Array, psi: DeadZones, constant: float, lag_s: float
 ) -> tuple[Scaled, float]:
     """Rewrite Psi(h + c) as offset + Psi_c(h) with Psi_c(0) = 0 and central slope 1."""
-    real = psi.threshold[psi.threshold != 0.0] - constant
+    kinks = psi.threshold[psi.threshold != 0.0] - constant
     slope = np.delete(psi.slope, psi.zero)
-    inside = int(np.searchsorted(real, 0.0))
-    real[:inside] = -_spread(-real[:inside][::-1])[::-1]
-    real[inside:] = _spread(real[inside:])
-    knot = np.concatenate([real[:inside], [0.0], real[inside:]])
-    slope = np.concatenate([slope[: inside + 1], slope[inside:]])
-    centre = slope[inside]
+    zero = int(np.searchsorted(kinks, 0.0))
+    kinks[:zero] = -_spread(-kinks[:zero][::-1], 0.01)[::-1]
+    kinks[zero:] = _spread(kinks[zero:], 0.01)
+    knot = np.concatenate([kinks[:zero], [0.0], kinks[zero:]])
+    slope = np.concatenate([slope[: zero + 1], slope[zero:]])
+    centre = slope[zero]
     operator = Scaled(
         gap=np.diff(threshold),
         threshold=threshold[1:],
         weight=weight * centre,
         knot=knot * centre,
         slope=slope / centre,
-        zero=inside,
+        zero=zero,
         lag_s=lag_s,
     )
     offset = float(psi.run(np.array([constant]))[0])
     return operator, offset
 
 
-def _spread(outward: Array) -> Array:
-    """Return kinks at a minimum distance of a hundredth from the origin and from each other."""
-    ladder = 0.01 * np.arange(1, len(outward) + 1)
-    return np.asarray(np.maximum.accumulate(np.maximum(outward - ladder, 0.0)) + ladder)
+def _spread(positions: Array, distance: float) -> Array:
+    """Return increasing positions at a minimum distance from the origin and from each other."""
+    ladder = distance * np.arange(1, len(positions) + 1)
+    return np.asarray(np.maximum.accumulate(np.maximum(positions - ladder, 0.0)) + ladder)
 
 
 def linear_start(pieces: Sequence[Piece], lag_s: float) -> Start:
     """Return the start of a model without plays or dead zones: one gain."""
     drive = np.concatenate([p.drive - p.drive.mean() for p in pieces])
     response = np.concatenate([p.response - p.response.mean() for p in pieces])
-    gain = max(float(drive @ response / (drive @ drive)), LEAST_SLOPE)
+    gain = max(float(drive @ response / (drive @ drive)), MIN_SLOPE)
     empty = np.zeros(0)
     psi = from_slopes(np.zeros(1), np.ones(2))
     operator = Scaled(
@@ -212,18 +211,16 @@ def linear_start(pieces: Sequence[Piece], lag_s: float) -> Start:
     return Start(operator=operator, offset=0.0, kkt_gap=0.0)
 
 
-def gathered_thresholds(pieces: Sequence[Piece], shape: Shape, lag_s: float) -> Array:
-    """Return thresholds at the centres of groups of the over-complete fit's weights, from 0."""
+def clustered_thresholds(pieces: Sequence[Piece], shape: Shape, lag_s: float) -> Array:
+    """Return 0 and thresholds at the centres of clusters of the weights on a fine grid."""
     fine = Shape(plays=GRID, below=shape.below, above=shape.above, lag=shape.lag)
     operator = kuhnen_start(pieces, fine, lag_s).operator
     centres = group_centres(operator.threshold, operator.weight[1:], shape.plays)
-    ladder = 2 * LEAST_GAP * np.arange(1, shape.plays + 1)
-    spread = np.maximum.accumulate(np.maximum(centres - ladder, 0.0)) + ladder
-    return np.concatenate([[0.0], spread])
+    return np.concatenate([[0.0], _spread(centres, 2 * MIN_GAP)])
 
 
 def group_centres(position: Array, weight: Array, groups: int) -> Array:
-    """Return the centres of the best partition of weighted positions into groups of neighbours.
+    """Return the centres of the optimal partition of weighted positions into groups of neighbours.
 
     min sum_g sum_(i in g) w_i (p_i - c_g)^2, exactly, by dynamic programming over cuts
 
@@ -254,11 +251,14 @@ def group_centres(position: Array, weight: Array, groups: int) -> Array:
 
 
 def find_lag(pieces: Sequence[Piece], kind: str, longest_s: float) -> float:
-    """Return the lag with the least error of a quick additive model, by global search.
+    """Return the lag with the least error of an additive model, by global search.
 
-    The quick model is a non-negative sum of plays of the drive, a cubic of the drive and an
-    offset per piece; for a given lag it is linear. The error is not convex in the lag, hence
-    the derivative-free global search.
+    The model is a non-negative sum of plays of the drive, a cubic of the drive and an offset per
+    piece; for a given lag it is linear. The error is not convex in the lag, hence the
+    derivative-free global search.
+
+    kind       ``none``, ``delay`` or ``first_order``
+    longest_s  upper bound of the lag
     """
     if kind == "none" or longest_s <= 0.0:
         return 0.0
@@ -274,15 +274,15 @@ def find_lag(pieces: Sequence[Piece], kind: str, longest_s: float) -> float:
         total = 0.0
         for piece, column in zip(pieces, columns, strict=True):
             stride = max(1, piece.rows // ROWS)
-            keep, counting = slice(piece.first, piece.last, stride), piece.counting(stride)
+            keep, sample = slice(piece.first, piece.last, stride), piece.fitted_samples(stride)
             lag_s = float(x[0]) * longest_s
             rows = lagged(column, kind, lag_s, piece.sampling_rate_Hz, keep=keep)
-            rows = rows[(counting - piece.first) // stride]
-            block = np.column_stack([rows, np.ones(len(rows)), piece.response[counting]])
+            rows = rows[(sample - piece.first) // stride]
+            block = np.column_stack([rows, np.ones(len(rows)), piece.response[sample]])
             triangle = gather(empty_triangle(block.shape[1]), block, spend=True)
-            quick, target = triangle[:, :-1], triangle[:, -1]
-            weights = bounded_step(quick, target, lower, np.full(len(lower), np.inf))
-            total += float(np.sum((quick @ weights - target) ** 2)) / len(rows)
+            design, target = triangle[:, :-1], triangle[:, -1]
+            weights = bounded_step(design, target, lower, np.full(len(lower), np.inf))
+            total += float(np.sum((design @ weights - target) ** 2)) / len(rows)
         return total
 
     share, _ = direct_search(
