@@ -362,7 +362,7 @@ def _shipped(model: AxisModel, final: Extended, rows: _Rows, structure: Structur
         final.model,
         lag=model_lag,
         extensions=tuple(e for e in extensions if e is not lag),
-        uncertainty=final.model.uncertainty.known_anew("lag_s", model_lag.time_s, std_s),
+        uncertainty=final.model.uncertainty.updated("lag_s", model_lag.time_s, std_s),
     )
 
 

@@ -187,7 +187,7 @@ class Uncertainty:
                 f"{self.covariance.shape}"
             )
 
-    def known_anew(self, name: str, value: float, standard: float) -> "Uncertainty":
+    def updated(self, name: str, value: float, standard: float) -> "Uncertainty":
         """Replace the estimate of one number by that of another fit, uncorrelated with the rest.
 
         standard  error of the number; 0: unknown. Nothing changes if it is unknown, or not

@@ -143,7 +143,7 @@ def _model(
     )
     uncertainty, lag = model.uncertainty, coordinates.slices["lag"]
     if lag.stop > lag.start:  # known anew: before, a mode may have been missing beside it
-        uncertainty = uncertainty.known_anew("lag_s", operator.lag_s, float(std[lag][0]))
+        uncertainty = uncertainty.updated("lag_s", operator.lag_s, float(std[lag][0]))
     held_rms_m = float(np.sqrt(np.mean(held_m**2)))
     is_tested = model.quality.is_tested
     return replace(
@@ -287,7 +287,7 @@ def _with_prior(state: State, gram: Array, slope: Array, cost: float) -> NormalE
 def _priors(state: State) -> list[tuple[Array, Array, slice]]:
     priors = []
     for extension, numbers in zip(state.extensions, state.slices, strict=True):
-        scale = abs(state.scales.displacement_m) if extension.in_metres else 1.0
+        scale = abs(state.scales.displacement_m) if extension.is_prior_in_metres else 1.0
         rows = extension.prior()
         if len(rows):
             priors.append((rows / scale, extension.free().value, numbers))
