@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 MAX_ROWS = 4000  # of a piece, to which memory and zero are fitted: hundreds of each would do
-# Memory slopes from which the search starts: de-poled, after a falling and after a rising drive.
+# Memory slopes from which the search starts: plays at the drive, after a fall, after a rise.
 START_SLOPES = (0.0, 1.0, -1.0)
 MAX_EVALUATIONS = 40
 
