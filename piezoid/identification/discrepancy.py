@@ -151,7 +151,7 @@ def _draw(
 def _posterior_variance(
     curvature: Array, prior: float, min_residual: float, missing: float
 ) -> Array:
-    """Return variances of the weights whose effect on all rows together is the missing power."""
+    """Return variances of the weights with the missing power as their effect on all rows."""
     upper = float(curvature.sum()) * prior
     if missing >= upper:  # the prior is too small
         return np.full(len(curvature), prior * missing / max(upper, 1e-300))

@@ -101,15 +101,13 @@ def _from_data(axis: AxisModel) -> list[Contribution]:
         ),
     ]
     if "lag_s" in uncertainty.names and axis.lag.kind != "none":
-        index = uncertainty.names.index("lag_s")
-        standard_s = math.sqrt(max(float(uncertainty.covariance[index, index]), 0.0))
         reach_V = float(uncertainty.reach_V[-1])
         gain_m_per_V = float(uncertainty.loading_m[-1]) / reach_V if reach_V > 0.0 else 0.0
         speed_m_per_s = axis.certificate.slew_V_per_s * gain_m_per_V
         lag = Contribution(
             name="lag, at the fastest drive of the data",
             kind="A",
-            standard=speed_m_per_s * standard_s,
+            standard=speed_m_per_s * uncertainty.standard_error("lag_s"),
             freedom=freedom,
         )
         contributions.append(lag)

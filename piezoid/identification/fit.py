@@ -147,8 +147,8 @@ def unfitted_stage(
     Raises ``ExcitationError`` as ``fit`` does, and ``RecordingError`` for recordings that
     contradict each other.
     """
-    refuse_one_name_twice(recordings, sweeps, responses)
-    refuse_responses_alone(recordings, responses)
+    refuse_duplicate_names(recordings, sweeps, responses)
+    refuse_unusable_responses(recordings, responses)
     refuse_unusable(recordings)
     statements = check_set(recordings)
     if not axes_of(recordings) and not sweeps and not any(map(is_loop, recordings)):
@@ -174,15 +174,15 @@ def unfitted_stage(
             *remarks_on_currents(recordings),
             *(s.text for s in statements),
             # A loop of a tip is recorded at every tick of its controller.
-            *remarks_on_reading([r for r in recordings if not is_loop(r)], CONTROLLER_RATE),
-            *remarks_on_reading(recordings, MAY_BE_HIGH_VOLTAGE),
-            *(() if lab.coupled.axes else remarks_on_reading(recordings, "coupled_drives")[:1]),
+            *remarks_about([r for r in recordings if not is_loop(r)], CONTROLLER_RATE),
+            *remarks_about(recordings, MAY_BE_HIGH_VOLTAGE),
+            *(() if lab.coupled.axes else remarks_about(recordings, "coupled_drives")[:1]),
         ),
         controller_rate_Hz=lab.acquisition.sampling_rate_Hz,
     )
 
 
-def remarks_on_reading(recordings: Sequence[Recording], quantity: str) -> tuple[str, ...]:
+def remarks_about(recordings: Sequence[Recording], quantity: str) -> tuple[str, ...]:
     """Return the texts of the statements about one quantity, each with its recording."""
     return tuple(
         f"{recording.name}: {statement.text}"
@@ -206,7 +206,7 @@ def response_of(
     return nameless[0].renamed(axis) if nameless else None
 
 
-def refuse_responses_alone(
+def refuse_unusable_responses(
     recordings: Sequence[Recording], responses: Sequence[FrequencyResponseRecord]
 ) -> None:
     """Refuse responses of an axis without a recording, without a name, or of one axis twice."""
@@ -306,7 +306,7 @@ def complete_extended(
     return with_loop_shape(with_discrepancy(with_minor_loops(axis, driven), driven), driven)
 
 
-def refuse_one_name_twice(
+def refuse_duplicate_names(
     recordings: Sequence[Recording],
     sweeps: Sequence[RawTable] = (),
     responses: Sequence[FrequencyResponseRecord] = (),

@@ -78,16 +78,16 @@ class LoopModel:
 def loop_model(axis: AxisModel, rate_Hz: float) -> LoopModel:
     """Return the linear model of an axis for a loop of this sampling rate.
 
-    Identified dynamics replace lag, amplifier and extensions, which were in the data to which the
-    dynamics were fitted. Only modes at other frequencies than those of the dynamics are added.
+    Identified dynamics replace lag, amplifier and fast extensions, which acted in the data of
+    their fit. Only modes at other frequencies than those of the dynamics are added.
     """
     quick_gain = 1.0
     effects = tuple(extension.loop_effect(rate_Hz) for extension in axis.extensions)
-    slow = [e.system for e in effects if e.system is not None and e.is_slow]
+    slow_systems = [e.system for e in effects if e.system is not None and e.is_slow]
     if axis.dynamics is None:
-        quick = [e.system for e in effects if e.system is not None and not e.is_slow]
+        fast_systems = [e.system for e in effects if e.system is not None and not e.is_slow]
         front = _pole(axis.rig.amplifier_bandwidth_Hz, rate_Hz)
-        behind, lag = cascade(through(), *quick), axis.lag
+        behind, lag = cascade(through(), *fast_systems), axis.lag
         if lag.kind == "first_order" and lag.time_s > 0.0:
             behind = cascade(behind, first_order(1.0 / (2.0 * np.pi * lag.time_s)))
         delay_s = lag.time_s if lag.kind == "delay" else 0.0
@@ -98,7 +98,7 @@ def loop_model(axis: AxisModel, rate_Hz: float) -> LoopModel:
     return LoopModel(
         front=front,
         behind=behind,
-        slow=cascade(through(), *slow),
+        slow=cascade(through(), *slow_systems),
         sensor=_pole(axis.rig.sensor_bandwidth_Hz, rate_Hz),
         delay_s=delay_s,
         effects=effects,
@@ -137,8 +137,7 @@ def at_corner(axis: AxisModel, slower: float, sharper: float) -> AxisModel:
 
 def lag_half_s(axis: AxisModel) -> float:
     """Return half the 95 % interval of the lag."""
-    index = axis.uncertainty.names.index("lag_s")
-    return float(NORMAL_95 * np.sqrt(axis.uncertainty.covariance[index, index]))
+    return float(NORMAL_95 * axis.uncertainty.standard_error("lag_s"))
 
 
 def mode_half(axis: AxisModel) -> float:
@@ -197,13 +196,13 @@ def _scaled_dynamics(
     is_slow = _is_slow_lag(path, middle_m_per_V)
     is_kept = np.ones(len(path.shape_covariance), dtype=np.bool_)
     is_kept[-1 - len(is_slow) : -1] = ~is_slow
-    quick = replace(
+    fast_path = replace(
         path,
         lag_frequency_Hz=path.lag_frequency_Hz[~is_slow],
         lag_gain_m_per_V=path.lag_gain_m_per_V[~is_slow],
         shape_covariance=path.shape_covariance[np.ix_(is_kept, is_kept)],
     )
-    system, gain = quick.realised(), quick.static_gain_m_per_V
+    system, gain = fast_path.realised(), fast_path.static_gain_m_per_V
     scaled = replace(system, C=system.C / gain, D=system.D / gain, delay_s=0.0)
     other_modes = [
         mode

@@ -49,7 +49,7 @@ from piezoid.identification.loop_shape_estimate import (
 from piezoid.identification.loop_shape_regression import Regression, regression_of
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
-from piezoid.identification.quality import BLOCKS, IN_SAMPLE, with_noise_bound
+from piezoid.identification.quality import BLOCKS, IN_SAMPLE, FitQuality, with_noise_bound
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.family_ridge import Moments
 from piezoid.operators.wide_hysteresis import coefficients
@@ -226,44 +226,46 @@ def _accepted(
     ):
         return replace(axis, loop_shape=None)
     final = _converged(with_smaller_variance(estimate, divisor), pieces, columns, regression)
-    scale_m = abs(half_range_m(axis))
+    shape, scale_m = final.model.loop_shape, abs(half_range_m(axis))
+    assert shape is not None
+    fit_without_shape = FitWithoutShape(
+        lag_s=axis.lag.time_s,
+        rms_m=scale_m * errors_before.explained,
+        held_out_rms_m=scale_m * errors_before.held_out,
+        quality=axis.quality,
+        starts=axis.starts,
+    )
+    return replace(
+        final.model,
+        loop_shape=replace(shape, plain=fit_without_shape),
+        quality=_quality(axis, final, regression, scale_m * errors.held_out),
+        starts=_starts(final, pieces),
+    )
+
+
+def _quality(
+    axis: AxisModel, final: Estimate, regression: Regression, held_out_m: float
+) -> FitQuality:
+    """Return the errors of the fit; the model does not contain a step of the zero."""
     residual_m = final.residual_m[final.use]
-    residual_power = float(np.mean(residual_m**2))
+    power_with_step = float(np.mean(residual_m**2))
     step = regression.members("step")
-    if len(step):  # the model has no step
+    if len(step):
         step_motion = regression.design[:, step] @ final.coefficient[step]
         step_motion = step_motion - np.mean(step_motion[final.use])
         residual_m = residual_m + half_range_m(axis) * step_motion[final.use]
-    shape = final.model.loop_shape
-    assert shape is not None
     power = float(np.mean(residual_m**2))
-    rms_m, step_rms_m = float(np.sqrt(power)), float(np.sqrt(max(power - residual_power, 0.0)))
+    rms_m, step_rms_m = float(np.sqrt(power)), float(np.sqrt(max(power - power_with_step, 0.0)))
     is_tested = axis.quality.is_tested
     quality = replace(
         axis.quality,
         rms_m=rms_m,
-        held_out_rms_m=float(np.hypot(scale_m * errors.held_out, step_rms_m))
-        if is_tested
-        else rms_m,
+        held_out_rms_m=float(np.hypot(held_out_m, step_rms_m)) if is_tested else rms_m,
         held_out_kind=BLOCKS if is_tested else IN_SAMPLE,
         rows=len(residual_m),
         effective_parameters=final.parameters,
     )
-    return replace(
-        final.model,
-        loop_shape=replace(
-            shape,
-            plain=FitWithoutShape(
-                lag_s=axis.lag.time_s,
-                rms_m=scale_m * errors_before.explained,
-                held_out_rms_m=scale_m * errors_before.held_out,
-                quality=axis.quality,
-                starts=axis.starts,
-            ),
-        ),
-        quality=with_noise_bound(quality),
-        starts=_starts(final, pieces),
-    )
+    return with_noise_bound(quality)
 
 
 def _converged(

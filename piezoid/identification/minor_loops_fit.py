@@ -304,9 +304,9 @@ def _with_functions(axis: AxisModel, trial: _Trial) -> AxisModel:
     distance_m = farthest_apart_m(minor_loops.operator, draws, axis.certificate.reach_V)
     bound_m = float(np.quantile(distance_m, 0.95))
     remark = (
-        f"on rows left out {lattice.plays} plays behind functions of {lattice.pieces} pieces "
-        f"leave {with_unit(trial.rms_m, 'm')}, where plays with dead zones leave "
-        f"{with_unit(quality.held_out_rms_m, 'm')}: the controller inverts the former"
+        f"the held-out error is {with_unit(trial.rms_m, 'm')} with {lattice.plays} plays behind "
+        f"functions of {lattice.pieces} pieces, and {with_unit(quality.held_out_rms_m, 'm')} with "
+        "plays with dead zones: the controller inverts the former"
     )
     return replace(
         axis,

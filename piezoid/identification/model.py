@@ -291,7 +291,7 @@ class AxisModel:
         return self.memory_at(self.minor_loops.operator.threshold_V, memory_V)
 
     def _memory(self, memory: Array | None) -> Array:
-        """Return the memory before the first sample, or refuse one of another length."""
+        """Return the memory before the first sample, or raise an error for another length."""
         if memory is None:
             return self.virgin_memory_V
         memory_V, plays = np.asarray(memory, dtype=np.float64), len(self.hysteresis.plays.weight)
@@ -299,7 +299,7 @@ class AxisModel:
             raise IdentificationError(
                 f"axis {self.axis}: a memory of shape {memory_V.shape}",
                 needed=f"the state of each of its {plays} plays",
-                remedy="Take virgin_memory_V, or memory_V of one of its starts.",
+                remedy="Pass virgin_memory_V, or memory_V of one of its starts.",
             )
         return memory_V
 

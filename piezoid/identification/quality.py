@@ -77,7 +77,7 @@ class FitQuality:
     effective_parameters  number of parameters that the data determine: trace of the hat matrix
     kkt_gap         of the convex start
     gradient        largest scaled derivative of a parameter that is not at a bound, at the end
-    converged       whether the last step of the search hardly changed the cost
+    converged       whether the last step changed the cost by less than the search's tolerance
     orders          all orders that were tried
     limits          gaps of the recordings, the most severe first
     noise_is_most   whether the noise is only an upper bound: the drive moves the stage between
@@ -126,8 +126,8 @@ class FitQuality:
         return "at most " if self.noise_is_most else ""
 
     @property
-    def lag_is_open(self) -> bool:
-        """Whether lag and loop width cannot be separated, without a loop at two speeds."""
+    def is_lag_ambiguous(self) -> bool:
+        """Whether lag and loop width cannot be separated: no loop was recorded at two speeds."""
         return any(limit.lack in ("speed", "branch") for limit in self.limits)
 
     @property
@@ -186,6 +186,11 @@ class Uncertainty:
                 f"{self.covariance.shape}"
             )
 
+    def standard_error(self, name: str) -> float:
+        """Return the standard error of one parameter."""
+        index = self.names.index(name)
+        return float(np.sqrt(self.covariance[index, index]))
+
     def updated(self, name: str, value: float, standard: float) -> "Uncertainty":
         """Replace the estimate of one parameter by a more accurate one from another fit.
 
@@ -194,9 +199,9 @@ class Uncertainty:
 
         The new estimate is uncorrelated with the other parameters.
         """
-        index = self.names.index(name)
-        if not 0.0 < standard < np.sqrt(self.covariance[index, index]):
+        if not 0.0 < standard < self.standard_error(name):
             return self
+        index = self.names.index(name)
         values, covariance = self.values.copy(), self.covariance.copy()
         values[index] = value
         covariance[index, :] = covariance[:, index] = 0.0

@@ -46,7 +46,8 @@ class AmplifierLimits(Extension):
 
     def drive(self, voltage_V: Array, rate_Hz: float) -> Array:  # noqa: ARG002
         """Return the clipped voltage."""
-        return np.asarray(np.clip(voltage_V, *self._range))
+        low, high = self._range
+        return np.asarray(np.clip(voltage_V, low, high))
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
         """Return the range of the drive that reaches the ceramic."""

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from piezoid.identification.extensions.loop_effect import LoopEffect
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,11 +53,7 @@ class Free:
     step: Array
 
     def __post_init__(self) -> None:
-        for name in ("value", "lower", "upper", "step"):
-            values = np.atleast_1d(np.asarray(getattr(self, name), dtype=np.float64))
-            object.__setattr__(self, name, frozen(np.where(np.isinf(values), 0.0, values), name))
-            if name in ("lower", "upper"):
-                object.__setattr__(self, name, values)
+        freeze(self, "value", "step")  # bounds may be infinite
 
 
 def free(value: Any, lower: Any, upper: Any, step: Any) -> Free:
