@@ -130,8 +130,8 @@ def _held_out_error(
     for number in range(FOLDS):
         rows = (regression.fold == number) & regression.use
         if rows.any():
-            others = total - folds[number]
-            training = replace(others, gram=others.gram + smoothing)
+            training = total - folds[number]
+            training = replace(training, gram=training.gram + smoothing)
             coefficient = regression.change @ ridge.mean(training)
             error = regression.target[rows] - regression.design[rows] @ coefficient
             squares, count = squares + float(error @ error), count + len(error)
@@ -154,12 +154,12 @@ def with_best_step(estimate: Estimate, regression: Regression) -> Regression | N
     prediction = regression.design @ (regression.change @ ridge.mean(total))
     residual = np.where(estimate.use, regression.target - prediction, 0.0)
     best_step, best_gain = None, 0.0
-    for first, last in pairwise(np.cumsum([0, *estimate.rows])):
-        instants = np.linspace(first, last, STEP_INSTANTS + 2)[1:-1].astype(int)
+    for first, stop in pairwise(np.cumsum([0, *estimate.rows])):
+        instants = np.linspace(first, stop, STEP_INSTANTS + 2)[1:-1].astype(int)
         for row in np.unique(instants):
             step = np.zeros(len(residual))
-            step[row:last] = estimate.use[row:last]
-            h = scale * (regression.change.T @ (step[row:last] @ regression.design[row:last]))
+            step[row:stop] = estimate.use[row:stop]
+            h = scale * (regression.change.T @ (step[row:stop] @ regression.design[row:stop]))
             free = float(step @ step - h @ inverse @ h / ridge.noise)
             gain = float(residual @ step) ** 2 / max(free, 1e-9 * float(step @ step) + 1e-300)
             if gain > best_gain:

@@ -164,7 +164,7 @@ def piece_rows(axis: AxisModel, recordings: Sequence[Recording]) -> tuple[PieceR
             where = where_of(recording, axis.axis, piece)
             voltage_V = recording.voltage_V(axis.axis)[piece]
             level = 2.0 * (voltage_V - low_V) / (high_V - low_V) - 1.0
-            after_steps = rows_after_steps(level, where.rate_Hz, axis.extensions, least=2)
+            after_steps = rows_after_steps(level, where.rate_Hz, axis.extensions, min_rows=2)
             excluded = np.concatenate([bridged - piece.start, after_steps])
             rows = start.first + spread_rows(start.last - start.first, max_rows)
             rows = np.setdiff1d(rows, excluded)
@@ -355,12 +355,12 @@ def _delayed_columns(
     drive: Array, rows: NDArray[np.intp], delay: float, history: Sequence[float]
 ) -> dict[str, Array]:
     """Return the columns ``delay`` samples before rows, linear between samples."""
-    whole = int(np.floor(delay))
-    newer = np.maximum(rows - whole, 0)
+    whole_samples = int(np.floor(delay))
+    newer = np.maximum(rows - whole_samples, 0)
     older = np.maximum(newer - 1, 0)
     samples = np.union1d(newer, older)
     level, (plays, friction, bouc_wen) = _states_at(*thinned_drive(drive, samples), history)
-    share = delay - whole
+    share = delay - whole_samples
     table: dict[str, Array] = {}
     for weight, neighbour in ((1.0 - share, newer), (share, older)):
         k = np.searchsorted(samples, neighbour)

@@ -174,8 +174,8 @@ def _fitted_sensor(
     first = numbers.value / numbers.step
     bounds = (numbers.lower / numbers.step, numbers.upper / numbers.step)
     fit = least_squares(error, first, bounds=bounds, x_scale="jac")
-    before, after = error(first), error(fit.x)
-    change = float(np.linalg.norm(after - before) / np.linalg.norm(before))
+    first_error = error(first)
+    change = float(np.linalg.norm(error(fit.x) - first_error) / np.linalg.norm(first_error))
     return replace(sensor.moved_to(fit.x * numbers.step), std=sensor.std), change
 
 

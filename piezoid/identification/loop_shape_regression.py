@@ -263,14 +263,14 @@ def _prior(axis: AxisModel, steps: Array, count: int) -> Moments:
     for extension in axis.extensions:
         if is_sensor(extension):
             continue
-        last = first + len(extension.free().value)
+        stop = first + len(extension.free().value)
         scale = abs(half_range_m(axis)) if extension.is_prior_in_metres else 1.0
         relations = extension.prior() / scale
         if len(relations):
-            span = slice(count - len(steps) + first, count - len(steps) + last)
-            change, value = relations * steps[first:last], relations @ extension.free().value
+            span = slice(count - len(steps) + first, count - len(steps) + stop)
+            change, value = relations * steps[first:stop], relations @ extension.free().value
             gram[span, span] += change.T @ change
             moment[span] -= change.T @ value
             square, rows = square + float(value @ value), rows + len(relations)
-        first = last
+        first = stop
     return Moments(gram=gram, moment=moment, square=square, count=rows)

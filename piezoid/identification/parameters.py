@@ -33,8 +33,8 @@ def parameters_of(axis: AxisModel) -> "DataFrame":
     rows: list[tuple[str, float, float, float]] = []  # name, value, low, high
     for name, value, spread in zip(uncertainty.names, uncertainty.values, half, strict=True):
         limit = uncertainty.upper_limit.get(name)
-        ends = (value - spread, value + spread) if limit is None else (value, limit)
-        rows.append((name, float(value), float(ends[0]), float(ends[1])))
+        low, high = (value - spread, value + spread) if limit is None else (value, limit)
+        rows.append((name, float(value), float(low), float(high)))
     if dynamics is not None:
         for name, values, intervals in (
             (
@@ -78,8 +78,9 @@ def _extension(extension: Extension) -> list[tuple[str, float, float, float]]:
     rows = []
     for name, value in values.items():
         low, high = sorted((lows[name], highs[name]))
-        ends = (low, high) if low < high else (np.nan, np.nan)  # not a free number
-        rows.append((f"{extension.kind}.{name}", value, *ends))
+        if not low < high:  # not a free number
+            low = high = np.nan
+        rows.append((f"{extension.kind}.{name}", value, low, high))
     return rows
 
 

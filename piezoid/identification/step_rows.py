@@ -16,21 +16,21 @@ DECAY_TIMES = 8.0  # time constants of the ringing, after which 3e-4 remain
 
 
 def rows_after_steps(
-    level: Array, rate_Hz: float, extensions: Sequence[Extension] = (), *, least: int = 0
+    level: Array, rate_Hz: float, extensions: Sequence[Extension] = (), *, min_rows: int = 0
 ) -> Samples:
     """Return the rows that depend on the instant of an isolated step within its sample.
 
-        n = max(least, 8 Q rate / (pi f))    rows after a step, for a mode with f > rate / 10
+        n = max(min_rows, 8 Q rate / (pi f))    rows after a step, for a mode with f > rate / 10
 
     level     (samples,)  drive, scaled to -1 .. 1
-    least     minimum number of rows after every step
+    min_rows  minimum number of rows after every step
     returned  (rows,)     in order
     """
     step = np.abs(np.diff(level))
     padded = np.pad(step, 3)
     neighbour = np.maximum(padded[:-6], padded[6:])
     steps = np.flatnonzero((step > MIN_STEP) & (step > ISOLATION * neighbour))
-    count = least
+    count = min_rows
     for mode in extensions:
         if isinstance(mode, LinearMode) and mode.frequency_Hz > RESOLVED * rate_Hz:
             decay_s = DECAY_TIMES * mode.quality / (pi * mode.frequency_Hz)

@@ -29,7 +29,7 @@ class AmplifierLimits(Extension):
     def __post_init__(self) -> None:
         limits = self._levels
         if not limits:
-            raise ValueError("amplifier limits without a low or high level")
+            raise ValueError("amplifier limits without limits: low_V or high_V is needed")
         for value in limits:
             within("amplifier limit", value, -MAX_LEVEL_V, MAX_LEVEL_V)
         if len(limits) == 2 and not limits[0] < limits[1]:

@@ -85,8 +85,8 @@ class PeriodicError(Extension):
 
     def moved_to(self, value: Array) -> Self:
         """Return other numbers, with amplitudes reduced to the largest allowed steepness."""
-        wavelength_m, last = float(value[0]), 1 + 2 * len(self.cosine_m)
-        amplitudes_m = value[1:last].reshape(2, -1)
+        wavelength_m, stop = float(value[0]), 1 + 2 * len(self.cosine_m)
+        amplitudes_m = value[1:stop].reshape(2, -1)
         steepness_m = float(_orders(self.cosine_m) @ np.hypot(*amplitudes_m))
         allowed_m = (1.0 - 1e-12) * MAX_STEEPNESS * wavelength_m
         cosine_m, sine_m = amplitudes_m * min(1.0, allowed_m / max(steepness_m, 1e-300))
@@ -96,7 +96,7 @@ class PeriodicError(Extension):
             sine_m=tuple(sine_m.tolist()),
             phases=tuple(
                 replace(phase, angle=angle)
-                for phase, angle in zip(self.phases, value[last:].tolist(), strict=True)
+                for phase, angle in zip(self.phases, value[stop:].tolist(), strict=True)
             ),
         )
 
