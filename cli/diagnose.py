@@ -81,7 +81,7 @@ def _diagnosed(
     from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
     from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.identification.coupled.from_recordings import as_single_axes
-    from piezoid.identification.fit import moving
+    from piezoid.identification.fit import driven_recordings
     from piezoid.raw_counts import errors_in_counts, texts_in_counts
     from piezoid.records.checks import refuse_unusable
     from piezoid.records.collection import collect
@@ -112,7 +112,7 @@ def _diagnosed(
         if earlier is not None:
             comparison = compare(
                 earlier[diagnosis.axis],
-                moving(recordings, diagnosis.axis),
+                driven_recordings(recordings, diagnosis.axis),
                 digest=digest,
                 progress=progress,
             )
@@ -146,11 +146,11 @@ def _model_in_front(files: list[Path]) -> "tuple[ActuatorModel | None, str, list
 def _show_unused(recordings: "Sequence[Recording]", axis: str) -> None:
     """Print which recordings do not contribute to the diagnosis of an axis."""
     from piezoid.identification.dynamics.excitation import excites_dynamics
-    from piezoid.identification.fit import moving, recorded_of
+    from piezoid.identification.fit import driven_recordings, recordings_of_axis
     from piezoid.records.checks.feedback import is_held_throughout
 
-    used_names = {recording.name for recording in moving(recordings, axis)}
-    servo = [r.name for r in recorded_of(recordings, axis) if is_held_throughout(r, axis)]
+    used_names = {recording.name for recording in driven_recordings(recordings, axis)}
+    servo = [r.name for r in recordings_of_axis(recordings, axis) if is_held_throughout(r, axis)]
     unused = [r.name for r in recordings if r.name not in (*used_names, *servo)]
     if servo and not set(servo) & used_names:
         say(f"{', '.join(servo)}: recorded in closed loop; only creep was tested")

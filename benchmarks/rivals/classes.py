@@ -25,7 +25,7 @@ from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
 from piezoid.identification.hysteresis.unit_scaling import to_si_units
-from piezoid.identification.minor_loops import SHAPES, Lattice, functions_of, rises_of
+from piezoid.identification.minor_loops_fit import SHAPES, Lattice, fit_rises, operator_of
 from piezoid.numerics.arrays import Array
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
@@ -124,12 +124,12 @@ def function_model(field: Array, moved: Array) -> Functions:
     zero = np.zeros(lattice.plays)
     _, memory = play_columns(np.tile(CYCLE, 2), lattice.threshold_V, zero)
     states, _ = play_columns(field, lattice.threshold_V, memory)
-    columns = np.stack(list(lattice.risen(states)), axis=1)
+    columns = np.stack(list(lattice.rise_columns(states)), axis=1)
     rows = np.column_stack([columns, moved])
     rows -= rows.mean(axis=0)
-    rises = rises_of(rows.T @ rows, len(rows), lattice, float(np.ptp(moved)))
+    rises = fit_rises(rows.T @ rows, len(rows), lattice, float(np.ptp(moved)))
     offset = float(np.mean(moved - columns @ rises))
-    return Functions(operator=functions_of(rises, lattice, offset), parameters=len(rises) + 1)
+    return Functions(operator=operator_of(rises, lattice, offset), parameters=len(rises) + 1)
 
 
 @cache

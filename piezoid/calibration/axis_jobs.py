@@ -9,7 +9,13 @@ from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.errors import PiezoidError
 from piezoid.identification.actuator_model import ActuatorModel
-from piezoid.identification.fit import fit_axis, moving, prepare_fit, recorded_of, response_of
+from piezoid.identification.fit import (
+    driven_recordings,
+    fit_axis,
+    prepare_fit,
+    recordings_of_axis,
+    response_of,
+)
 from piezoid.identification.loop_shape_fit import with_loop_shape
 from piezoid.identification.model import AxisModel
 from piezoid.identification.tunnelling.junction import fit_junction
@@ -119,7 +125,7 @@ def jobs_of(
         AxisJob(
             stage=inputs.stage,
             axis=axis,
-            recordings=recorded_of(inputs.recordings, axis),
+            recordings=recordings_of_axis(inputs.recordings, axis),
             lab=lab,
             response=response_of(inputs.responses, axis, inputs.axes),
             threads=max(processes // len(inputs.axes), 1),
@@ -185,7 +191,7 @@ def _run_axis(job: AxisJob, progress: Progress) -> JobResult:
         model = diagnosis.model
     else:
         report("loop shape")
-        model = with_loop_shape(model, moving(job.recordings, job.axis))
+        model = with_loop_shape(model, driven_recordings(job.recordings, job.axis))
     outcomes, fault = try_design(replace(job.stage, axes={job.axis: model}), job.lab, progress)
     return JobResult(
         model=texts_in_counts(model),

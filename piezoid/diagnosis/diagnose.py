@@ -43,11 +43,11 @@ from piezoid.errors import IdentificationError
 from piezoid.formatting import words
 from piezoid.identification.fit import (
     axes_of,
+    complete_extended,
+    driven_recordings,
     fit_axis,
-    lacking,
-    moving,
-    recorded_of,
-    refined,
+    missing_channels_error,
+    recordings_of_axis,
     rig_of,
 )
 from piezoid.identification.hysteresis.applicability import MAX_RESIDUAL
@@ -92,7 +92,7 @@ def diagnose(
     size of the residual that remains.
     """
     selected_axis = _select_axis(recordings, axis)
-    constant = recorded_of(recordings, selected_axis)
+    constant = recordings_of_axis(recordings, selected_axis)
     if constant and all(is_at_rest(recording, selected_axis) for recording in constant):
         progress("diagnosing recordings at constant drive")
         resting = diagnose_at_rest(constant, selected_axis)
@@ -114,7 +114,9 @@ def diagnose(
         recordings, selected_axis, start, declared, executor, is_rejected=is_rejected
     )
     progress("fitting dynamics and loop shape of the extended model")
-    final = refined(selection.errors.model, selection.repaired(recordings), declared, response)
+    final = complete_extended(
+        selection.errors.model, selection.repaired(recordings), declared, response
+    )
     return _assembled(selection, start, final, recordings)
 
 
@@ -123,7 +125,7 @@ def _select_axis(recordings: Sequence[Recording], requested: str | None) -> str:
     axis = next(iter(axes), "") if requested is None else requested
     if axis not in axes:
         of_axis = f" of axis {axis}" if axis else " of the same axis"
-        raise lacking(recordings, f"a drive voltage and a displacement{of_axis}")
+        raise missing_channels_error(recordings, f"a drive voltage and a displacement{of_axis}")
     return axis
 
 
@@ -168,7 +170,9 @@ def _select_effects(
     stand for the missing class. A model that was fitted here may not apply because of an effect.
     """
     executor.report("fitting the widest class of hysteresis")
-    searched, mode_recordings = split_known_modes(moving(recordings, axis), axis, model, lab)
+    searched, mode_recordings = split_known_modes(
+        driven_recordings(recordings, axis), axis, model, lab
+    )
     scales, view = scales_of(searched, axis), view_on(searched, axis=axis, lab=lab)
     attribute = partial(
         attribute_errors,
@@ -255,7 +259,7 @@ def _data_faults_only(view: View, rejection: str, executor: Executor) -> SearchR
 
 def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
     """Return the view of all recordings in which this axis moves."""
-    moving_recordings = moving(recordings, axis)
+    moving_recordings = driven_recordings(recordings, axis)
     scales, rig = scales_of(moving_recordings, axis), rig_of(lab, axis)
     clock_Hz = lab.acquisition.sampling_rate_Hz
     tracks = tracks_of(moving_recordings, axis, scales, rig, clock_Hz=clock_Hz)
@@ -317,7 +321,7 @@ def _assembled(
         },
     )
     gain_m_per_V = scales.displacement_m / scales.voltage_V
-    diagnosis = with_creep_of_holds(diagnosis, recorded_of(recordings, axis), gain_m_per_V)
+    diagnosis = with_creep_of_holds(diagnosis, recordings_of_axis(recordings, axis), gain_m_per_V)
     diagnosis = with_modes(diagnosis, start, selection.mode_recordings, outcome.final)
     final_power = errors.final_m**2
     gains = {

@@ -33,7 +33,7 @@ from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Scales
 from piezoid.identification.joint.fit_extended import Extended, fit_extended
 from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel, Lag
-from piezoid.identification.piece_start import wandering_zeros
+from piezoid.identification.piece_start import drifting_zeros
 from piezoid.numerics.arrays import Samples
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
@@ -183,7 +183,7 @@ def refit_model(
         structured = _Rows(recordings=with_structure, samples=structure_rows, ringing=ringing)
         without[SOMETHING_ELSE] = structured.fit(final.model, fitted, structure, alternatives)
     # a refit without a drift would drop a zero that moves
-    drifts = wandering_zeros(model.starts, model.quality.rms_m, model.quality.range_m)
+    drifts = drifting_zeros(model.starts, model.quality.rms_m, model.quality.range_m)
     ships = starts or (not drifts and (model.verdict.applies or estimates))
     return ModelErrors(
         baseline_m=baseline.held_out_rms_m,
@@ -362,7 +362,7 @@ def _shipped(model: AxisModel, final: Extended, rows: _Rows, structure: Structur
         final.model,
         lag=model_lag,
         extensions=tuple(e for e in extensions if e is not lag),
-        uncertainty=final.model.uncertainty.known_anew("lag_s", model_lag.time_s, std_s),
+        uncertainty=final.model.uncertainty.updated("lag_s", model_lag.time_s, std_s),
     )
 
 

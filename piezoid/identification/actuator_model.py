@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from scipy.signal import StateSpace
 
 
-class Diagnosed(Protocol):
-    """What of a diagnosis a stage is extended by."""
+class DiagnosedAxis(Protocol):
+    """Fields of a diagnosis from which a stage is extended."""
 
     @property
     def axis(self) -> str:
-        """The axis it is about."""
+        """Name of the diagnosed axis."""
 
     @property
     def model(self) -> AxisModel | None:
@@ -40,15 +40,15 @@ class Diagnosed(Protocol):
 class ActuatorModel(Summarised):
     """Model of a stage: one axis model per axis, and the tunnelling junction if there is one.
 
-    stage       its name
-    axes        by name; none where only the tunnelling current was recorded
+    stage       name of the stage
+    axes        models by axis; empty if only the tunnelling current was recorded
     sources     digest of every recording by name
-    lab         digest of what lab.toml declared, or None
-    tunnelling  the junction, where its current was recorded
-    remarks     what was recorded and could not be used
-    controller_rate_Hz  at which a controller will run, as the laboratory declares; None: unknown
-    coupled     the axes whose drives act on all of their displacements; ``axes`` are then those of
-                the decoupled displacements. None: each drive has its own displacement alone
+    lab         digest of lab.toml, or None
+    tunnelling  model of the junction if its current was recorded
+    remarks     problems of the recordings
+    controller_rate_Hz  declared sampling rate of the controller; None: unknown
+    coupled     model of axes whose drives act on all of their displacements; ``axes`` then are
+                the decoupled axes. None: each drive acts on one displacement
     """
 
     stage: str
@@ -61,12 +61,12 @@ class ActuatorModel(Summarised):
     coupled: CoupledStage | None = None
 
     def __getitem__(self, axis: str) -> AxisModel:
-        """Return one axis, or refuse naming those there are."""
+        """Return one axis, or raise an error that lists the fitted axes."""
         if axis not in self.axes:
             raise IdentificationError(
                 f"{self.stage}: no axis {axis!r} in the model, only {', '.join(self.axes)}",
                 needed="an axis that was fitted",
-                remedy="Fit a recording of that axis, or name another one.",
+                remedy="Fit a recording of that axis, or name another axis.",
             )
         return self.axes[axis]
 
@@ -106,9 +106,9 @@ class ActuatorModel(Summarised):
         """
         if axis is None and len(self.axes) != 1:
             raise IdentificationError(
-                f"{self.stage}: no axis named, the model holds {', '.join(self.axes) or 'none'}",
-                needed="one axis",
-                remedy="Name it, as in axis='x', or take it by model['x'].",
+                f"{self.stage}: no axis named; the model has {', '.join(self.axes) or 'none'}",
+                needed="the name of one axis",
+                remedy="Pass it, as in axis='x', or select it by model['x'].",
             )
         return self[next(iter(self.axes)) if axis is None else axis]
 
@@ -132,11 +132,11 @@ class ActuatorModel(Summarised):
 
         return decoupled([recording], self.coupled)[0]
 
-    def extended(self, *diagnoses: Diagnosed) -> "ActuatorModel":
+    def extended(self, *diagnoses: DiagnosedAxis) -> "ActuatorModel":
         """Return the stage with the effects that diagnoses of its axes detected.
 
-        Raises ``IdentificationError`` for a diagnosis that was made without a model, or read
-        from its file: that holds no model.
+        Raises ``IdentificationError`` for a diagnosis without a model: one that was made without
+        a model, or read from a file.
 
         >>> model.extended(diagnosis)["x"].extensions == diagnosis.model.extensions
         True
@@ -145,7 +145,7 @@ class ActuatorModel(Summarised):
         for diagnosis in diagnoses:
             if diagnosis.model is None:
                 raise IdentificationError(
-                    f"{self.stage}: the diagnosis of axis {diagnosis.axis} holds no model",
+                    f"{self.stage}: the diagnosis of axis {diagnosis.axis} contains no model",
                     needed="a diagnosis made with model=, and not read from a file",
                     remedy="Diagnose the recordings again with the model.",
                 )
@@ -161,7 +161,7 @@ class ActuatorModel(Summarised):
         zero_m: float | None = None,
         axis: str | None = None,
     ) -> Array:
-        """Return what an axis makes of a drive, as ``AxisModel.simulate``.
+        """Simulate the displacement of an axis for a drive, as ``AxisModel.simulate``.
 
         >>> drive_V = 5.0 + 2.0 * np.sin(np.linspace(0.0, 20.0, 1000))
         >>> model.simulate(drive_V, 1000.0, axis="x").shape
@@ -193,10 +193,10 @@ class ActuatorModel(Summarised):
         zero_m: float | None = None,
         axis: str | None = None,
     ) -> Array:
-        """Return the voltage of an axis that makes a displacement, as ``AxisModel.inverse``.
+        """Return the voltage of an axis for a displacement, as ``AxisModel.inverse``.
 
-        >>> wanted_m = model["x"].zero_m + np.linspace(0.0, 1e-6, 1000)
-        >>> model.inverse(wanted_m).shape
+        >>> reference_m = model["x"].zero_m + np.linspace(0.0, 1e-6, 1000)
+        >>> model.inverse(reference_m).shape
         (1000,)
         """
         return self.one(axis).inverse(displacement_m, memory_V, zero_m=zero_m)
@@ -204,7 +204,7 @@ class ActuatorModel(Summarised):
     def parameters(self) -> "DataFrame":
         """Return every number of the model with unit and 95 % interval, by axis and name.
 
-        The columns are ``value``, ``unit``, ``low`` and ``high``; NaN where no interval is known.
+        The columns are ``value``, ``unit``, ``low`` and ``high``; unknown intervals are NaN.
 
         >>> list(model.parameters())
         ['value', 'unit', 'low', 'high']
@@ -220,11 +220,11 @@ class ActuatorModel(Summarised):
     ) -> "StateSpace":
         """Return the linear part of an axis, V to m, as ``scipy.signal.StateSpace``.
 
-        sampling_rate_Hz  of a discrete system behind a zero-order hold, its delay in the states;
-                          None: in continuous time, of an axis without delay
+        sampling_rate_Hz  of a discrete system behind a zero-order hold, with the delay as states;
+                          None: continuous time
 
-        The gain of the hysteresis is its median slope. Raises ``IdentificationError`` where a
-        delay has no system in continuous time.
+        The hysteresis is replaced by the middle of its slope sector. Raises
+        ``IdentificationError`` for a system with delay in continuous time.
 
         >>> model.to_scipy(20e3).dt
         5e-05
@@ -232,7 +232,7 @@ class ActuatorModel(Summarised):
         return to_scipy(self.one(axis), sampling_rate_Hz)
 
     def to_control(self, sampling_rate_Hz: float | None = None, *, axis: str | None = None) -> Any:
-        """Return the same for python-control, ``control.StateSpace``; it must be installed.
+        """Return the system of ``to_scipy`` as ``control.StateSpace`` of python-control.
 
         >>> model.to_control(20e3).isdtime()
         True
@@ -241,7 +241,6 @@ class ActuatorModel(Summarised):
 
 
 def _row(axis: AxisModel) -> tuple[str, ...]:
-    """Return the row of one axis in the summary."""
     quality, plays = axis.quality, len(axis.hysteresis.plays.weight)
     modes_Hz = () if axis.dynamics is None else axis.dynamics.mode_frequency_Hz
     low_V, high_V = axis.voltage_V
@@ -257,7 +256,7 @@ def _row(axis: AxisModel) -> tuple[str, ...]:
 
 
 def _notes(axis: AxisModel) -> list[str]:
-    """Return what the row of an axis has no column for."""
+    """Return notes on the verdict, the grade and the extensions of an axis."""
     notes = []
     if not axis.verdict.applies:
         notes.append(f"axis {axis.axis}: the model class does not apply: {axis.verdict.reason}")

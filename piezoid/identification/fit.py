@@ -20,7 +20,7 @@ from piezoid.identification.dynamics.axis_dynamics import quasi_static, with_dyn
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.loop_shape_fit import with_loop_shape
-from piezoid.identification.minor_loops import with_minor_loops
+from piezoid.identification.minor_loops_fit import with_minor_loops
 from piezoid.identification.model import AxisModel
 from piezoid.identification.tunnelling.junction import fit_junction, remarks_on_currents
 from piezoid.identification.tunnelling.loop_files import is_loop
@@ -46,13 +46,13 @@ def fit(
 ) -> ActuatorModel:
     """Fit every axis that has a drive and a displacement, and the junction of a tunnelling tip.
 
-    recordings  of one stage, any number of axes; no two of one name
-    lab         what the laboratory declares; its poles are not fitted again
+    recordings  of one stage with any number of axes, each with a name of its own
+    lab         declarations of the laboratory; declared poles are not fitted
     sweeps      Z spectroscopies: the current over the height
-    responses   measured frequency responses: the dynamics of their axes
-    progress    told what is being done
+    responses   measured frequency responses, from which the dynamics of their axes are fitted
+    progress    called with a message at the beginning of each step
 
-    Raises ``RecordingError`` for two of one name, and ``ExcitationError`` where no recording has
+    Raises ``RecordingError`` for a duplicate name, and ``ExcitationError`` if no recording has
     both a drive and a displacement and there are neither sweeps nor closed loops.
     """
 
@@ -80,10 +80,10 @@ def fit(
 class FitInputs:
     """Inputs of the fits of all axes.
 
-    stage       before any fit of an axis; with the model of the coupling, where axes are coupled
-    recordings  that tell single axes, in the coordinates that decouple them
-    responses   that were measured, those of decoupled axes among them
-    axes        that are to be fitted: coupled ones that rest in all of these recordings are not
+    stage       model without axes; with the model of the coupling if axes are coupled
+    recordings  of single axes, in decoupled coordinates
+    responses   measured frequency responses, including those of decoupled axes
+    axes        to be fitted; a coupled axis without a drive in these recordings is not
     """
 
     stage: ActuatorModel
@@ -102,24 +102,24 @@ def prepare_fit(
 ) -> FitInputs:
     """Identify the coupling if lab.toml names coupled axes, and separate the data of single axes.
 
-    Raises as ``unfitted`` and ``identify_coupled`` do.
+    Raises as ``unfitted_stage`` and ``identify_coupled`` do.
     """
     coupled = identify_coupled(recordings, lab, progress=progress)
     if coupled is None:
-        stage = unfitted(recordings, lab, sweeps, responses)
+        stage = unfitted_stage(recordings, lab, sweeps, responses)
         axes = axes_of(recordings)
         return FitInputs(stage=stage, recordings=recordings, responses=responses, axes=axes)
     single = single_axis_recordings(decoupled(recordings, coupled), coupled)
     if axes_of(single) or sweeps:
-        stage = unfitted(single, lab, sweeps, responses)
-    else:  # nothing is fitted to them: what is odd about them as loops is no news
-        stage = replace(unfitted(recordings, lab, sweeps, responses), remarks=())
+        stage = unfitted_stage(single, lab, sweeps, responses)
+    else:  # no hysteresis is fitted to the recordings: remarks on their loops do not matter
+        stage = replace(unfitted_stage(recordings, lab, sweeps, responses), remarks=())
     driven = {axis for recording in single for axis in driven_axes(recording, coupled.inputs)}
     axes = tuple(a for a in axes_of(single) if a in driven or a not in coupled.inputs)
     remarks = tuple(
-        f"axis {axis}: it is driven only where all coupled axes are, by drives that repeat, which "
-        "tells their coupling and no loop. Record a slow sweep of it over its range, the other "
-        "axes at rest, to have its hysteresis and a controller."
+        f"axis {axis}: it is driven only together with the other coupled axes, by periodic "
+        "drives; these identify the coupling but not its hysteresis. Record a slow sweep of "
+        f"{axis} over its range, the other axes at rest, to get its hysteresis and a controller."
         for axis in coupled.outputs
         if axis not in axes
     )
@@ -136,23 +136,23 @@ def prepare_fit(
     )
 
 
-def unfitted(
+def unfitted_stage(
     recordings: Sequence[Recording],
     lab: Lab,
     sweeps: Sequence[RawTable] = (),
     responses: Sequence[FrequencyResponseRecord] = (),
 ) -> ActuatorModel:
-    """Return a stage before any axis or junction is fitted.
+    """Return a stage without axes and junction, with the remarks on its recordings.
 
-    Raises as ``fit`` does where there is nothing to fit, and ``RecordingError`` where recordings
-    do not fit each other.
+    Raises ``ExcitationError`` as ``fit`` does, and ``RecordingError`` for recordings that
+    contradict each other.
     """
-    refuse_one_name_twice(recordings, sweeps, responses)
-    refuse_responses_alone(recordings, responses)
+    refuse_duplicate_names(recordings, sweeps, responses)
+    refuse_unusable_responses(recordings, responses)
     refuse_unusable(recordings)
     statements = check_set(recordings)
     if not axes_of(recordings) and not sweeps and not any(map(is_loop, recordings)):
-        raise lacking(
+        raise missing_channels_error(
             recordings,
             "a drive voltage and a displacement of the same axis, or the drive, current "
             "and reference of a tunnelling loop",
@@ -163,9 +163,9 @@ def unfitted(
         *responses,
     ]
     remarked = {statement.recording for statement in statements}
-    sound = [file for file in files if file.name not in remarked] or files
+    unremarked = [file for file in files if file.name not in remarked] or files
     return ActuatorModel(
-        stage=lab.name or sound[0].name.partition(".")[0],
+        stage=lab.name or unremarked[0].name.partition(".")[0],
         axes={},
         sources={file.name: file.digest for file in files},
         lab=lab.digest or None,
@@ -174,16 +174,16 @@ def unfitted(
             *remarks_on_currents(recordings),
             *(s.text for s in statements),
             # A loop of a tip is recorded at every tick of its controller.
-            *remarks_on_reading([r for r in recordings if not is_loop(r)], CONTROLLER_RATE),
-            *remarks_on_reading(recordings, MAY_BE_HIGH_VOLTAGE),
-            *(() if lab.coupled.axes else remarks_on_reading(recordings, "coupled_drives")[:1]),
+            *remarks_about([r for r in recordings if not is_loop(r)], CONTROLLER_RATE),
+            *remarks_about(recordings, MAY_BE_HIGH_VOLTAGE),
+            *(() if lab.coupled.axes else remarks_about(recordings, "coupled_drives")[:1]),
         ),
         controller_rate_Hz=lab.acquisition.sampling_rate_Hz,
     )
 
 
-def remarks_on_reading(recordings: Sequence[Recording], quantity: str) -> tuple[str, ...]:
-    """Return the statements of one kind that reading the recordings made."""
+def remarks_about(recordings: Sequence[Recording], quantity: str) -> tuple[str, ...]:
+    """Return the texts of the statements about one quantity, each with its recording."""
     return tuple(
         f"{recording.name}: {statement.text}"
         for recording in recordings
@@ -197,7 +197,7 @@ def response_of(
 ) -> FrequencyResponseRecord | None:
     """Return the response of an axis to its own drive, under the name of the axis.
 
-    One that names no axis is of the stage's only one.
+    A response that names no axis belongs to the only axis of a stage.
     """
     matching = [r for r in responses if axis in r.axes and (r.axis_is_named or axes == (axis,))]
     if matching:
@@ -206,7 +206,7 @@ def response_of(
     return nameless[0].renamed(axis) if nameless else None
 
 
-def refuse_responses_alone(
+def refuse_unusable_responses(
     recordings: Sequence[Recording], responses: Sequence[FrequencyResponseRecord]
 ) -> None:
     """Refuse responses of an axis without a recording, without a name, or of one axis twice."""
@@ -218,31 +218,31 @@ def refuse_responses_alone(
             raise ExcitationError(
                 f"{response.name}: a frequency response{of}, and no recording{of} over time shows "
                 "its hysteresis",
-                needed="a slow sweep over the whole range beside it: a response at one small "
-                "drive tells modes and delay, and nothing of loops",
-                remedy="Add one, or see what the response holds with piezoid inspect.",
+                needed="also a slow sweep over the whole range: a response at one small drive "
+                "shows modes and delay, but no loop",
+                remedy="Add a sweep, or show the contents of the response with piezoid inspect.",
             )
         if not response.axis_is_named and len(axes) > 1:
             raise RecordingError(
-                f"{response.name}: a frequency response that names no axis, beside recordings of "
+                f"{response.name}: a frequency response that names no axis, with recordings of "
                 f"{', '.join(axes)}",
-                needed="the axis that was driven and moved",
+                needed="the axis that was driven and measured",
                 remedy="Write into lab.toml:\n\n[[recording]]\n"
                 f'file = "{response.name}"\naxis = "..."\n',
             )
     counts = Counter(axis for names in names_by_response for axis in names)
-    twice = [axis for axis, count in counts.items() if count > 1]
-    if twice:
+    duplicates = [axis for axis, count in counts.items() if count > 1]
+    if duplicates:
         listed = ", ".join(response.name for response in responses)
         raise RecordingError(
-            f"{listed}: more than one frequency response of axis {', '.join(twice)}",
-            needed="one of each axis",
-            remedy="Keep the one with the smallest drive that is still coherent.",
+            f"{listed}: more than one frequency response of axis {', '.join(duplicates)}",
+            needed="one response of each axis",
+            remedy="Keep the response to the smallest drive that is still coherent.",
         )
 
 
-def lacking(recordings: Sequence[Recording], needed: str) -> ExcitationError:
-    """Return the refusal of recordings that hold no axis of the kind that is needed."""
+def missing_channels_error(recordings: Sequence[Recording], needed: str) -> ExcitationError:
+    """Return the error for recordings without the channels that are needed."""
     listed = sorted({c.quantity.name.lower() for r in recordings for c in r.channels})
     names = ", ".join(r.name for r in recordings) or "no recording over time"
     return ExcitationError(
@@ -263,72 +263,70 @@ def fit_axis(
 ) -> AxisModel:
     """Fit one axis: its hysteresis, then its dynamics where a recording excites them.
 
-    recordings  any; those without drive and displacement of the axis are passed over, and those
-                that a mode shapes tell the dynamics only, where there are others
-    response    of the axis, where it was measured: the dynamics then are its
+    recordings  any; recordings without drive and displacement of the axis are ignored. Recordings
+                dominated by a mode are used for the dynamics only, unless there are no others
+    response    measured frequency response of the axis, from which the dynamics are then fitted
     has_loop_shape  whether loop shape is fitted; a diagnosis fits it to the extended model
 
-    Raises ``ExcitationError`` where drive or displacement does not move.
+    Raises ``ExcitationError`` if drive or displacement is constant.
     """
     rig = rig_of(lab, axis)
-    calm, shaped = quasi_static(moving(recordings, axis), axis, rig)
-    fitted = estimate_axis(calm, axis, rig, progress=progress)
-    dynamic = with_dynamics(
-        fitted, recordings, stated_Hz=lab.actuator_of(axis).bandwidth_Hz, response=response
+    slow, resonant = quasi_static(driven_recordings(recordings, axis), axis, rig)
+    static_model = estimate_axis(slow, axis, rig, progress=progress)
+    model = with_dynamics(
+        static_model, recordings, stated_Hz=lab.actuator_of(axis).bandwidth_Hz, response=response
     )
-    if shaped:
-        names = ", ".join(recording.name for recording in shaped)
+    if resonant:
+        names = ", ".join(recording.name for recording in resonant)
         remark = f"{names}: used for the dynamics only, because a mode dominates the motion"
-        remarks = (remark, *dynamic.verdict.remarks)
-        dynamic = replace(dynamic, verdict=replace(dynamic.verdict, remarks=remarks))
-    complete = with_discrepancy(dynamic, calm)
+        remarks = (remark, *model.verdict.remarks)
+        model = replace(model, verdict=replace(model.verdict, remarks=remarks))
+    model = with_discrepancy(model, slow)
     if has_loop_shape:
         progress("loop shape")
-        complete = with_loop_shape(complete, calm)
-    return replace(complete, counted=counted_in(recordings))
+        model = with_loop_shape(model, slow)
+    return replace(model, counted=counted_in(recordings))
 
 
-def refined(
+def complete_extended(
     axis: AxisModel,
     recordings: Sequence[Recording],
     lab: Lab,
     response: FrequencyResponseRecord | None = None,
 ) -> AxisModel:
-    """Return an axis that a diagnosis extended, with all that follows from its hysteresis.
+    """Fit dynamics, minor loops, discrepancy and loop shape of an axis that a diagnosis extended.
 
-    Dynamics that could not be told behind the hysteresis of before may be now; what the class
-    leaves of the recordings has changed.
+    Dynamics that could not be identified with the previous hysteresis may be identifiable now, and
+    the residual has changed.
     """
-    with_new_dynamics = axis
     if axis.dynamics is None:
         stated_Hz = lab.actuator_of(axis.axis).bandwidth_Hz
-        with_new_dynamics = with_dynamics(axis, recordings, stated_Hz=stated_Hz, response=response)
-    driven = moving(recordings, axis.axis)
-    complete = with_discrepancy(with_minor_loops(with_new_dynamics, driven), driven)
-    return with_loop_shape(complete, driven)
+        axis = with_dynamics(axis, recordings, stated_Hz=stated_Hz, response=response)
+    driven = driven_recordings(recordings, axis.axis)
+    return with_loop_shape(with_discrepancy(with_minor_loops(axis, driven), driven), driven)
 
 
-def refuse_one_name_twice(
+def refuse_duplicate_names(
     recordings: Sequence[Recording],
     sweeps: Sequence[RawTable] = (),
     responses: Sequence[FrequencyResponseRecord] = (),
 ) -> None:
-    """Refuse duplicate names: digests and memories are stored by name.
+    """Refuse duplicate names: digests and initial states are stored by name.
 
-    One file may hold several recordings, if each is of its own axis.
+    One file may hold several recordings if each is of another axis.
     """
     keys = Counter((r.name, axis) for r in recordings for axis in axes_of([r]))
     tables: list[RawTable | FrequencyResponseRecord] = [*sweeps, *responses]
     keys.update((table.name, "") for table in tables)
     digests = {(r.name, r.digest) for r in recordings} | {(t.name, t.digest) for t in tables}
     files = Counter(name for name, _ in digests)
-    twice = {name for (name, _), count in keys.items() if count > 1}
-    twice |= {name for name, count in files.items() if count > 1}
-    if twice:
+    duplicates = {name for (name, _), count in keys.items() if count > 1}
+    duplicates |= {name for name, count in files.items() if count > 1}
+    if duplicates:
         raise RecordingError(
-            f"more than one recording is named {', '.join(sorted(twice))}",
-            needed="a name of its own for each recording of an axis: results are kept by name",
-            remedy="Rename one of the files, or leave out what is there twice.",
+            f"more than one recording is named {', '.join(sorted(duplicates))}",
+            needed="a name of its own for each recording of an axis: results are stored by name",
+            remedy="Rename one of the files, or leave out the duplicate.",
         )
 
 
@@ -341,26 +339,24 @@ def rig_of(lab: Lab, axis: str) -> Rig:
 
 
 def axes_of(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """Return the axes of which some recording has both drive and displacement."""
+    """Return the axes with both drive and displacement in at least one recording."""
     return tuple(sorted({axis for r in recordings for axis in r.axes if _has_both(r, axis)}))
 
 
-def moving(recordings: Sequence[Recording], axis: str) -> tuple[Recording, ...]:
-    """Return the recordings in which this axis has both channels and its drive moves it.
+def driven_recordings(recordings: Sequence[Recording], axis: str) -> tuple[Recording, ...]:
+    """Return the recordings of an axis in which its drive moves it.
 
-    Where a feedback holds the sensor, the drive follows creep and drift, and shows no loop.
+    If feedback holds the sensor, the drive compensates creep and drift, and shows no loop; such
+    recordings are used only if there are no others.
     """
-    recorded = recorded_of(recordings, axis)
-    widest = max(float(np.ptp(r.voltage_V(axis))) for r in recorded)
-    moving_recordings = [r for r in recorded if np.ptp(r.voltage_V(axis)) > MIN_RANGE * widest]
-    return (
-        tuple(r for r in moving_recordings if not is_held_throughout(r, axis))
-        or tuple(moving_recordings)
-        or recorded
-    )
+    candidates = recordings_of_axis(recordings, axis)
+    widest_V = max(float(np.ptp(r.voltage_V(axis))) for r in candidates)
+    driven = tuple(r for r in candidates if np.ptp(r.voltage_V(axis)) > MIN_RANGE * widest_V)
+    open_loop = tuple(r for r in driven if not is_held_throughout(r, axis))
+    return open_loop or driven or candidates
 
 
-def recorded_of(recordings: Sequence[Recording], axis: str) -> tuple[Recording, ...]:
+def recordings_of_axis(recordings: Sequence[Recording], axis: str) -> tuple[Recording, ...]:
     """Return the recordings with drive and displacement of an axis, without copies."""
     copied = copies(recordings)
     return tuple(r for r in recordings if _has_both(r, axis) and r.name not in copied)

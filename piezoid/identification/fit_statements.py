@@ -1,26 +1,25 @@
 """Statements about a fit: whether the model applies, what limits its accuracy, what to record.
 
-Each fact is judged here once, from the numbers that the model carries. Report and terminal select
-and print the statements.
+Report and terminal select and print these statements; they evaluate nothing themselves.
 """
 
 from enum import StrEnum
 
 from piezoid.formatting import significant, with_unit
 from piezoid.identification.model import AxisModel
-from piezoid.identification.piece_start import wandering_zeros
+from piezoid.identification.piece_start import drifting_zeros
 from piezoid.statement import Kind, Level, Statement
 
 # Uncompensated hysteresis of 10 to 15 % of the range is an error of about 3 % rms.
 GOOD_PERCENT = 0.5  # of the range, rms: a sixth of uncompensated hysteresis or less
-POOR_PERCENT = 2.0  # of the range, rms: the model removes hardly more than half
+POOR_PERCENT = 2.0  # of the range, rms: two thirds of uncompensated hysteresis
 NEAR_NOISE = 1.5  # held-out error over sensor noise: the sensor limits the error
 LOOSE_WIDTH = 0.2  # half interval of the loop width over the width
 MAX_WIDTH_ERRORS = 10.0  # half interval over the held-out error, which contains both branches
 MIN_BLOCKS = 10  # of cycles, from which intervals are computed
 POOR_SCORE, ACTION_SCORE, GOOD_SCORE = 50, 70, 90  # of `Limit.most`
 
-ZERO_DRIFT = "baseline_drift"  # quantity of the notes on zeros that the fit lets drift
+ZERO_DRIFT = "baseline_drift"  # quantity of the notes on fitted drift of the zero
 DYNAMICS = "dynamics"  # quantity of the notes on poles, resonances and delay
 REMEDIES = {
     "branch": "Record whole cycles of the drive, up and down, several times.",
@@ -40,7 +39,7 @@ REMEDIES = {
 
 
 class Grade(StrEnum):
-    """How far a fitted axis can be relied on."""
+    """Reliability of a fitted axis."""
 
     GOOD = "good"
     LIMITED = "usable with care"
@@ -51,8 +50,8 @@ class Grade(StrEnum):
 def grade_of(axis: AxisModel) -> Grade:
     """Grade an axis by its held-out error and by the gaps of its recordings.
 
-    A good axis has an error below ``GOOD_PERCENT`` of its range or at the sensor noise, and no
-    condition of the data that leaves the loop or its cause open.
+    A good axis has an error below ``GOOD_PERCENT`` of its range or at the sensor noise, and its
+    recordings determine the loop and its cause.
     """
     quality = axis.quality
     if not axis.verdict.applies:
@@ -83,12 +82,11 @@ def fit_statements(axis: AxisModel) -> tuple[Statement, ...]:
             "reversals of decreasing size over the whole range and fit again."
         )
         statements.append(_limit(axis, Level.WARNING, "convergence", text))
-    for limit in axis.quality.limits:  # never measured, or odd about the recordings
+    for limit in axis.quality.limits:
         level = Level.ACTION if limit.most <= ACTION_SCORE else Level.WARNING
         text = f"{sentence(limit.reason)} {REMEDIES.get(limit.lack, '')}".strip()
         statements.append(_limit(axis, level, limit.lack, text))
-    statements += [*_noise(axis), *_intervals(axis)]
-    statements += _zero(axis)
+    statements += [*_noise(axis), *_intervals(axis), *_zero_drift(axis)]
     for remark in axis.verdict.remarks:
         quantity = DYNAMICS if remark in axis.dynamics_remarks else "fit"
         is_verdict = axis.bandwidth is not None and remark == axis.bandwidth.text
@@ -163,28 +161,28 @@ def _intervals(axis: AxisModel) -> list[Statement]:
 def has_usable_intervals(axis: AxisModel) -> bool:
     """Return whether the intervals of the parameters agree with the held-out error.
 
-    Held-out predictions come from refits without a block, as the intervals do. If they are good
-    although the intervals are wide, a linear step along a poorly determined direction made the
-    intervals.
+    Intervals and held-out predictions are computed from the same refits without a block. Accurate
+    predictions with wide intervals show that the intervals extrapolate linearly along a poorly
+    determined direction.
     """
     width_m, half_m = axis.uncertainty.loop_width_m
     limit_m = max(LOOSE_WIDTH * abs(width_m), MAX_WIDTH_ERRORS * axis.quality.held_out_rms_m)
     return not axis.quality.is_tested or half_m <= limit_m
 
 
-def _zero(axis: AxisModel) -> list[Statement]:
+def _zero_drift(axis: AxisModel) -> list[Statement]:
     quality = axis.quality
     return [
         _limit(
             axis,
             Level.NOTE,
             ZERO_DRIFT,
-            f"The zero drifts by {with_unit(by_m, 'm')} "
-            f"({significant(100.0 * by_m / quality.range_m, 2)} % of the range) during "
+            f"The zero drifts by {with_unit(drift_m, 'm')} "
+            f"({significant(100.0 * drift_m / quality.range_m, 2)} % of the range) during "
             f"{start.recording}; the fit follows the drift.",
-            by_m,
+            drift_m,
             "m",
             start.recording,
         )
-        for start, by_m in wandering_zeros(axis.starts, quality.rms_m, quality.range_m)
+        for start, drift_m in drifting_zeros(axis.starts, quality.rms_m, quality.range_m)
     ]

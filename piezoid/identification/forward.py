@@ -1,12 +1,11 @@
-"""Forward model from a drive to a reading, in the order in which the parts act.
+"""Forward model from a drive to a reading, with its derivatives.
 
     u -> declared amplifier, drive extensions -> gamma, plays -> irreversible extensions -> Psi
-      -> response extensions -> own lag -> declared sensor -> + zero + what is added -> reading
+      -> response extensions -> lag -> declared sensor -> + zero + added displacement -> reading
 
-Simulation, prediction, the fit of the hysteresis and the joint fit run these parts and no others;
-what they vary are the numbers of the parts. Numbers are volts and metres, or those of a fit:
-``Scales`` says what one of them is. The derivatives stand here as well. Those of the hysteresis,
-of lag and sensor come from ``operators.chain``.
+Simulation, prediction, the fit of the hysteresis and the joint fit all use this model, with
+different parameters. Its quantities are volts and metres, or scaled as ``Scales`` states. The
+derivatives by hysteresis, lag and sensor come from ``operators.chain``.
 """
 
 from dataclasses import dataclass, replace
@@ -23,26 +22,26 @@ from piezoid.operators.dead_zone import LINEAR
 from piezoid.operators.filters import FirstOrder, lagged
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 
-SLOW = 0.004  # of the motion: largest error of a delay instead of the filters
-LARGEST = 16_000_000  # numbers in one array of columns
+MAX_DELAY_ERROR = 0.004  # of the motion, of a delay instead of the filters
+MAX_ENTRIES = 16_000_000  # of one array of columns
 LAG_STEP = 1e-3  # samples
 
 
 Operator = Scaled | ModifiedPrandtlIshlinskii
-PLAIN = Scales(voltage_V=1.0, voltage_offset_V=0.0, displacement_m=1.0)
+UNSCALED = Scales(voltage_V=1.0, voltage_offset_V=0.0, displacement_m=1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Forward:
-    """Everything between a drive and a reading but the zero, memory and place of one piece.
+    """Forward model without the initial state and the zero of a piece.
 
-    operator      y = Psi(H[gamma(u)]), u and y in the numbers of ``scales``
+    operator      y = Psi(H[gamma(u)]), u and y scaled by ``scales``
     lag           ``none``, ``delay`` or ``first_order``
     lag_s         s, >= 0
-    amplifier_Hz  declared pole of the drive; None: none, or the drive is behind it already
+    amplifier_Hz  declared pole of the drive; None: no pole, or the drive was measured behind it
     sensor_Hz     declared pole of the reading, or None
     extensions    in the order in which they act
-    scales        of drive and displacement; one is 1 V and 1 m where nothing is said
+    scales        of drive and displacement; by default 1 V and 1 m
     """
 
     operator: Operator
@@ -51,7 +50,7 @@ class Forward:
     amplifier_Hz: float | None = None
     sensor_Hz: float | None = None
     extensions: tuple[Extension, ...] = ()
-    scales: Scales = PLAIN
+    scales: Scales = UNSCALED
 
     def driven_V(self, voltage_V: Array, rate_Hz: float) -> Array:
         """Return the voltage that reaches the ceramic, (samples,)."""
@@ -61,7 +60,7 @@ class Forward:
         return reached_V
 
     def driven(self, drive: Array, rate_Hz: float) -> Array:
-        """Return the same of a scaled drive, scaled, (samples,); itself where nothing acts."""
+        """Return the scaled drive that reaches the ceramic, (samples,), from a scaled drive."""
         scales = self.scales
         voltage_V = scales.voltage_offset_V + scales.voltage_V * drive
         reached_V = self.driven_V(voltage_V, rate_Hz)
@@ -70,44 +69,47 @@ class Forward:
         return np.ascontiguousarray((reached_V - scales.voltage_offset_V) / scales.voltage_V)
 
     def inner(self, drive: Array) -> Array:
-        """Return gamma(u), which the plays follow, (samples,)."""
+        """Return gamma(u), the input of the plays, (samples,)."""
         envelope = self.operator.envelope
         return drive if envelope is LINEAR else envelope.run(drive)
 
     def memory(self, first: float, slope: Array) -> Array:
         """Return the states of all plays before a sample, z_i = gamma(u) + sum_(j<=i) d_j s_j.
 
-        first  u of that sample
+        first  u at that sample
         slope  (plays - 1,)  s, -1 to 1: every such memory is admissible
         """
         inner = self.inner(np.array([first]))
         return np.concatenate([inner, inner + np.cumsum(self.operator.gap * slope)])
 
     def static(self, drive: Array, memory: Array, rate_Hz: float) -> tuple[Array, Array]:
-        """Return Psi(H[gamma(u)]), (samples,), with a delayed irreversible part, and the memory.
+        """Return Psi(H[gamma(u)]), (samples,), and the memory after the last sample, (plays,).
 
-        memory    (plays,)  before the first sample; for a chunk that of the previous chunk
-        returned  also the memory after the last sample
+        Extensions may delay the irreversible part.
+
+        memory  (plays,)  before the first sample; for a chunk that of the previous chunk
         """
         operator, inner = self.operator, self.inner(drive)
         h, memory_after = operator.plays.run(inner, memory)
         stroke_m = abs(self.scales.displacement_m)
         for extension in self.extensions:
             reversible = operator.plays.weight[0] * inner
-            walls_m = (h - reversible) * stroke_m
-            later_m = extension.irreversible(walls_m, rate_Hz)
-            h = h if later_m is walls_m else reversible + later_m / stroke_m
+            irreversible_m = (h - reversible) * stroke_m
+            delayed_m = extension.irreversible(irreversible_m, rate_Hz)
+            h = h if delayed_m is irreversible_m else reversible + delayed_m / stroke_m
         return operator.dead_zones.run(h), memory_after
 
-    def behind(self, displacement: Array, where: Where, *, instant: bool = False) -> Array:
+    def linear_response(
+        self, displacement: Array, where: Where, *, fast_only: bool = False
+    ) -> Array:
         """Apply the linear part of the model to the output of the hysteresis.
 
         displacement  (samples,) or (samples, columns)
-        instant       whether to apply only extensions that follow within samples
+        fast_only     whether to omit extensions with ``is_fast`` False, such as creep
         """
         displacement = np.asfortranarray(displacement)  # filters run down the columns
         for extension in self.extensions:
-            if extension.instant or not instant:
+            if extension.is_fast or not fast_only:
                 displacement = extension.response(displacement, where)
         return self.filtered(displacement, where.rate_Hz)
 
@@ -120,14 +122,14 @@ class Forward:
         """Whether only a delay acts behind the hysteresis."""
         return self.lag != "first_order" and self.sensor_Hz is None and not self.extensions
 
-    def late_s(self, rate_Hz: float) -> float:
-        """Return by how much the filters make slow motion late."""
-        declared_s = 0.0 if self.sensor_Hz is None else 1.0 / (2.0 * np.pi * self.sensor_Hz)
-        return declared_s + self.lag_s + sum(e.late_s(rate_Hz) for e in self.extensions)
+    def group_delay_s(self, rate_Hz: float) -> float:
+        """Return the delay of slow motion by lag, sensor and extensions."""
+        sensor_s = 0.0 if self.sensor_Hz is None else 1.0 / (2.0 * np.pi * self.sensor_Hz)
+        return sensor_s + self.lag_s + sum(e.group_delay_s(rate_Hz) for e in self.extensions)
 
     def position(self, static: Array, where: Where, zero_m: Array | float = 0.0) -> Array:
-        """Return the position that the sensor reads, (samples,) m, from a static response."""
-        position_m = zero_m + self.behind(static * self.scales.displacement_m, where)
+        """Return the position in front of the sensor, (samples,) m, from a static response."""
+        position_m = zero_m + self.linear_response(static * self.scales.displacement_m, where)
         for extension in self.extensions:
             position_m = position_m + extension.added(where)
         return np.asarray(position_m)
@@ -139,7 +141,7 @@ class Forward:
         return position_m
 
     def chain(self, memory_slope: Array, rate_Hz: float) -> Chain:
-        """Return the hysteresis as the kernel of all its derivatives takes it."""
+        """Return the hysteresis in the form of the kernel that computes its derivatives."""
         operator = self.operator
         return Chain(
             gap=operator.gap,
@@ -151,10 +153,10 @@ class Forward:
         )
 
     def filtered_chain(self, memory_slope: Array, rate_Hz: float) -> tuple[Chain, int]:
-        """Return the same with lag and sensor behind it, and by how many whole samples it is late.
+        """Return ``chain`` with lag and sensor, and the whole samples of the delay.
 
-        Followed chunk by chunk, it is ``static`` and ``filtered`` with the derivatives by all
-        their numbers.
+        Run chunk by chunk, it equals ``static`` and ``filtered`` with the derivatives by all of
+        their parameters. A delay of whole samples is left to the caller.
         """
         whole_samples = int(np.floor(self.lag_s * rate_Hz)) if self.lag == "delay" else 0
         share = self.lag_s * rate_Hz - whole_samples if self.lag == "delay" else None
@@ -170,14 +172,13 @@ class Forward:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """One piece from end to end, and how its reading changes with every number of the model.
+    """Simulation of one piece, with the derivatives of its reading by every parameter.
 
-    forward       the model
     command       (samples,)  scaled drive
     memory_slope  (plays - 1,)  of the states before the first sample
     zero_m        m, of the piece
     centre_m      m, subtracted from readings before they are scaled
-    where         the same piece for extensions
+    where         location of the piece, for extensions
     """
 
     forward: Forward
@@ -194,7 +195,7 @@ class Run:
 
     @Once
     def static(self) -> Array:
-        """What the hysteresis makes of it, scaled, (samples,)."""
+        """Scaled response of the hysteresis, (samples,)."""
         memory = self.forward.memory(self.drive[0], self.memory_slope)
         return self.forward.static(self.drive, memory, self.where.rate_Hz)[0]
 
@@ -202,32 +203,32 @@ class Run:
     def reading(self) -> Array:
         """Scaled reading of the sensor, (samples,)."""
         position_m = self.forward.position(self.static, self.where, self.zero_m)
-        away_m = self.forward.read(position_m, self.where) - self.centre_m
-        return np.asarray(away_m / self.forward.scales.displacement_m)
+        relative_m = self.forward.read(position_m, self.where) - self.centre_m
+        return np.asarray(relative_m / self.forward.scales.displacement_m)
 
     def by_hysteresis(self, sample: Samples) -> Array:
         """Return d reading / d [memory slopes, gaps, weights, zones, envelope], (rows, numbers).
 
-        The columns pass what follows within samples (delays, lags, modes) exactly where that
-        matters; where motion is slow, the filters are a delay and two rows are enough for each
-        that counts. Creep is left out of them: it is a part in a hundred of a column, and a search
-        is judged by the true error anyway.
+        For slow motion the filters act as a delay, and two samples are computed for each row.
+        Otherwise the columns are simulated at all samples and pass delays, lags and modes exactly.
+        Creep is omitted: it changes a column by a hundredth, and the search accepts steps by the
+        exact error.
         """
         forward, where = self.forward, self.where
-        lag = forward.late_s(where.rate_Hz) * where.rate_Hz
-        whole_samples = int(np.floor(lag))
-        share = lag - whole_samples
+        delay = forward.group_delay_s(where.rate_Hz) * where.rate_Hz
+        whole_samples = int(np.floor(delay))
+        share = delay - whole_samples
         source = np.maximum(sample - whole_samples, 0)
         newer, older = self.static[source], self.static[np.maximum(source - 1, 0)]
-        shifted = (1.0 - share) * newer + share * older
-        true = forward.behind(self.static, where, instant=True)[sample]
+        delayed = (1.0 - share) * newer + share * older
+        filtered = forward.linear_response(self.static, where, fast_only=True)[sample]
         chain = forward.chain(self.memory_slope, where.rate_Hz)
-        wide = len(self.drive) * (chain.plays + chain.columns - 1) > LARGEST
-        if wide or np.std(true - shifted) < SLOW * np.std(true):
+        is_too_large = len(self.drive) * (chain.plays + chain.columns - 1) > MAX_ENTRIES
+        if is_too_large or np.std(filtered - delayed) < MAX_DELAY_ERROR * np.std(filtered):
             columns = self._columns(replace(chain, share=share), source)
         else:
             columns = self._columns(chain, np.arange(int(sample[-1]) + 1))
-            columns = forward.behind(columns, where, instant=True)[sample]
+            columns = forward.linear_response(columns, where, fast_only=True)[sample]
         gain: Array | float = 1.0
         for extension in forward.extensions:
             gain = gain * extension.gain(where)
@@ -240,33 +241,35 @@ class Run:
         return rows[:, :-2]
 
     def by_lag(self, sample: Samples) -> Array:
-        """Return d reading / d lag, (rows,), by a difference."""
+        """Return d reading / d lag, (rows,), by a finite difference."""
         forward, step_s = self.forward, LAG_STEP / self.where.rate_Hz
-        return self._change(replace(forward, lag_s=forward.lag_s + step_s), sample, step_s)
+        return self._quotient(replace(forward, lag_s=forward.lag_s + step_s), sample, step_s)
 
     def by_extension(self, number: int, sample: Samples) -> Array:
         """Return d reading / d numbers of an extension, (rows, numbers).
 
-        What is added enters exactly, other numbers by differences.
+        Derivatives of added displacement are exact, others are finite differences.
         """
         forward, extension = self.forward, self.forward.extensions[number]
-        of_piece = extension.added_by_number(self.where)
-        free, changes = extension.free(), []
-        if of_piece is not None:
-            first, columns = of_piece
-            by_number = np.zeros((len(sample), len(free.value)))
+        added = extension.added_by_number(self.where)
+        free = extension.free()
+        by_number = np.zeros((len(sample), len(free.value)))
+        if added is not None:
+            first, columns = added
             by_number[:, first : first + columns.shape[1]] = columns[sample]
             return by_number / forward.scales.displacement_m
         for j, step in enumerate(free.step.tolist()):
-            # A step that would leave the range goes the other way.
+            # A step beyond the upper bound is taken downwards instead.
             signed = step if free.value[j] + step <= free.upper[j] else -step
             value = free.value.copy()
             value[j] += signed
-            changed = list(forward.extensions)
-            changed[number] = extension.moved_to(value)
-            changes.append(self._change(replace(forward, extensions=(*changed,)), sample, signed))
-        return np.stack(changes, axis=1) if changes else np.zeros((len(sample), 0))
+            extensions = list(forward.extensions)
+            extensions[number] = extension.moved_to(value)
+            changed = replace(forward, extensions=tuple(extensions))
+            by_number[:, j] = self._quotient(changed, sample, signed)
+        return by_number
 
-    def _change(self, forward: Forward, sample: Samples, step: float) -> Array:
+    def _quotient(self, forward: Forward, sample: Samples, step: float) -> Array:
+        """Return the change of the reading by a change of the model, over the step."""
         changed = replace(self, forward=forward).reading
         return np.asarray((changed - self.reading)[sample] / step)

@@ -1,4 +1,4 @@
-"""The linear part of an axis for scipy.signal and python-control."""
+"""Convert the linear part of an axis to scipy.signal and python-control."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -6,14 +6,14 @@ import numpy as np
 
 from piezoid.errors import IdentificationError
 from piezoid.formatting import with_unit
-from piezoid.identification.loop_model import LoopModel, loop_model
+from piezoid.identification.loop_model import loop_model
 from piezoid.identification.model import AxisModel
 from piezoid.operators.linear import ContinuousSystem, DiscreteSystem, cascade, sample
 
 if TYPE_CHECKING:
     from scipy.signal import StateSpace
 
-_NO_RATE_Hz = 1e9  # for continuous time: much faster than any pole
+_CONTINUOUS_RATE_Hz = 1e9  # for continuous time: much faster than any pole
 
 
 def linear_part(axis: AxisModel, sampling_rate_Hz: float | None) -> ContinuousSystem:
@@ -21,9 +21,9 @@ def linear_part(axis: AxisModel, sampling_rate_Hz: float | None) -> ContinuousSy
 
         G(s) = polarity (m + M) / 2 front(s) behind(s) slow(s) sensor(s) e^(-s delay)
 
-    m and M are the ends of the hysteresis' slope sector: what it is to a linear loop.
+    m and M are the bounds of the slope of the hysteresis; their mean replaces the hysteresis.
     """
-    loop: LoopModel = loop_model(axis, sampling_rate_Hz or _NO_RATE_Hz)
+    loop = loop_model(axis, sampling_rate_Hz or _CONTINUOUS_RATE_Hz)
     gain = axis.polarity * 0.5 * sum(axis.operator.slope_sector_m_per_V) * loop.gain
     chain = cascade(loop.front, loop.behind, loop.slow, loop.sensor)
     return ContinuousSystem(
@@ -32,7 +32,7 @@ def linear_part(axis: AxisModel, sampling_rate_Hz: float | None) -> ContinuousSy
 
 
 def to_scipy(axis: AxisModel, sampling_rate_Hz: float | None) -> "StateSpace":
-    """Return the linear part as ``scipy.signal.StateSpace``, discrete where a rate is given."""
+    """Return the linear part as ``scipy.signal.StateSpace``, discrete if a rate is passed."""
     from scipy.signal import StateSpace
 
     system = _system(axis, sampling_rate_Hz)
@@ -56,8 +56,8 @@ def control() -> Any:
     except ImportError as error:
         raise IdentificationError(
             "python-control is not installed",
-            needed="the package control, which piezoid itself does without",
-            remedy="Install it with: pip install control. to_scipy() needs nothing more.",
+            needed="the package control, which is optional",
+            remedy="Install it with: pip install control. Or use to_scipy().",
         ) from error
     return package
 
@@ -76,7 +76,7 @@ def _system(axis: AxisModel, sampling_rate_Hz: float | None) -> ContinuousSystem
         raise IdentificationError(
             f"axis {axis.axis}: its linear part has a delay of "
             f"{with_unit(system.delay_s, 's', 4)}",
-            needed="a sampling rate: a delay is no system of finite order in continuous time",
-            remedy="Pass sampling_rate_Hz; the delay then stands in the states.",
+            needed="a sampling rate: in continuous time a delay has no system of finite order",
+            remedy="Pass sampling_rate_Hz; states then represent the delay.",
         )
     return system

@@ -4,8 +4,8 @@
 
 L is a function of the wide class of ``operators.wide_hysteresis``, fitted to the recordings by
 ``loop_shape_fit`` together with the weight a of the plays. Simulation, prediction, held-out error
-and the verification plant include it. A controller inverts Psi(H) exactly; the difference is what
-that inverse leaves.
+and the verification plant include it. A controller inverts only Psi(H); the difference remains as
+an error of the controlled displacement.
 """
 
 from collections.abc import Sequence
@@ -27,24 +27,24 @@ from piezoid.operators.wide_hysteresis import (
 )
 
 History = tuple[float, ...]
-"""Scaled drives at which the drive turned before its first sample, -1 to 1."""
+"""Turning points of the scaled drive before its first sample, -1 to 1."""
 
 DECAYING: History = tuple(
     float(a) for a in np.linspace(1.0, 0.02, 30) * (-1.0) ** np.arange(1, 31)
 )
-FORGOTTEN = 20.0  # half ranges travelled: no initial state shows after ten full swings
-COVERED = 1.94  # half ranges, of 2: every play has forgotten its initial state
+SETTLING_SPAN = 1.94  # half ranges, of 2: then no play depends on its initial state
+SETTLING_TRAVEL = 20.0  # half ranges after that, ten full swings: then no other state does
 ROUNDING = 1e-9  # of half the range
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PlainFit:
-    """The fit without loop shape.
+class FitWithoutShape:
+    """Lag, errors and starts of the fit without loop shape.
 
     lag_s           s
-    rms_m           residual on the rows with which loop shape was fitted, m
-    held_out_rms_m  on left-out blocks of them, m
-    quality         as it was stated
+    rms_m           residual on the rows to which loop shape was fitted, m
+    held_out_rms_m  error on left-out blocks of these rows, m
+    quality         of the axis model without loop shape
     starts          of the pieces
     """
 
@@ -62,8 +62,8 @@ class LoopShape:
     centre_V, reach_V  middle and half of the range of the recorded drive
     density_m          (widths, cells)  of the plays, m
     smooth_m           (columns,)       coefficients of all other families in their order, m
-    plays_weight       what the plays with dead zones count for beside it
-    plain              the fit without it
+    plays_weight       weight of the plays with dead zones, which add to it
+    plain              the fit without loop shape
     """
 
     centre_V: float
@@ -71,29 +71,31 @@ class LoopShape:
     density_m: Array
     smooth_m: Array
     plays_weight: float = 1.0
-    plain: PlainFit
+    plain: FitWithoutShape
 
     def __post_init__(self) -> None:
         freeze(self, "smooth_m")
         freeze(self, "density_m", ndim=2)
 
     def scaled(self, voltage_V: Array) -> Array:
-        """Return a drive in half ranges; beyond the recorded range it stays at its end."""
+        """Scale a drive to half ranges, clipped to the recorded range."""
         return np.clip((voltage_V - self.centre_V) / self.reach_V, -1.0, 1.0)
 
-    def response(self, voltage_V: Array, history: Sequence[float] = DECAYING) -> Array:
-        """Return L along a drive, (samples,) m.
+    def response(self, voltage_V: Array, history: Sequence[float]) -> Array:
+        """Simulate L along a drive, (samples,) m.
 
-        voltage_V  (samples,)  V, behind everything that acts in front of the hysteresis
+        voltage_V  (samples,)  V, at the input of the hysteresis
         history    turning points of the scaled drive before the first sample
         """
         drive = self.scaled(voltage_V)
         states = HysteresisStates((*history, float(drive[0])))
         chunks = (drive[first : first + CHUNK] for first in range(0, len(drive), CHUNK))
-        return np.concatenate([self.of_states(part, states.follow(part)) for part in chunks])
+        return np.concatenate(
+            [self.response_to_states(chunk, states.follow(chunk)) for chunk in chunks]
+        )
 
-    def of_states(self, drive: Array, states: States) -> Array:
-        """Return L from a scaled drive and the states of the wide class, (samples,) m."""
+    def response_to_states(self, drive: Array, states: States) -> Array:
+        """Compute L from a scaled drive and the states of the wide class, (samples,) m."""
         rises_m = self.density_m * np.diff(EDGES)
         knots_m = np.hstack([np.zeros((len(rises_m), 1)), rises_m.cumsum(axis=1)])
         total_m = -np.interp(drive, EDGES, knots_m.sum(axis=0))
@@ -102,13 +104,13 @@ class LoopShape:
         return np.asarray(total_m + smooth_response(drive, states, self.smooth_m))
 
     def turns_V(self, history: Sequence[float]) -> Array:
-        """Return the full cycles and the history as a drive, V."""
+        """Return full cycles and a history as turning points of the drive, V."""
         return np.asarray(self.centre_V + self.reach_V * np.array([*CYCLES, *history]))
 
 
 def histories(first: float) -> tuple[History, ...]:
-    """Return histories from which a drive may have come to its first sample, scaled."""
-    returns: tuple[History, ...] = (
+    """Return candidate histories of a scaled drive before its first sample."""
+    return (
         DECAYING,
         (-1.0,),
         (),
@@ -121,24 +123,26 @@ def histories(first: float) -> tuple[History, ...]:
         (-1.0, min(first + 0.2, 1.0), max(first - 0.1, -1.0)),
         (max(first - 0.2, -1.0), min(first + 0.1, 1.0)),
     )
-    return returns
 
 
-def remembered(drive: Array) -> int:
-    """Return the number of samples at which the initial state of a scaled drive may still show."""
+def settling_samples(drive: Array) -> int:
+    """Return the number of samples for which the response depends on the initial state.
+
+    drive  (samples,)  scaled
+    """
     span = np.maximum.accumulate(drive) - np.minimum.accumulate(drive)
-    covered = int(np.searchsorted(span, COVERED))
-    travelled = np.cumsum(np.abs(np.diff(drive[covered:], prepend=drive[covered:][:1])))
-    return covered + int(np.searchsorted(travelled, FORGOTTEN))
+    covered = int(np.searchsorted(span, SETTLING_SPAN))
+    travel = np.cumsum(np.abs(np.diff(drive[covered:], prepend=drive[covered:][:1])))
+    return covered + int(np.searchsorted(travel, SETTLING_TRAVEL))
 
 
 def history_of(
     hysteresis: ModifiedPrandtlIshlinskii, memory_V: Array, shape: LoopShape
 ) -> History:
-    """Return turning points that leave the plays of a hysteresis in these states.
+    """Return turning points after which the plays of a hysteresis have these states.
 
-    From the widest play to the narrowest, the drive goes to z_i + r_i or z_i - r_i where play i
-    does not stand at z_i yet. In an admissible memory that moves no wider play.
+    From the widest play to the narrowest, the drive goes to z_i + r_i or z_i - r_i unless play i
+    is at z_i already. For an admissible memory that moves no wider play.
 
     memory_V  (plays,)  states behind the envelope, V
     """
@@ -149,9 +153,9 @@ def history_of(
     )[0]
     state_V = top_V - threshold_V
     for i in np.argsort(-threshold_V, kind="stable"):
-        away_V = memory_V[i] - state_V[i]
-        if abs(away_V) > ROUNDING * shape.reach_V:
-            turn_V = memory_V[i] + np.copysign(threshold_V[i], away_V)
+        error_V = memory_V[i] - state_V[i]
+        if abs(error_V) > ROUNDING * shape.reach_V:
+            turn_V = memory_V[i] + np.copysign(threshold_V[i], error_V)
             state_V = np.clip(state_V, turn_V - threshold_V, turn_V + threshold_V)
             turns_V.append(turn_V)
     drive_V = hysteresis.envelope.inverse().run(np.array(turns_V)) if turns_V else np.zeros(0)

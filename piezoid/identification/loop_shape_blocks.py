@@ -1,7 +1,8 @@
-"""Errors of a regression for loop shape on blocks that its solve left out.
+"""Cross-validation of a regression for loop shape on left-out blocks.
 
-They decide whether loop shape ships, with how much freedom, and beside which step of the zero. Of
-a single loop no block is like those that remain: there the error in sample decides alone.
+The errors decide whether loop shape is used, how strongly it is regularised, and whether a step of
+the zero is included. The blocks of a single loop differ too much to predict each other: then the
+error in sample decides alone.
 """
 
 from collections.abc import Sequence
@@ -19,44 +20,45 @@ from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.family_ridge import FamilyRidge, Moments
 
-STEP_PLACES = 60  # of a piece, at which a step of the zero is tried
+STEP_INSTANTS = 60  # of a piece, at which a step of the zero is tried
 # Divisors of the prior variances in the last solve. Residuals of a class that is slightly wrong
-# are correlated, and less freedom predicts better: of the divisors whose error on left-out blocks
-# is close to the least, the largest is taken. Fitted to the sweep of the bundled axis y alone, it
-# predicts the other drive to 0.14 % of the range, the best one to 0.25 %, plays to 0.12 % (before
-# the columns contained the initial states). Initial states keep their variance: they show where
-# no block is left out, and with a divisor of 30 a stage left 18 times the noise there.
-FREEDOM_FACTORS = tuple(10.0 ** (k / 2) for k in range(11))
-CLOSE = 1.03
+# are correlated, and stronger regularisation predicts better: of the divisors whose error on
+# left-out blocks is close to the minimum, the largest is selected. Fitted to the sweep of the
+# bundled axis y alone, it predicts the other drive to 0.14 % of the range, the divisor of minimum
+# error to 0.25 %, plays to 0.12 % (before the columns contained the initial states). Initial
+# states keep their variance: they matter where no block is left out, and with a divisor of 30 a
+# stage had a residual of 18 times the noise there.
+VARIANCE_DIVISORS = tuple(10.0 ** (k / 2) for k in range(11))
+SIMILAR = 1.03  # error over the minimum
 UNPENALISED = ("zero", "number", "step")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Errors in units of half the stroke.
+    """Errors in half ranges of the displacement.
 
     explained  in sample, corrected for the number of parameters of loop shape
-    held_out   on left-out blocks; of a single loop as explained
+    held_out   on left-out blocks; for a single loop equal to ``explained``
     """
 
     explained: float
     held_out: float
 
 
-def plain_errors(axis: AxisModel, regression: Regression) -> Errors:
-    """Return the errors of the plays with dead zones.
+def errors_without_shape(axis: AxisModel, regression: Regression) -> Errors:
+    """Return the errors of the plays with dead zones alone.
 
-    The plays were fitted to all blocks. What leaving blocks out adds to their error is known from
-    their own fit: on the bundled axis y 16.4 nm become 17.5, and loop shape leaves 16.6. It stands
-    on the same plays, so that on a stage of plays its error of left-out blocks is below theirs as
-    well; only the error in sample shows that it adds nothing.
+    The plays were fitted to all blocks. Their held-out error is estimated by the ratio of held-out
+    to in-sample error of their own fit: on the bundled axis y 16.4 nm become 17.5 nm, with loop
+    shape 16.6 nm. Loop shape uses the same plays, so that even on a stage of plays it has the
+    smaller held-out error; only the error in sample then shows that it adds nothing.
     """
-    free = np.isin(regression.family, ("zero", "step"))
+    is_zero = np.isin(regression.family, ("zero", "step"))
     zeros = replace(
         regression,
-        design=regression.design[:, free],
-        family=tuple(np.array(regression.family)[free].tolist()),
-        change=np.eye(int(free.sum())),
+        design=regression.design[:, is_zero],
+        family=tuple(np.array(regression.family)[is_zero].tolist()),
+        change=np.eye(int(is_zero.sum())),
         value=regression.value[:0],
         lower=regression.lower[:0],
         upper=regression.upper[:0],
@@ -77,13 +79,15 @@ def plain_errors(axis: AxisModel, regression: Regression) -> Errors:
     if not quality.is_tested:
         return Errors(explained=explained, held_out=explained)
     optimism = max(quality.held_out_rms_m / quality.rms_m, 1.0)
-    return Errors(explained=explained, held_out=optimism * _error(zeros, folds, total, ridge))
+    held_out = optimism * _held_out_error(zeros, folds, total, ridge)
+    return Errors(explained=explained, held_out=held_out)
 
 
 def errors_of(estimate: Estimate, regression: Regression) -> tuple[Errors, float]:
-    """Return the errors with loop shape, and the factor of the prior variances.
+    """Return the errors with loop shape, and the selected divisor of the prior variances.
 
-    Where the class is wrong, less freedom predicts better than marginal likelihood says.
+    If the class is misspecified, smaller variances than those of maximum marginal likelihood
+    predict better.
     """
     folds = regression.moments()
     total = total_of(folds)
@@ -93,51 +97,53 @@ def errors_of(estimate: Estimate, regression: Regression) -> tuple[Errors, float
     explained = float(np.sqrt(np.sum(residual**2) / free))
     if not estimate.model.quality.is_tested:
         return Errors(explained=explained, held_out=explained), 1.0
-    tried = {}
-    for factor in FREEDOM_FACTORS:
-        ridge = ridge_of(with_less_freedom(estimate, factor), regression, total)
-        tried[factor] = _error(regression, folds, total, ridge)
-    close = CLOSE * min(tried.values())
-    factor = max(factor for factor, error in tried.items() if error <= close)
-    return Errors(explained=explained, held_out=tried[factor]), factor
+    errors = {}
+    for divisor in VARIANCE_DIVISORS:
+        ridge = ridge_of(with_smaller_variance(estimate, divisor), regression, total)
+        errors[divisor] = _held_out_error(regression, folds, total, ridge)
+    limit = SIMILAR * min(errors.values())
+    divisor = max(divisor for divisor, error in errors.items() if error <= limit)
+    return Errors(explained=explained, held_out=errors[divisor]), divisor
 
 
-def with_less_freedom(estimate: Estimate, factor: float) -> Estimate:
-    """Return the estimate with the prior variances of the class divided by a factor."""
+def with_smaller_variance(estimate: Estimate, divisor: float) -> Estimate:
+    """Return the estimate with the prior variances of the class divided by a number."""
     variance = {
-        name: value if name == "initial state" else value / factor
+        name: value if name == "initial state" else value / divisor
         for name, value in estimate.variance.items()
     }
     return replace(estimate, variance=variance)
 
 
-def _error(
+def _held_out_error(
     regression: Regression, folds: Sequence[Moments], total: Moments, ridge: FamilyRidge
 ) -> float:
-    """Return the error on left-out blocks, rms.
+    """Return the rms error on left-out blocks.
 
-    A knot of a zero that lies in one block is not determined by the others: it counts as one
-    reading that neighbouring knots are equal.
+    The other blocks do not determine a knot of the zero that lies inside a left-out block.
+    Therefore equality of neighbouring knots enters with the weight of one row.
     """
-    squares, count, tied = 0.0, 0, np.zeros_like(total.gram)
-    for knots in np.split(regression.places("zero"), np.cumsum(regression.knots)[:-1]):
+    squares, count, smoothing = 0.0, 0, np.zeros_like(total.gram)
+    for knots in np.split(regression.members("zero"), np.cumsum(regression.knots)[:-1]):
         difference = np.diff(np.eye(len(knots)), axis=0)
-        tied[np.ix_(knots, knots)] = difference.T @ difference
+        smoothing[np.ix_(knots, knots)] = difference.T @ difference
     for number in range(FOLDS):
         rows = (regression.fold == number) & regression.use
         if rows.any():
-            others = total - folds[number]
-            fitted = regression.change @ ridge.mean(replace(others, gram=others.gram + tied))
-            error = regression.target[rows] - regression.design[rows] @ fitted
+            training = total - folds[number]
+            training = replace(training, gram=training.gram + smoothing)
+            coefficient = regression.change @ ridge.mean(training)
+            error = regression.target[rows] - regression.design[rows] @ coefficient
             squares, count = squares + float(error @ error), count + len(error)
     return float(np.sqrt(squares / max(count, 1)))
 
 
-def with_step(estimate: Estimate, regression: Regression) -> Regression | None:
-    """Return the regression with a step of the zero where that gains most.
+def with_best_step(estimate: Estimate, regression: Regression) -> Regression | None:
+    """Return the regression with the step of the zero that reduces its error most.
 
-    A wide class follows a jump of the zero by hysteresis that does not exist. The gain of a step H
-    beside everything else is (r'H)^2 / H'(I - X P^-1 X') H, with P the posterior precision.
+    Without a step, a wide class would represent a jump of the zero by hysteresis that does not
+    exist. The reduction by a step H, with all coefficients solved again, is
+    (r'H)^2 / H'(I - X P^-1 X') H, with r the residual and P the posterior precision.
     """
     total = total_of(regression.moments())
     ridge = ridge_of(estimate, regression, total)
@@ -145,25 +151,24 @@ def with_step(estimate: Estimate, regression: Regression) -> Regression | None:
     inverse = np.linalg.inv(
         total.gram * (scale[:, None] * scale) / ridge.noise + np.eye(len(scale))
     )
-    solved = regression.design @ (regression.change @ ridge.mean(total))
-    residual = np.where(estimate.use, regression.target - solved, 0.0)
-    best, gain = None, 0.0
-    edges = np.cumsum([0, *estimate.rows])
-    for first, last in pairwise(edges):
-        places = np.linspace(first, last, STEP_PLACES + 2)[1:-1].astype(int)
-        for place in np.unique(places):
+    prediction = regression.design @ (regression.change @ ridge.mean(total))
+    residual = np.where(estimate.use, regression.target - prediction, 0.0)
+    best_step, best_gain = None, 0.0
+    for first, stop in pairwise(np.cumsum([0, *estimate.rows])):
+        instants = np.linspace(first, stop, STEP_INSTANTS + 2)[1:-1].astype(int)
+        for row in np.unique(instants):
             step = np.zeros(len(residual))
-            step[place:last] = estimate.use[place:last]
-            h = scale * (regression.change.T @ (step[place:last] @ regression.design[place:last]))
+            step[row:stop] = estimate.use[row:stop]
+            h = scale * (regression.change.T @ (step[row:stop] @ regression.design[row:stop]))
             free = float(step @ step - h @ inverse @ h / ridge.noise)
-            tried = float(residual @ step) ** 2 / max(free, 1e-9 * float(step @ step) + 1e-300)
-            if tried > gain:
-                best, gain = step, tried
-    return None if best is None else beside_step(regression, best)
+            gain = float(residual @ step) ** 2 / max(free, 1e-9 * float(step @ step) + 1e-300)
+            if gain > best_gain:
+                best_step, best_gain = step, gain
+    return None if best_step is None else with_step_column(regression, best_step)
 
 
-def beside_step(regression: Regression, step: Array) -> Regression:
-    """Return the regression with a step of the zero as last column."""
+def with_step_column(regression: Regression, step: Array) -> Regression:
+    """Append a step of the zero as last column of a regression."""
     size = len(regression.family)
     change = np.eye(size + 1)
     change[:size, :size] = regression.change
@@ -176,17 +181,17 @@ def beside_step(regression: Regression, step: Array) -> Regression:
 
 
 def ridge_of(estimate: Estimate, regression: Regression, total: Moments) -> FamilyRidge:
-    """Return the ridge from which the fixed point starts: that of the last round."""
+    """Return the prior of an estimate; families without an estimated variance get initial ones."""
     labels, power = regression.labels, total.square / total.count
-    first = {name: 0.1 * power for name in labels} | {"initial state": 0.3}
-    first |= estimate.variance | dict.fromkeys(UNPENALISED, np.inf)
+    variance = {name: 0.1 * power for name in labels} | {"initial state": 0.3}
+    variance |= estimate.variance | dict.fromkeys(UNPENALISED, np.inf)
     return FamilyRidge(
         family=np.array([labels.index(name) for name in regression.family]),
-        variance=np.array([first[name] for name in labels]),
+        variance=np.array([variance[name] for name in labels]),
         noise=estimate.noise or 0.01 * power,
     )
 
 
 def total_of(folds: Sequence[Moments]) -> Moments:
-    """Return the moments of all folds together."""
+    """Sum the moments of all folds."""
     return reduce(add, folds)

@@ -1,4 +1,4 @@
-"""An estimate of loop shape after some rounds, and the readings that it simulates."""
+"""Estimate of loop shape during its iterative fit, and the readings that it simulates."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,30 +8,31 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free
-from piezoid.identification.loop_shape_columns import Columns, Piece, no_loop_shape
+from piezoid.identification.loop_shape_columns import Columns, PieceRows, zero_loop_shape
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import zero_of
 from piezoid.numerics.arrays import Array
 
-LAG_s = 1e-6  # step of the lag for its derivative
+LAG_STEP_s = 1e-6  # for the derivative by the lag
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
-    """Loop shape, initial states, zeros, lag and extensions after some rounds.
+    """Loop shape, initial states, zeros, lag and extensions at one iteration of the fit.
 
     model       with loop shape, lag and extensions
     weights     (histories,) of every piece
     zeros       (knots,) of every piece, m
     wide        (columns,)  coefficients of the wide class, of unscaled columns
     coefficient (columns,)  of all columns of the last regression
-    shift       of the reading by the last change of lag and extensions, of the residual
-    variance    prior variance by family; noise, too
-    parameters  effective number of them
+    shift       rms change of the reading by the last step of lag and extensions, over the residual
+    variance    prior variance by family; empty before the first regression
+    noise       noise variance, in squared half ranges
+    parameters  effective number of parameters
     residual_m  (rows,)
-    use         (rows,)  whether a row is no outlier
-    rows        of every piece
+    use         (rows,)  False for outliers
+    rows        number of rows of every piece
     """
 
     model: AxisModel
@@ -48,11 +49,11 @@ class Estimate:
     rows: tuple[int, ...]
 
 
-def first_estimate(axis: AxisModel, pieces: Sequence[Piece], columns: Columns) -> Estimate:
-    """Return the estimate of the plays alone."""
-    rows = len(columns.x)
+def first_estimate(axis: AxisModel, pieces: Sequence[PieceRows], columns: Columns) -> Estimate:
+    """Return the estimate with zero loop shape."""
+    rows = len(columns.values)
     return Estimate(
-        model=replace(axis, loop_shape=no_loop_shape(axis)),
+        model=replace(axis, loop_shape=zero_loop_shape(axis)),
         weights=tuple(np.zeros(path.plays_m.shape[1] - 1) for path in columns.paths),
         zeros=tuple(np.array(piece.start.zero_m) for piece in pieces),
         wide=np.zeros(len(columns.scale)),
@@ -67,8 +68,8 @@ def first_estimate(axis: AxisModel, pieces: Sequence[Piece], columns: Columns) -
     )
 
 
-def residual_of(estimate: Estimate, pieces: Sequence[Piece], columns: Columns) -> Array:
-    """Return the error of the simulation at the rows of all pieces, (rows,) m."""
+def residual_of(estimate: Estimate, pieces: Sequence[PieceRows], columns: Columns) -> Array:
+    """Simulate an estimate and return its error at the rows of all pieces, (rows,) m."""
     errors_m = []
     for k, piece in enumerate(pieces):
         static_m, _ = static_response_of(estimate, k, piece, columns)
@@ -79,35 +80,36 @@ def residual_of(estimate: Estimate, pieces: Sequence[Piece], columns: Columns) -
     return np.concatenate(errors_m)
 
 
-def between(first: Estimate, second: Estimate, share: float) -> Estimate:
-    """Return the estimate that is a share of the way from one to another."""
+def interpolated(first: Estimate, second: Estimate, share: float) -> Estimate:
+    """Interpolate all parameters of two estimates; share 0 is the first, 1 the second."""
 
-    def part(a: Array, b: Array) -> Array:
+    def mix(a: Array, b: Array) -> Array:
         return np.asarray(a + share * (b - a))
 
-    shape, other = first.model.loop_shape, second.model.loop_shape
-    assert shape is not None
-    assert other is not None
-    mixed = replace(
-        other,
-        plays_weight=shape.plays_weight + share * (other.plays_weight - shape.plays_weight),
-        density_m=part(shape.density_m, other.density_m),
-        smooth_m=part(shape.smooth_m, other.smooth_m),
+    first_shape, second_shape = first.model.loop_shape, second.model.loop_shape
+    assert first_shape is not None
+    assert second_shape is not None
+    first_weight, second_weight = first_shape.plays_weight, second_shape.plays_weight
+    shape = replace(
+        second_shape,
+        plays_weight=first_weight + share * (second_weight - first_weight),
+        density_m=mix(first_shape.density_m, second_shape.density_m),
+        smooth_m=mix(first_shape.smooth_m, second_shape.smooth_m),
     )
-    numbers = part(numbers_of(first.model).value, numbers_of(second.model).value)
+    numbers = mix(numbers_of(first.model).value, numbers_of(second.model).value)
     return replace(
         second,
-        model=with_numbers(replace(second.model, loop_shape=mixed), numbers),
-        weights=tuple(map(part, first.weights, second.weights)),
-        zeros=tuple(map(part, first.zeros, second.zeros)),
-        wide=part(first.wide, second.wide),
+        model=with_numbers(replace(second.model, loop_shape=shape), numbers),
+        weights=tuple(map(mix, first.weights, second.weights)),
+        zeros=tuple(map(mix, first.zeros, second.zeros)),
+        wide=mix(first.wide, second.wide),
     )
 
 
 def static_response_of(
-    estimate: Estimate, k: int, piece: Piece, columns: Columns
+    estimate: Estimate, k: int, piece: PieceRows, columns: Columns
 ) -> tuple[Array, Array]:
-    """Return the static response of piece k, and the part of weighted histories, (samples,)."""
+    """Simulate the static response of piece k, and the share of its histories, (samples,) each."""
     axis, weight, history_m = estimate.model, estimate.weights[k], np.zeros(piece.where.samples)
     if axis.loop_shape is not None and np.any(weight):
         path = columns.paths[k]
@@ -118,19 +120,21 @@ def static_response_of(
 
 
 def reading_of(
-    axis: AxisModel, piece: Piece, start: PieceStart, static_m: Array, away_m: float = 0.0
+    axis: AxisModel, piece: PieceRows, start: PieceStart, static_m: Array, offset_m: float = 0.0
 ) -> Array:
     """Return the simulated reading at the rows of a piece, (rows,) m.
 
-    away_m  added to every position
+    offset_m  added to every position
     """
     forward = axis.forward
-    zero_m = zero_of(start, piece.where.samples) + away_m
+    zero_m = zero_of(start, piece.where.samples) + offset_m
     return forward.read(forward.position(static_m, piece.where, zero_m), piece.where)[piece.rows]
 
 
-def with_sensor_numbers(estimate: Estimate, pieces: Sequence[Piece], columns: Columns) -> Estimate:
-    """Fit the numbers of a sensor's error to the readings at the simulated positions.
+def with_sensor_numbers(
+    estimate: Estimate, pieces: Sequence[PieceRows], columns: Columns
+) -> Estimate:
+    """Fit the numbers of sensor errors to the readings at the simulated positions.
 
     A reading is far from linear in the wavelength of a periodic error, so these numbers are not
     among the columns of the regression.
@@ -159,29 +163,30 @@ def with_sensor_numbers(estimate: Estimate, pieces: Sequence[Piece], columns: Co
 def _fitted_sensor(
     sensor: Extension, positions_m: Sequence[Array], locations: Sequence[Where], reading_m: Array
 ) -> tuple[Extension, float]:
-    """Return a sensor's error fitted to readings, and its change relative to the residual."""
+    """Fit a sensor error to readings; return it and its change relative to the residual."""
     numbers, scale_m = sensor.free(), float(np.std(reading_m))
 
     def error(steps: Array) -> Array:
-        moved = sensor.moved_to(steps * numbers.step)
-        simulated_m = np.concatenate(list(map(moved.reading, positions_m, locations)))
+        changed = sensor.moved_to(steps * numbers.step)
+        simulated_m = np.concatenate(list(map(changed.reading, positions_m, locations)))
         return np.asarray((simulated_m - reading_m) / scale_m)
 
     first = numbers.value / numbers.step
     bounds = (numbers.lower / numbers.step, numbers.upper / numbers.step)
     fit = least_squares(error, first, bounds=bounds, x_scale="jac")
-    before, after = error(first), error(fit.x)
-    change = float(np.linalg.norm(after - before) / np.linalg.norm(before))
+    first_error = error(first)
+    change = float(np.linalg.norm(error(fit.x) - first_error) / np.linalg.norm(first_error))
     return replace(sensor.moved_to(fit.x * numbers.step), std=sensor.std), change
 
 
 def numbers_of(axis: AxisModel) -> Free:
-    """Return the lag, where the model has one, and the numbers of extensions but of the sensor.
+    """Return the lag of a model, unless it has none, and the numbers of extensions.
 
-    The reading of a periodic error is far from linear in its wavelength: such numbers stay.
+    Numbers of sensor errors are excluded: ``with_sensor_numbers`` fits them.
     """
-    late = free(axis.lag.time_s, 0.0, np.inf, LAG_s)
-    frees = [] if axis.lag.kind == "none" else [late]
+    frees = []
+    if axis.lag.kind != "none":
+        frees.append(free(axis.lag.time_s, 0.0, np.inf, LAG_STEP_s))
     frees += [extension.free() for extension in axis.extensions if not is_sensor(extension)]
     value, lower, upper, step = (
         np.concatenate([np.zeros(0), *(getattr(numbers, name) for numbers in frees)])
@@ -191,7 +196,7 @@ def numbers_of(axis: AxisModel) -> Free:
 
 
 def with_numbers(axis: AxisModel, values: Array) -> AxisModel:
-    """Return the model with these numbers of lag and extensions."""
+    """Return the model with other numbers of lag and extensions, as ``numbers_of`` orders them."""
     lag, extensions = axis.lag, []
     if lag.kind != "none":
         lag, values = replace(lag, time_s=float(values[0])), values[1:]
@@ -206,10 +211,10 @@ def with_numbers(axis: AxisModel, values: Array) -> AxisModel:
 
 
 def is_sensor(extension: Extension) -> bool:
-    """Tell whether an extension is an error of the sensor."""
+    """Return whether an extension is an error of the sensor."""
     return type(extension).reading is not Extension.reading
 
 
 def half_range_m(axis: AxisModel) -> float:
-    """Return half the range of the displacement, negative where it falls as the drive rises."""
+    """Return half the displacement range, negative if it falls as the drive rises."""
     return axis.polarity * 0.5 * axis.quality.range_m

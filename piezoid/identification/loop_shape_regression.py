@@ -1,9 +1,9 @@
-"""One round of the fit of loop shape: a regression that is linear about the present estimate.
+"""One iteration of the fit of loop shape: a regression linearised at the present estimate.
 
     y - y_estimate + Z c = Z c' + sum_j t_j dy/dp_j + e
 
 Z are the columns of the wide class, of the initial states and of the zeros, c and c' their present
-and next coefficients, and t_j the errors of the numbers p_j of lag and extensions.
+and next coefficients, and t_j the changes of the numbers p_j of lag and extensions.
 """
 
 from collections.abc import Sequence
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from piezoid.identification.extensions.extension import Extension, free
 from piezoid.identification.loop_shape_columns import (
     FOLDS,
-    NEVER,
+    NEVER_OUT,
     Columns,
-    Piece,
+    PieceRows,
 )
 from piezoid.identification.loop_shape_estimate import (
     Estimate,
@@ -34,8 +34,8 @@ from piezoid.identification.simulation import zero_of
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.family_ridge import Moments
 
-SMALLEST = 1e-12  # half ranges: a number that moves the reading by less is in no reading
-SENSOR_STEP = 1e-4  # half ranges, for the derivative of a reading
+MIN_CHANGE = 1e-12  # half ranges: a number that changes the readings by less has no effect
+SENSOR_STEP = 1e-4  # half ranges, for the derivative of a reading by the position
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,16 +43,16 @@ class Regression:
     """Rows of the regression, with their sums fold by fold.
 
     design  (rows, columns)  scaled
-    target  (rows,)          in units of half the stroke
+    target  (rows,)          in half ranges of the displacement
     error_m (rows,)          of the simulation by the present estimate, m
     family  (columns,)       name of each column's family
-    change  (columns, columns)
-    use     (rows,)          whether a row counts
+    change  (columns, columns)  from orthogonalised coefficients to those of ``design``
+    use     (rows,)          False for outliers
     fold    (rows,)
     value, lower, upper  (numbers,)  of lag and extensions, with their bounds
-    step    (numbers,)       their changes by coefficients of 1
-    knots   of the zero of every piece
-    prior   sums of what is known of them beforehand
+    step    (numbers,)       changes of the numbers by coefficients of 1
+    knots   number of knots of the zero of every piece
+    prior   moments of the priors of the extensions
     """
 
     design: Array
@@ -69,24 +69,24 @@ class Regression:
     knots: tuple[int, ...]
     prior: Moments | None = None
 
-    def outward(self, coefficient: Array) -> NDArray[np.bool_]:
-        """Return which columns would move a number beyond the bound at which it is."""
-        places = self.places("number")
-        step = self.step * coefficient[places]
-        outward = np.zeros(len(self.family), dtype=bool)
-        outward[places] = ((self.value <= self.lower) & (step < 0.0)) | (
+    def violates_bound(self, coefficient: Array) -> NDArray[np.bool_]:
+        """Return for each column whether it would move a number at a bound beyond that bound."""
+        numbers = self.members("number")
+        step = self.step * coefficient[numbers]
+        violates = np.zeros(len(self.family), dtype=bool)
+        violates[numbers] = ((self.value <= self.lower) & (step < 0.0)) | (
             (self.value >= self.upper) & (step > 0.0)
         )
-        return outward
+        return violates
 
     def without(self, columns: NDArray[np.bool_]) -> "Regression":
-        """Return the regression in which some columns are 0."""
+        """Return the regression with some columns set to 0."""
         return replace(self, design=np.where(columns, 0.0, self.design))
 
     def moments(self) -> tuple[Moments, ...]:
-        """Return the sums of every fold, and at the end of the rows that are never left out."""
+        """Return the moments of every fold, and last of the rows that are never left out."""
         sums = []
-        for number in (*range(FOLDS), NEVER):
+        for number in (*range(FOLDS), NEVER_OUT):
             rows = (self.fold == number) & self.use
             x, y = self.design[rows], self.target[rows]
             gram = self.change.T @ (x.T @ x) @ self.change
@@ -96,28 +96,29 @@ class Regression:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Return the families in their order."""
+        """Return the names of all families in their order."""
         return tuple(dict.fromkeys(self.family))
 
-    def places(self, name: str) -> NDArray[np.intp]:
-        """Return the columns of one family."""
+    def members(self, name: str) -> NDArray[np.intp]:
+        """Return the indices of the columns of one family."""
         return np.flatnonzero(np.array(self.family) == name)
 
 
 def regression_of(
     estimate: Estimate,
-    pieces: Sequence[Piece],
+    pieces: Sequence[PieceRows],
     columns: Columns,
     *,
     has_numbers: bool = True,
     has_class: bool = True,
 ) -> Regression:
-    """Return the rows whose coefficients are the next estimate; zeros are those of the pieces.
+    """Linearise the reading at an estimate; the coefficients of this regression are the next one.
 
-    The target is the error of the present estimate and what its linear coefficients contribute.
+    The target is the error of the estimate plus the contribution of its linear coefficients.
 
     has_numbers  whether lag and extensions may change
-    has_class    whether the class may change beside them: its columns then contain histories
+    has_class    whether the class may change together with the weights of histories: its columns
+                 then contain the weighted histories
     """
     axis = estimate.model
     shape = axis.loop_shape
@@ -127,30 +128,31 @@ def regression_of(
     knots = np.cumsum([0, *(len(zero_m) for zero_m in estimate.zeros)])
     zeros = np.zeros((rows[-1], knots[-1]))
     histories = [np.zeros((rows[-1], 0 if is_first else len(w))) for w in estimate.weights]
-    slopes, errors_m, sensor_slope = [], [], []
-    remembers = has_class and not (is_first or has_numbers)
-    x = columns.x.copy() if remembers else columns.x
+    by_numbers, errors_m, sensor_slopes = [], [], []
+    has_histories = has_class and not (is_first or has_numbers)
+    x = columns.values.copy() if has_histories else columns.values
     for k, piece in enumerate(pieces):
         start = replace(piece.start, zero_m=estimate.zeros[k])
-        zeros[rows[k] : rows[k + 1], knots[k] : knots[k + 1]] = _zero_columns(piece, start)
+        of_piece = slice(rows[k], rows[k + 1])
+        zeros[of_piece, knots[k] : knots[k + 1]] = _zero_columns(piece, start)
         static_m, history_m = static_response_of(estimate, k, piece, columns)
         if not is_first:
-            path, here = columns.paths[k], slice(rows[k], rows[k + 1])
-            changes_m = path.behind_filters(path.changes_m(shape), axis, piece)
-            histories[k][here] = changes_m / abs(scale_m)
-            if remembers:
-                x[here] += _history_columns(estimate, k, piece, columns)
-        read_m = reading_of(axis, piece, start, static_m)
-        errors_m.append(piece.measured_m[piece.rows] - read_m)
-        sensor_slope.append(_sensor_slope(axis, piece, start, static_m))
+            path = columns.paths[k]
+            changes_m = path.filtered(path.changes_m(shape), axis, piece)
+            histories[k][of_piece] = changes_m / abs(scale_m)
+            if has_histories:
+                x[of_piece] += _history_columns(estimate, k, piece, columns)
+        reading_m = reading_of(axis, piece, start, static_m)
+        errors_m.append(piece.measured_m[piece.rows] - reading_m)
+        sensor_slopes.append(_sensor_slope(axis, piece, start, static_m))
         if has_numbers:
-            by_numbers_m = _changes_m(axis, piece, start, read_m, static_m, history_m)
-            slopes.append(by_numbers_m / scale_m)
+            changes_m = _changes_by_numbers_m(axis, piece, start, reading_m, static_m, history_m)
+            by_numbers.append(changes_m / scale_m)
     numbers = numbers_of(axis) if has_numbers else free([], [], [], [])
-    number_columns, size = _of_unit_size(slopes, int(rows[-1]))
+    number_columns, size = _normalised(by_numbers, int(rows[-1]))
     step = numbers.step / size
-    slope = np.concatenate(sensor_slope)[:, None]
-    linear = np.hstack([slope * table for table in (x, *histories, zeros)])
+    sensor_slope = np.concatenate(sensor_slopes)[:, None]
+    linear = np.hstack([sensor_slope * table for table in (x, *histories, zeros)])
     present = np.concatenate(
         [
             estimate.wide * columns.scale,
@@ -181,66 +183,67 @@ def regression_of(
     )
 
 
-def _history_columns(estimate: Estimate, k: int, piece: Piece, columns: Columns) -> Array:
+def _history_columns(estimate: Estimate, k: int, piece: PieceRows, columns: Columns) -> Array:
     """Return the change of the class's columns by weighted histories, (rows, columns)."""
     path, scale_m = columns.paths[k], abs(half_range_m(estimate.model))
     change = path.column_changes(estimate.weights[k], columns.plays, scale_m)
-    return path.behind_filters(change, estimate.model, piece) / columns.scale
+    return path.filtered(change, estimate.model, piece) / columns.scale
 
 
-def _zero_columns(piece: Piece, start: PieceStart) -> Array:
-    """Return the zero of a piece for each of its knots at 1, (rows, knots)."""
+def _zero_columns(piece: PieceRows, start: PieceStart) -> Array:
+    """Return the derivative of the zero by the value at each of its knots, (rows, knots)."""
     hats = [replace(start, zero_m=knot) for knot in np.eye(len(start.zero_m))]
     return np.stack([zero_of(hat, piece.where.samples)[piece.rows] for hat in hats], axis=1)
 
 
-def _of_unit_size(tables: Sequence[Array], rows: int) -> tuple[Array, Array]:
-    """Return columns of rms 1, and what they were divided by."""
+def _normalised(tables: Sequence[Array], rows: int) -> tuple[Array, Array]:
+    """Scale columns to rms 1; return them and their divisors."""
     columns = np.concatenate(tables) if tables else np.zeros((rows, 0))
     size = np.sqrt((columns**2).mean(axis=0))
-    size[size < SMALLEST] = 1.0
+    size[size < MIN_CHANGE] = 1.0
     return columns / size, size
 
 
-def _sensor_slope(axis: AxisModel, piece: Piece, start: PieceStart, static_m: Array) -> Array:
-    """Return by how much the reading changes with the position, (rows,)."""
+def _sensor_slope(axis: AxisModel, piece: PieceRows, start: PieceStart, static_m: Array) -> Array:
+    """Return d reading / d position, (rows,)."""
     if not any(is_sensor(extension) for extension in axis.extensions):
         return np.ones(len(piece.rows))
     step_m = SENSOR_STEP * abs(half_range_m(axis))
     above_m, below_m = (
-        reading_of(axis, piece, start, static_m, away_m) for away_m in (step_m, -step_m)
+        reading_of(axis, piece, start, static_m, offset_m) for offset_m in (step_m, -step_m)
     )
     return np.asarray((above_m - below_m) / (2.0 * step_m))
 
 
-def _changes_m(
+def _changes_by_numbers_m(
     axis: AxisModel,
-    piece: Piece,
+    piece: PieceRows,
     start: PieceStart,
-    read_m: Array,
+    reading_m: Array,
     static_m: Array,
     history_m: Array,
 ) -> Array:
     """Return the change of the reading by a step of every number, (rows, numbers).
 
-    read_m     (rows,)     of the model as it is
-    history_m  (samples,)  part of ``static_m`` that is of weighted histories
+    reading_m  (rows,)     of the present model
+    history_m  (samples,)  contribution of weighted histories to ``static_m``
     """
     numbers = numbers_of(axis)
     changes = np.zeros((len(piece.rows), len(numbers.value)))
-    parts: list[Extension | None] = [] if axis.lag.kind == "none" else [None]
+    changes_hysteresis = [] if axis.lag.kind == "none" else [False]
     for extension in axis.extensions:
         if not is_sensor(extension):
-            parts += [extension] * len(extension.free().value)
-    for k, (part, step) in enumerate(zip(parts, numbers.step, strict=True)):
+            count = len(extension.free().value)
+            changes_hysteresis += [not _is_behind_hysteresis(extension)] * count
+    for k, (step, is_inside) in enumerate(zip(numbers.step, changes_hysteresis, strict=True)):
         sign = 1.0 if numbers.value[k] + step <= numbers.upper[k] else -1.0
         values = numbers.value.copy()
         values[k] += sign * step
         changed, changed_m = with_numbers(axis, values), static_m
-        if part is not None and not _is_behind_hysteresis(part):
+        if is_inside:
             drive_V = changed.forward.driven_V(piece.voltage_V, piece.where.rate_Hz)
             changed_m = history_m + changed.static_m(drive_V, start.memory_V, piece.where.rate_Hz)
-        changes[:, k] = sign * (reading_of(changed, piece, start, changed_m) - read_m)
+        changes[:, k] = sign * (reading_of(changed, piece, start, changed_m) - reading_m)
     return changes
 
 
@@ -250,23 +253,24 @@ def _is_behind_hysteresis(extension: Extension) -> bool:
 
 
 def _prior(axis: AxisModel, steps: Array, count: int) -> Moments:
-    """Return the sums of what is known of the extensions' numbers beforehand, one row each.
+    """Return the moments of the priors of the extensions, each relation with the weight of a row.
 
-    steps  (numbers,)  what a coefficient of 1 means
-    count  of all columns
+    steps  (numbers,)  changes of the numbers by coefficients of 1
+    count  number of all columns of the regression
     """
     gram, moment, square, rows = np.zeros((count, count)), np.zeros(count), 0.0, 0
     first = int(axis.lag.kind != "none")
     for extension in axis.extensions:
         if is_sensor(extension):
             continue
-        last = first + len(extension.free().value)
-        relations = extension.prior() / (abs(half_range_m(axis)) if extension.in_metres else 1.0)
+        stop = first + len(extension.free().value)
+        scale = abs(half_range_m(axis)) if extension.is_prior_in_metres else 1.0
+        relations = extension.prior() / scale
         if len(relations):
-            span = slice(count - len(steps) + first, count - len(steps) + last)
-            change, value = relations * steps[first:last], relations @ extension.free().value
+            span = slice(count - len(steps) + first, count - len(steps) + stop)
+            change, value = relations * steps[first:stop], relations @ extension.free().value
             gram[span, span] += change.T @ change
             moment[span] -= change.T @ value
             square, rows = square + float(value @ value), rows + len(relations)
-        first = last
+        first = stop
     return Moments(gram=gram, moment=moment, square=square, count=rows)

@@ -13,8 +13,13 @@ from piezoid.identification.extensions.extension import Extension, Where
 from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.forward import Forward
 from piezoid.identification.hysteresis.pieces import Rig, Scales
-from piezoid.identification.loop_shape import LoopShape, histories, history_of, remembered
-from piezoid.identification.minor_loops_known import FunctionOrder, MinorLoops
+from piezoid.identification.loop_shape import (
+    LoopShape,
+    histories,
+    history_of,
+    settling_samples,
+)
+from piezoid.identification.minor_loops import FunctionOrder, MinorLoops
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import Certificate, FitQuality, Uncertainty, Verdict
 from piezoid.numerics.arrays import Array, freeze
@@ -27,10 +32,10 @@ SCHEMA = "piezoid.model/1"
 
 @dataclass(frozen=True, kw_only=True)
 class Lag:
-    """One time constant behind the hysteresis.
+    """Delay or time constant behind the hysteresis.
 
-    kind     ``none``, ``delay`` or ``first_order``; at low frequency the last two are the same
-    time_s   >= 0
+    kind    ``none``, ``delay`` or ``first_order``; at low frequency the last two are equivalent
+    time_s  >= 0
     """
 
     kind: str
@@ -43,9 +48,9 @@ class Discrepancy:
 
         d[u] = sum_i sum_n weight_(n, i) (z_i / reach)^n,   z_i plays of u - centre
 
-    threshold_V  (plays,)
-    weight_m     (powers, plays)
-    steepest_m_per_V  by how much it changes the slope of the response, at most
+    threshold_V       (plays,)
+    weight_m          (powers, plays)
+    steepest_m_per_V  largest slope of the unexplained hysteresis
     """
 
     centre_V: float
@@ -65,41 +70,40 @@ class Discrepancy:
 
     def run(self, voltage_V: Array) -> Array:
         """Return d along a drive whose first sample follows rest at the centre, (samples,) m."""
-        away_V = np.ascontiguousarray(voltage_V - self.centre_V)
-        begun_V = np.clip(0.0, away_V[0] - self.threshold_V, away_V[0] + self.threshold_V)
-        states = play_columns(away_V, self.threshold_V, begun_V)[0] / self.reach_V
+        drive_V = np.ascontiguousarray(voltage_V - self.centre_V)
+        memory_V = np.clip(0.0, drive_V[0] - self.threshold_V, drive_V[0] + self.threshold_V)
+        states = play_columns(drive_V, self.threshold_V, memory_V)[0] / self.reach_V
         powers = enumerate(self.weight_m, start=1)
         return np.asarray(sum(states**n @ weight_m for n, weight_m in powers))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AxisModel:
-    """One axis of a stage.
+    """The identified model of one axis.
 
-    axis         its name
+    axis         name of the axis
     hysteresis   y_off + Psi(H[u - u_off]), rising with the drive
-    polarity     +1, or -1 where the displacement falls as the drive rises
-    lag          behind the hysteresis, beyond what the rig declares
+    polarity     +1, or -1 if the displacement falls as the drive rises
+    lag          behind the hysteresis, beyond the poles that the rig declares
     rig          declared poles
     starts       one for every piece of every recording
     voltage_V    (low, high) range of the drive in the data: outside it the model extrapolates
-    dynamics     from the hysteresis' output, as a drive, to the displacement, declared poles
-                 included; None where no recording excites them
-    joint        what the fit of hysteresis and dynamics together says; None where there is none
-    bandwidth    what limits the stage first, a pole or a resonance; None where no recording
-                 excites dynamics and no bandwidth is stated
-    response     how the dynamics were found in a measured frequency response; None where they
-                 were not
-    extensions   what a diagnosis added, in the order in which they act
-    minor_loops  what simulates, ships and is bounded in place of ``hysteresis``, by which a
-                 diagnosis still goes; None where it predicts no better
+    dynamics     from the output of the hysteresis, as a drive, to the displacement, including
+                 declared poles; None if no recording excites them
+    joint        result of the joint fit of hysteresis and dynamics; None without such a fit
+    bandwidth    which pole or resonance limits the bandwidth; None if no recording excites the
+                 dynamics and no bandwidth is declared
+    response     quality of the fit to a measured frequency response; None without one
+    extensions   effects that a diagnosis added, in the order in which they act
+    minor_loops  operator that replaces ``hysteresis`` in simulation, export and bounds; a
+                 diagnosis still uses ``hysteresis``. None if it predicts no better
     function_orders  plays behind functions that were tried, the largest first
-    loop_shape   hysteresis that no controller inverts, beside or in place of the operator; None
-                 where it predicts no better
-    discrepancy  what this class leaves of the recordings, for verification; None: not known
-    dynamics_remarks  those of the verdict's remarks that tell how the dynamics were found
-    counted      what was recorded in counts of a converter, of ``displacement`` and ``voltage``:
-                 its numbers are counts where names say metres or volts, and nothing can ship
+    loop_shape   hysteresis that no controller inverts, in addition to the weighted operator; None
+                 if it predicts no better
+    discrepancy  unexplained hysteresis, for verification; None if it is unknown
+    dynamics_remarks  remarks of the verdict about the identification of the dynamics
+    counted      which of ``displacement`` and ``voltage`` were recorded in converter counts:
+                 values named in metres or volts are then counts, and nothing can be exported
     """
 
     axis: str
@@ -146,7 +150,7 @@ class AxisModel:
 
     @property
     def unfitted_resonance_Hz(self) -> float | None:
-        """Frequency of a resonance that recordings show and the model lacks, or None.
+        """Frequency of a resonance that is visible in recordings but not modelled, or None.
 
         >>> model["x"].unfitted_resonance_Hz
         """
@@ -155,7 +159,7 @@ class AxisModel:
         return self.bandwidth.resonance_Hz
 
     def without_loop_shape(self) -> "AxisModel":
-        """Return the axis as plays with dead zones describe it.
+        """Return the fit of plays with dead zones alone, without loop shape and minor loops.
 
         >>> model["x"].without_loop_shape().loop_shape is None
         True
@@ -194,7 +198,7 @@ class AxisModel:
 
     @property
     def zero_m(self) -> float:
-        """The displacement at which the hysteresis' output is 0, middle of those of the fit."""
+        """Displacement at which the output of the hysteresis is 0, mean over the recordings."""
         return self.hysteresis.displacement_offset_m
 
     def simulate(
@@ -211,22 +215,22 @@ class AxisModel:
         voltage_V         (samples,)  V
         sampling_rate_Hz  Hz
         memory_V          (plays,)    V, admissible, before the first sample; None: de-poled
-        where             the piece of a recording, for extensions that belong to one
+        where             the piece of a recording, for extensions that depend on it
         zero_m            m; None: ``zero_m`` of the model
         returned          (samples,)  m
 
-        What goes wrong: a stage that was moved before is not de-poled. Let the drive begin with
-        a loop over the range, and leave its displacement out.
+        A stage that was driven before is not de-poled. Let the drive begin with a loop over the
+        range, and discard the displacement of that loop.
 
-        >>> moved_m = model["x"].simulate([0.0, 5.0, 10.0, 5.0], 1000.0)
-        >>> bool(moved_m[3] > moved_m[1])  # the falling branch lies above the rising one
+        >>> y_m = model["x"].simulate([0.0, 5.0, 10.0, 5.0], 1000.0)
+        >>> bool(y_m[3] > y_m[1])  # the falling branch lies above the rising one
         True
         """
-        drive_V = _drive(voltage_V, f"the drive of axis {self.axis}", "V")
-        location = where or Where(recording="", rate_Hz=sampling_rate_Hz, samples=len(drive_V))
-        moved_m = self.moved(drive_V, self._memory(memory_V), location)
-        position_m = (self.zero_m if zero_m is None else zero_m) + moved_m
-        return self.forward.read(position_m, location)
+        drive_V = _finite_samples(voltage_V, f"the drive of axis {self.axis}", "V")
+        piece = where or Where(recording="", rate_Hz=sampling_rate_Hz, samples=len(drive_V))
+        motion_m = self.motion_m(drive_V, self._memory(memory_V), piece)
+        position_m = (self.zero_m if zero_m is None else zero_m) + motion_m
+        return self.forward.read(position_m, piece)
 
     def inverse(
         self,
@@ -235,7 +239,7 @@ class AxisModel:
         *,
         zero_m: float | None = None,
     ) -> Array:
-        """Return the voltage whose hysteresis makes this displacement.
+        """Return the voltage at which the hysteresis reaches this displacement.
 
             u = u_off + gamma^-1(H^-1[Psi^-1(y - y_off)])                     [Kuhnen 2003]
 
@@ -244,12 +248,12 @@ class AxisModel:
         zero_m          m; None: ``zero_m`` of the model
         returned        (samples,)  V
 
-        Only the hysteresis is inverted, not lag, dynamics and effects of a diagnosis;
+        Only the hysteresis is inverted, not lag, dynamics, loop shape and effects of a diagnosis;
         voltages outside ``voltage_V`` extrapolate. Raises ``NotInvertibleError`` for weights
         without an inverse.
 
-        >>> wanted_m = model["x"].zero_m + np.array([0.0, 1e-6, 0.0])
-        >>> model["x"].inverse(wanted_m).shape
+        >>> reference_m = model["x"].zero_m + np.array([0.0, 1e-6, 0.0])
+        >>> model["x"].inverse(reference_m).shape
         (3,)
         """
         if not self.hysteresis.is_invertible:
@@ -257,35 +261,37 @@ class AxisModel:
             raise NotInvertibleError(
                 f"axis {self.axis}: the flattest branch has a slope of {min_slope_m_per_V:g} m/V",
                 needed="a hysteresis that rises everywhere",
-                remedy="Fit recordings over a range in which the stage does.",
+                remedy="Fit recordings over a range in which it rises.",
             )
-        wanted_m = _drive(displacement_m, f"the displacement of axis {self.axis}", "m")
+        name = f"the displacement of axis {self.axis}"
+        reference_m = _finite_samples(displacement_m, name, "m")
         zero = self.zero_m if zero_m is None else zero_m
-        output_m = self.polarity * (wanted_m - zero) + self.hysteresis.displacement_offset_m
+        output_m = self.polarity * (reference_m - zero) + self.hysteresis.displacement_offset_m
         memory = self._memory(memory_V)
         return self.operator.inverse_run(output_m, self._states_V(memory))[0]
 
     def memory_at(self, threshold_V: Array, memory_V: Array) -> Array:
-        """Return the states of plays of other half-widths, without an envelope, (plays,).
+        """Return the states of plays of other half-widths without an envelope, (plays,).
 
-        As far from the drive that left them, to which the play of no width stands, as these are.
+        The play of zero width shows the last drive. The differences of the states from it are
+        interpolated over the half-width.
 
         >>> model["x"].memory_at(np.array([0.0, 1.0]), model["x"].virgin_memory_V).tolist()
         [0.0, 0.0]
         """
-        left_V = self.hysteresis.envelope.inverse().run(memory_V[:1])
-        away_V = memory_V - memory_V[0]
+        drive_V = self.hysteresis.envelope.inverse().run(memory_V[:1])
+        difference_V = memory_V - memory_V[0]
         threshold = self.hysteresis.plays.threshold
-        return np.asarray(left_V + np.interp(threshold_V, threshold, away_V))
+        return np.asarray(drive_V + np.interp(threshold_V, threshold, difference_V))
 
     def _states_V(self, memory_V: Array) -> Array:
-        """Return the states of the plays that simulate, from those of ``hysteresis``."""
+        """Convert states of the plays of ``hysteresis`` to those of ``operator``."""
         if self.minor_loops is None:
             return memory_V
         return self.memory_at(self.minor_loops.operator.threshold_V, memory_V)
 
     def _memory(self, memory: Array | None) -> Array:
-        """Return the memory before the first sample, or refuse one of another length."""
+        """Return the memory before the first sample, or raise an error for another length."""
         if memory is None:
             return self.virgin_memory_V
         memory_V, plays = np.asarray(memory, dtype=np.float64), len(self.hysteresis.plays.weight)
@@ -293,24 +299,25 @@ class AxisModel:
             raise IdentificationError(
                 f"axis {self.axis}: a memory of shape {memory_V.shape}",
                 needed=f"the state of each of its {plays} plays",
-                remedy="Take virgin_memory_V, or memory_V of one of its starts.",
+                remedy="Pass virgin_memory_V, or memory_V of one of its starts.",
             )
         return memory_V
 
-    def moved(
+    def motion_m(
         self,
         voltage_V: Array,
         memory_V: Array,
         where: Where,
         history_weight: Array | None = None,
     ) -> Array:
-        """Return the displacement relative to the zero, in front of the sensor, (samples,).
+        """Simulate the position relative to the zero, in front of the sensor, (samples,) m.
 
-        history_weight  as in ``PieceStart``; None: none
+        history_weight  as in ``PieceStart``; None: no other history than that of ``memory_V``
 
         >>> from piezoid.identification.extensions.extension import Where
         >>> where = Where(recording="", rate_Hz=1000.0, samples=3)
-        >>> model["x"].moved(np.array([0.0, 5.0, 10.0]), model["x"].virgin_memory_V, where).shape
+        >>> memory_V = model["x"].virgin_memory_V
+        >>> model["x"].motion_m(np.array([0.0, 5.0, 10.0]), memory_V, where).shape
         (3,)
         """
         forward = self.forward
@@ -324,7 +331,7 @@ class AxisModel:
 
     @property
     def forward(self) -> Forward:
-        """The parts between drive and reading, in volts and metres about the hysteresis' offsets.
+        """The forward model in volts and metres, relative to the offsets of the hysteresis.
 
         >>> model["x"].forward.lag == model["x"].lag.kind
         True
@@ -344,7 +351,9 @@ class AxisModel:
         )
 
     def static_m(self, driven_V: Array, memory_V: Array, rate_Hz: float) -> Array:
-        """Return Psi(H[gamma(u - u_off)]) + L[u], with a delayed irreversible part.
+        """Simulate the static response a Psi(H[gamma(u - u_off)]) + L[u], (samples,) m.
+
+        Its irreversible part may be delayed, and then depends on the sampling rate.
 
         >>> u, memory = np.array([0.0, 5.0]), model["x"].virgin_memory_V
         >>> model["x"].static_m(u, memory, 1000.0).shape
@@ -358,20 +367,20 @@ class AxisModel:
         return np.asarray(static_m + self.loop_shape.response(driven_V, history))
 
     def invertible_m(self, driven_V: Array, memory_V: Array, rate_Hz: float) -> Array:
-        """Return the response of the part that a controller inverts, (samples,).
+        """Simulate the part of the static response that a controller inverts, (samples,) m.
 
         >>> u, memory = np.array([0.0, 5.0]), model["x"].virgin_memory_V
         >>> model["x"].invertible_m(u, memory, 1000.0).shape
         (2,)
         """
         if self.minor_loops is not None:
-            moved_m, _ = self.operator.run(driven_V, self._states_V(memory_V))
-            return moved_m - self.hysteresis.displacement_offset_m
+            output_m, _ = self.operator.run(driven_V, self._states_V(memory_V))
+            return output_m - self.hysteresis.displacement_offset_m
         drive_V = driven_V - self.hysteresis.voltage_offset_V
         return self.forward.static(drive_V, memory_V, rate_Hz)[0]
 
     def memory_after(self, turns_V: Array) -> Array:
-        """Return the states of the plays after reversals of the drive, (plays,).
+        """Simulate the states of the plays after reversals of the drive, (plays,).
 
         >>> x = model["x"]
         >>> x.memory_after(np.array([10.0, 0.0])).shape == x.virgin_memory_V.shape
@@ -383,11 +392,11 @@ class AxisModel:
     def history_changes_m(
         self, driven_V: Array, memory_V: Array, rate_Hz: float, count: int | None = None
     ) -> Array:
-        """Return the change of the response by other histories, (samples, histories).
+        """Simulate how other histories change the static response, (samples, histories) m.
 
         driven_V  (samples,)  V, in front of the hysteresis
         memory_V  (plays,)    V, of the reference history
-        count     of histories; None: all
+        count     number of histories; None: all
 
         >>> u, memory = np.array([0.0, 5.0]), model["x"].virgin_memory_V
         >>> model["x"].history_changes_m(u, memory, 1000.0).shape[0]
@@ -397,23 +406,23 @@ class AxisModel:
         if shape is None:
             return np.zeros((len(driven_V), 0))
         scaled = shape.scaled(driven_V)
-        stop = remembered(scaled)
+        stop = settling_samples(scaled)
         drive_V = driven_V[:stop]
         base_m = self.static_m(drive_V, memory_V, rate_Hz)
         candidates = histories(float(scaled[0]))[:count]
         changes_m = np.zeros((len(driven_V), len(candidates)))
         for number, history in enumerate(candidates):
-            begun_V = self.memory_after(shape.turns_V(history))
+            history_memory_V = self.memory_after(shape.turns_V(history))
             changes_m[:stop, number] = (
-                shape.plays_weight * self.invertible_m(drive_V, begun_V, rate_Hz)
+                shape.plays_weight * self.invertible_m(drive_V, history_memory_V, rate_Hz)
                 + shape.response(drive_V, history)
                 - base_m
             )
         return changes_m
 
 
-def _drive(signal: ArrayLike, name: str, unit: str) -> Array:
-    """Convert to finite samples, (samples,), or raise ``RecordingError``."""
+def _finite_samples(signal: ArrayLike, name: str, unit: str) -> Array:
+    """Convert a signal to finite samples, (samples,), or raise ``RecordingError``."""
     values = np.asarray(signal, dtype=np.float64)
     if values.ndim != 1 or not len(values):
         raise RecordingError(
@@ -422,10 +431,10 @@ def _drive(signal: ArrayLike, name: str, unit: str) -> Array:
             remedy="Pass each axis by itself.",
         )
     if not np.isfinite(values).all():
-        place_of = int(np.flatnonzero(~np.isfinite(values))[0])
+        sample = int(np.flatnonzero(~np.isfinite(values))[0])
         raise RecordingError(
-            f"{name} is {values[place_of]} at sample {place_of}",
+            f"{name} is {values[sample]} at sample {sample}",
             needed="finite numbers",
-            remedy="Leave out or bridge the samples without one.",
+            remedy="Remove or interpolate the samples that are not finite.",
         )
     return values

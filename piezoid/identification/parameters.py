@@ -1,4 +1,4 @@
-"""Every number of a fitted axis in one table, with its unit and its 95 % interval."""
+"""Table of all parameters of a fitted axis with unit and 95 % interval."""
 
 from dataclasses import fields
 from typing import TYPE_CHECKING
@@ -21,10 +21,10 @@ _ENDINGS = (
 
 
 def parameters_of(axis: AxisModel) -> "DataFrame":
-    """Return the table, names down its side: ``value``, ``unit``, ``low``, ``high``.
+    """Return a table of all parameters by name: ``value``, ``unit``, ``low``, ``high``.
 
-    Intervals of the hysteresis are from leaving out blocks of cycles, a weight on zero has its
-    one-sided limit; those of dynamics and extensions are from the fit's curvature.
+    Intervals of the hysteresis come from leaving out blocks of cycles; a weight of 0 has a
+    one-sided limit. Intervals of dynamics and extensions are normal, from their standard errors.
     """
     from pandas import DataFrame
 
@@ -33,8 +33,8 @@ def parameters_of(axis: AxisModel) -> "DataFrame":
     rows: list[tuple[str, float, float, float]] = []  # name, value, low, high
     for name, value, spread in zip(uncertainty.names, uncertainty.values, half, strict=True):
         limit = uncertainty.upper_limit.get(name)
-        ends = (value - spread, value + spread) if limit is None else (value, limit)
-        rows.append((name, float(value), float(ends[0]), float(ends[1])))
+        low, high = (value - spread, value + spread) if limit is None else (value, limit)
+        rows.append((name, float(value), float(low), float(high)))
     if dynamics is not None:
         for name, values, intervals in (
             (
@@ -57,15 +57,15 @@ def parameters_of(axis: AxisModel) -> "DataFrame":
 
 
 def unit_of_name(name: str) -> str:
-    """Return the unit at the end of a name, ``1`` if it has none."""
+    """Return the unit at the end of a name, or ``1``."""
     stem = name.partition("[")[0]
     return next((unit for ending, unit in _ENDINGS if stem.endswith(ending)), "1")
 
 
 def _extension(extension: Extension) -> list[tuple[str, float, float, float]]:
-    """Return the numbers of one extension but those that belong to single recordings.
+    """Return the rows of one extension, without numbers of single recordings.
 
-    The ends of an interval are the extension's own numbers with what was fitted moved there.
+    The ends of an interval are the fields of the extension at the ends of its free numbers.
     """
     free, half = extension.free(), NORMAL_95 * np.array(extension.std)
     values = _numbers(extension)
@@ -78,8 +78,9 @@ def _extension(extension: Extension) -> list[tuple[str, float, float, float]]:
     rows = []
     for name, value in values.items():
         low, high = sorted((lows[name], highs[name]))
-        ends = (low, high) if low < high else (np.nan, np.nan)  # a number that was not fitted
-        rows.append((f"{extension.kind}.{name}", value, *ends))
+        if not low < high:  # not a free number
+            low = high = np.nan
+        rows.append((f"{extension.kind}.{name}", value, low, high))
     return rows
 
 
@@ -91,6 +92,6 @@ def _numbers(extension: Extension) -> dict[str, float]:
             continue
         if isinstance(value, float):
             numbers[entry.name] = value
-        elif isinstance(value, tuple) and all(isinstance(part, float) for part in value):
-            numbers |= {f"{entry.name}[{k}]": part for k, part in enumerate(value)}
+        elif isinstance(value, tuple) and all(isinstance(number, float) for number in value):
+            numbers |= {f"{entry.name}[{k}]": number for k, number in enumerate(value)}
     return numbers

@@ -1,4 +1,4 @@
-"""Fitted starts of the pieces of recordings: memory and zero."""
+"""Fitted starts of the pieces of recordings: initial state and zero."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -7,21 +7,21 @@ import numpy as np
 
 from piezoid.numerics.arrays import Array, freeze
 
-SEEN = 5e-4  # of the range: smaller movements of the zero do not matter to a controller
-# Times what the fit leaves: the zero takes up what a class leaves of a strange law, too. On
-# healthy recordings of seven laws it moved by 0.01 to 3.1 times that, with a drift of 1 % by 16.
-BEYOND_THE_FIT = 4.0
+MIN_DRIFT = 5e-4  # of the range: a smaller drift of the zero does not matter to a controller
+# Drift over the residual: the zero also follows unmodelled hysteresis. On healthy recordings of
+# seven laws it drifted by 0.01 to 3.1 times the residual, with a drift of 1 % by 16 times.
+MIN_RATIO = 4.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PieceStart:
-    """Where one uninterrupted piece of a recording began.
+    """Initial state and zero of one uninterrupted piece of a recording.
 
-    recording    its name
-    memory_V     (plays,)  admissible states of u - u_off before the first sample
-    zero_m       (knots,)  displacement at which the operator's output is 0, spread over the rows
-    first, last  rows of the piece that counted
-    history_weight  (histories,)  weights of ``AxisModel.history_changes_m``; empty: none
+    recording       name of the recording
+    memory_V        (plays,)  admissible states of u - u_off before the first sample
+    zero_m          (knots,)  displacement at output 0 of the operator, equidistant over the rows
+    first, last     first fitted sample of the piece, and the sample after the last
+    history_weight  (histories,)  weights of ``AxisModel.history_changes_m``; empty: 0
     """
 
     recording: str
@@ -35,14 +35,14 @@ class PieceStart:
         freeze(self, "memory_V", "zero_m", "history_weight")
 
 
-def wandering_zeros(
+def drifting_zeros(
     starts: Sequence[PieceStart], rms_m: float, range_m: float
 ) -> tuple[tuple[PieceStart, float], ...]:
-    """Return the pieces whose zero moves by more than a good fit allows, and the movement.
+    """Return the pieces whose zero drifts significantly, each with its drift in m.
 
     rms_m    residual of the fit
     range_m  of the displacement
     """
-    least_m = max(SEEN * range_m, BEYOND_THE_FIT * rms_m)
-    wandering = [(start, float(np.ptp(start.zero_m))) for start in starts]
-    return tuple((start, by_m) for start, by_m in wandering if by_m > least_m)
+    min_drift_m = max(MIN_DRIFT * range_m, MIN_RATIO * rms_m)
+    drifts = [(start, float(np.ptp(start.zero_m))) for start in starts]
+    return tuple((start, drift_m) for start, drift_m in drifts if drift_m > min_drift_m)

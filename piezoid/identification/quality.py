@@ -1,4 +1,4 @@
-"""Quality of a fitted axis: verdict, errors, uncertainty of parameters, bound."""
+"""Quality of a fitted axis: verdict, errors, uncertainty of parameters, error bound."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -10,11 +10,11 @@ from piezoid.numerics.arrays import Array, freeze
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """Whether this class of model applies to the axis, and why not.
+    """Whether the model class applies to the axis, with the reason if it does not.
 
     applies  False: the fit must not be used as a hysteresis model
-    reason   one sentence with numbers; empty where it applies without remark
-    remarks  weaknesses the reader should know: at-bound weights, unexcited thresholds, ...
+    reason   one sentence with numbers, or empty
+    remarks  limitations of the fit: weights at bounds, thresholds beyond the drive, ...
     """
 
     applies: bool
@@ -24,12 +24,13 @@ class Verdict:
 
 @dataclass(frozen=True, kw_only=True)
 class Order:
-    """One shape that was tried.
+    """One order of the hysteresis that was tried, with its error.
 
-    plays, dead_zones  moving plays; dead zones besides the one at 0
-    bends              kinks of the envelope, 0 for Kuhnen's model
-    lag                kind
-    held_out_rms_m     on rows the fit did not see
+    plays           number of plays of non-zero width
+    dead_zones      number of dead zones besides the linear one
+    bends           number of kinks of the envelope, 0 for Kuhnen's model
+    lag             kind of the lag
+    held_out_rms_m  error on left-out rows
     """
 
     plays: int
@@ -44,8 +45,6 @@ SECOND_HALF = "second half"
 WIDEST_HALVED = "other recordings, second half of the widest"
 BLOCKS = "blocks of several seconds, in five folds"
 IN_SAMPLE = "none, one loop"
-
-
 CLEAR_EXCESS = 1.1  # noise over the error of the model: third differences scatter by a few percent
 
 
@@ -53,10 +52,10 @@ CLEAR_EXCESS = 1.1  # noise over the error of the model: third differences scatt
 class Limit:
     """A gap of the recordings that no fit can close.
 
-    lack    ``branch``, ``loop``, ``speed``, ``amplitude`` or ``recording``: there is only one;
-            or the kind of what reading found odd, such as ``stands``
-    reason  half a sentence
-    most    score that a fit can have with it, 0 to 100
+    lack    ``branch``, ``loop``, ``speed``, ``amplitude`` or ``recording``, of which there is only
+            one; or a fault of a recording, such as ``stands``
+    reason  clause without capital and full stop
+    most    largest score of a fit with this gap, 0 to 100
     """
 
     lack: str
@@ -68,21 +67,21 @@ class Limit:
 class FitQuality:
     """Errors of a fit, in sample and held out, and limits of its recordings.
 
-    rms_m                residual on the data of the fit
-    held_out_rms_m       free-run simulation error on rows the fit did not see
-    held_out_kind        ``OTHER_RECORDINGS``, ``WIDEST_HALVED``, ``SECOND_HALF``, ``BLOCKS``, or
-                         ``IN_SAMPLE``: then it is the residual on the data of the fit
-    range_m              displacement range of the rows that counted
-    noise_rms_m          of the sensor, from repeated periods or from third differences
-    rows                 rows of the final search
-    effective_parameters  numbers that the data determined: trace of the estimator's hat matrix
-    kkt_gap              of the convex start
-    gradient             largest scaled derivative no bound holds, at the end of the search
-    converged            whether the last step changed the cost by less than one part in 1e5
-    orders               every shape tried, with its held-out error
-    limits               what was never measured, the gravest first
-    noise_is_most        whether the drive moves the stage from sample to sample and never repeats,
-                         so that the noise told is no more than what the model leaves
+    rms_m           residual on the rows of the fit
+    held_out_rms_m  simulation error on left-out rows
+    held_out_kind   ``OTHER_RECORDINGS``, ``WIDEST_HALVED``, ``SECOND_HALF``, ``BLOCKS``, or
+                    ``IN_SAMPLE``: then ``held_out_rms_m`` is the residual on the rows of the fit
+    range_m         displacement range of the fitted rows
+    noise_rms_m     of the sensor, from repeated periods or from third differences
+    rows            number of rows of the final search
+    effective_parameters  number of parameters that the data determine: trace of the hat matrix
+    kkt_gap         of the convex start
+    gradient        largest scaled derivative of a parameter that is not at a bound, at the end
+    converged       whether the last step changed the cost by less than the search's tolerance
+    orders          all orders that were tried
+    limits          gaps of the recordings, the most severe first
+    noise_is_most   whether the noise is only an upper bound: the drive moves the stage between
+                    samples and never repeats, so that noise cannot be separated from the residual
     """
 
     rms_m: float
@@ -110,8 +109,8 @@ class FitQuality:
 
             explained^2 = rms^2 rows / (rows - effective parameters)
 
-        Above the noise it says that a cause is missing; ``held_out_rms_m`` says what the same
-        model is worth for drives that it has not seen.
+        If it exceeds the noise, the model lacks an effect. ``held_out_rms_m`` is the error to
+        expect for other drives.
         """
         free = max(self.rows - self.effective_parameters, 1.0)
         return float(self.rms_m * np.sqrt(max(self.rows, 1) / free))
@@ -127,8 +126,8 @@ class FitQuality:
         return "at most " if self.noise_is_most else ""
 
     @property
-    def lag_is_open(self) -> bool:
-        """Whether lag and loop width cannot be separated: no loop was driven at two speeds."""
+    def is_lag_ambiguous(self) -> bool:
+        """Whether lag and loop width cannot be separated: no loop was recorded at two speeds."""
         return any(limit.lack in ("speed", "branch") for limit in self.limits)
 
     @property
@@ -140,8 +139,8 @@ class FitQuality:
 def with_noise_bound(quality: FitQuality) -> FitQuality:
     """Return the quality with a sensor noise that does not exceed the error of the model.
 
-    The residual contains the noise. A noise that exceeds it clearly was estimated from the
-    residual of a worse model, and is known as an upper limit only.
+    The residual contains the noise. A noise that clearly exceeds the residual was estimated from
+    the residual of a worse model; the smaller residual is then an upper bound of the noise.
     """
     bound_m = quality.explained_rms_m
     if quality.is_tested:
@@ -156,15 +155,15 @@ def with_noise_bound(quality: FitQuality) -> FitQuality:
 class Uncertainty:
     """Uncertainty of the parameters: 95 % intervals, from leaving out blocks of cycles.
 
-    blocks            how many blocks
-    names             (parameters,)
-    values            (parameters,)
-    covariance        (parameters, parameters)
-    upper_limit       one-sided limit by name, of weights that lie on 0
-    reach_V           (points,)  rise of the drive from the middle of its range
-    loading_m         (points,)  loading curve: what the de-poled model answers to that rise
-    loading_half_m    (points,)  half its interval
-    loop_width_m      opening of the full loop in its middle, and half its interval
+    blocks          number of blocks
+    names           (parameters,)
+    values          (parameters,)
+    covariance      (parameters, parameters)
+    upper_limit     one-sided limits of weights that are 0, by name
+    reach_V         (points,)  rise of the drive from the middle of its range
+    loading_m       (points,)  response of the de-poled model to that rise
+    loading_half_m  (points,)  half the interval of the response
+    loop_width_m    width of the full loop in its middle, and half its interval
     """
 
     blocks: int
@@ -187,15 +186,22 @@ class Uncertainty:
                 f"{self.covariance.shape}"
             )
 
-    def known_anew(self, name: str, value: float, standard: float) -> "Uncertainty":
-        """Replace the estimate of one number by that of another fit, uncorrelated with the rest.
-
-        standard  error of the number; 0: unknown. Nothing changes if it is unknown, or not
-                  smaller than the present error
-        """
+    def standard_error(self, name: str) -> float:
+        """Return the standard error of one parameter."""
         index = self.names.index(name)
-        if not 0.0 < standard < np.sqrt(self.covariance[index, index]):
+        return float(np.sqrt(self.covariance[index, index]))
+
+    def updated(self, name: str, value: float, standard: float) -> "Uncertainty":
+        """Replace the estimate of one parameter by a more accurate one from another fit.
+
+        standard  standard error of the value; nothing changes if it is 0, which means unknown, or
+                  not smaller than the present one
+
+        The new estimate is uncorrelated with the other parameters.
+        """
+        if not 0.0 < standard < self.standard_error(name):
             return self
+        index = self.names.index(name)
         values, covariance = self.values.copy(), self.covariance.copy()
         values[index] = value
         covariance[index, :] = covariance[:, index] = 0.0
@@ -205,16 +211,17 @@ class Uncertainty:
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """A bound on the model's error for every drive in the range, at 95 % confidence.
+    """Bound on the model error for every drive in the range, at 95 % confidence.
 
         |error| <= plays_m + dead_zones_m + remainder_m
+
     plays_m       Lip(Psi) * integral |W_b - W| dr, 95 % quantile over refits
     dead_zones_m  sup |Psi_b - Psi|, 95 % quantile over refits
     remainder_m   99.9 % quantile of the held-out residual
-    found_m       largest model difference an adversarial search of drives reached, 95 % quantile
-                  over the same refits: how far the sum of the first two terms is from attained
+    found_m       largest difference of two models in an adversarial search over drives, 95 %
+                  quantile over the same refits; compare with plays_m + dead_zones_m
     reach_V       valid for |u - u_off| <= reach_V
-    slew_V_per_s  fastest drive in the data: valid up to there
+    slew_V_per_s  fastest drive in the data, up to which the bound is valid
     """
 
     plays_m: float
@@ -226,5 +233,5 @@ class Certificate:
 
     @property
     def bound_m(self) -> float:
-        """The sum of the three terms."""
+        """Sum of the three terms."""
         return self.plays_m + self.dead_zones_m + self.remainder_m

@@ -1,7 +1,7 @@
 """Simulate recordings of the fit from their fitted starts, and predict any recordings.
 
-A recording begins with a memory and at a zero that no model can know. For a prediction both are
-taken from its own displacement, and nothing else of it; the operator stays what was fitted.
+No model contains the initial state and the zero of a new recording. A prediction fits both, and
+nothing else, to the displacement of the recording.
 """
 
 from dataclasses import dataclass, replace
@@ -10,9 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import least_squares
 
+from piezoid.errors import IdentificationError
 from piezoid.formatting import with_unit
 from piezoid.identification.extensions.extension import Where
+from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
 from piezoid.identification.model import AxisModel
+from piezoid.identification.piece_start import PieceStart
 from piezoid.numerics.arrays import Array, freeze, same_length
 from piezoid.records.recording import Quantity, Recording
 from piezoid.summary import Summarised, Summary
@@ -20,15 +23,10 @@ from piezoid.summary import Summarised, Summary
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-
-from piezoid.errors import IdentificationError
-from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
-from piezoid.identification.piece_start import PieceStart
-
-ROWS = 4000  # of a piece, to which memory and zero are fitted: hundreds of each would do
-# Memory slopes from which the search begins: at rest, left by a fall, left by a rise.
-BEGINNINGS = (0.0, 1.0, -1.0)
-STEPS = 40
+MAX_ROWS = 4000  # of a piece, to which memory and zero are fitted: hundreds of each would do
+# Memory slopes from which the search starts: plays at the drive, after a fall, after a rise.
+START_SLOPES = (0.0, 1.0, -1.0)
+MAX_EVALUATIONS = 40
 
 
 def starts_of(axis_model: AxisModel, recording: Recording) -> tuple[PieceStart, ...]:
@@ -36,55 +34,66 @@ def starts_of(axis_model: AxisModel, recording: Recording) -> tuple[PieceStart, 
     return tuple(start for start in axis_model.starts if start.recording == recording.name)
 
 
+def fitted_pieces(recording: Recording) -> list[slice]:
+    """Return the pieces of a recording that are long enough to be fitted."""
+    return [p for p in recording.pieces if p.stop - p.start >= MINIMUM_SAMPLES]
+
+
 def simulate_recording(axis_model: AxisModel, recording: Recording) -> Array:
     """Simulate the displacement of a recording that the model was fitted to.
 
         y[k] = Gamma[u](k) - y_off + sum_j zero_j hat_j(k)
-    with the model's extensions around Gamma. Every piece runs free from its fitted memory; its
-    zero is interpolated between its own knots.
 
-    returned  (samples,)  m; NaN in pieces too short to have been fitted
+    Gamma is the hysteresis with the extensions of the model. Each piece is simulated from its
+    fitted memory, without feedback of measured values; its zero is interpolated between its knots.
 
-    Raises ``IdentificationError`` where the recording's pieces are not those the model knows.
+    returned  (samples,)  m; NaN in pieces that are too short for a fit
+
+    Raises ``IdentificationError`` if the model contains no starts for these pieces.
     """
     starts = starts_of(axis_model, recording)
-    pieces = [p for p in recording.pieces if p.stop - p.start >= MINIMUM_SAMPLES]
+    pieces = fitted_pieces(recording)
     if len(starts) != len(pieces) or not starts:
         raise IdentificationError(
             f"{recording.name}: {len(pieces)} uninterrupted pieces of at least {MINIMUM_SAMPLES} "
-            f"samples, the model of axis {axis_model.axis} holds the start of {len(starts)}",
-            needed="the recording the model was fitted on, each under a name of its own",
-            remedy="Give the recordings of the fit, or fit again with this one.",
+            f"samples; the model of axis {axis_model.axis} contains the starts of {len(starts)}",
+            needed="a recording to which the model was fitted, under the same name",
+            remedy="Pass the recordings of the fit, or fit again with this recording.",
         )
     displacement_m = np.full(recording.samples, np.nan)
-    for part, start in zip(pieces, starts, strict=True):
-        where = where_of(recording, axis_model.axis, part)
-        voltage_V = recording.voltage_V(axis_model.axis)[part]
-        moved_m = axis_model.moved(voltage_V, start.memory_V, where, start.history_weight)
-        position_m = zero_of(start, where.samples) + moved_m
-        displacement_m[part] = axis_model.forward.read(position_m, where)
+    voltage_V = recording.voltage_V(axis_model.axis)
+    for piece, start in zip(pieces, starts, strict=True):
+        where = where_of(recording, axis_model.axis, piece)
+        displacement_m[piece] = _simulated_from(axis_model, voltage_V[piece], start, where)
     return displacement_m
 
 
+def _simulated_from(
+    axis_model: AxisModel, voltage_V: Array, start: PieceStart, where: Where
+) -> Array:
+    motion_m = axis_model.motion_m(voltage_V, start.memory_V, where, start.history_weight)
+    return axis_model.forward.read(zero_of(start, where.samples) + motion_m, where)
+
+
 def simulate_fitted_rows(axis_model: AxisModel, recording: Recording) -> Array:
-    """Return ``simulate_recording`` at the rows of the fit, and NaN at rows that it left out.
+    """Return ``simulate_recording`` at the rows of the fit, and NaN at all other rows.
 
     Raises ``IdentificationError`` as ``simulate_recording`` does.
     """
     displacement_m = simulate_recording(axis_model, recording)
     is_fitted = np.zeros(recording.samples, dtype=bool)
-    parts = [p for p in recording.pieces if np.isfinite(displacement_m[p]).all()]
-    for part, start in zip(parts, starts_of(axis_model, recording), strict=True):
-        is_fitted[part.start + start.first : part.start + start.last] = True
+    pieces = [p for p in recording.pieces if np.isfinite(displacement_m[p]).all()]
+    for piece, start in zip(pieces, starts_of(axis_model, recording), strict=True):
+        is_fitted[piece.start + start.first : piece.start + start.last] = True
     is_fitted[list(recording.bridged)] = False
     displacement_m[~is_fitted] = np.nan
     return displacement_m
 
 
-def where_of(recording: Recording, axis: str, part: slice) -> Where:
-    """Return the location of a piece for extensions, with the drives of other axes that move."""
+def where_of(recording: Recording, axis: str, rows: slice) -> Where:
+    """Return the location of some rows for extensions, with the drives of other axes that move."""
     other_drives = {
-        channel.axis: channel.values[part]
+        channel.axis: channel.values[rows]
         for channel in recording.channels
         if channel.quantity is Quantity.VOLTAGE
         and channel.axis != axis
@@ -93,14 +102,14 @@ def where_of(recording: Recording, axis: str, part: slice) -> Where:
     return Where(
         recording=recording.name,
         rate_Hz=recording.sampling_rate_Hz,
-        first=part.start,
-        samples=part.stop - part.start,
+        first=rows.start,
+        samples=rows.stop - rows.start,
         others_V=other_drives,
     )
 
 
 def zero_of(start: PieceStart, samples: int) -> Array:
-    """Return a piece's zero at its samples, (samples,), constant outside the rows that counted."""
+    """Return a piece's zero at its samples, (samples,), constant outside the fitted rows."""
     knots = np.linspace(start.first, max(start.last - 1, start.first), len(start.zero_m))
     if len(knots) == 1:
         return np.full(samples, start.zero_m[0])
@@ -132,12 +141,12 @@ class Comparison(Summarised):
 
     @property
     def error_m(self) -> Array:
-        """Measured less predicted, (samples,)."""
+        """Measured minus predicted displacement, (samples,)."""
         return np.asarray(self.measured_m - self.predicted_m)
 
     @property
     def rms_m(self) -> float:
-        """Root of the mean squared error."""
+        """Root mean square of the error."""
         return float(np.sqrt(np.mean(self.error_m**2)))
 
     @property
@@ -184,29 +193,30 @@ class Comparison(Summarised):
 def predict(model: AxisModel, recording: Recording) -> Array:
     """Predict the displacement for the drive of a recording, (samples,) m.
 
-    The drive runs free through the model, piece by piece. Where the recording holds the axis'
-    displacement, each piece's memory and constant zero are fitted to it, or those of the fit
-    taken, whichever leaves less; without, it begins de-poled at the zero of the fit.
+    The model is simulated piece by piece, without feedback of measured values. If the recording
+    contains the displacement of the axis, the memory and a constant zero of each piece are fitted
+    to it; for a recording of the fit, the fitted start is used if its residual is smaller.
+    Without displacement, a piece starts de-poled at the zero of the model.
 
-    Raises ``RecordingError`` where the axis' drive is missing. What goes wrong: drift, hum and
-    gain changes belong to recordings of the fit, of others they are left out; a constant error
-    cannot show, for the zero is fitted.
+    Raises ``RecordingError`` if the drive of the axis is missing. Drift, hum and gain changes
+    belong to recordings of the fit and are omitted for others. A constant error is not visible,
+    because the zero is fitted.
     """
     voltage_V = recording.voltage_V(model.axis)
     channel = recording.find(Quantity.DISPLACEMENT, model.axis)
     predicted_m = np.empty(recording.samples)
-    for part in recording.pieces:
-        where = where_of(recording, model.axis, part)
+    for piece in recording.pieces:
+        where = where_of(recording, model.axis, piece)
         if channel is None:
-            free = model.simulate(voltage_V[part], where.rate_Hz, None, where)
+            piece_m = model.simulate(voltage_V[piece], where.rate_Hz, None, where)
         else:
-            free = _followed(model, voltage_V[part], channel.values[part], where)
-        predicted_m[part] = free
+            piece_m = _predicted(model, voltage_V[piece], channel.values[piece], where)
+        predicted_m[piece] = piece_m
     return predicted_m
 
 
 def compare(model: AxisModel, recording: Recording) -> Comparison:
-    """Return a recording beside ``predict``; it must hold the axis' displacement."""
+    """Compare a recording, which must contain the axis' displacement, with ``predict``."""
     measured_m = recording.displacement_m(model.axis)
     return Comparison(
         recording=recording.name,
@@ -219,48 +229,45 @@ def compare(model: AxisModel, recording: Recording) -> Comparison:
     )
 
 
-def _followed(model: AxisModel, voltage_V: Array, measured_m: Array, where: Where) -> Array:
+def _predicted(model: AxisModel, voltage_V: Array, measured_m: Array, where: Where) -> Array:
     """Predict a piece from the start with the smallest residual."""
-    prediction = _from_own_start(model, voltage_V, measured_m, where)
-    for start in model.starts:
-        if start.recording == where.recording and start.last <= len(voltage_V):
-            moved_m = model.moved(voltage_V, start.memory_V, where, start.history_weight)
-            alternative = model.forward.read(zero_of(start, where.samples) + moved_m, where)
-            prediction = min(
-                prediction,
-                alternative,
-                key=lambda candidate: float(np.sum((candidate - measured_m) ** 2)),
-            )
-    return prediction
+    candidates = [_predicted_from_refit(model, voltage_V, measured_m, where)]
+    candidates += [
+        _simulated_from(model, voltage_V, start, where)
+        for start in model.starts
+        if start.recording == where.recording and start.last <= len(voltage_V)
+    ]
+    return min(candidates, key=lambda candidate: float(np.sum((candidate - measured_m) ** 2)))
 
 
-def _from_own_start(model: AxisModel, voltage_V: Array, measured_m: Array, where: Where) -> Array:
+def _predicted_from_refit(
+    model: AxisModel, voltage_V: Array, measured_m: Array, where: Where
+) -> Array:
     """Predict a piece from the memory, the history and the zero that fit it best.
 
-    The memory of the plays is fitted first, beside loop shape from a de-poled state; then the
-    weights of histories, numbers of order one, by ridge regression.
+    The memory of the plays is fitted first, with the loop shape of a de-poled state; then the
+    weights of histories, which are of order one, by ridge regression.
     """
     if model.loop_shape is None:
         memory_V, zero_m = _fitted_start(model, voltage_V, measured_m, where)
-        return model.forward.read(zero_m + model.moved(voltage_V, memory_V, where), where)
+        return model.forward.read(zero_m + model.motion_m(voltage_V, memory_V, where), where)
     plays_only, depoled_V = replace(model, loop_shape=None), model.virgin_memory_V
-    shape_m = model.moved(voltage_V, depoled_V, where) - plays_only.moved(
-        voltage_V, depoled_V, where
-    )
+    shape_m = model.motion_m(voltage_V, depoled_V, where)
+    shape_m = shape_m - plays_only.motion_m(voltage_V, depoled_V, where)
     memory_V, zero_m = _fitted_start(plays_only, voltage_V, measured_m - shape_m, where)
     driven_V = model.forward.driven_V(voltage_V, where.rate_Hz)
     changes_m = model.history_changes_m(driven_V, memory_V, where.rate_Hz)
-    columns_m = model.polarity * model.forward.behind(changes_m, where)
-    moved_m = model.moved(voltage_V, memory_V, where)
-    residual_m = measured_m - model.forward.read(zero_m + moved_m, where)
-    # The a with |residual - columns a|^2 / error^2 + |a|^2 least, beside a constant.
+    columns_m = model.polarity * model.forward.linear_response(changes_m, where)
+    motion_m = model.motion_m(voltage_V, memory_V, where)
+    residual_m = measured_m - model.forward.read(zero_m + motion_m, where)
+    # The weights a minimise |residual - columns a|^2 / error^2 + |a|^2, without the mean.
     error_m = max(model.quality.held_out_rms_m, np.finfo(float).tiny)
     columns = (columns_m - columns_m.mean(axis=0)) / error_m
     normal = columns.T @ columns + np.eye(columns.shape[1])
     weight = np.asarray(np.linalg.solve(normal, columns.T @ residual_m / error_m))
-    moved_m = model.moved(voltage_V, memory_V, where, weight)
-    zero_m += float(np.mean(measured_m - model.forward.read(zero_m + moved_m, where)))
-    return model.forward.read(zero_m + moved_m, where)
+    motion_m = model.motion_m(voltage_V, memory_V, where, weight)
+    zero_m += float(np.mean(measured_m - model.forward.read(zero_m + motion_m, where)))
+    return model.forward.read(zero_m + motion_m, where)
 
 
 def _fitted_start(
@@ -270,16 +277,16 @@ def _fitted_start(
 
         z_i(0) = v(0) + sum_(j<=i) d_j s_j,   -1 <= s_j <= 1, d_j between thresholds
 
-    v is the drive behind envelope and declared amplifier; every such memory is admissible.
+    v is the drive behind declared amplifier and envelope; every such memory is admissible.
     """
     forward, gaps = model.forward, len(model.hysteresis.gap)
     driven_V = forward.driven_V(voltage_V[:1], where.rate_Hz)
     first = float(driven_V[0]) - model.hysteresis.voltage_offset_V
-    every = max(1, len(voltage_V) // ROWS)
+    every = max(1, len(voltage_V) // MAX_ROWS)
     scale_m = max(float(np.ptp(measured_m)), np.finfo(float).tiny)
 
     def response(slope: Array) -> Array:
-        return model.moved(voltage_V, forward.memory(first, slope), where)
+        return model.motion_m(voltage_V, forward.memory(first, slope), where)
 
     def residual(numbers: Array) -> Array:
         predicted_m = forward.read(numbers[-1] * scale_m + response(numbers[:-1]), where)
@@ -289,7 +296,7 @@ def _fitted_start(
         slopes = np.full(gaps, slope)
         return np.append(slopes, float(np.mean(measured_m - response(slopes))) / scale_m)
 
-    starts = map(start_at, BEGINNINGS)
+    starts = map(start_at, START_SLOPES)
     best = min(starts, key=lambda numbers: float(np.sum(residual(numbers) ** 2)))
     limits = np.append(np.ones(gaps), np.inf)
     minimum = least_squares(
@@ -297,6 +304,6 @@ def _fitted_start(
         np.clip(best, -0.99 * limits, 0.99 * limits),
         bounds=(-limits, limits),
         diff_step=1e-4,
-        max_nfev=STEPS,
+        max_nfev=MAX_EVALUATIONS,
     )
     return forward.memory(first, minimum.x[:-1]), float(minimum.x[-1] * scale_m)

@@ -17,7 +17,7 @@ from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlins
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.record_json import RecordLayout, fields_of, from_fields, read_sealed, to_json
 
-MAX_OPERATORS = 256  # plays, or dead zones; a controller holds 32, the largest order is 16
+MAX_OPERATORS = 256  # plays, or dead zones; the controller has at most 32, the fit at most 16
 MAX_MAGNITUDE = 1e12  # volts, metres, metres a volt, or counts of a converter
 GAUGE = "dead_zone_weight at threshold 0 is 1; the envelope keeps the range of the drive"
 
@@ -30,8 +30,8 @@ def write_model(model: ActuatorModel) -> bytes:
 def read_model(content: bytes, location: str = "model.json") -> ActuatorModel:
     """Read model.json back.
 
-    Raises ``ParameterFileError`` where a bit was changed, the schema is another, or an entry that
-    this version needs is missing.
+    Raises ``ParameterFileError`` if the content was changed, the schema differs, or a required
+    entry is missing.
     """
     remedy = "Fit the recordings again with this version."
     return read_sealed(ActuatorModel, content, SCHEMA, location, remedy=remedy, layouts=LAYOUTS)
@@ -59,10 +59,9 @@ def _axis_entry(axis: AxisModel) -> dict[str, Any]:
     )  # fmt: skip
     entries = fields_of(axis)
     entries["valid_range"] = {"voltage_V": entries.pop("voltage_V")}
-    # Entries that most stages lack: files of theirs stay as they are.
-    few = ("counted", "loop_shape", "minor_loops", "function_orders")
-    optional = {name: entries[name] for name in few}
-    present = {name: value for name, value in optional.items() if value}
+    # These entries are written only if they are set.
+    optional = ("counted", "loop_shape", "minor_loops", "function_orders")
+    present = {name: entries[name] for name in optional if entries[name]}
     return {name: entries[name] for name in names} | present
 
 
@@ -89,20 +88,20 @@ def _hysteresis_entry(operator: ModifiedPrandtlIshlinskii) -> dict[str, Any]:
 def _hysteresis(entry: Mapping[str, Any]) -> ModifiedPrandtlIshlinskii:
     _check_bounds(entry)
 
-    def part(kind: type[Any], threshold: str, weight: str) -> Any:
+    def read(kind: type[Any], threshold: str, weight: str) -> Any:
         return from_fields(kind, {"threshold": entry[threshold], "weight": entry[weight]})
 
     return ModifiedPrandtlIshlinskii(
-        plays=part(PrandtlIshlinskii, "play_threshold_V", "play_weight_m_per_V"),
-        dead_zones=part(DeadZones, "dead_zone_threshold_m", "dead_zone_weight"),
-        envelope=part(DeadZones, "envelope_threshold_V", "envelope_weight"),
+        plays=read(PrandtlIshlinskii, "play_threshold_V", "play_weight_m_per_V"),
+        dead_zones=read(DeadZones, "dead_zone_threshold_m", "dead_zone_weight"),
+        envelope=read(DeadZones, "envelope_threshold_V", "envelope_weight"),
         voltage_offset_V=convert(entry["voltage_offset_V"], float),
         displacement_offset_m=convert(entry["displacement_offset_m"], float),
     )
 
 
 def _check_bounds(entry: Mapping[str, Any]) -> None:
-    """Refuse a hysteresis that no fit writes and no computer can use: too many or too large."""
+    """Raise ``ParameterFileError`` for too many operators or too large numbers."""
     for name, value in entry.items():
         numbers = value if isinstance(value, list) else [value]
         if len(numbers) > MAX_OPERATORS:

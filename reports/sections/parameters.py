@@ -112,7 +112,7 @@ def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Part]:
         bound = "no useful bound"
         if axis.quality.is_tested and axis.certificate.bound_m <= axis.quality.range_m:
             bound = number(axis.certificate.bound_m, "m")
-            bound += " at the speed of the recordings" if axis.quality.lag_is_open else ""
+            bound += " at the speed of the recordings" if axis.quality.is_lag_ambiguous else ""
         values = {
             "held-out error, rms": held_out,
             f"{TRACKED_Hz:g} Hz spiral with feedback, simulated, rms": tracked,
@@ -247,7 +247,7 @@ def _quantities(page: Page) -> Table:
         low_V, high_V = axis.voltage_V
         lag_s = known_of(axis.uncertainty).get("lag_s", (axis.lag.time_s, math.nan))
         lag = with_half_width(*lag_s, "s")
-        if axis.quality.lag_is_open and axis.lag.kind != "none":
+        if axis.quality.is_lag_ambiguous and axis.lag.kind != "none":
             lag = "not separable from the width of the loop at one speed"
         values = {
             "width of the full loop": _loop_width(axis),

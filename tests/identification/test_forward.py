@@ -19,7 +19,7 @@ from piezoid.identification.extensions import (
     ThermalDrift,
 )
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.forward import LARGEST, Forward, Run
+from piezoid.identification.forward import MAX_ENTRIES, Forward, Run
 from piezoid.identification.hysteresis.coordinates import Scaled
 from piezoid.identification.hysteresis.pieces import Scales
 from piezoid.identification.hysteresis.unit_scaling import envelope_stretch, to_si_units
@@ -182,18 +182,18 @@ def test_what_is_linear_answers_to_columns_as_to_their_sum(
     mode = LinearMode(frequency_Hz=80.0, quality=20.0, participation=0.7)
     forward = forward_of(CreepLadder(time_s=(0.1,), share=(0.02,)), mode, filters=filters)
     columns = np.asfortranarray(rng.standard_normal((SAMPLES, 3)))
-    whole = forward.behind(columns @ np.array([1.0, -2.0, 0.5]), HERE)
-    each = forward.behind(columns, HERE)
+    whole = forward.linear_response(columns @ np.array([1.0, -2.0, 0.5]), HERE)
+    each = forward.linear_response(columns, HERE)
     np.testing.assert_allclose(each @ np.array([1.0, -2.0, 0.5]), whole, atol=1e-10)
 
 
 def test_only_what_follows_within_samples_is_passed_where_asked(rng: np.random.Generator) -> None:
     creep, late = CreepLadder(time_s=(0.1,), share=(0.02,)), Delay(delay_samples=3.0)
     signal = rng.standard_normal(SAMPLES)
-    quick = forward_of(creep, late, filters="sensor").behind(signal, HERE, instant=True)
-    alone = forward_of(late, filters="sensor").behind(signal, HERE)
+    quick = forward_of(creep, late, filters="sensor").linear_response(signal, HERE, fast_only=True)
+    alone = forward_of(late, filters="sensor").linear_response(signal, HERE)
     np.testing.assert_array_equal(quick, alone)
-    assert (forward_of(creep, late).behind(signal, HERE) != quick).any()
+    assert (forward_of(creep, late).linear_response(signal, HERE) != quick).any()
 
 
 def test_plays_follow_chunk_after_chunk_to_the_bit() -> None:
@@ -247,8 +247,8 @@ def test_hysteresis_knows_the_way_of_a_drive_and_not_its_time() -> None:
 def test_a_ramp_comes_later_by_what_the_model_says(filters: str) -> None:
     extensions = (FirstOrderLag(lag_s=2e-3), Delay(delay_samples=2.5))
     forward = forward_of(*extensions, filters=filters)
-    behind = HERE.time_s - forward.behind(HERE.time_s, HERE)
-    assert forward.late_s(RATE_Hz) == pytest.approx(behind[-1], rel=1e-9)
+    behind = HERE.time_s - forward.linear_response(HERE.time_s, HERE)
+    assert forward.group_delay_s(RATE_Hz) == pytest.approx(behind[-1], rel=1e-9)
 
 
 def differences(run: Run, changed: Forward, other: Forward, step: float) -> Array:
@@ -358,8 +358,8 @@ def test_where_motion_is_slow_filters_are_taken_for_a_delay_and_creep_is_left_ou
     pole_Hz = 1.0 / (2.0 * np.pi * 1.3e-3)
     found = slow_run((creep, lag), sensor_Hz=pole_Hz).by_hysteresis(PLACE)
     np.testing.assert_allclose(found, late.by_hysteresis(PLACE), atol=ROUNDING)
-    passed = slow_run((lag,), sensor_Hz=pole_Hz).forward.behind(late.static, HERE)
-    assert np.abs(passed - late.forward.behind(late.static, HERE))[PLACE].max() > 1e-6
+    passed = slow_run((lag,), sensor_Hz=pole_Hz).forward.linear_response(late.static, HERE)
+    assert np.abs(passed - late.forward.linear_response(late.static, HERE))[PLACE].max() > 1e-6
 
 
 def test_where_motion_is_quick_filters_are_passed_and_creep_is_left_out() -> None:
@@ -373,7 +373,7 @@ def test_where_motion_is_quick_filters_are_passed_and_creep_is_left_out() -> Non
 
 def test_too_many_numbers_for_one_array_are_taken_for_delayed() -> None:
     """Behind a lag that a short piece would pass: 14 columns of 1.3 million samples."""
-    asked = np.tile(drive(), LARGEST // 12 // len(drive()) + 1)
+    asked = np.tile(drive(), MAX_ENTRIES // 12 // len(drive()) + 1)
     here = where(len(asked))
     lag, late = (
         replace(run_of(forward), command=asked, where=here)

@@ -12,7 +12,7 @@ from piezoid.export.export_stage import hysteresis_values
 from piezoid.export.parameter_file import from_json as parameters_from_json
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
-from piezoid.identification.minor_loops import with_minor_loops
+from piezoid.identification.minor_loops_fit import with_minor_loops
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import compare
 from piezoid.identification.store import LAYOUTS

@@ -84,7 +84,7 @@ def test_a_recording_the_model_does_not_know_is_refused_by_name() -> None:
 
 
 def test_a_recording_cut_elsewhere_than_the_fitted_one_is_refused() -> None:
-    with pytest.raises(IdentificationError, match="holds the start of 2"):
+    with pytest.raises(IdentificationError, match="contains the starts of 2"):
         simulate_recording(axis_model(), replace(recording(), breaks=()))
 
 

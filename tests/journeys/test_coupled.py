@@ -77,7 +77,7 @@ def test_words_tell_the_error_and_what_to_record_of_the_other_axes(
     shown = stage[1]
     assert "coupled axes x, y, z: held-out error" in shown
     for axis in ("y", "z"):
-        assert f"axis {axis}: it is driven only where all coupled axes are" in shown
+        assert f"axis {axis}: it is driven only together with the other coupled axes" in shown
 
 
 def test_the_report_has_a_section_with_matrix_error_and_modes(stage: tuple[Path, str]) -> None:

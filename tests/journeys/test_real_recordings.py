@@ -60,7 +60,7 @@ def test_the_positioner_that_is_all_lag_is_not_sold_as_hysteresis(realdata: Path
     quality = model.quality
     assert not model.verdict.applies
     assert "phase lag, not hysteresis" in model.verdict.reason
-    assert quality.lag_is_open
+    assert quality.is_lag_ambiguous
     assert min(limit.most for limit in quality.limits) <= 50
     (reason,) = [limit.reason for limit in quality.limits if limit.lack == "speed"]
     assert "a second-order lag without hysteresis 0.5" in reason

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from piezoid.errors import RecordingError
 from piezoid.identification.fit import fit as fit_model
-from piezoid.identification.fit import refuse_one_name_twice
+from piezoid.identification.fit import refuse_duplicate_names
 from piezoid.identification.store import read_model, write_model
 from piezoid.records.collection import collect
 from piezoid_cli.fit import fit
@@ -100,9 +100,9 @@ def test_the_same_recording_twice_is_refused_but_two_axes_of_one_file_are_not() 
     from tests.reports.known_stage import recording
 
     x, y = recording("sweep.csv", "x"), recording("sweep.csv", "y")
-    refuse_one_name_twice([x, y])
+    refuse_duplicate_names([x, y])
     with pytest.raises(RecordingError, match=r"sweep\.csv"):
-        refuse_one_name_twice([x, x])
+        refuse_duplicate_names([x, x])
 
 
 def test_a_current_over_time_is_said_to_be_unused(

@@ -124,7 +124,7 @@ def test_what_is_irreversible_comes_as_late_as_the_model_simulates_it(strain_m, 
     rate_Hz = RATE_Hz * SUBSTEPS
     held_V = np.repeat(np.concatenate([[0.0], found.voltage_V]), SUBSTEPS)
     where = Where(recording="r", rate_Hz=rate_Hz, samples=len(held_V))
-    expected = axis_with(late).moved(held_V, operator().virgin_memory(), where)
+    expected = axis_with(late).motion_m(held_V, operator().virgin_memory(), where)
     compared = expected[2 * SUBSTEPS - 1 :: SUBSTEPS][: len(found.position) - 1]
     assert np.abs(found.position[1:] - compared).max() < 2e-3 * np.ptp(expected)
 

@@ -37,7 +37,7 @@ from piezoid.diagnosis.effect import (
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import seconds_of, through
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.extensions.gain_change import GainChange, turned
+from piezoid.identification.extensions.gain_change import GainChange, ramp
 from piezoid.identification.hysteresis.cycles import MIN_CYCLES
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.repetition import equal_cycles
@@ -59,9 +59,9 @@ def _change(
     """Return columns of a gain and a zero that change in one track, in shares of its duration."""
     track = view.tracks[k]
     time = track.rows / len(track.drive)
-    share = turned(time, instant, duration)
+    share = ramp(time, instant, duration)
     if is_temporary:
-        share = share - turned(time, instant + TEMPORARY, duration)
+        share = share - ramp(time, instant + TEMPORARY, duration)
     response = view.static[k][track.rows]
     return np.column_stack([view.of_track(k, share * response), view.of_track(k, share)])
 

@@ -1,8 +1,8 @@
 """Extensions of an axis model: creep, delay, drift, resonance, sensor error and so on.
 
 ``EXTENSIONS`` is the order in which a model applies them, upstream first. Start at extension.py.
-To add one, add a file and its line; an extension that only one effect uses may instead be defined
-in the file of that effect and acts behind all others.
+To add an extension, add a file and a line below. An extension that only one effect uses may be
+defined in the file of that effect instead, and acts behind all others.
 """
 
 from collections.abc import Iterable, Mapping

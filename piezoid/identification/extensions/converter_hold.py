@@ -15,23 +15,23 @@ class ConverterHold(Extension):
 
     hold_s  s, >= 0, half a period of the converter's clock
 
-    It belongs to the recordings: a controller's own converter holds again.
+    It describes the recordings only: the converter of the controller has a hold of its own.
     """
 
     kind: ClassVar[str] = "converter_hold"
-    instant: ClassVar[bool] = True
+    is_fast: ClassVar[bool] = True
 
     hold_s: float
 
     def __post_init__(self) -> None:
         within("hold_s", self.hold_s, 0.0, 1.0)
 
-    def late_s(self, rate_Hz: float) -> float:  # noqa: ARG002
+    def group_delay_s(self, rate_Hz: float) -> float:  # noqa: ARG002
         """Return the delay."""
         return self.hold_s
 
     def response(self, displacement: Array, where: Where) -> Array:
-        """Delay the displacement; a delay in front of the hysteresis would be equivalent."""
+        """Delay the displacement, which is equivalent to a delay of the drive."""
         return later(displacement, self.hold_s * where.rate_Hz)
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
@@ -43,5 +43,5 @@ class ConverterHold(Extension):
         return free((), 0.0, 0.0, 1.0)
 
     def moved_to(self, value: Array) -> Self:  # noqa: ARG002
-        """Return the same."""
+        """Return the extension itself: it has no free numbers."""
         return self

@@ -1,4 +1,4 @@
-"""Creep as a ladder of relaxations behind the hysteresis."""
+"""Creep as a sum of relaxations behind the hysteresis."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -12,7 +12,7 @@ from piezoid.operators.filters import first_order
 from piezoid.operators.ladder import ladder
 from piezoid.operators.linear import ContinuousSystem
 
-MOST = 0.5
+MAX_SHARE = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,9 +23,9 @@ class CreepLadder(Extension):
 
     tau_i  time_s  (rungs,)  s, rising
     c_i    share   (rungs,)  1, 0 to 0.5
-    even           the shares stay equal: barriers spread evenly, one number to fit
+    even           all shares are equal, one free number: evenly distributed energy barriers
 
-    Steady before the first sample: what a stage still owes from before a recording is its zero's.
+    The state is steady before the first sample. The zero of a recording includes earlier creep.
     """
 
     kind: ClassVar[str] = "creep_ladder"
@@ -43,29 +43,29 @@ class CreepLadder(Extension):
             raise ValueError(f"even creep has shares {self.share}, expected equal ones")
         for time_s, share in zip(self.time_s, self.share, strict=True):
             within("creep time_s", time_s, 1e-6, 1e9)
-            within("creep share", share, 0.0, MOST)
+            within("creep share", share, 0.0, MAX_SHARE)
 
     def response(self, displacement: Array, where: Where) -> Array:
         """Add creep to the displacement."""
         rungs = [first_order(time_s, where.rate_Hz) for time_s in self.time_s]
         columns = np.atleast_2d(displacement.T)
-        crept = np.column_stack([ladder(column, rungs, self.share) for column in columns])
-        return np.asarray(displacement + crept.reshape(displacement.shape))
+        creep = np.column_stack([ladder(column, rungs, self.share) for column in columns])
+        return np.asarray(displacement + creep.reshape(displacement.shape))
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
-        """Return the ladder as a linear system that relaxes over seconds."""
+        """Return the ladder as a slow linear system."""
         rate_per_s = 1.0 / np.array(self.time_s)
-        ladder = ContinuousSystem(
+        system = ContinuousSystem(
             A=-np.diag(rate_per_s),
             B=rate_per_s[:, None],
             C=np.array([self.share]),
             D=np.ones((1, 1)),
         )
-        return LoopEffect(system=ladder, is_slow=True)
+        return LoopEffect(system=system, is_slow=True)
 
     def free(self) -> Free:
-        """Return the shares, or the one that all have."""
-        return free(self.share[:1] if self.even else self.share, 0.0, MOST, 1e-3)
+        """Return the shares, or the common share if they are equal."""
+        return free(self.share[:1] if self.even else self.share, 0.0, MAX_SHARE, 1e-3)
 
     def moved_to(self, value: Array) -> Self:
         """Return the ladder with other shares."""
@@ -73,5 +73,5 @@ class CreepLadder(Extension):
         return type(self)(time_s=self.time_s, share=tuple(shares), even=self.even)
 
     def prior(self) -> Array:
-        """Return rows that keep neighbouring shares similar: energy barriers are spread evenly."""
+        """Return the differences of neighbouring shares: energy barriers vary smoothly."""
         return np.diff(np.eye(len(self.free().value)), axis=0)

@@ -1,6 +1,6 @@
 """Cross coupling: response of this axis to the drive of another axis."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -10,22 +10,22 @@ from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
 
-LARGEST = 1e3
+MAX_GAIN = 1e3
 
 
 @dataclass(frozen=True, kw_only=True)
 class CrossAxis(Extension):
-    """A static and a hysteretic response to another axis.
+    """Static and hysteretic response to the drive of another axis.
 
         added = a v + b v^2 + sum_i w_i F_(r_i)[v],   v = u_other - centre
 
     a    gain_m_per_V        m/V
     b    curvature_m_per_V_per_V  m/V^2
-    reach_V                  V, >= 0, how far the other drive went from the centre
+    reach_V                  V, >= 0, largest distance of the other drive from the centre
     r_i  play_threshold_V    (plays,)  V, > 0
     w_i  play_weight_m_per_V (plays,)  m/V
 
-    Where a recording does not hold the other axis' drive, that axis is taken to rest.
+    If a recording does not contain the drive of the other axis, that axis is assumed at rest.
     """
 
     kind: ClassVar[str] = "cross_axis"
@@ -48,10 +48,10 @@ class CrossAxis(Extension):
         within("centre_V", self.centre_V, -1e6, 1e6)
         within("reach_V", self.reach_V, 0.0, 1e6)
         for value in self.free().value:
-            within("cross-axis gain", float(value), -LARGEST, LARGEST)
+            within("cross-axis gain", float(value), -MAX_GAIN, MAX_GAIN)
 
     def added_by_number(self, where: Where) -> tuple[int, Array] | None:
-        """Return 0, and v, v^2 and the plays of v; None if the other axis rests."""
+        """Return index 0 and the columns v, v^2, plays of v; None if the other axis is at rest."""
         if self.axis not in where.others_V:
             return None
         v = np.ascontiguousarray(where.others_V[self.axis] - self.centre_V)
@@ -60,25 +60,23 @@ class CrossAxis(Extension):
         return 0, np.column_stack([v, v**2, plays])
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
-        """Return the largest answer to the other axis over the range it was recorded in."""
-        steepest = abs(self.gain_m_per_V) + float(np.abs(self.play_weight_m_per_V).sum())
-        steepest += 2.0 * abs(self.curvature_m_per_V_per_V) * self.reach_V
-        return LoopEffect(motion_m=steepest * self.reach_V)
+        """Return the largest response to the other axis over its recorded range."""
+        max_slope = abs(self.gain_m_per_V) + float(np.abs(self.play_weight_m_per_V).sum())
+        max_slope += 2.0 * abs(self.curvature_m_per_V_per_V) * self.reach_V
+        return LoopEffect(motion_m=max_slope * self.reach_V)
 
     def free(self) -> Free:
         """Return all gains."""
         value = (self.gain_m_per_V, self.curvature_m_per_V_per_V, *self.play_weight_m_per_V)
-        return free(value, -LARGEST, LARGEST, 1e-12)
+        return free(value, -MAX_GAIN, MAX_GAIN, 1e-12)
 
     def moved_to(self, value: Array) -> Self:
         """Return other gains."""
         gain, curvature, *weight = value.tolist()
-        return type(self)(
-            axis=self.axis,
-            centre_V=self.centre_V,
-            reach_V=self.reach_V,
+        return replace(
+            self,
             gain_m_per_V=gain,
             curvature_m_per_V_per_V=curvature,
-            play_threshold_V=self.play_threshold_V,
             play_weight_m_per_V=tuple(weight),
+            std=(),
         )

@@ -3,7 +3,7 @@
     command -> drive -> reversible + irreversible part -> dead zones -> response -> + added
             -> reading
 
-An extension acts at one of these places and leaves the others alone. All numbers are in SI units.
+An extension acts in one or more of these stages. All numbers are in SI units.
 """
 
 from collections.abc import Mapping
@@ -13,17 +13,17 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from piezoid.identification.extensions.loop_effect import LoopEffect
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Where:
     """Location of one uninterrupted piece of a recording, with the data that extensions need.
 
-    recording  its name
+    recording  name of the recording
     rate_Hz    > 0
     first      sample of the recording at which the piece begins
-    samples    how many it has
+    samples    number of samples
     others_V   drives of other axes by axis, (samples,)
     """
 
@@ -35,16 +35,16 @@ class Where:
 
     @property
     def time_s(self) -> Array:
-        """Return the time of every sample since the recording began, (samples,)."""
+        """Time of every sample since the beginning of the recording, (samples,)."""
         return (self.first + np.arange(self.samples)) / self.rate_Hz
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Free:
-    """The numbers of an extension that a fit may move.
+    """Free numbers of an extension, with bounds and steps of finite differences.
 
     value, lower, upper  (numbers,)
-    step                 (numbers,)  a change that is felt and still small
+    step                 (numbers,)  small, but large enough to change the reading
     """
 
     value: Array
@@ -53,15 +53,11 @@ class Free:
     step: Array
 
     def __post_init__(self) -> None:
-        for name in ("value", "lower", "upper", "step"):
-            values = np.atleast_1d(np.asarray(getattr(self, name), dtype=np.float64))
-            object.__setattr__(self, name, frozen(np.where(np.isinf(values), 0.0, values), name))
-            if name in ("lower", "upper"):
-                object.__setattr__(self, name, values)
+        freeze(self, "value", "step")  # bounds may be infinite
 
 
 def free(value: Any, lower: Any, upper: Any, step: Any) -> Free:
-    """Return the numbers with bounds and steps of one each, or one for all."""
+    """Broadcast bounds and steps to the numbers and return them as ``Free``."""
     values = np.atleast_1d(np.asarray(value, dtype=np.float64))
     shape = values.shape
     return Free(
@@ -76,17 +72,17 @@ def free(value: Any, lower: Any, upper: Any, step: Any) -> Free:
 class Extension:
     """Effect that a diagnosis adds to an axis model; this base class adds nothing.
 
-    Design and verification know an extension by its ``loop_effect`` alone, which each must state.
+    Design and verification use only the ``loop_effect`` of an extension, which each must define.
 
-    kind       its name in model.json
-    instant    whether ``response`` follows within samples: then tangents pass it as well
-    in_metres  whether what ``prior`` compares are metres
-    std        standard errors of the numbers of ``free`` from the fit; empty: not fitted
+    kind     name in model.json
+    is_fast  whether ``response`` acts within samples: derivatives are then filtered by it as well
+    is_prior_in_metres  whether the relations of ``prior`` are in metres
+    std      standard errors of the numbers of ``free`` from the fit; empty: not fitted
     """
 
     kind: ClassVar[str] = ""
-    instant: ClassVar[bool] = False
-    in_metres: ClassVar[bool] = False
+    is_fast: ClassVar[bool] = False
+    is_prior_in_metres: ClassVar[bool] = False
 
     std: tuple[float, ...] = ()
 
@@ -95,7 +91,7 @@ class Extension:
         return voltage_V
 
     def irreversible(self, part_m: Array, rate_Hz: float) -> Array:  # noqa: ARG002
-        """Return the part of the displacement that is not reversible, as it comes about."""
+        """Return the irreversible part of the static displacement with its delay, (samples,)."""
         return part_m
 
     def response(self, displacement: Array, where: Where) -> Array:  # noqa: ARG002
@@ -114,9 +110,9 @@ class Extension:
         return np.asarray(columns @ self.free().value[first : first + columns.shape[1]])
 
     def added_by_number(self, where: Where) -> tuple[int, Array] | None:  # noqa: ARG002
-        """Return d added / d numbers of this piece; None where nothing is added.
+        """Return the derivatives of ``added`` by the numbers of a piece; None if it is constant.
 
-        They are the index of the first of its numbers and (samples, numbers of this piece).
+        returned  index of the first number of this piece, and (samples, numbers of this piece)
         """
         return None
 
@@ -124,28 +120,28 @@ class Extension:
         """Return the reading of the sensor at a position."""
         return position_m
 
-    def late_s(self, rate_Hz: float) -> float:  # noqa: ARG002
-        """Return by how much slow motion comes later."""
+    def group_delay_s(self, rate_Hz: float) -> float:  # noqa: ARG002
+        """Return the group delay at low frequency."""
         return 0.0
 
     def gain(self, where: Where) -> Array | float:  # noqa: ARG002
-        """Return the factor by which motion is larger, (samples,) or one number."""
+        """Return the factor of the displacement, (samples,) or one number."""
         return 1.0
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:
-        """Return what a loop of this sampling rate feels of it, ``NOTHING`` if that is so."""
+        """Return the effect on a control loop of this sampling rate, or ``NOTHING``."""
         raise NotImplementedError(self.kind)
 
     def at_corner(self, slower: float, sharper: float) -> "Extension":  # noqa: ARG002
-        """Return the extension at an end of its interval, for a family of plants.
+        """Return the extension at an end of its 95 % interval, for a family of plants.
 
-        slower   +1: everything as late as the 95 % interval allows; -1: as early
-        sharper  +1: modes as little damped as it allows; -1: as much
+        slower   +1: longest delay within the interval; -1: shortest
+        sharper  +1: least damping of modes within the interval; -1: most
         """
         return self
 
     def free(self) -> Free:
-        """Return the numbers a fit may move."""
+        """Return the numbers that a fit may change."""
         raise NotImplementedError(self.kind)
 
     def moved_to(self, value: Array) -> Self:
@@ -153,14 +149,14 @@ class Extension:
         raise NotImplementedError(self.kind)
 
     def prior(self) -> Array:
-        """Return rows whose product with the numbers is near 0 beforehand, (rows, numbers).
+        """Return the rows R of a prior R numbers = 0, (rows, numbers), each with weight 1.
 
-        Where there are none, nobody asks for columns: a fit comes here at every step.
+        Without a prior the result is (0, 0), which saves computing the numbers at every step.
         """
         return np.zeros((0, 0))
 
 
 def within(name: str, value: float, low: float, high: float) -> None:
-    """Refuse a number outside [low, high] or not finite."""
+    """Raise ``ValueError`` if a number is outside [low, high] or not finite."""
     if not low <= value <= high or not np.isfinite(value):
         raise ValueError(f"{name} is {value!r}, expected {low:g} to {high:g}")

@@ -12,7 +12,7 @@ from piezoid.numerics.robust import NORMAL_95
 from piezoid.operators.filters import relaxed
 from piezoid.operators.linear import ContinuousSystem
 
-LONGEST_s = 10.0
+MAX_LAG_s = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,14 +25,14 @@ class FirstOrderLag(Extension):
     """
 
     kind: ClassVar[str] = "first_order_lag"
-    instant: ClassVar[bool] = True
+    is_fast: ClassVar[bool] = True
 
     lag_s: float
 
     def __post_init__(self) -> None:
-        within("lag_s", self.lag_s, 0.0, LONGEST_s)
+        within("lag_s", self.lag_s, 0.0, MAX_LAG_s)
 
-    def late_s(self, rate_Hz: float) -> float:  # noqa: ARG002
+    def group_delay_s(self, rate_Hz: float) -> float:  # noqa: ARG002
         """Return the lag."""
         return self.lag_s
 
@@ -49,14 +49,14 @@ class FirstOrderLag(Extension):
         return LoopEffect(system=pole)
 
     def at_corner(self, slower: float, sharper: float) -> Self:  # noqa: ARG002
-        """Return the lag at an end of its interval, a tenth of it at least."""
+        """Return the lag at an end of its interval, but at least a tenth of the lag."""
         half_s = NORMAL_95 * (self.std[0] if self.std else 0.0)
-        moved_s = max(self.lag_s + slower * half_s, 0.1 * self.lag_s)
-        return replace(self, lag_s=min(moved_s, LONGEST_s))
+        lag_s = max(self.lag_s + slower * half_s, 0.1 * self.lag_s)
+        return replace(self, lag_s=min(lag_s, MAX_LAG_s))
 
     def free(self) -> Free:
         """Return the lag."""
-        return free(self.lag_s, 0.0, LONGEST_s, max(1e-3 * self.lag_s, 1e-8))
+        return free(self.lag_s, 0.0, MAX_LAG_s, max(1e-3 * self.lag_s, 1e-8))
 
     def moved_to(self, value: Array) -> Self:
         """Return another lag."""

@@ -1,4 +1,4 @@
-"""Gain change: another sensitivity from one instant on, or a gradual change."""
+"""Gain change: sudden or gradual change of the sensitivity."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
@@ -10,25 +10,25 @@ from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array
 
 
-def turned(time: Array, middle: float, lasts: float) -> Array:
-    """Return how much of a change has come about: 0 before, 1 after, a straight line between."""
-    if not lasts > 0.0:
+def ramp(time: Array, middle: float, duration: float) -> Array:
+    """Return a ramp from 0 to 1 around an instant; a step if its duration is 0."""
+    if not duration > 0.0:
         return np.asarray((time >= middle).astype(np.float64))
-    return np.clip((time - middle) / lasts + 0.5, 0.0, 1.0)
+    return np.clip((time - middle) / duration + 0.5, 0.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class GainChange(Extension):
     """Change of the sensitivity by a ratio at one instant, as by a load or a connector.
 
-        y = m before, ratio m + offset_m after, in a straight line from one to the other
+        y = m before, ratio m + offset_m after, linear in time during the change
 
-    recording  in which it happens
-    instant_s  s, since that recording began: the middle of the change
+    recording  in which the gain changes
+    instant_s  s, middle of the change, from the beginning of that recording
     ratio      1, > 0
-    offset_m   m, step of the zero in that recording; later ones have a zero of their own
-    later      recordings made after it, all at the new gain
-    lasts_s    s, >= 0: how long the change takes
+    offset_m   m, step of the zero in that recording; later recordings have a zero of their own
+    later      later recordings, all at the new gain
+    lasts_s    s, >= 0, duration of the change
     """
 
     kind: ClassVar[str] = "gain_change"
@@ -48,11 +48,11 @@ class GainChange(Extension):
 
     def _share_after(self, where: Where) -> Array | None:
         if where.recording == self.recording:
-            return turned(where.time_s, self.instant_s, self.lasts_s)
+            return ramp(where.time_s, self.instant_s, self.lasts_s)
         return np.ones(where.samples) if where.recording in self.later else None
 
     def gain(self, where: Where) -> Array | float:
-        """Return 1 before and the ratio after."""
+        """Return 1 before and the ratio after the change."""
         share = self._share_after(where)
         if share is None:
             return 1.0
@@ -69,16 +69,16 @@ class GainChange(Extension):
         """Return the step of the zero."""
         if where.recording != self.recording:
             return 0.0
-        return self.offset_m * turned(where.time_s, self.instant_s, self.lasts_s)
+        return self.offset_m * ramp(where.time_s, self.instant_s, self.lasts_s)
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
-        """Return the ratio: it holds from its instant on, so the stage has it now."""
+        """Return the ratio, which holds after the recordings."""
         return LoopEffect(gain=self.ratio)
 
     def free(self) -> Free:
-        """Return ratio and step; the instant stays."""
+        """Return ratio and offset; the instant is fixed."""
         return free((self.ratio, self.offset_m), (0.1, -1.0), (10.0, 1.0), (1e-4, 1e-10))
 
     def moved_to(self, value: Array) -> Self:
-        """Return another ratio and step."""
+        """Return another ratio and offset."""
         return replace(self, ratio=float(value[0]), offset_m=float(value[1]))

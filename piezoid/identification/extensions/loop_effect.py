@@ -11,19 +11,19 @@ from piezoid.operators.linear import ContinuousSystem
 class LoopEffect:
     """Effect of one extension on a closed loop around the axis; by default none.
 
-    system         linear, in series behind the hysteresis; None: nothing
-    is_slow        that system relaxes over seconds: within a loop's band it is a gain between the
-                   one at once, 1, and its gain at rest
+    system         linear system in series behind the hysteresis, or None
+    is_slow        whether the system relaxes over seconds: within the bandwidth of a loop it is a
+                   gain between 1, at high frequency, and its static gain
     dead_time_s    pure delay
-    gain           factor of the displacement at the end of the recordings, and so from now on
+    gain           factor of the displacement after the recordings
     low_V, high_V  range of the drive that reaches the ceramic
     slew_V_per_s   fastest change of the drive that reaches the ceramic
-    activation_s   time constant with which the irreversible part follows; 0: at once
-    activation_m   lag of that part beyond which it follows faster; 0: none is
+    activation_s   time constant of the irreversible part; 0: no delay
+    activation_m   lag of the irreversible part beyond which it relaxes faster; 0: at no lag
     motion_m       half the range of motion that the drive does not cause
-    motion_m_per_s its fastest change
-    reading_m      largest error of the reading, which a loop takes for motion
-    reading_Hz     frequency of that error where it has one of its own, 0 where it follows position
+    motion_m_per_s fastest change of that motion
+    reading_m      largest error of the reading, which a loop converts to motion
+    reading_Hz     frequency of that error; 0 if it is a function of position
     """
 
     system: ContinuousSystem | None = None

@@ -9,14 +9,14 @@ from piezoid.identification.extensions.extension import Extension, Free, Where, 
 from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array
 
-FARTHEST = 4.0 * np.pi  # rad: of a phase
+MAX_PHASE = 4.0 * np.pi  # rad
 PHASE_WEIGHT = 1e-3  # of the prior, per rad
-LARGEST = 1.3 / (2.0 * np.pi)  # of a wavelength: above 1 / 2 pi a reading has several positions
+MAX_STEEPNESS = 1.3 / (2.0 * np.pi)  # wavelengths: above 1 / 2 pi a reading is not unique
 
 
 @dataclass(frozen=True, kw_only=True)
 class Phase:
-    """Phase of a cyclic error in one recording: a counter may be set to zero before it.
+    """Phase of a periodic error in one recording, before which a counter may have been reset.
 
     angle  rad, of the first order
     """
@@ -25,18 +25,18 @@ class Phase:
     angle: float
 
     def __post_init__(self) -> None:
-        within("phase", self.angle, -FARTHEST, FARTHEST)
+        within("phase", self.angle, -MAX_PHASE, MAX_PHASE)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PeriodicError(Extension):
-    """A cyclic error of the sensor, of first and higher order.
+    """Periodic error of the sensor, of first and higher orders.
 
         y = x + sum_n a_n cos n t + b_n sin n t,    t = 2 pi x / wavelength + phase
 
     wavelength_m     m, > 0
     cosine_m, sine_m (orders,)  m                                     [Heydemann 1981]
-    phases           of recordings; 0 in others
+    phases           of recordings; the phase of other recordings is 0
     """
 
     kind: ClassVar[str] = "periodic_error"
@@ -51,44 +51,44 @@ class PeriodicError(Extension):
         if len(self.cosine_m) != len(self.sine_m) or not self.cosine_m:
             raise ValueError(f"{len(self.cosine_m)} cosines, {len(self.sine_m)} sines")
         steepness_m = float(_orders(self.cosine_m) @ self.amplitude_m)
-        within("steepness", steepness_m, 0.0, LARGEST * self.wavelength_m)
+        within("steepness", steepness_m, 0.0, MAX_STEEPNESS * self.wavelength_m)
 
     @property
     def amplitude_m(self) -> Array:
-        """Return the amplitude of every order."""
+        """Amplitudes of all orders, (orders,)."""
         return np.hypot(self.cosine_m, self.sine_m)
 
     def reading(self, position_m: Array, where: Where) -> Array:
         """Return the reading of the sensor at a position."""
-        angle = sum(phase.angle for phase in self.phases if phase.recording == where.recording)
-        turn = 2.0 * np.pi / self.wavelength_m * position_m + angle
+        angle = sum(entry.angle for entry in self.phases if entry.recording == where.recording)
+        phase = 2.0 * np.pi / self.wavelength_m * position_m + angle
         # The sum of a cos(n t) + b sin(n t) is the real part of that of (a - i b) exp(i t)^n.
         amplitude_m = np.array(self.cosine_m) - 1j * np.array(self.sine_m)
-        wave = np.polyval([*amplitude_m[::-1], 0.0], np.exp(1j * turn))
+        wave = np.polyval([*amplitude_m[::-1], 0.0], np.exp(1j * phase))
         return np.asarray(position_m + wave.real)
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
-        """Return the largest error: a loop follows the reading."""
+        """Return the largest error: a loop converts the error of the reading to motion."""
         return LoopEffect(reading_m=float(self.amplitude_m.sum()))
 
     def free(self) -> Free:
-        """Return wavelength, amplitudes and phases; each amplitude is bounded by itself."""
+        """Return wavelength, amplitudes and phases, with a bound for each amplitude alone."""
         angles = [phase.angle for phase in self.phases]
         value = (self.wavelength_m, *self.cosine_m, *self.sine_m, *angles)
-        bound = LARGEST * self.wavelength_m / np.tile(_orders(self.cosine_m), 2)
-        farthest = [FARTHEST] * len(angles)
-        lower = (0.99 * self.wavelength_m, *-bound, *np.negative(farthest))
-        upper = (1.01 * self.wavelength_m, *bound, *farthest)
-        small_m = [1e-5 * self.wavelength_m] * len(bound)
-        steps = (1e-6 * self.wavelength_m, *small_m, *[1e-5] * len(angles))
+        bound_m = MAX_STEEPNESS * self.wavelength_m / np.tile(_orders(self.cosine_m), 2)
+        max_phases = [MAX_PHASE] * len(angles)
+        lower = (0.99 * self.wavelength_m, *-bound_m, *np.negative(max_phases))
+        upper = (1.01 * self.wavelength_m, *bound_m, *max_phases)
+        steps_m = [1e-5 * self.wavelength_m] * len(bound_m)
+        steps = (1e-6 * self.wavelength_m, *steps_m, *[1e-5] * len(angles))
         return free(value, lower, upper, steps)
 
     def moved_to(self, value: Array) -> Self:
-        """Return other numbers, the steepest that the error may be at most."""
-        wavelength_m, last = float(value[0]), 1 + 2 * len(self.cosine_m)
-        amplitudes_m = value[1:last].reshape(2, -1)
+        """Return other numbers, with amplitudes reduced to the largest allowed steepness."""
+        wavelength_m, stop = float(value[0]), 1 + 2 * len(self.cosine_m)
+        amplitudes_m = value[1:stop].reshape(2, -1)
         steepness_m = float(_orders(self.cosine_m) @ np.hypot(*amplitudes_m))
-        allowed_m = (1.0 - 1e-12) * LARGEST * wavelength_m
+        allowed_m = (1.0 - 1e-12) * MAX_STEEPNESS * wavelength_m
         cosine_m, sine_m = amplitudes_m * min(1.0, allowed_m / max(steepness_m, 1e-300))
         return type(self)(
             wavelength_m=wavelength_m,
@@ -96,12 +96,12 @@ class PeriodicError(Extension):
             sine_m=tuple(sine_m.tolist()),
             phases=tuple(
                 replace(phase, angle=angle)
-                for phase, angle in zip(self.phases, value[last:].tolist(), strict=True)
+                for phase, angle in zip(self.phases, value[stop:].tolist(), strict=True)
             ),
         )
 
     def prior(self) -> Array:
-        """Return the phases, weakly: a recording within one period shows none."""
+        """Return the phases with a small weight: a recording within one period has none."""
         first = 1 + 2 * len(self.cosine_m)
         return PHASE_WEIGHT * np.eye(first + len(self.phases))[first:]
 

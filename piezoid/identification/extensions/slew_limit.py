@@ -28,14 +28,14 @@ class SlewLimit(Extension):
         within("limit_V_per_s", self.limit_V_per_s, 1e-12, 1e12)
 
     def drive(self, voltage_V: Array, rate_Hz: float) -> Array:
-        """Return the voltage that follows as fast as it may."""
+        """Return the voltage with limited slew rate."""
         step_V = self.limit_V_per_s / rate_Hz
         if float(np.abs(np.diff(voltage_V)).max(initial=0.0)) <= step_V:
             return voltage_V
         return slewed(voltage_V, step_V)
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
-        """Return the fastest drive that reaches the ceramic."""
+        """Return the largest slew rate of the drive that reaches the ceramic."""
         return LoopEffect(slew_V_per_s=self.limit_V_per_s)
 
     def free(self) -> Free:

@@ -1,7 +1,7 @@
 """Thermal drift: slow motion independent of the drive."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import ClassVar, Self
 
@@ -12,18 +12,18 @@ from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array, frozen
 
 KNOTS = 6
-LEAST_s = 5.0
-FARTHEST_m = 1.0
-STEADY = 0.03  # weight of a slope beside that of its change
+MIN_DURATION_s = 5.0
+MAX_LEVEL_m = 1.0
+SLOPE_WEIGHT = 0.03  # of a slope in the prior, relative to a change of slope
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriftCurve:
-    """The drift of one piece, against its beginning.
+    """Drift of one piece, relative to its beginning.
 
-    recording  its name
+    recording  name of the recording
     first      sample at which the piece begins
-    level_m    (knots - 1,)  m, at even instants of the piece; at its beginning it is 0
+    level_m    (knots - 1,)  m, at equidistant instants of the piece; 0 at its beginning
     """
 
     recording: str
@@ -32,30 +32,30 @@ class DriftCurve:
 
     def __post_init__(self) -> None:
         for level_m in self.level_m:
-            within("drift level_m", level_m, -FARTHEST_m, FARTHEST_m)
+            within("drift level_m", level_m, -MAX_LEVEL_m, MAX_LEVEL_m)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThermalDrift(Extension):
-    """A smooth zero for every recording; simulated, not shipped: an observer takes it away."""
+    """Smooth zero of every piece; simulated, not exported: an observer compensates it."""
 
     kind: ClassVar[str] = "thermal_drift"
-    in_metres: ClassVar[bool] = True
+    is_prior_in_metres: ClassVar[bool] = True
 
     curves: tuple[DriftCurve, ...]
 
     @classmethod
     def of(cls, pieces: Sequence[Where]) -> Self:
-        """Return zero drift for every piece that is long enough to show one."""
+        """Return zero drift for every piece that is long enough for drift."""
         curves = tuple(
             DriftCurve(recording=p.recording, first=p.first, level_m=(0.0,) * (KNOTS - 1))
             for p in pieces
-            if p.samples >= LEAST_s * p.rate_Hz
+            if p.samples >= MIN_DURATION_s * p.rate_Hz
         )
         return cls(curves=curves)
 
     def added_by_number(self, where: Where) -> tuple[int, Array] | None:
-        """Return the index of this piece's first level, and a spline for each of its levels."""
+        """Return the index of the first level of this piece, and a spline for each level."""
         first = 0
         for curve in self.curves:
             count = len(curve.level_m)
@@ -65,18 +65,16 @@ class ThermalDrift(Extension):
         return None
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
-        """Return range and speed of the drift; knots are at least a second apart."""
-        levels = [np.array([0.0, *curve.level_m]) for curve in self.curves]
-        return LoopEffect(
-            motion_m=max((0.5 * float(np.ptp(level)) for level in levels), default=0.0),
-            motion_m_per_s=max((float(np.abs(np.diff(v)).max()) for v in levels), default=0.0)
-            * ((KNOTS - 1) / LEAST_s),
-        )
+        """Return range and speed of the drift, with knots at their smallest distance in time."""
+        levels_m = [np.array([0.0, *curve.level_m]) for curve in self.curves]
+        range_m = max((0.5 * float(np.ptp(level_m)) for level_m in levels_m), default=0.0)
+        step_m = max((float(np.abs(np.diff(level_m)).max()) for level_m in levels_m), default=0.0)
+        return LoopEffect(motion_m=range_m, motion_m_per_s=step_m * ((KNOTS - 1) / MIN_DURATION_s))
 
     def free(self) -> Free:
         """Return all levels."""
         value = [level for curve in self.curves for level in curve.level_m]
-        return free(value, -FARTHEST_m, FARTHEST_m, 1e-9)
+        return free(value, -MAX_LEVEL_m, MAX_LEVEL_m, 1e-9)
 
     def moved_to(self, value: Array) -> Self:
         """Return other levels."""
@@ -84,16 +82,14 @@ class ThermalDrift(Extension):
         for curve in self.curves:
             count = len(curve.level_m)
             level_m, values = tuple(values[:count]), values[count:]
-            curves.append(
-                DriftCurve(recording=curve.recording, first=curve.first, level_m=level_m)
-            )
+            curves.append(replace(curve, level_m=level_m))
         return type(self)(curves=tuple(curves))
 
     def prior(self) -> Array:
-        """Return changes of slope from knot to knot, and slopes, weakly: heat is slow."""
+        """Return the changes of slope and, with a small weight, the slopes: drift is smooth."""
         count = len(self.curves[0].level_m) if self.curves else 0
-        steps = np.eye(count) - np.eye(count, k=-1)
-        rows = np.vstack([np.diff(steps, axis=0), STEADY * steps])
+        slopes = np.eye(count) - np.eye(count, k=-1)
+        rows = np.vstack([np.diff(slopes, axis=0), SLOPE_WEIGHT * slopes])
         return np.asarray(np.kron(np.eye(len(self.curves)), rows), dtype=np.float64)
 
 

@@ -1,6 +1,7 @@
-"""Refits of a fitted axis together with extensions, as a diagnosis needs them.
+"""Joint refits of an axis model and extensions, for diagnosis.
 
     fit_extended(model, recordings, extensions, ...) -> Extended
 
-Start at fit_extended.py; vector.py orders the numbers. May import hysteresis and extensions.
+Start at fit_extended.py; vector.py defines the parameter vector. May import hysteresis and
+extensions.
 """

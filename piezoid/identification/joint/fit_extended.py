@@ -1,8 +1,7 @@
 """fit_extended: joint refit of an axis model and its extensions, with cross-validation.
 
-The rows are many and the numbers few, so normal equations are formed once for every step. On a
-fold the columns of the whole search serve again: only the error is new (a chord step), and what is
-left out has no say.
+With many rows and few numbers, each step forms the normal equations once. A fold is refitted by
+chord steps: it uses the derivatives at the end of the search with the errors of its training rows.
 """
 
 from collections.abc import Sequence
@@ -31,23 +30,23 @@ from piezoid.numerics.executor import Once
 from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
 from piezoid.records.recording import Recording
 
-STEPS = 10  # at most
-CONVERGED = 1e-4
-# On the rows kept: three chords, at first nearly undamped; where none helps, the fold has no say.
+MAX_STEPS = 10
+TOLERANCE = 1e-4
+# Of a fold: three chords, at first nearly undamped; if none reduces the error, numbers stay.
 CHORDS = Rule(tolerance=0.0, iterations=3, tries=4, damping=1e-6, easier=1.0, harder=100.0)
-WHOLE = Structure()
+FULL_STRUCTURE = Structure()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Extended:
-    """A joint fit.
+    """Result of a joint fit.
 
-    model             the axis with its extensions, as fitted
-    rms_m             of the residual at all rows
-    held_out_rms_m    at rows whose block the fit did not see
-    held_m            (rows,)  that residual
-    spread            for each extension the standard errors of its numbers, from leaving out folds
-    converged         whether the last step hardly changed the error
+    model           fitted axis with its extensions
+    rms_m           residual at all rows
+    held_out_rms_m  error at left-out rows
+    held_m          (rows,)  error at left-out rows
+    spread          standard errors of the numbers of each extension, from leaving out folds
+    converged       whether the last step hardly changed the error
     """
 
     model: AxisModel
@@ -64,30 +63,30 @@ def fit_extended(
     extensions: Sequence[Extension] = (),
     *,
     further_starts: Sequence[AxisModel] = (),
-    structure: Structure = WHOLE,
+    structure: Structure = FULL_STRUCTURE,
     samples: Sequence[Samples] | None = None,
     ringing: Sequence[Extension] = (),
-    steps: int = STEPS,
+    steps: int = MAX_STEPS,
 ) -> Extended:
     """Refit weights, thresholds, memory and zero of an axis together with extensions.
 
         min over all parameters of sum over rows of (simulated - measured)^2
 
     model           fitted axis: start of the search, with its numbers of plays and dead zones
-    recordings      of this axis; those that the model was not fitted to start at rest
-    extensions      with start values near the truth
+    recordings      of this axis; recordings that the model does not contain start with all
+                    plays at the first drive
+    extensions      with start values near the true ones
     further_starts  further models to start from, because thresholds have many local minima; only
                     the closest fit is returned and cross-validated
-    structure       parts of the hysteresis that may be used
+    structure       components of the hysteresis that are fitted
     samples         samples that may be fitted, for each piece; None: all, thinned evenly
-    ringing         further modes whose unresolved ringing is left out, as that of ``extensions``:
-                    errors of several fits compare over the same samples only
+    ringing         further modes whose unresolved ringing is excluded, as that of ``extensions``:
+                    errors of several fits are comparable only over the same samples
 
-    Every piece has one constant zero; slow motion belongs to ``ThermalDrift``. The held-out error
-    is that of blocks of several seconds to which neither hysteresis nor extensions nor the zero,
-    drift or hum of a recording was fitted; the simulation runs through them.
-    What goes wrong: a parameter that the rows do not determine keeps its start value, and a mode
-    that starts more than its width away is not found.
+    Every piece has one constant zero; ``ThermalDrift`` represents slow motion. The held-out error
+    is that of blocks of several seconds that are excluded from the fit of all parameters, but not
+    from the simulation. A parameter that the rows do not determine keeps its start value, and a
+    mode that starts more than its width from the true frequency is not found.
     """
     searches = []
     for start in (model, *further_starts):
@@ -95,10 +94,10 @@ def fit_extended(
         state = state_of(start, parts, extensions, structure)
         bounds = state.bounds(longest_lag_s([part.piece for part in parts]))
         minimum = minimise(
-            partial(_point, state, parts),
+            partial(_point_at, state, parts),
             state.vector,
             bounds,
-            rule=Rule(tolerance=CONVERGED, iterations=steps, tries=8, damping=1e-4),
+            rule=Rule(tolerance=TOLERANCE, iterations=steps, tries=8, damping=1e-4),
         )
         searches.append((start, bounds, minimum))
     start, bounds, best = min(searches, key=lambda search: search[2].point.rms_m)
@@ -107,12 +106,12 @@ def fit_extended(
     grams = {}
     for fold in (NEVER_OUT, *range(FOLDS)):
         pairs = zip(end.tangents, end.parts, strict=True)
-        rows = [tangents[part.fold == fold] for tangents, part in pairs]
-        grams[fold] = sum((part.T @ part for part in rows), np.zeros((1, 1)))
+        tables = [tangents[part.fold == fold] for tangents, part in pairs]
+        grams[fold] = sum((table.T @ table for table in tables), np.zeros((1, 1)))
     folds = []
     for fold in range(FOLDS):
         gram = sum((g for k, g in grams.items() if k != fold), np.zeros((1, 1)))
-        folds.append(_on_fold(fold, end, bounds, gram))
+        folds.append(_refit_without(fold, end, bounds, gram))
     held_m = np.concatenate([error for _, errors in folds for error in errors]) * stroke_m
     vectors = np.array([vector for vector, _ in folds])
     # Standard errors from leaving out folds: (F - 1) / sqrt(F) times their scatter.
@@ -130,10 +129,10 @@ def fit_extended(
 def _model(
     model: AxisModel, end: "_Point", std: Array, held_m: Array, converged: bool
 ) -> AxisModel:
-    """Return the axis with the numbers at the end of a search.
+    """Return the axis model with the parameters at the end of a search.
 
     std     (numbers,)  standard errors
-    held_m  (rows,)  residual at rows left out
+    held_m  (rows,)     error at left-out rows
     """
     state = end.state
     coordinates, operator, scales = state.coordinates, state.operator, state.scales
@@ -142,8 +141,8 @@ def _model(
         for index, (part, run) in enumerate(zip(end.parts, end.runs, strict=True))
     )
     uncertainty, lag = model.uncertainty, coordinates.slices["lag"]
-    if lag.stop > lag.start:  # known anew: before, a mode may have been missing beside it
-        uncertainty = uncertainty.known_anew("lag_s", operator.lag_s, float(std[lag][0]))
+    if lag.stop > lag.start:  # the previous fit may have lacked a mode
+        uncertainty = uncertainty.updated("lag_s", operator.lag_s, float(std[lag][0]))
     held_rms_m = float(np.sqrt(np.mean(held_m**2)))
     is_tested = model.quality.is_tested
     return replace(
@@ -177,7 +176,7 @@ def _model(
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """A state, and the residual of every part there."""
+    """Runs, errors and derivatives of every part at one point of the search."""
 
     state: State
     parts: Sequence[Part]
@@ -194,11 +193,11 @@ class _Point:
     @Once
     def tangents(self) -> list[Array]:
         pairs = enumerate(zip(self.parts, self.runs, strict=True))
-        return [tangents_of(self.state, k, part, run) for k, (part, run) in pairs]
+        return [_tangents(self.state, k, part, run) for k, (part, run) in pairs]
 
     @Once
     def squares(self) -> float:
-        """Return the sum of squares at all rows."""
+        """Sum of squared errors at all rows."""
         return sum(float(error @ error) for error in self.errors)
 
     @property
@@ -215,7 +214,7 @@ class _Point:
 
     @Once
     def gram(self) -> Array:
-        """The products of the tangents with each other, all rows together."""
+        """Gram matrix of the tangents at all rows."""
         return sum((part.T @ part for part in self.tangents), np.zeros((1, 1)))
 
     @Once
@@ -228,9 +227,13 @@ class _Point:
         return _with_prior(self.state, self.gram, slope, self.cost)
 
 
+def _point_at(state: State, parts: Sequence[Part], vector: Array) -> _Point:
+    return _Point(state.at(vector), parts)
+
+
 @dataclass(frozen=True, eq=False)
-class _OnFold:
-    """A state on the training rows of a fold, with the tangents at the end of the whole search."""
+class _FoldPoint:
+    """A point on the training rows of a fold, with the tangents at the end of the search."""
 
     point: _Point
     training: Sequence[Array]
@@ -239,7 +242,7 @@ class _OnFold:
 
     @Once
     def errors(self) -> list[Array]:
-        """The errors, 0 at held-out rows: a selection would copy megabytes of columns."""
+        """Errors, 0 at held-out rows: a selection would copy megabytes of columns."""
         pairs = zip(self.point.errors, self.training, strict=True)
         return [np.where(is_training, error, 0.0) for error, is_training in pairs]
 
@@ -253,26 +256,22 @@ class _OnFold:
         return _with_prior(self.point.state, self.gram, slope, self.cost)
 
 
-def _point(state: State, parts: Sequence[Part], vector: Array) -> _Point:
-    return _Point(state.at(vector), parts)
-
-
-def _on_fold(
+def _refit_without(
     fold: int, end: _Point, bounds: tuple[Array, Array], gram: Array
 ) -> tuple[Array, list[Array]]:
-    """Refit without one fold by a few chord steps; return the vector and the held-out residual.
+    """Refit without one fold by a few chord steps; return the vector and the held-out errors.
 
     gram  of the tangents at the training rows
     """
     is_training = [part.fold != fold for part in end.parts]
     start = end.state.vector
 
-    def at(vector: Array) -> _OnFold:
+    def point_at(vector: Array) -> _FoldPoint:
         is_start = np.array_equal(vector, start)  # saves one simulation
-        point = end if is_start else _point(end.state, end.parts, vector)
-        return _OnFold(point, is_training, end.tangents, gram)
+        point = end if is_start else _point_at(end.state, end.parts, vector)
+        return _FoldPoint(point, is_training, end.tangents, gram)
 
-    fold_minimum = minimise(at, start, bounds, rule=CHORDS)
+    fold_minimum = minimise(point_at, start, bounds, rule=CHORDS)
     errors = fold_minimum.point.point.errors
     return fold_minimum.x, [error[~k] for error, k in zip(errors, is_training, strict=True)]
 
@@ -289,7 +288,7 @@ def _with_prior(state: State, gram: Array, slope: Array, cost: float) -> NormalE
 def _priors(state: State) -> list[tuple[Array, Array, slice]]:
     priors = []
     for extension, numbers in zip(state.extensions, state.slices, strict=True):
-        scale = abs(state.scales.displacement_m) if extension.in_metres else 1.0
+        scale = abs(state.scales.displacement_m) if extension.is_prior_in_metres else 1.0
         rows = extension.prior()
         if len(rows):
             priors.append((rows / scale, extension.free().value, numbers))
@@ -300,7 +299,7 @@ def _prior_cost(state: State) -> float:
     return sum(float(np.sum((rows @ value) ** 2)) for rows, value, _ in _priors(state))
 
 
-def tangents_of(state: State, index: int, part: Part, run: Run) -> Array:
+def _tangents(state: State, index: int, part: Part, run: Run) -> Array:
     """Return d reading / d vector, (rows, numbers)."""
     coordinates, sample = state.coordinates, part.samples
     rows = np.zeros((len(sample), len(state.vector)), order="F")
@@ -311,6 +310,6 @@ def tangents_of(state: State, index: int, part: Part, run: Run) -> Array:
     rows[:, coordinates.offset_slice(index)] = 1.0
     if lag.stop > lag.start:
         rows[:, lag] = run.by_lag(sample)[:, None]
-    for number, own_columns in enumerate(state.slices):
-        rows[:, own_columns] = run.by_extension(number, sample)
+    for number, columns_of_extension in enumerate(state.slices):
+        rows[:, columns_of_extension] = run.by_extension(number, sample)
     return rows

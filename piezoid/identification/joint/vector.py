@@ -1,10 +1,9 @@
-"""Parameter vector of the joint fit: hysteresis, then extensions.
+"""Parameter vector of the joint fit, and the rows and blocks to which it is fitted.
 
-Recordings as the joint fit sees them: pieces, the rows that count, the blocks they form.
-
-Rows lie at no one distance, so that no hum hides between them. Blocks are stretches of several
-seconds, or sixths of a short piece. Of the first block of each piece, every other quarter is never
-left out: nothing else tells the memory and the zero with which the piece begins.
+The vector contains the hysteresis, then the extensions. Rows are not equidistant, so that no hum
+is aliased to zero frequency. Blocks are several seconds long, or sixths of a short piece. Every
+other quarter of the first block of each piece is never left out, because only the first rows
+determine the initial state of the piece.
 """
 
 import itertools
@@ -35,9 +34,9 @@ from piezoid.operators.dead_zone import LINEAR, from_slopes
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
 
-ROWS = 12_000  # of all pieces together
+MAX_ROWS = 12_000  # of all pieces together
 FOLDS = 5
-BLOCKS = 6, 15  # of a piece, at least and at most
+MIN_BLOCKS, MAX_BLOCKS = 6, 15  # of a piece
 BLOCK_s = 4.0
 NEVER_OUT = -1  # fold number of blocks that are always used for training
 
@@ -46,11 +45,11 @@ NEVER_OUT = -1  # fold number of blocks that are always used for training
 class Part:
     """One piece with its rows.
 
-    piece  in scaled units, behind the declared amplifier
-    where  the same for extensions
-    samples  (rows,)  that are fitted
-    fold   (rows,)  in which fold each is left out, NEVER_OUT where in none
-    start  how the model says it began, None where the model does not know it
+    piece    in scaled units, behind the declared amplifier
+    where    location of the piece, for extensions
+    samples  (rows,)  of the piece that are fitted
+    fold     (rows,)  fold that leaves the row out, or ``NEVER_OUT``
+    start    fitted start in the model, or None
     """
 
     piece: Piece
@@ -61,11 +60,11 @@ class Part:
 
 
 def scales_from(model: AxisModel) -> Scales:
-    """Return the scales in which the numbers of a fitted model are of order one."""
+    """Return the scales in which the parameters of a fitted model are of order one."""
     hysteresis = model.hysteresis
     knots, bends = hysteresis.envelope.threshold, hysteresis.envelope.zero
     low, high = model.voltage_V
-    # The kinks of an envelope stand at even places of the scaled drive.
+    # The kinks of an envelope are equidistant in the scaled drive.
     half_V = float(knots[-1]) * (bends + 1) / bends if bends else (high - low) / 2
     return Scales(
         voltage_V=half_V,
@@ -80,13 +79,13 @@ def parts_of(
     samples: Sequence[Samples] | None = None,
     extensions: Sequence[Extension] = (),
 ) -> list[Part]:
-    """Cut recordings into parts, with the fitted starts of those that the model contains.
+    """Select the rows of all pieces, with the fitted starts of recordings in the model.
 
     samples     that may be fitted, for each piece; None: thinned evenly
-    extensions  whose ringing no sample resolves is left out behind steps
+    extensions  modes among them exclude samples in which their ringing after steps is unresolved
     """
     pieces = pieces_of(recordings, model.axis, scales_from(model), model.rig)
-    share = max(ROWS // len(pieces), 50)
+    max_rows = max(MAX_ROWS // len(pieces), 50)
     starts: list[list[PieceStart]] = []
     for number, recording in enumerate(recordings):
         count = sum(piece.recording == number for piece in pieces)
@@ -100,15 +99,14 @@ def parts_of(
         rows = slice(piece.begin, piece.begin + len(piece.drive))
         where = where_of(recordings[piece.recording], model.axis, rows)
         if samples is None:
-            sample = piece.first + spread_rows(piece.rows, share)
+            sample = piece.first + spread_rows(piece.rows, max_rows)
         else:
             sample = samples[number]
         sample = sample[(sample >= piece.first) & (sample < piece.last)]
         ringing = rows_after_steps(piece.drive, piece.sampling_rate_Hz, extensions)
         sample = np.setdiff1d(sample, np.concatenate([piece.invalid, ringing]))
-        # Blocks of several seconds; of the first every other quarter is never left out.
         duration_s = piece.rows / piece.sampling_rate_Hz
-        blocks = int(np.clip(duration_s / BLOCK_s, *BLOCKS))
+        blocks = int(np.clip(duration_s / BLOCK_s, MIN_BLOCKS, MAX_BLOCKS))
         quarter = (sample - piece.first) * blocks * 4 // piece.rows
         first = np.where(quarter % 2 == 0, NEVER_OUT, (quarter + number) % FOLDS)
         fold = np.where(quarter < 4, first, (quarter // 4 + number) % FOLDS)
@@ -120,10 +118,10 @@ def parts_of(
 class State:
     """One point of the search.
 
-    coordinates  what the first numbers mean
-    theta        (total,)  as in the fit of the hysteresis alone
-    extensions   with their own numbers, in the order in which they act
-    scales, rig  as the parts were scaled
+    coordinates  parametrisation of the hysteresis
+    theta        (total,)  parameters of the hysteresis, as in its own fit
+    extensions   in the order in which they act
+    scales, rig  of the parts
     fixed        slices of the vector that are not fitted
     """
 
@@ -136,12 +134,12 @@ class State:
 
     @cached_property
     def operator(self) -> Scaled:
-        """Return the operator."""
+        """The hysteresis operator, scaled."""
         return operator_of(self.theta, self.coordinates)
 
     @cached_property
     def forward(self) -> Forward:
-        """Return the model."""
+        """The forward model."""
         return Forward(
             operator=self.operator,
             lag=self.coordinates.shape.lag,
@@ -152,7 +150,7 @@ class State:
         )
 
     def run(self, index: int, part: Part) -> Run:
-        """Return one part from end to end."""
+        """Return the simulation of one part."""
         zero = float(self.theta[self.coordinates.offset_slice(index)][0])
         return Run(
             forward=self.forward,
@@ -165,7 +163,7 @@ class State:
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:
-        """Return the slice of each extension in the vector."""
+        """Slice of each extension in the vector."""
         edges = [len(self.theta)]
         for extension in self.extensions:
             edges.append(edges[-1] + len(extension.free().value))
@@ -173,14 +171,14 @@ class State:
 
     @property
     def vector(self) -> Array:
-        """Return all numbers."""
+        """The parameter vector: hysteresis, then extensions."""
         return np.concatenate([self.theta, *(e.free().value for e in self.extensions)])
 
     def bounds(self, longest_lag_s: float) -> tuple[Array, Array]:
-        """Return lower and upper bounds of all numbers.
+        """Return lower and upper bounds of the vector.
 
-        Thresholds may go beyond the reach of the drive: a play there rests, and bounding the sum
-        of all gaps would bend every step.
+        Thresholds may exceed the range of the drive, where a play does not move: a bound on the
+        sum of all gaps would change the direction of every step.
         """
         lower, upper = self.coordinates.bounds(longest_lag_s)
         frees = [e.free() for e in self.extensions]
@@ -191,7 +189,7 @@ class State:
         return lower, upper
 
     def at(self, vector: Array) -> "State":
-        """Return the point with these numbers."""
+        """Return the point with this vector."""
         theta = vector[: len(self.theta)]
         extensions = tuple(
             extension.moved_to(vector[numbers])
@@ -202,13 +200,13 @@ class State:
 
 @dataclass(frozen=True, kw_only=True)
 class Structure:
-    """Parts of the hysteresis that a joint fit may use.
+    """Components of the hysteresis that a joint fit uses.
 
-    operator  weights, thresholds, lag and what extends the model already are fitted; False: only
+    operator  True: weights, thresholds, lag and previous extensions are fitted; False: only
               memory, zero and new extensions
-    lag     the model's own lag, fitted
-    memory  a memory of its own for every piece; False: what a drive cycled over its range leaves
-    bends   kinks of the envelope on each side of its middle; None: as many as the model has
+    lag       whether the model has a lag, which is then fitted
+    memory    True: the memory of every piece is fitted; False: it is that after a full cycle
+    bends     kinks of the envelope on each side of its middle; None: as in the model
     """
 
     operator: bool = True
@@ -239,7 +237,7 @@ def state_of(
             theta[coordinates.offset_slice(index)] = zero_m / scales.displacement_m
             slopes = np.diff(part.start.memory_V / stretch_V) / operator.gap
             theta[memory] = np.clip(slopes, -1.0, 1.0)
-        if not structure.memory:  # after a drive that went down, up and then to its start
+        if not structure.memory:  # after a drive from the middle down, up and to its first sample
             turns = np.array([0.0, -1.0, 1.0, float(part.piece.drive[0])])
             inner = operator.envelope.run(turns)
             states = play_columns(inner, operator.threshold, np.zeros(len(operator.gap)))[1]
@@ -253,8 +251,11 @@ def state_of(
     )
     fixed: list[slice] = []
     if not structure.operator:
-        fitted = [any(e is extension for extension in model.extensions) for e in state.extensions]
-        fixed += [numbers for numbers, is_old in zip(state.slices, fitted, strict=True) if is_old]
+        fixed += [
+            numbers
+            for extension, numbers in zip(state.extensions, state.slices, strict=True)
+            if any(extension is previous for previous in model.extensions)
+        ]
         fixed.append(slice(0, coordinates.shared))
     if not structure.memory:
         fixed += [coordinates.memory_slice(k) for k in range(len(parts))]
@@ -262,7 +263,7 @@ def state_of(
 
 
 def _scaled(model: AxisModel, scales: Scales, *, keep_lag: bool) -> Scaled:
-    """Return a model's operator in scaled units, central slopes 1: the inverse of ``physical``."""
+    """Return the operator of a model in scaled units: the inverse of ``physical``."""
     hysteresis, stroke_m = model.hysteresis, abs(scales.displacement_m)
     envelope, zones = hysteresis.envelope, hysteresis.dead_zones
     stretch = float(envelope.slope[envelope.zero])

@@ -74,14 +74,14 @@ def test_a_stage_at_rest_stays_at_rest_behind_every_response(extension: Extensio
     np.testing.assert_allclose(answered_m, answered_m[0], rtol=1e-12)
 
 
-@pytest.mark.parametrize("extension", [e for e in one_of_each() if e.instant], **ids)
+@pytest.mark.parametrize("extension", [e for e in one_of_each() if e.is_fast], **ids)
 def test_a_slow_ramp_comes_later_by_what_the_extension_says(extension: Extension) -> None:
     time_s = where().time_s
     behind = time_s - extension.response(time_s, where())
-    assert behind[-1] == pytest.approx(extension.late_s(RATE_Hz), rel=1e-3)
+    assert behind[-1] == pytest.approx(extension.group_delay_s(RATE_Hz), rel=1e-3)
 
 
-@pytest.mark.parametrize("extension", [e for e in one_of_each() if e.instant], **ids)
+@pytest.mark.parametrize("extension", [e for e in one_of_each() if e.is_fast], **ids)
 def test_columns_are_answered_one_by_one(extension: Extension) -> None:
     columns = np.random.default_rng(1).standard_normal((400, 3)).cumsum(axis=0)
     together = extension.response(columns, where(400))
