@@ -42,17 +42,17 @@ NOISE_LINES = 3.0  # times the rms of a line of white noise, which a motion must
 RISING_P = 1e-3  # the largest of some hundred lines lies four standard deviations out
 
 
-def split_known_modes(
-    recordings: Sequence[Recording], axis: str, model: AxisModel | None, lab: Lab
+def split_by_mode(
+    recordings: Sequence[Recording], model: AxisModel, lab: Lab
 ) -> tuple[tuple[Recording, ...], tuple[Recording, ...]]:
-    """Split recordings into quasi-static ones to be searched, and those shaped by a known mode.
+    """Split recordings into quasi-static ones to be searched, and those shaped by a mode.
 
     The second part is empty if the model has no mode, or if no recording would remain.
     """
-    dynamics = None if model is None else model.dynamics
+    dynamics = model.dynamics
     if dynamics is None or not resolved_modes(dynamics).any():
         return tuple(recordings), ()
-    return quasi_static(recordings, axis, rig_of(lab, axis))
+    return quasi_static(recordings, model.axis, rig_of(lab, model.axis))
 
 
 def with_modes(
