@@ -141,7 +141,8 @@ def _first_answered(
 ) -> tuple[Choice, tuple[Question, ...]]:
     """Return the first question that a drive answers, and the questions before it.
 
-    If none is answered: the first of which a drive shows the effect, else the first.
+    If no question is answered: the first question with a drive that shows its effect, else the
+    first question.
     """
     unanswered: list[Choice] = []
     for question in questions:
@@ -157,8 +158,8 @@ def limiting_factor(
 ) -> str:
     """State which limit prevents a better answer, or that none does.
 
-    share_left     (bench) -> share of the uncertainty that the best drive leaves in other limits
-    present_share  share that it leaves within the present limits
+    share_left     (bench) -> share of the uncertainty that remains with the best drive
+    present_share  share that remains within the present limits
     """
     limits, margin_V = bench.limits, 0.5 * (LOOSER - 1.0) * np.ptp(bench.limits.range_V)
     wider = replace(

@@ -282,7 +282,7 @@ def exchange_filter_side(
     """Return the selected effects with a filter on the other side of the hysteresis, if better.
 
     The amplifier rounds reversals of the drive in front of the hysteresis, the filter of a sensor
-    those of the displacement behind it. A filter on the wrong side leaves a residual that looks
+    those of the displacement behind it. A filter on the wrong side causes a residual that looks
     like rate dependence.
 
     best  the best candidate: only filters that resemble it are tried; None: all filters

@@ -1,6 +1,6 @@
 """p-values as ranks among healthy stages: of a systematic residual, and of evidence for an effect.
 
-Hysteresis of another law than the nuisance class leaves a systematic residual, which no shuffling
+Hysteresis of another law than the nuisance class causes a systematic residual, which no shuffling
 distinguishes from an effect outside the catalogue. Its score is therefore compared with the
 scores of healthy stages of all laws of the zoo. Its rank among n scores is a p-value,
 

@@ -61,7 +61,7 @@ def score_periodic(residual: Residual) -> list[CoordinateScore]:
 
 
 def mains_frequency_Hz(frequency_Hz: float) -> float:
-    """Return the mains frequency of which a line is a harmonic, or 0."""
+    """Return the mains frequency with a harmonic at this frequency, or 0."""
     for nominal_Hz in GRIDS_Hz:
         order = round(frequency_Hz / nominal_Hz)
         if order and abs(frequency_Hz / order - nominal_Hz) < MAINS_OFFSET_Hz:

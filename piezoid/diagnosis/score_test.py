@@ -122,7 +122,7 @@ def _is_possible(effect: Effect, trial: Trial, cv: CrossValidated) -> bool:
 
 
 def _is_separable(result: ValidatedTrial) -> bool:
-    """Tell whether hysteresis leaves enough of a trial that needs time."""
+    """Tell whether a trial that needs time has a sufficient part orthogonal to the null."""
     trial, _, orthogonal = result
     if not trial.needs_time:
         return True

@@ -213,10 +213,10 @@ def _clock_note(parameters: Parameters) -> str:
     nominal_Hz = min(GRIDS_Hz, key=lambda grid_Hz: abs(grid_Hz - frequency_Hz))
     error = frequency_Hz / nominal_Hz - 1.0
     if abs(error) < CLOCK_ERROR:
-        return f"The line stands at {frequency_Hz:.2f} Hz."
+        return f"The line is at {frequency_Hz:.2f} Hz."
     return (
-        f"The line stands at {frequency_Hz:.2f} Hz. If this is the mains, the clock of the file "
-        f"is {100.0 * abs(error):.2f} % off."
+        f"The line is at {frequency_Hz:.2f} Hz. If this is the mains, the clock of the file is "
+        f"{100.0 * abs(error):.2f} % off."
     )
 
 

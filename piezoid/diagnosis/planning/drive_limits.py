@@ -66,7 +66,7 @@ class Drive:
     def to_csv(self) -> str:
         """Return the drive as text: a header with units, then one row for each sample.
 
-        Numbers come back exactly; ingest reads the header as it is.
+        Reading the text gives exactly the same numbers; ingest understands the header.
         """
         header = ",".join(["time [s]", *(f"voltage_{axis} [V]" for axis in self.axes)])
         time_s = np.arange(len(self.voltage_V)) / self.sampling_rate_Hz

@@ -67,9 +67,9 @@ def questions_of(diagnosis: Diagnosis, effect: str | None) -> tuple[Question, ..
     pressing = tuple(question for question in questions if is_open(question))
     if not pressing:
         raise ExcitationError(
-            "the diagnosis leaves nothing open that a drive could show better",
-            needed="effects not told apart, wide intervals, or effects that could hide",
-            remedy="No recording is needed; name one with --effect to ask all the same.",
+            "the diagnosis has no open question that a drive could answer",
+            needed="confounded effects, wide intervals, or effects with a high detection limit",
+            remedy="No recording is needed. To plan one for an effect, name it with --effect.",
         )
     return pressing
 

@@ -115,7 +115,7 @@ def scale_of(suspect: Suspect, reference: Sequence[DriveResponse]) -> float:
 
 
 def row_weights(drives: Sequence[DriveResponse]) -> Array:
-    """Return a weight for every row, so that drives count equally whatever their length."""
+    """Return a weight for every row, such that all drives count equally."""
     counts = [len(drive.rows) for drive in drives]
     return np.concatenate([np.full(count, count**-0.5) for count in counts])
 

@@ -151,7 +151,7 @@ def odd_lines(
     """Return odd multiples of the resolution in a band, with one of each group left out at random.
 
     left_out_of  size of a group; the line left out detects odd distortion, as all even lines
-                 detect even distortion. 0 leaves none out
+                 detect even distortion. 0: no line is left out
     """
     first = int(np.ceil(lowest_Hz / resolution_Hz))
     lines = np.arange(first + 1 - first % 2, int(highest_Hz / resolution_Hz) + 1, 2)
