@@ -79,7 +79,7 @@ class NuisanceClass:
 
     @property
     def columns_per_track(self) -> int:
-        """Number of columns that each track has for itself."""
+        """Number of separate columns of each track."""
         return 1 + (MEMORY_COLUMNS if self.free else 0)
 
     @property

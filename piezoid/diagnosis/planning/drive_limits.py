@@ -173,8 +173,9 @@ def _limits(axis: AxisModel, lab: Lab) -> tuple[DriveLimits, str, str]:
     if not (high_V > low_V and slew_V_per_s > 0.0):
         raise LabFileError(
             f"{lab.place}: axis {axis.axis} was driven from {axis.voltage_V[0]:g} to "
-            f"{axis.voltage_V[1]:g} V, and of that the limits leave {low_V:g} to {high_V:g} V",
-            needed="limits that hold a part of what was driven",
+            f"{axis.voltage_V[1]:g} V, and the limits restrict this range to {low_V:g} to "
+            f"{high_V:g} V",
+            needed="limits that contain a part of the recorded range",
             remedy="Correct output_min_V, output_max_V, gain_V_per_V or input_range_V.",
         )
     binding = [

@@ -76,14 +76,14 @@ class CandidateTable:
     recorded   drives of the recordings
     reference  drives along which a diagnosed effect has its size
     drives     by name: a drive, or why it cannot be played
-    driven     response of the model to those that can be played
+    responses  response of the model to each drive that can be played
     """
 
     errors: Errors
     recorded: tuple[DriveResponse, ...]
     reference: tuple[DriveResponse, ...]
     drives: Mapping[str, Drive | str]
-    driven: Mapping[str, DriveResponse]
+    responses: Mapping[str, DriveResponse]
 
     def choice(self, question: Question) -> Choice:
         """Return the best drive for a question, or a shorter one that is nearly as good."""
@@ -111,7 +111,7 @@ class CandidateTable:
         name, why, drive = experiment.name, experiment.why, self.drives[experiment.name]
         if isinstance(drive, str):
             return Alternative(name=name, why=why, duration_s=0.0, estimate=None, refusal=drive)
-        estimate = self._estimate(question, self.driven[name])
+        estimate = self._estimate(question, self.responses[name])
         if question.kind == "separate":
             certainty = 1.0 / max(estimate.worst, 1e-30)
             score = estimate.separability * min(certainty / ENOUGH, 1.0)
@@ -154,15 +154,15 @@ def simulate_candidates(
         recorded=tuple(recorded),
         reference=tuple(recorded) or usual_drives(axis, bench),
         drives=drives,
-        driven={
-            name: driven_drive(axis, drive)
+        responses={
+            name: response_to(axis, drive)
             for name, drive in drives.items()
             if isinstance(drive, Drive)
         },
     )
 
 
-def driven_drive(axis: AxisModel, drive: Drive) -> DriveResponse:
+def response_to(axis: AxisModel, drive: Drive) -> DriveResponse:
     """Return the model's response to a planned drive, after cycles over the range."""
     return DriveResponse(
         name=drive.name,
