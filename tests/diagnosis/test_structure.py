@@ -39,7 +39,7 @@ def test_one_of_many_products_with_the_drive_that_a_ceramic_misses_is_not_named(
     view = sound_stage("bouc_wen", seed)
     found = score_test(non_congruence.EFFECT, view)
     assert found.cv.gain > non_congruence.EFFECT.minimum_gain
-    assert abs(float(found.cv.coefficient[0])) > non_congruence.OPENING
+    assert abs(float(found.cv.coefficient[0])) > non_congruence.MIN_OPENING
     assert not search(view).causes
 
 
