@@ -87,12 +87,12 @@ JUDGED = candidate.Candidate
 RULES = (
     Rule(
         name="the other side of the hysteresis",
-        places=((forward_selection, "moved_to_other_side"),),
+        places=((forward_selection, "exchange_filter_side"),),
         without=lambda *_: None,
     ),
     Rule(
         name="behind jumps",
-        places=((forward_selection, "modes_behind_jumps"),),
+        places=((forward_selection, "modes_after_steps"),),
         without=lambda _: (),
     ),
     Rule(
@@ -108,13 +108,16 @@ RULES = (
     ),
     Rule(
         name="other initial states before faults",
-        places=((selection, "with_own_initial_states"), (selection, "with_shared_initial_state")),
+        places=(
+            (selection, "with_individual_initial_states"),
+            (selection, "with_shared_initial_state"),
+        ),
         without=lambda view, *_: view,
         matters=_leaves_less(OTHER_INITIAL_STATES),
     ),
     Rule(
         name="shared before own initial states",
-        places=((selection, "shared_does_as_well"),),
+        places=((selection, "is_shared_state_as_good"),),
         without=lambda *_: False,
     ),
     Rule(

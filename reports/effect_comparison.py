@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding
 from piezoid.diagnosis.drive_response import (
-    Driven,
+    DriveResponse,
     driven_recording,
     null_columns,
     rows_of,
@@ -166,7 +166,9 @@ def _linearised(
     ]
 
 
-def _tangent_part(drive: Driven, tangent: Tangent, scale: float, share: Array, k: int) -> Array:
+def _tangent_part(
+    drive: DriveResponse, tangent: Tangent, scale: float, share: Array, k: int
+) -> Array:
     columns = tangent.columns(drive, scale)
     width = columns.shape[1]
     coefficients = share[k * width : (k + 1) * width] if tangent.per_drive else share[:width]

@@ -28,13 +28,13 @@ from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.initial_state_search import (
-    with_own_initial_states,
+    with_individual_initial_states,
     with_shared_initial_state,
 )
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import ScoreTest, null_of, score_test
 from piezoid.diagnosis.segments import BLOCKS
-from piezoid.diagnosis.selection import repaired
+from piezoid.diagnosis.selection import repair_faults
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import SERIAL
 
@@ -59,8 +59,8 @@ class Accused:
 def accused(asked: Asked) -> list[Accused]:
     """Return what a stage is accused of by this null."""
     recordings, lab = recorded(drawn(asked))
-    clean, _, _ = repaired(view_on(recordings, axis="x", lab=lab), SERIAL)
-    view = with_own_initial_states(clean, with_shared_initial_state(clean, SERIAL))
+    clean, _, _ = repair_faults(view_on(recordings, axis="x", lab=lab), SERIAL)
+    view = with_individual_initial_states(clean, with_shared_initial_state(clean, SERIAL))
     view = min(clean, view, key=lambda one: one.rms)
     tests = [one for one in map(lambda effect: _tested(effect, view), EFFECTS) if one is not None]
     tried = [(one, len(tests) * _p_value(one, view)) for one in tests]

@@ -1,6 +1,6 @@
 """Appearance of an effect: along a coordinate, over time, or in the spectrum.
 
-The coordinates that several effects share stand here; one of a single effect stands in its file.
+This module defines the coordinates of several effects; the file of an effect defines its own.
 """
 
 from collections.abc import Callable
@@ -18,13 +18,13 @@ Along = Callable[[Recording], tuple[Array, Array]]
 class Appearance:
     """Coordinate against which a residual is drawn.
 
-    label    of the axis
+    label    of the coordinate
     unit     SI
-    kind     ``classes`` of all recordings, ``time`` of one, or ``spectrum`` of one
-    along    (recording) -> place of every sample of its axis, (samples,), NaN where it does not
-             count, and a sign that the residual is multiplied by, (samples,)
+    kind     ``classes`` of all recordings, or ``time`` or ``spectrum`` of one recording
+    along    (recording) -> coordinate of every sample, (samples,), NaN for samples that are left
+             out, and a sign by which the residual is multiplied, (samples,)
     reading  how to read the picture
-    decades  whether places are log10 of numbers in ``unit``
+    decades  whether coordinates are log10 of numbers in ``unit``
     """
 
     label: str
@@ -36,12 +36,12 @@ class Appearance:
 
 
 def unsigned(positions: Array) -> tuple[Array, Array]:
-    """Return positions at which the residual keeps its sign."""
+    """Return positions, and the sign 1 for all of them."""
     return positions, np.ones(len(positions))
 
 
 def _time(recording: Recording) -> tuple[Array, Array]:
-    return unsigned(np.arange(recording.samples) / recording.sampling_rate_Hz)
+    return unsigned(recording.time_s)
 
 
 def _speed(recording: Recording) -> tuple[Array, Array]:
@@ -81,10 +81,10 @@ OVER_DRIVE = Appearance(
 )
 
 
-def over_time(where: Appearance) -> Appearance:
-    """Return the course over time, for recordings in which a coordinate hardly occurs."""
+def over_time(coordinate: Appearance) -> Appearance:
+    """Return the appearance over time, for recordings with too few samples of a coordinate."""
     return replace(
         OVER_TIME,
         reading="Drawn over time, because too few samples of these recordings have a "
-        f"{where.label}, where this effect shows best.",
+        f"{coordinate.label}, where this effect shows best.",
     )

@@ -3,7 +3,8 @@
     beta_f = (sum_(b not in f) C_b' C_b)^-1 sum_(b not in f) C_b' e_b,
     loss_b = |e_b - C_b beta_f|^2
 
-How surely blocks gain is told by their mean, by their signs, or by the likelihood of all.
+The significance of a gain is the largest of three tests over blocks: of the mean, of the signs,
+and of the likelihood ratio.
 
 Source: Arlot & Celisse, Statistics Surveys 4 (2010) on blocks for dependent data; Vuong,
 Econometrica 57 (1989) on sums of squares of blocks.
@@ -21,18 +22,17 @@ from piezoid.numerics.executor import Once
 FOLDS = 5
 TESTS = 3  # of the mean, of signs, of the likelihood ratio
 RIDGE = 1e-9
-TELLING = 0.95  # share of the explained power in informative blocks
-FEWEST = 6  # blocks to judge by
+INFORMATIVE_POWER = 0.95  # share of the explained power in informative blocks
+MIN_BLOCKS = 6  # informative ones, at least
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CrossValidated:
     """Cross-validated gain of columns on left-out blocks.
 
-    gain         1 - rms with / rms without
-    z            standard errors by which blocks gain: of their mean, of the sign test, or of the
-                 likelihood ratio with every block as one observation
-    coefficient  (columns,)  of all rows
+    gain         1 - rms with / rms without the columns
+    z            standard errors of the gain over blocks, the largest of three tests (``gain_z``)
+    coefficient  (columns,)  fitted to all rows
     spread       (columns,)  its standard error, from leaving out folds
     loss         (blocks,)   sums of squares with the columns
     rms          with the columns
@@ -58,8 +58,8 @@ class Null:
     columns   (rows, columns)
     response  (rows,)
     block     (rows,)  global block of each row
-    extra     (rows, columns)  a few further columns, kept apart to avoid a copy of all
-    column_gram  Gram matrix of ``columns``, if it is already known
+    extra     (rows, columns)  a few further columns, separate to avoid a copy of all columns
+    column_gram  Gram matrix of ``columns``, if it was computed before
     """
 
     columns: Array
@@ -69,7 +69,7 @@ class Null:
     column_gram: Array | None = None
 
     @property
-    def every(self) -> Array:
+    def all_columns(self) -> Array:
         """Return all columns, (rows, columns)."""
         return self.columns if self.extra is None else np.hstack([self.columns, self.extra])
 
@@ -95,21 +95,21 @@ class Null:
         return np.asarray(np.linalg.cholesky(gram + RIDGE * np.eye(len(gram))))
 
     def fit(self, values: Array) -> Array:
-        """Return the coefficients that follow values, (columns,) or (columns, values)."""
+        """Return the least-squares coefficients for values, (columns,) or (columns, values)."""
         from scipy.linalg import cho_solve
 
         scale = self.scale if values.ndim == 1 else self.scale[:, None]
-        right = (values.T @ self.columns).T  # of few values: a third of the other way round
+        right = (values.T @ self.columns).T  # for few values a third of the time of C' v
         if self.extra is not None:
             right = np.concatenate([right, self.extra.T @ values])
         return np.asarray(cho_solve((self.factor, True), right / scale) / scale)
 
     @Once
     def coefficients(self) -> Array:
-        """Return the coefficients that follow the response, (columns,)."""
+        """Return the least-squares coefficients for the response, (columns,)."""
         return self.fit(self.response)
 
-    def without(self, values: Array) -> Array:
+    def project_out(self, values: Array) -> Array:
         """Project the columns of the null out of values."""
         return np.asarray(values - self._product(self.fit(values)))
 
@@ -144,16 +144,19 @@ class Null:
         return tuple(slice(int(a), int(b)) for a, b in zip(self.edges, stops, strict=True))
 
     def cross_validated(self, columns: Array, *, projected: bool = False) -> CrossValidated:
-        """Cross-validate columns beside the null on left-out blocks."""
-        across = columns if projected else self.without(columns)
-        length = np.sqrt(np.einsum("ij,ij->j", across, across)) + 1e-300
-        across = across / length
+        """Cross-validate columns beside the null on left-out blocks.
+
+        projected  whether the null is already projected out of the columns
+        """
+        orthogonal = columns if projected else self.project_out(columns)
+        length = np.sqrt(np.einsum("ij,ij->j", orthogonal, orthogonal)) + 1e-300
+        orthogonal = orthogonal / length
         residual = self.residual
-        parts = [across[part] for part in self.parts]
+        parts = [orthogonal[part] for part in self.parts]
         gram = np.array([part.T @ part for part in parts])
         right = np.array([a.T @ residual[p] for a, p in zip(parts, self.parts, strict=True)])
         energy = self.energy
-        small = RIDGE * np.eye(across.shape[1])
+        small = RIDGE * np.eye(orthogonal.shape[1])
         total, all_right = gram.sum(axis=0), right.sum(axis=0)
         loss, betas = np.empty(len(energy)), []
         for fold in range(FOLDS):
@@ -181,12 +184,14 @@ class Null:
 
         Source: Liang & Zeger, Biometrika 73 (1986).
         """
-        across = self.without(columns)
-        length = np.sqrt(np.einsum("ij,ij->j", across, across)) + 1e-300
-        across = across / length
-        residual = self.residual - across @ np.linalg.lstsq(across, self.residual, rcond=1e-9)[0]
-        scores = np.array([across[part].T @ residual[part] for part in self.parts])
-        inverse = np.linalg.pinv(across.T @ across, rcond=1e-9, hermitian=True)
+        orthogonal = self.project_out(columns)
+        length = np.sqrt(np.einsum("ij,ij->j", orthogonal, orthogonal)) + 1e-300
+        orthogonal = orthogonal / length
+        residual = (
+            self.residual - orthogonal @ np.linalg.lstsq(orthogonal, self.residual, rcond=1e-9)[0]
+        )
+        scores = np.array([orthogonal[part].T @ residual[part] for part in self.parts])
+        inverse = np.linalg.pinv(orthogonal.T @ orthogonal, rcond=1e-9, hermitian=True)
         count = len(scores)
         cov = inverse @ (scores.T @ scores) @ inverse * (count / max(count - 1, 1))
         return np.asarray(cov / np.outer(length, length))
@@ -202,7 +207,7 @@ class Null:
         return np.asarray(np.add.reduceat(self.residual**2, self.edges))
 
 
-def compared(reference: Null, replacement: Null) -> CrossValidated:
+def compare_nulls(reference: Null, replacement: Null) -> CrossValidated:
     """Compare two nulls with the same number of columns, block by block.
 
     Both are refitted to all rows: one or two parameters are negligible beside thousands of rows.
@@ -221,28 +226,28 @@ def compared(reference: Null, replacement: Null) -> CrossValidated:
 
 
 def gain_z(gains: Array, explained: Array, gain: float) -> float:
-    """Return by how many standard errors blocks gain, by the surest of three tests.
+    """Return the z value of a gain over blocks, the largest of three tests.
 
-    gains      (blocks,)  sums of squares without less those with the columns
-    explained  (blocks,)  what the columns make there: blocks without it can say nothing
+    gains      (blocks,)  decrease of the sum of squares by the columns
+    explained  (blocks,)  power of the fitted columns: a block without any is not informative
     gain       1 - rms with / rms without, of all blocks
     """
-    telling = gains[_informative(explained)]
-    return max(_mean_z(telling), _sign_z(telling), _ratio_z(gain, len(gains)))
+    informative_gains = gains[_is_informative(explained)]
+    return max(_mean_z(informative_gains), _sign_z(informative_gains), _ratio_z(gain, len(gains)))
 
 
 def paired_z(reference: Array, candidate: Array) -> float:
-    """Return by how many standard errors the candidate loss is below the reference loss."""
+    """Return the difference of two losses over blocks in standard errors, > 0 if it decreases."""
     return _mean_z(reference - candidate)
 
 
-def _informative(explained: Array) -> Array:
-    """Return the blocks that hold nearly all of the power of the columns."""
+def _is_informative(explained: Array) -> Array:
+    """Tell which blocks contain nearly all of the power of the columns."""
     order = np.argsort(explained)[::-1]
     total = np.cumsum(explained[order])
-    count = int(np.searchsorted(total, TELLING * total[-1])) + 1
+    count = int(np.searchsorted(total, INFORMATIVE_POWER * total[-1])) + 1
     is_informative = np.zeros(len(explained), dtype=bool)
-    is_informative[order[: max(count, FEWEST)]] = True
+    is_informative[order[: max(count, MIN_BLOCKS)]] = True
     return is_informative
 
 
@@ -252,14 +257,14 @@ def _mean_z(gains: Array) -> float:
 
 
 def _sign_z(gains: Array) -> float:
-    """Return how surely more than half of the blocks gain: blind to how much, so to outliers."""
+    """Return the z value of the sign test, which outliers do not affect."""
     count = len(gains)
     return float(np.sum(gains > 0) - 0.5 * count - 0.5) / (0.5 * sqrt(count))
 
 
 def _ratio_z(gain: float, blocks: int) -> float:
-    """Return the root of the likelihood ratio, 2 n ln(rms0 / rms1), n blocks for n observations.
+    """Return the root of the likelihood ratio, 2 n ln(rms0 / rms1), with n blocks as observations.
 
-    What lies in a few blocks only is seen by this one; thousands of rows count as few tens.
+    Of the three tests only this one detects a gain in a few blocks.
     """
     return sqrt(-2.0 * blocks * log(1.0 - gain)) if 0.0 < gain < 1.0 else 0.0

@@ -1,7 +1,8 @@
-"""Search for the Bouc-Wen state of the smallest residual in the nuisance class.
+"""Search for the Bouc-Wen state with the smallest residual in the nuisance class.
 
-It is structure, not a cause: it is taken in only where it leaves less than any effect does. Other
-structure has to beat the class without it, which may then have a Bouc-Wen state of its own.
+A Bouc-Wen state is structure of the nuisance class and no cause. It is added only if its error is
+smaller than that of any effect. Structural effects are compared with a class that does not contain
+them, and this class may have a Bouc-Wen state as well.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,80 +18,79 @@ from piezoid.numerics.executor import SERIAL, Executor
 BETAS = (0.8, 1.6, 3.2)
 RATIOS = (0.0, 0.4)  # gamma over beta
 EXPONENTS = (1.0, 1.6)
-BENDS = (-0.2, 0.0, 0.2)  # between them lie ridges
-PARTS = (1.0, 0.5, 0.25, 0.1)
-BETA, EXPONENT = 1.4, 1.35  # factors of a full step
-RATIO, BEND = 0.25, 0.25  # steps
+BENDS = (-0.2, 0.0, 0.2)  # separated by ridges of the error
+STEP_FRACTIONS = (1.0, 0.5, 0.25, 0.1)
+BETA_FACTOR, EXPONENT_FACTOR = 1.4, 1.35  # of a full step
+RATIO_STEP, BEND_STEP = 0.25, 0.25
 RCOND = 1e-9  # relative length of linearly dependent columns
 LIMITS = ((0.2, 20.0), (-0.4, 0.9), (1.0, 4.0), (-0.6, 0.6))
 
-
 Law = tuple[float, float, float, float]  # beta, gamma / beta, exponent, bend
-Left = Callable[[Law], float]
+Criterion = Callable[[Law], float]
 
 
 def with_best_bouc_wen(view: View, executor: Executor = SERIAL) -> View:
-    """Return the view with the Bouc-Wen state of the smallest residual."""
+    """Return the view with the Bouc-Wen state that has the smallest residual."""
     without_state = with_bouc_wen(view, None)
 
     def residual_energy(law: Law) -> float:
         # the columns of the view are projected out of the trial columns
-        across = without_state.null.without(
+        orthogonal = without_state.null.project_out(
             with_bouc_wen(without_state, _law_of(law)).nuisance.bouc_wen_rows
         )
-        coefficients = np.linalg.lstsq(across, without_state.null.residual, rcond=RCOND)[0]
-        return float(np.sum((without_state.null.residual - across @ coefficients) ** 2))
+        coefficients = np.linalg.lstsq(orthogonal, without_state.null.residual, rcond=RCOND)[0]
+        return float(np.sum((without_state.null.residual - orthogonal @ coefficients) ** 2))
 
     return with_bouc_wen(view, _best(residual_energy, executor=executor))
 
 
-def with_bouc_wen_of(view: View, against: Callable[[View], Null]) -> View:
-    """Return the view with the Bouc-Wen state of the smallest residual in a smaller class.
+def with_bouc_wen_of(view: View, null_of: Callable[[View], Null]) -> View:
+    """Return the view with the Bouc-Wen state that is best in a smaller class.
 
-    against  (view) -> null of the smaller class
+    null_of  (view) -> null of the smaller class
     """
 
     def class_rms(law: Law) -> float:
-        return against(with_bouc_wen(view, _law_of(law))).rms
+        return null_of(with_bouc_wen(view, _law_of(law))).rms
 
     return with_bouc_wen(view, _best(class_rms, BENDS))
 
 
 def _best(
-    criterion: Left, bends: Sequence[float] = (0.0,), executor: Executor = SERIAL
+    criterion: Criterion, bends: Sequence[float] = (0.0,), executor: Executor = SERIAL
 ) -> BoucWenLaw:
     """Minimise the criterion over a grid, then by coordinate search with shrinking steps."""
     laws: list[Law] = [*product(BETAS, RATIOS, EXPONENTS, bends)]
     best = min(zip(executor.map(criterion, laws), laws, strict=True), key=lambda pair: pair[0])
-    for part in PARTS:
+    for fraction in STEP_FRACTIONS:
         for parameter in range(len(LIMITS)):
-            best = _improve(criterion, best, parameter, part)
+            best = _improve(criterion, best, parameter, fraction)
     return _law_of(best[1])
 
 
 def _improve(
-    criterion: Left, best: tuple[float, Law], parameter: int, part: float
+    criterion: Criterion, best: tuple[float, Law], parameter: int, fraction: float
 ) -> tuple[float, Law]:
     for sign in (1.0, -1.0):
-        candidate = _stepped(best[1], parameter, sign * part)
+        candidate = _with_step(best[1], parameter, sign * fraction)
         error = criterion(candidate)
         if error < best[0]:
             return error, candidate
     return best
 
 
-def _stepped(law: Law, parameter: int, part: float) -> Law:
+def _with_step(law: Law, parameter: int, fraction: float) -> Law:
     beta, ratio, exponent, bend = law
     steps = (
-        beta * BETA**part,
-        ratio + RATIO * part,
-        exponent * EXPONENT**part,
-        bend + BEND * part,
+        beta * BETA_FACTOR**fraction,
+        ratio + RATIO_STEP * fraction,
+        exponent * EXPONENT_FACTOR**fraction,
+        bend + BEND_STEP * fraction,
     )
     low, high = LIMITS[parameter]
-    changed = [*law]
-    changed[parameter] = min(max(steps[parameter], low), high)
-    return changed[0], changed[1], changed[2], changed[3]
+    values = [*law]
+    values[parameter] = min(max(steps[parameter], low), high)
+    return values[0], values[1], values[2], values[3]
 
 
 def _law_of(law: Law) -> BoucWenLaw:

@@ -11,8 +11,8 @@ The budget is a chain of errors, each contained in the one before:
     wide class   error of the widest class of hysteresis  loop_shape     = explained^2 - wide^2
     noise        of the sensor                            unexplained    = wide^2 - noise^2
 
-The gain of the model is divided among the effects in proportion to what the error rises by when
-one of them is left out. An error that is larger than the one before it counts as equal to it.
+The gain of the model is divided among the effects in proportion to the rise of the error without
+each of them. An error that is larger than the error before it in the chain counts as equal to it.
 """
 
 from collections.abc import Mapping
@@ -43,8 +43,8 @@ from piezoid.formatting import with_unit, words
 from piezoid.numerics.arrays import Array
 
 RESONANCE = "resonance"  # an unresolved mode widens loops as another loop shape does
-# Along one loop a wide class follows all of these: of plays late by 20 ms it took 46 of 59 nm, and
-# beside a drift of plays 61 nm that are not there.
+# Along one loop a wide class can follow all of these effects: for plays with a lag of 20 ms it
+# explained 46 of 59 nm, and beside a drift of plays 61 nm of loop shape that the stage has not.
 LIKE_ONE_LOOP = ("lag", "creep", "thermal_drift", "initial_state")
 ONE_LOOP_EXPERIMENT = (
     "Record three equal cycles, and the same ten times slower: loop shape repeats in all of them."
@@ -52,23 +52,22 @@ ONE_LOOP_EXPERIMENT = (
 BLOCKS = 20  # of the residual, for the standard error of its mean square
 ONE_SIDED_95 = 1.645
 ALPHA = 0.05  # of the rank among 52 healthy stages, whose smallest p-value is 1/53
-MANY_TIMES = 5.0  # residual of one recording over that of all others, so that it dominates
+DOMINANT = 5.0  # ratio of the residual of one recording to the largest of all others
 
 
 @dataclass(frozen=True, kw_only=True)
 class RemainingErrors:
     """Errors of the final model that determine the parts of the budget which no effect explains.
 
-    explained_m  in sample, corrected for the number of parameters
-    wide_m       of the widest class of hysteresis with every effect, corrected in the same way
-    scatter      relative standard error of a mean square of the residual, from blocks
-    before_m     held-out error with every effect but without the wider class of hysteresis, where
-                 the model has it
-    structure_m  rms of structure without a name that the model does not contain and that was
-                 subtracted from the readings before ``wide_m`` was computed
-    is_compared  whether model and widest class follow the same stage at all; False where the
-                 class of the model does not apply
-    recordings_m  error of the model in sample by recording; empty where it was not computed
+    explained_m   in sample, corrected for the number of parameters
+    wide_m        of the widest class of hysteresis with every effect, corrected in the same way
+    scatter       relative standard error of a mean square of the residual, from blocks
+    before_m      held-out error with every effect but without the wider class of hysteresis; None
+                  if the model has no wider class
+    structure_m   rms of unexplained structure, which the model does not contain and which was
+                  subtracted from the readings before ``wide_m`` was computed
+    is_compared   whether the model class applies, so that it can be compared with the widest class
+    recordings_m  error of the model in sample by recording; empty if it was not computed
     """
 
     explained_m: float
@@ -97,15 +96,15 @@ def with_budget(
     other_recordings: Mapping[str, str] = MappingProxyType({}),
     gains: Mapping[str, float] = MappingProxyType({}),
 ) -> Diagnosis:
-    """Return a diagnosis with its error budget, and with the largest remaining part named.
+    """Return a diagnosis with its error budget, and with the largest remaining part as a finding.
 
     Args:
-        diagnosis: with every effect that was found; ``final`` is of the model that ships.
+        diagnosis: with all findings of the search; ``final`` is of the model that ships.
         errors: of that model in sample, and of the widest class of hysteresis.
-        other_recordings: findings whose errors belong to other recordings than the baseline, by
+        other_recordings: findings whose errors are those of other recordings than the baseline, by
             name, with the reason; their part of this budget is 0.
-        gains: fall of the squared error by findings that were measured on other recordings and
-            are part of the model, by name.
+        gains: reduction of the squared error by findings that were measured on other recordings
+            and are part of the model, by name.
     """
     final = FinalError(
         rms_m=diagnosis.final.rms_m,
@@ -135,9 +134,9 @@ def with_budget(
         is_largest = max(remaining, key=lambda name: remaining[name]) == LOOP_SHAPE
         diagnosis = _with_loop_shape(diagnosis, errors, explained - wide, is_largest=is_largest)
     diagnosis, remaining = _with_something_else(diagnosis, errors, remaining)
-    together = total - final_power - sum(in_sequence.values())
+    effects_power = total - final_power - sum(in_sequence.values())
     parts = [
-        *_effect_parts(diagnosis, together, in_sequence, remaining, other_recordings, gains),
+        *_effect_parts(diagnosis, effects_power, in_sequence, remaining, other_recordings, gains),
         *(_remaining_part(name, power, diagnosis, errors) for name, power in remaining.items()),
         BudgetPart(part="noise", rms_m=sqrt(noise), is_explained=False, text="Sensor noise."),
     ]
@@ -147,11 +146,11 @@ def with_budget(
 def _with_something_else(
     diagnosis: Diagnosis, errors: RemainingErrors, remaining: Mapping[str, float]
 ) -> tuple[Diagnosis, dict[str, float]]:
-    """Name the coordinate of an unexplained residual that dominates the final error.
+    """Add a finding of the unexplained residual if it dominates the final error.
 
-    A coordinate that healthy stages show as often is not named: the budget states the size alone.
+    A residual that healthy stages show as often is no finding: the budget only states its size.
 
-    Returns the diagnosis with that finding, and the parts, ``unexplained`` without its own.
+    Returns the diagnosis with that finding, and the remaining parts, in which it is separate.
     """
     powers, unexplained = dict(remaining), diagnosis.unexplained
     exceeds_noise = diagnosis.final.rms_m > NOISE_RATIO * diagnosis.noise_floor_rms_m
@@ -178,7 +177,7 @@ def _with_something_else(
 def _unexplained_finding(
     unexplained: Unexplained, *, rms_m: float, scatter: float, final: HeldOut, stroke_m: float
 ) -> Finding:
-    """Return the finding of a residual above the noise that remains in the model.
+    """Return the finding of a residual that the model does not explain.
 
     Args:
         unexplained: the residual, with the coordinate that explains most of it.
@@ -272,7 +271,7 @@ def _remaining_part(
 def _extrapolation_text(
     held_out_m: float, difference_m: float, recordings_m: Mapping[str, float]
 ) -> str:
-    """Name the recording that makes the error, if one is far worse than all others.
+    """Name the recording that causes the error, if its error is far larger than all others.
 
     Args:
         held_out_m: error of the model on data that were left out.
@@ -280,7 +279,7 @@ def _extrapolation_text(
         recordings_m: error in sample by recording.
     """
     *smaller, worst = sorted(recordings_m, key=lambda name: recordings_m[name]) or [""]
-    if not smaller or recordings_m[worst] < MANY_TIMES * recordings_m[smaller[-1]]:
+    if not smaller or recordings_m[worst] < DOMINANT * recordings_m[smaller[-1]]:
         held_out = with_unit(held_out_m, "m")
         in_sample = with_unit(sqrt(max(held_out_m**2 - difference_m**2, 0.0)), "m")
         return (
@@ -311,10 +310,11 @@ def _with_loop_shape(
 ) -> Diagnosis:
     """Add loop shape to the findings or to the effects that were not detected.
 
-    It is a finding if the error without it is above the noise, and the model has a wider class of
-    hysteresis, or loop shape is the largest part, or a significant half of the explained error.
+    It is a finding if the error without it is above the noise and one of three conditions holds:
+    the model has a wider class of hysteresis, or loop shape is the largest remaining part, or it
+    is a significant half of the error in sample above the noise.
 
-    power  explained by the widest class of hysteresis and not by the model
+    power  that the widest class of hysteresis explains and the model does not
     """
     noise_m, after_m = diagnosis.noise_floor_rms_m, diagnosis.final.rms_m
     in_model = errors.before_m is not None
@@ -329,10 +329,12 @@ def _with_loop_shape(
     if before_m <= NOISE_RATIO * noise_m or power <= 0.0 or not is_named:
         return _without_loop_shape(diagnosis, sqrt(max(power, 0.0) + ONE_SIDED_95 * power_std))
     effect, experiment = effect_named(LOOP_SHAPE), effect_named(LOOP_SHAPE).experiment
-    alike = [f.effect for f in diagnosis.findings if f.effect == RESONANCE and not f.held_out_gain]
+    confounded = [
+        f.effect for f in diagnosis.findings if f.effect == RESONANCE and not f.held_out_gain
+    ]
     model = diagnosis.model
     if in_model and model is not None and not model.quality.is_tested:
-        alike, experiment = [*alike, *LIKE_ONE_LOOP], ONE_LOOP_EXPERIMENT
+        confounded, experiment = [*confounded, *LIKE_ONE_LOOP], ONE_LOOP_EXPERIMENT
     low, high = (sqrt(max(power + side * 1.96 * power_std, 0.0)) for side in (-1.0, 1.0))
     evidence = (
         "The model simulates with the wider class."
@@ -348,7 +350,7 @@ def _with_loop_shape(
         p_value=0.5 * erfc(power / power_std / sqrt(2.0)) if power_std > 0.0 else 0.0,
         rms_percent=100.0 * sqrt(power) / diagnosis.stroke_m,
         size=Size(value=1e9 * sqrt(power), unit=effect.unit, ci95=(1e9 * low, 1e9 * high)),
-        not_separable_from=tuple(alike),
+        not_separable_from=tuple(confounded),
         explanation=f"{effect.summary} {evidence}",
         next_experiment=experiment,
         parameters={},

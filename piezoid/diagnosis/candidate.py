@@ -1,17 +1,17 @@
-"""Evaluate a candidate effect: the model refitted with it, against the model without it."""
+"""Evaluate a candidate effect: compare the model refitted with the effect and without it."""
 
 from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.blocked_regression import CrossValidated, compared, paired_z
+from piezoid.diagnosis.blocked_regression import CrossValidated, compare_nulls, paired_z
 from piezoid.diagnosis.bouc_wen_search import with_bouc_wen_of
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.refinement import with_step
 from piezoid.diagnosis.refitted_view import SelectedEffect, filter_offset, without_ringing
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.score_test import ScoreTest, null_of, score_test, screened
+from piezoid.diagnosis.score_test import ScoreTest, null_of, score_test, screen_trials
 
 MINIMUM_Z = 3.3  # standard errors, one-sided 0.0005: a false name is worse than a missing one
 MINIMUM_SHARE = 5e-5  # of the stroke: smaller effects need not be detected
@@ -19,24 +19,27 @@ NUDGE = 0.1  # of a parameter's width, for derivatives
 MIN_LENGTH = 0.15  # of the longest column: smallest part orthogonal to the null for one recording
 MAX_DEVIATION = 0.35  # of the fitted time, in one recording
 DEVIATION_Z = 4.0  # standard errors of such a deviation
-OVER_PLACEBO = 1.6  # times the placebo's gain; or else
-BELOW_PLACEBO = 0.9  # times the placebo's rms above the noise, and
-PLACEBO_Z = 2.5  # standard errors smaller in the blocks
-AS_SMALL = 1.005  # times the error: no difference
+# An effect is better than its placebo if its gain is larger by this factor, or if its rms above
+# the noise is smaller by the second factor and its loss by so many standard errors.
+MIN_GAIN_RATIO = 1.6
+MAX_EXCESS_RATIO = 0.9
+PLACEBO_Z = 2.5
+EQUAL_ERROR = 1.005  # ratio of errors up to which a Bouc-Wen state is as good
 NOISE_UNCERTAINTY = 0.03  # of the noise power
-# Size over structural residual that a name needs. On 200 stages of thirteen laws wrong names (but
-# initial states) lie at 0.43 to 1.5, half of them below it; the smallest right ones are a creep of
-# the bundled stage, 0.88, and one at half size, 0.91 (docs/measured/zoo.md).
+# Smallest ratio of the size of a named effect to the structure of the residual. On 200 stages of
+# thirteen laws wrong names (other than initial states) lie at 0.43 to 1.5, half of them below this
+# ratio; the smallest right names are a creep of the bundled stage, 0.88, and an effect at half
+# size, 0.91 (docs/measured/zoo.md).
 MIN_STRUCTURE_RATIO = 0.8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """An effect, evaluated beside the other selected effects.
+    """Evaluation of an effect beside the other selected effects.
 
     selected  the effect with its parameters
     cv        cross-validated gain
-    placebo   cross-validated gain of its best placebo, None if it has none
+    placebo   cross-validated gain of its best placebo, None if it has no placebo
     share     rms of its contribution beyond the null, of the whole stroke
     physical  whether its parameters are physically possible
     without   the view with the other effects
@@ -53,7 +56,7 @@ class Candidate:
 
     @property
     def effect(self) -> Effect:
-        """Return the effect."""
+        """Return the definition of the effect."""
         return self.selected.effect
 
     @property
@@ -65,7 +68,7 @@ class Candidate:
 
     @property
     def strength(self) -> float:
-        """Return the ratio of its rms to that of the structure of the residual.
+        """Return the ratio of the rms of the effect to that of the structure of the residual.
 
             2 share / sqrt(max(rms^2 - noise^2, NOISE_UNCERTAINTY noise^2))
 
@@ -77,7 +80,7 @@ class Candidate:
 
     @property
     def is_significant(self) -> bool:
-        """Whether its gain is certain, large enough, physical, and larger than of its placebos."""
+        """Whether the effect is physical, its gain significant, large, and above its placebo's."""
         return (
             self.physical
             and self.cv.z > MINIMUM_Z
@@ -87,19 +90,18 @@ class Candidate:
 
     @property
     def beats_placebo(self) -> bool:
-        """Whether its gain is clearly larger than its placebo's, or its error clearly smaller.
+        """Whether the gain is clearly larger than the placebo's, or the error clearly smaller.
 
-        An effect that explains most of an error leaves no room for 1.6 times the placebo's gain: a
-        gain that changed between two recordings takes 0.51 of an error of which its placebo takes
-        0.49.
+        Where both gains are large, their ratio cannot be: a gain change between two recordings
+        reduced the error by 0.51, its placebo by 0.49.
         """
-        if self.placebo is None or self.cv.gain > OVER_PLACEBO * self.placebo.gain:
+        if self.placebo is None or self.cv.gain > MIN_GAIN_RATIO * self.placebo.gain:
             return True
         excess, placebo_excess = (
             max(cv.rms**2 - self.view.noise**2, 0.0) for cv in (self.cv, self.placebo)
         )
         is_certain = paired_z(self.placebo.loss, self.cv.loss) > PLACEBO_Z
-        return is_certain and excess < BELOW_PLACEBO**2 * placebo_excess
+        return is_certain and excess < MAX_EXCESS_RATIO**2 * placebo_excess
 
 
 def exceeds_structure(share: float, rms: float, noise: float) -> bool:
@@ -111,15 +113,15 @@ def exceeds_structure(share: float, rms: float, noise: float) -> bool:
     rms    of the residual with all effects in the model, of half the stroke
     noise  of the sensor, of half the stroke
 
-    The residual of a misspecified class has some shape, and some effect is nearest to it.
+    The residual of a misspecified class has some shape, and always resembles some effect.
     """
     return 2.0 * share > MIN_STRUCTURE_RATIO * sqrt(max(rms**2 - noise**2, 0.0))
 
 
 def explained_share(gain: float, rms: float, noise: float) -> float:
-    """Return the share of the power above the noise that was explained.
+    """Return the share of the power above the noise that an effect explains.
 
-    gain  1 - rms / rms of the baseline
+    gain  1 - rms / rms without the effect
     rms   error with the effect
     """
     baseline_power = (rms / (1.0 - gain)) ** 2
@@ -127,11 +129,11 @@ def explained_share(gain: float, rms: float, noise: float) -> float:
 
 
 def evaluate(selected: SelectedEffect, view: View, without: View, *, test: ScoreTest) -> Candidate:
-    """Evaluate an effect beside others.
+    """Evaluate an effect beside the other selected effects.
 
-    view     with it and all others in the model
-    without  with the others
-    test     its score test there, for its placebos and for physical limits
+    view     the view with this effect and the others
+    without  the view with the others
+    test     score test of the effect on ``without``, for its placebos and physical limits
     """
     if selected.adds_columns:
         return _evaluate_columns(selected, view, without, test)
@@ -140,7 +142,7 @@ def evaluate(selected: SelectedEffect, view: View, without: View, *, test: Score
     )
     return Candidate(
         selected=selected,
-        cv=compared(without.null, view.null),
+        cv=compare_nulls(without.null, view.null),
         placebo=test.placebo,
         share=sqrt(max(without.rms**2 - view.rms**2, 0.0)) / 2.0,
         physical=is_physical,
@@ -159,7 +161,7 @@ def _evaluate_columns(
     if np.any(columns):  # else the refitted static response already contains the contribution
         trial = replace(test.trial, columns=columns, parameters=selected.parameters)
         null = null_of(effect, without)
-        refitted = screened(effect, null, [trial], one_speed=view.one_speed)
+        refitted = screen_trials(effect, null, [trial], one_speed=view.one_speed)
         cv, share = refitted.cv, refitted.share
         is_physical = refitted.physical and selected.within_limits
     return Candidate(
@@ -174,28 +176,28 @@ def _evaluate_columns(
 
 
 def structural_candidate(effect: Effect, final: View) -> tuple[ScoreTest, Candidate] | None:
-    """Evaluate a part of the nuisance class itself, with all effects in the model.
+    """Evaluate a structural effect, which is part of the nuisance class, beside all causes.
 
-    The class without this part may have a Bouc-Wen state instead. If that leaves as small an
-    error, the part must be significant beside the Bouc-Wen state that serves that class best.
+    A Bouc-Wen state may represent the effect. If the class without the effect, but with its best
+    Bouc-Wen state, has as small an error, the effect must be significant beside that state.
 
     Returns None if the effect has no trials on these recordings.
     """
     test = score_test(effect, final)
     if test is None:
         return None
-    candidate, structural = _structure_of(test, final), effect.structural
+    candidate, structural = _candidate_of_test(test, final), effect.structural
     if structural is None or not (candidate.is_significant and structural.may_be_bouc_wen):
         return test, candidate
     with_state = with_bouc_wen_of(final, structural.null_without)
     second_test = score_test(effect, with_state)
-    is_as_good = structural.null_without(with_state).rms < AS_SMALL * final.rms
+    is_as_good = structural.null_without(with_state).rms < EQUAL_ERROR * final.rms
     if second_test is None or not is_as_good:
         return test, candidate
-    return second_test, _structure_of(second_test, with_state)
+    return second_test, _candidate_of_test(second_test, with_state)
 
 
-def _structure_of(test: ScoreTest, view: View) -> Candidate:
+def _candidate_of_test(test: ScoreTest, view: View) -> Candidate:
     return Candidate(
         selected=SelectedEffect(effect=test.effect, parameters=test.trial.parameters),
         cv=test.cv,
@@ -208,25 +210,25 @@ def _structure_of(test: ScoreTest, view: View) -> Candidate:
 
 
 def is_consistent(selected: SelectedEffect, view: View) -> bool:
-    """Tell whether the time constants of single recordings agree with the fitted one.
+    """Tell whether the time constants of single recordings agree with the fitted time constant.
 
-    A filter of the chain is the same in every recording that can show it. At the fitted time tau
-    each track may have its own,
+    A filter of the signal chain is the same in every recording that can show it. Each track gets a
+    deviation d_k from the fitted time tau,
 
         y = h(t - tau) + sum_k d_k dh/dtau [track k],
 
-    and a large and significant d_k belongs to that recording alone.
+    and no deviation may be large and significant.
     """
     name = next(iter(selected.free))
     nudged = with_step(selected, name, NUDGE)
     ratio = nudged.parameters[name] / selected.parameters[name] - 1.0
     change = filter_offset(view, [nudged]) - filter_offset(view, [selected])
     columns = np.column_stack(
-        [view.of_track(k, change[view.track_rows(k)] / ratio) for k in range(len(view.tracks))]
+        [view.track_column(k, change[view.track_rows(k)] / ratio) for k in range(len(view.tracks))]
     )
-    length = np.linalg.norm(view.null.without(columns), axis=0)
+    length = np.linalg.norm(view.null.project_out(columns), axis=0)
     columns = columns[:, length > MIN_LENGTH * length.max()]
-    deviation = np.linalg.lstsq(view.null.without(columns), view.null.residual, rcond=1e-9)[0]
+    deviation = np.linalg.lstsq(view.null.project_out(columns), view.null.residual, rcond=1e-9)[0]
     error = np.sqrt(np.diag(view.null.clustered_covariance(columns)))
     is_large = (np.abs(deviation) > MAX_DEVIATION) & (np.abs(deviation) > DEVIATION_Z * error)
     return not bool(np.any(is_large))

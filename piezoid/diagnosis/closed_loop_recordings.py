@@ -2,10 +2,11 @@
 
     y = const  =>  -g (u(t) - u(0)) = a ln(1 + t / s) + noise,      g the stage's mean gain
 
-The logarithm, two numbers, is compared with a cubic of time, three, on left-out blocks, in units
-of the drive. It is creep where it continues the move before, and leaves no more than the cubic;
-where it leaves hardly less, drift is not told from it. The interval of the size contains the error
-of the mean gain: the slope of a small loop after a turn is smaller.
+The logarithm, with two parameters, is compared with a cubic of time, with three, on left-out
+blocks, in units of the drive. It is creep if it continues the move before and its error is not
+larger than that of the cubic; if it is hardly smaller, creep cannot be separated from drift. The
+interval of the size contains the error of the mean gain: the slope of a small loop after a
+reversal is smaller.
 
 Source: Jung & Gweon (2000) on the logarithm; Fleming & Leang (2014) on holding a position.
 """
@@ -32,10 +33,10 @@ from piezoid.records.checks.feedback import held_span, is_held_throughout
 from piezoid.records.recording import Recording
 
 NAME = "creep"
-MIN_GAIN = 0.1  # of the drive in the hold: loops under feedback wander by themselves
+MIN_GAIN = 0.1  # relative reduction of the rms of the drive, which also wanders without creep
 SCALES = 12  # of the logarithm, from one sample to a third of the hold
-# The slope of a small loop is below the mean gain: on six laws sizes came out 1.00 to 1.42 times
-# the truth, and the interval reaches from 0.65 of them.
+# The slope of a small loop is below the mean gain: on six laws sizes were 1.00 to 1.42 times the
+# truth. The lower limit of the interval is therefore smaller by this share of the size.
 SLOPE = 0.35
 
 
@@ -43,10 +44,10 @@ SLOPE = 0.35
 class _Hold:
     """Drive during a hold of the displacement by feedback.
 
-    recording  its name
-    time_s     (rows,)  since the hold began
+    recording  name of the recording
+    time_s     (rows,)  from the start of the hold
     drive_V    (rows,)
-    step_V     of the drive in the move before, with its sign; 0 where none is known
+    step_V     step of the drive before the hold, with its sign; 0 if it is unknown
     """
 
     recording: str
@@ -66,28 +67,23 @@ def with_creep_of_holds(
     if NAME in diagnosis.names:
         return diagnosis
     holds = _holds(recordings, diagnosis.axis)
-    findings = [
-        finding
-        for finding in (_finding(hold, diagnosis, gain_m_per_V) for hold in holds)
-        if finding
-    ]
-    if not findings:
-        return diagnosis
-    return with_finding(diagnosis, max(findings, key=lambda finding: finding.share))
+    findings = [_finding(hold, diagnosis, gain_m_per_V) for hold in holds]
+    largest = max(filter(None, findings), key=lambda finding: finding.share, default=None)
+    return diagnosis if largest is None else with_finding(diagnosis, largest)
 
 
 def _holds(recordings: Sequence[Recording], axis: str) -> list[_Hold]:
     holds = []
     for number, recording in enumerate(recordings):
-        stretch = held_span(recording, axis)
-        if stretch is None:
+        span = held_span(recording, axis)
+        if span is None:
             continue
         drive_V = recording.voltage_V(axis)
         if is_held_throughout(recording, axis):  # the step before the hold is in another recording
             first, step_V = 0, _last_move_V(recordings[:number], axis, float(drive_V[0]))
         else:
-            first, step_V = stretch.start, _span_V(drive_V[: stretch.start])
-        rows = np.arange(stretch.start, stretch.stop)
+            first, step_V = span.start, _span_V(drive_V[: span.start])
+        rows = np.arange(span.start, span.stop)
         holds.append(
             _Hold(
                 recording=recording.name,
@@ -109,7 +105,7 @@ def _last_move_V(earlier: Sequence[Recording], axis: str, end_V: float) -> float
 
 
 def _span_V(drive_V: Array) -> float:
-    """Return how far the last monotone move went, with its sign."""
+    """Return the range of a drive; negative if its minimum comes after its maximum."""
     if len(drive_V) < 2:
         return 0.0
     low, high = int(np.argmin(drive_V)), int(np.argmax(drive_V))
@@ -117,7 +113,7 @@ def _span_V(drive_V: Array) -> float:
 
 
 def _finding(hold: _Hold, diagnosis: Diagnosis, gain_m_per_V: float) -> Finding | None:
-    """Fit logarithmic creep to a hold; None without evidence."""
+    """Fit logarithmic creep to a hold, and return its finding; None if it is not significant."""
     drive_V, time_s = hold.drive_V - hold.drive_V.mean(), hold.time_s
     step_s = float(np.median(np.diff(time_s)))
     fits = []

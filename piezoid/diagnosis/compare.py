@@ -1,8 +1,8 @@
 """Compare a model with later recordings: unchanged, changed sensitivity, or another change.
 
-Three simulations of the new recordings, judged on the same held-out blocks: the model as it was
-fitted, with the initial state and zero of each recording; the same with another sensitivity; and
-everything refitted.
+Three simulations of the new recordings are compared on the same held-out blocks: the unchanged
+model, with the initial state and zero of each recording fitted; this model with another
+sensitivity; and the refitted model.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,12 +29,12 @@ from piezoid.statement import Kind, Level, Statement
 FIXED_OPERATOR = Structure(operator=False)
 STUDENT_95_FIVE_FOLDS = 2.8
 RECORDING_EFFECTS = (GainChange, MainsLines, ThermalDrift)  # belong to the recordings of the fit
-MIN_GAIN = 0.05  # of the error: smaller reductions are no change
-# Error over that of the fit: another excitation of the same stage doubles it (Preisach ceramics
-# leave 0.08 % on a like sweep and 0.15 % on a staircase), a lag or a load multiplies it.
+MIN_GAIN = 0.05  # relative reduction of the error below which nothing has changed
+# Error over that of the fit: another excitation of the same stage doubles it (Preisach ceramics:
+# 0.08 % on a similar sweep and 0.15 % on a staircase), a lag or a load multiplies it.
 MAX_GROWTH = 3.0
 MAX_SHARE = 0.2  # of the motion, rms: 8 % of the range of a triangle, where no fit applies either
-NOISE_GROWTH = 2.0  # sensors of one stage differ by less from day to day
+NOISE_GROWTH = 2.0  # the noise of one sensor changes by less from day to day
 RATIO_LIMITS = (0.11, 9.0)  # narrower than the limits of the search
 
 
@@ -42,17 +42,17 @@ RATIO_LIMITS = (0.11, 9.0)  # narrower than the limits of the search
 class ModelComparison:
     """Errors of a model on later recordings: rms on held-out blocks.
 
-    digest            of the model's file
-    rejection         why the model did not apply when it was fitted; empty where it did
-    fitted_error_m    of the model on the recordings of the fit
-    motion_m          of the new recordings about their means
-    unchanged_error_m with the model unchanged; only initial states and zeros are fitted
-    rescaled_error_m  with another sensitivity as well
-    refitted_error_m  with everything refitted
-    gain_ratio        new sensitivity over old, with its 95 % interval
-    fitted_noise_m    of the sensor in the recordings of the fit
-    noise_m           of the sensor in the new recordings
-    counted           as ``AxisModel.counted``
+    digest             of the file of the model
+    rejection          why the model class did not apply at the fit; empty if it applied
+    fitted_error_m     of the model on the recordings of the fit
+    motion_m           of the new recordings about their means
+    unchanged_error_m  with the model unchanged; only initial states and zeros are fitted
+    rescaled_error_m   with another sensitivity as well
+    refitted_error_m   with all parameters refitted
+    gain_ratio         new sensitivity over old, with its 95 % interval
+    fitted_noise_m     of the sensor in the recordings of the fit
+    noise_m            of the sensor in the new recordings
+    counted            as ``AxisModel.counted``
     """
 
     axis: str
@@ -77,7 +77,7 @@ class ModelComparison:
     def sensitivity_changed(self) -> bool:
         """Whether another sensitivity is significant and reduces the error.
 
-        A change below the error of the fit is none: any factor improves a poor fit a little.
+        A change must exceed the error of the fit: any factor improves a poor fit a little.
         """
         ratio, low, high = self.gain_ratio
         reduces = self.rescaled_error_m <= (1.0 - MIN_GAIN) * self.unchanged_error_m
@@ -95,7 +95,7 @@ class ModelComparison:
 
     @property
     def statement(self) -> Statement:
-        """The result in one sentence."""
+        """The statement of the result."""
         return Statement(
             kind=Kind.FINDING,
             level=Level.NOTE if self.holds and not self.sensitivity_changed else Level.ACTION,
@@ -149,11 +149,11 @@ class ModelComparison:
         )
 
     def _is_small(self, error_m: float) -> bool:
-        """Return whether an error, without the added noise of the sensor, has hardly grown."""
+        """Tell whether an error, without the added noise of the sensor, has hardly grown."""
         added_noise_m2 = max(self.noise_m**2 - self.fitted_noise_m**2, 0.0)
         model_error_m = sqrt(max(error_m**2 - added_noise_m2, 0.0))
-        grown = model_error_m > MAX_GROWTH * self.fitted_error_m
-        return not grown and error_m <= MAX_SHARE * self.motion_m
+        has_grown = model_error_m > MAX_GROWTH * self.fitted_error_m
+        return not has_grown and error_m <= MAX_SHARE * self.motion_m
 
     def _share(self, error_m: float) -> str:
         share = 100.0 * error_m / self.motion_m
@@ -203,21 +203,22 @@ def compare(
         )
     progress("simulating the earlier model")
     model = model.without_loop_shape()  # plays with dead zones are refitted
-    lasting = tuple(e for e in model.extensions if not isinstance(e, RECORDING_EFFECTS))
-    start = replace(model, extensions=lasting, starts=())
-    unchanged = fit_extended(start, recordings, lasting, structure=FIXED_OPERATOR)
+    stage_effects = tuple(e for e in model.extensions if not isinstance(e, RECORDING_EFFECTS))
+    start = replace(model, extensions=stage_effects, starts=())
+    unchanged = fit_extended(start, recordings, stage_effects, structure=FIXED_OPERATOR)
     cleaned = [_without_outliers(unchanged.model, recording) for recording in recordings]
-    if any(a is not b for a, b in zip(recordings, cleaned, strict=True)):
-        unchanged = fit_extended(start, cleaned, lasting, structure=FIXED_OPERATOR)
+    if any(new is not old for old, new in zip(recordings, cleaned, strict=True)):
+        unchanged = fit_extended(start, cleaned, stage_effects, structure=FIXED_OPERATOR)
     first, *later = (recording.name for recording in cleaned)
     change = GainChange(recording=first, instant_s=0.0, ratio=1.0, later=tuple(later))
-    rescaled = fit_extended(start, cleaned, (*lasting, change), structure=FIXED_OPERATOR)
+    rescaled = fit_extended(start, cleaned, (*stage_effects, change), structure=FIXED_OPERATOR)
     progress("refitting the model")
-    refitted = fit_extended(rescaled.model, cleaned, lasting)
-    moved_m = [r.displacement_m(model.axis) for r in cleaned]
-    centred_m = np.concatenate([values - values.mean() for values in moved_m])
+    refitted = fit_extended(rescaled.model, cleaned, stage_effects)
+    measured_m = [recording.displacement_m(model.axis) for recording in cleaned]
+    centred_m = np.concatenate([values - values.mean() for values in measured_m])
     errors_m = [
-        m - simulate_recording(refitted.model, r) for m, r in zip(moved_m, cleaned, strict=True)
+        values - simulate_recording(refitted.model, recording)
+        for values, recording in zip(measured_m, cleaned, strict=True)
     ]
     return ModelComparison(
         axis=model.axis,
@@ -236,7 +237,7 @@ def compare(
 
 
 def _without_outliers(model: AxisModel, recording: Recording) -> Recording:
-    """Return a recording in which outliers of a model's simulation are bridged."""
+    """Return a recording with its outliers from the simulation of a model interpolated."""
     measured_m, drive_V = recording.displacement_m(model.axis), recording.voltage_V(model.axis)
     error_m = measured_m - simulate_recording(model, recording)
     outliers = [

@@ -1,12 +1,12 @@
-"""Diagnose recordings at constant drive: drift, jumps, hum, other axes, and one unknown line.
+"""Diagnose recordings at constant drive: drift, jumps, hum, other axes, and an unknown line.
 
     y = c + drift(t) + jump(t - t0) + sum_h a_h cos(2 pi h f t) + b_h sin(2 pi h f t)
         + a cos(2 pi f1 t) + b sin(2 pi f1 t) + sum_j g_j u_j + noise
 
-No hysteresis can be told from them. All of it is linear but the grid's frequency f, the instant t0
-and the frequency f1 of the line. Each cause is judged by how much it reduces the error on blocks
-of time that were left out, with the other causes in place. Where the logarithm of the time since
-the beginning does as well as a cubic, drift is not told from creep after earlier motion.
+Such recordings do not show hysteresis. The model is linear except for the frequency f of the grid,
+the instant t0 and the frequency f1 of the line. Each cause is evaluated by its reduction of the
+error on left-out blocks of time, beside the other causes. If the logarithm of the time since the
+beginning is as good as a cubic, drift cannot be separated from creep after earlier motion.
 
 Source: Bendat & Piersol for lines beside a trend; Arlot & Celisse (2010) on blocks.
 """
@@ -52,29 +52,29 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
 DRIFT = "thermal_drift"  # the trend beside which all other causes are tested
-JUMP, LINE = "jump", "line"  # of no effect of the catalogue: findings of something else
-MIN_GAIN = 0.01  # of the error: less is not worth a name
-MIN_GAIN_JUMP = 0.05  # a jump found by search takes off less by chance
+JUMP, LINE = "jump", "line"  # not in the catalogue: findings of something else
+MIN_GAIN = 0.01  # of the error
+MIN_GAIN_JUMP = 0.05  # of the error: the best of all jumps reduces it by less at random
 LINE_P = 1e-4  # p-value of an unknown line: there are thousands of frequencies to try
-RESTS = "the drive rests, and nothing in these recordings excites it"
+NOT_EXCITED = "the drive rests, and nothing in these recordings excites it"
 ROWS = 60_000  # of a recording: enough for a line of a ten-thousandth of the noise
 LOG_SCALES = (0.003, 0.03, 0.1)  # of the recording: scales of a logarithm of time
-LOWEST = 4  # periods in the recording: slower motion is no line
-MEANS = 1000  # means in which a jump is sought
+MIN_PERIODS = 4  # of a line in the recording
+MAX_MEANS = 1000  # means in which a jump is sought
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RestColumns:
     """Columns of all causes that may move a stage at constant drive.
 
-    recording its name
-    time_s    (rows,)
-    y_m       (rows,)  readings about their mean
-    columns   (rows, columns) by cause, each about its mean
-    is_creep  whether a logarithm of time does as well as a cubic
-    jump_s    instant of the jump, since the recording began
-    line_Hz   frequency of the unknown line, 0 without one
-    unseen    why an effect cannot be seen here, by its name
+    recording   name of the recording
+    time_s      (rows,)
+    y_m         (rows,)  readings about their mean
+    columns     (rows, columns) by cause, each about its mean
+    is_creep    whether a logarithm of time is as good as a cubic
+    jump_s      instant of the jump, from the beginning of the recording
+    line_Hz     frequency of the unknown line, 0 if there is none
+    untestable  why the recording cannot show an effect, by the name of the effect
     """
 
     recording: str
@@ -84,13 +84,13 @@ class RestColumns:
     is_creep: bool
     jump_s: float
     line_Hz: float = 0.0
-    unseen: Mapping[str, str] = field(default_factory=dict)
+    untestable: Mapping[str, str] = field(default_factory=dict)
 
     def residual(self, names: Iterable[str]) -> Array:
         """Return the residual of these causes on left-out blocks, (rows,)."""
         return held_out_residual(self.y_m, [self.columns[name] for name in names])
 
-    def is_worth(self, name: str, selected: Sequence[str]) -> float:
+    def significant_gain(self, name: str, selected: Sequence[str]) -> float:
         """Return the gain of a cause beside selected causes; 0 if small or not significant."""
         gain, z = gain_on_blocks(self.residual(selected), self.residual([*selected, name]))
         min_gain = MIN_GAIN_JUMP if name == JUMP else MIN_GAIN
@@ -116,7 +116,7 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
     if line_Hz is not None:
         columns = {**readings.columns, LINE: waves(readings.time_s, [line_Hz])}
         with_line = replace(readings, columns=columns, line_Hz=line_Hz)
-        if with_line.is_worth(LINE, selected):
+        if with_line.significant_gain(LINE, selected):
             readings, selected = with_line, [*selected, LINE]
             final = readings.residual(selected)
     noise_m, span_m = noise_rms((readings.y_m, final)), max(float(np.ptp(reading_m)), 1e-30)
@@ -133,7 +133,7 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
         unexplained=_unexplained(final, noise_m),
         findings=tuple(sorted(findings, key=lambda f: f.held_out_gain, reverse=True)),
         not_detected=tuple(
-            _absent(effect, readings, after_m)
+            _not_detected(effect, readings, after_m)
             for effect in every_effect()
             if effect.name not in selected
         ),
@@ -153,55 +153,55 @@ def rest_columns(
     """Return the columns of every cause that is visible at constant drive.
 
     rows     (rows,)  samples that are used
-    effects  those with ``at_rest`` add columns
+    effects  all effects; each with ``at_rest`` adds columns
     """
     reading_m = recording.displacement_m(axis)[rows]
     time_s, y_m = rows / recording.sampling_rate_Hz, reading_m - reading_m.mean()
-    since_s, span_s = time_s - time_s[0], max(float(np.ptp(time_s)), 1e-30)
-    smooth = cubic(time_s)
-    slow = np.column_stack([np.log1p(since_s / (share * span_s)) for share in LOG_SCALES])
+    elapsed_s, span_s = time_s - time_s[0], max(float(np.ptp(time_s)), 1e-30)
+    polynomial = cubic(time_s)
+    logarithms = np.column_stack([np.log1p(elapsed_s / (share * span_s)) for share in LOG_SCALES])
 
     def error(columns: Array) -> float:
         return float(np.mean(held_out_residual(y_m, [columns]) ** 2))
 
-    smooth_error = error(smooth)
-    drift = slow if error(slow) < smooth_error else smooth
-    jump, jump_s = _jump(time_s, y_m, (smooth, slow))
+    polynomial_error = error(polynomial)
+    drift = logarithms if error(logarithms) < polynomial_error else polynomial
+    jump, jump_s = _jump(time_s, y_m, (polynomial, logarithms))
     data = ConstantDriveData(
         recording=recording,
         axis=axis,
-        keep=rows,
+        rows=rows,
         time_s=time_s,
-        calm_m=y_m - drift @ np.linalg.lstsq(drift, y_m, rcond=None)[0],
+        detrended_m=y_m - drift @ np.linalg.lstsq(drift, y_m, rcond=None)[0],
     )
-    columns, unseen = {DRIFT: drift, JUMP: jump}, {}
+    columns, untestable = {DRIFT: drift, JUMP: jump}, {}
     for effect in effects:
         added = effect.at_rest(data) if effect.at_rest is not None else None
         if isinstance(added, str):
-            unseen[effect.name] = added
+            untestable[effect.name] = added
         elif added is not None:
             columns[effect.name] = added
-    one_scale = min(error(slow[:, k : k + 1]) for k in range(len(LOG_SCALES)))
+    creep_error = min(error(logarithms[:, k : k + 1]) for k in range(len(LOG_SCALES)))
     return RestColumns(
         recording=recording.name,
         time_s=time_s,
         y_m=y_m,
         columns={name: values - values.mean(axis=0) for name, values in columns.items()},
-        is_creep=one_scale <= SAME_ERROR**2 * smooth_error,
+        is_creep=creep_error <= SAME_ERROR**2 * polynomial_error,
         jump_s=jump_s,
-        unseen=unseen,
+        untestable=untestable,
     )
 
 
 def _select(readings: RestColumns) -> list[str]:
     """Select significant causes by forward selection, the largest gain first.
 
-    A jump is tested beside drift, because drift explains half of any jump.
+    A jump is tested first and beside drift, because drift explains half of any jump.
     """
-    selected = [JUMP] if readings.is_worth(JUMP, [DRIFT]) else []
+    selected = [JUMP] if readings.significant_gain(JUMP, [DRIFT]) else []
     while True:
         remaining = [name for name in readings.columns if name not in (*selected, JUMP)]
-        gains = {name: readings.is_worth(name, selected) for name in remaining}
+        gains = {name: readings.significant_gain(name, selected) for name in remaining}
         best = max(remaining, key=lambda name: gains[name], default=DRIFT)
         if not gains.get(best):
             return selected
@@ -219,13 +219,13 @@ def _line_Hz(residual: Array, time_s: Array) -> float | None:
 
 def _spectrum(residual: Array) -> Array:
     power = np.asarray(np.abs(np.fft.rfft(residual - residual.mean())) ** 2)
-    power[:LOWEST] = 0.0
+    power[:MIN_PERIODS] = 0.0
     return power
 
 
 def _jump(time_s: Array, y: Array, drifts: Sequence[Array]) -> tuple[Array, float]:
-    """Return the step column (rows, 1) that explains most beside drift, and its instant."""
-    size = max(len(y) // MEANS, 1)
+    """Return the step column (rows, 1) with the smallest error beside drift, and its instant."""
+    size = max(len(y) // MAX_MEANS, 1)
     count = len(y) // size
     means = y[: count * size].reshape(count, size).mean(axis=1)
     edge = max(count // 50, 1)
@@ -234,17 +234,19 @@ def _jump(time_s: Array, y: Array, drifts: Sequence[Array]) -> tuple[Array, floa
     for drift in drifts:
         basis = np.linalg.qr(np.column_stack([np.ones(count), drift[: count * size : size]]))[0]
         residual = means - basis @ (basis.T @ means)
-        free = steps - basis @ (basis.T @ steps)
-        explained = (free.T @ residual) ** 2 / np.maximum((free**2).sum(axis=0), 1e-12)
+        orthogonal = steps - basis @ (basis.T @ steps)
+        power = np.maximum((orthogonal**2).sum(axis=0), 1e-12)
+        explained = (orthogonal.T @ residual) ** 2 / power
         error = float(residual @ residual) - float(explained.max())
         errors.append((error, int(np.argmax(explained)) + edge + 1))
     coarse = min(errors, key=lambda pair: pair[0])[1] * size
     # refine the instant among the rows near the coarse one
     low, high = max(coarse - 4 * size, 0), min(coarse + 4 * size, len(y))
-    part = y[low:high]
-    sums, row = np.cumsum(part - part.mean())[:-1], np.arange(1, len(part))
-    at = low + 1 + int(np.argmax(np.abs(sums) / np.sqrt(row * (len(part) - row))))
-    return (np.arange(len(y)) >= at).astype(np.float64)[:, None], float(time_s[at] - time_s[0])
+    near = y[low:high]
+    sums, count_before = np.cumsum(near - near.mean())[:-1], np.arange(1, len(near))
+    scores = np.abs(sums) / np.sqrt(count_before * (len(near) - count_before))
+    row = low + 1 + int(np.argmax(scores))
+    return (np.arange(len(y)) >= row).astype(np.float64)[:, None], float(time_s[row] - time_s[0])
 
 
 def _finding(name: str, readings: RestColumns, selected: Sequence[str]) -> Finding:
@@ -255,7 +257,7 @@ def _finding(name: str, readings: RestColumns, selected: Sequence[str]) -> Findi
     width, fold = readings.columns[name].shape[1], blocks_of(len(readings.y_m)) % FOLDS
     value_m = _size_m(design, readings.y_m, width)
     sizes_m = [_size_m(design[fold != k], readings.y_m[fold != k], width) for k in range(FOLDS)]
-    reach_m = 1.96 * float(np.std(sizes_m, ddof=1)) * (FOLDS - 1) / sqrt(FOLDS)
+    margin_m = 1.96 * float(np.std(sizes_m, ddof=1)) * (FOLDS - 1) / sqrt(FOLDS)
     finding = Finding(
         effect=name,
         held_out_gain=float(np.clip(gain, 0.0, 1.0)),
@@ -266,7 +268,7 @@ def _finding(name: str, readings: RestColumns, selected: Sequence[str]) -> Findi
         size=Size(
             value=1e9 * value_m,
             unit="nm, rms",
-            ci95=(1e9 * max(value_m - reach_m, 0.0), 1e9 * (value_m + reach_m)),
+            ci95=(1e9 * max(value_m - margin_m, 0.0), 1e9 * (value_m + margin_m)),
         ),
         not_separable_from=(),
         explanation="",
@@ -295,11 +297,14 @@ def _finding(name: str, readings: RestColumns, selected: Sequence[str]) -> Findi
 def _something_else(
     finding: Finding, readings: RestColumns, design: Array, width: int, size: str
 ) -> Finding:
-    """Return the finding of a jump or an unknown line, with its picture along time or phase."""
+    """Complete the finding of a jump or an unknown line, with its profile along time or phase.
+
+    design  (rows, columns)  of all selected causes; the last ``width`` are those of the finding
+    """
     centred = design - design.mean(axis=0)
     coefficient = np.linalg.lstsq(centred, readings.y_m, rcond=None)[0]
     curve_m = centred[:, -width:] @ coefficient[-width:]
-    left_m = readings.y_m - centred @ coefficient + curve_m
+    partial_residual_m = readings.y_m - centred @ coefficient + curve_m
     if finding.effect == LINE:
         return replace(
             finding,
@@ -311,7 +316,7 @@ def _something_else(
             parameters={"frequency_Hz": readings.line_Hz},
             coordinate="frequency",
             seen=coordinate_profile(
-                (readings.time_s * readings.line_Hz) % 1.0, left_m, curve_m, unit=""
+                (readings.time_s * readings.line_Hz) % 1.0, partial_residual_m, curve_m, unit=""
             ),
         )
     jump_m = float(coefficient[-1])
@@ -325,7 +330,7 @@ def _something_else(
         parameters={"instant_s": readings.jump_s, "jump_m": jump_m},
         coordinate="time",
         seen=coordinate_profile(
-            readings.time_s, left_m, curve_m, unit="s", recording=readings.recording
+            readings.time_s, partial_residual_m, curve_m, unit="s", recording=readings.recording
         ),
     )
 
@@ -337,11 +342,11 @@ def _size_m(design: Array, y_m: Array, width: int) -> float:
     return float(np.std(centred[:, -width:] @ coefficient[-width:]))
 
 
-def _absent(effect: Effect, readings: RestColumns, rms_m: float) -> NotDetected:
+def _not_detected(effect: Effect, readings: RestColumns, rms_m: float) -> NotDetected:
     bound_m = None
-    reason = readings.unseen.get(effect.name, RESTS)
+    reason = readings.untestable.get(effect.name, NOT_EXCITED)
     if effect.name in readings.columns:
-        # a sum of so many columns within the noise of all rows, one-sided 95 %
+        # of a sum of these columns in white noise, one-sided 95 %
         width = readings.columns[effect.name].shape[1]
         bound_m = rms_m * max(sqrt(2.0 * MIN_GAIN), 3.0 * sqrt(width / len(readings.y_m)))
         reason = f"not detected; {with_unit(bound_m, 'm')} rms would have been"

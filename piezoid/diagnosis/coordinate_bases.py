@@ -1,11 +1,11 @@
 """Basis columns of a curve along one coordinate: drive, displacement, speed, time, ...
 
-Three kinds of curves: linear splines along a signal, with knots x_j,
+Curves are linear splines along a signal, with knots x_j,
 
     f(x) = sum_j c_j max(1 - |x - x_j| / (x_(j+1) - x_j), 0),
 
-waves of one frequency in time or along a signal, with a phase for each track, and a value for
-each sample of a period, the same in all recordings.
+waves of one frequency in time or along a signal, with a separate phase for each track, or a value
+for each sample of a period, the same in all recordings.
 
 Source: de Boor (1978) on linear splines; Bretthorst (1988) on waves of unknown frequency.
 """
@@ -19,7 +19,7 @@ from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.segments import Places, Track
 from piezoid.numerics.arrays import Array
 
-KNOTS = 24  # of drive, displacement and reading: a twenty-third of the range is resolved
+KNOTS = 24  # of drive, displacement and reading: they resolve a twenty-third of the range
 FINE_KNOTS = 96  # of displacement, for narrow features
 SPEED_KNOTS, TURN_KNOTS, OTHER_AXIS_KNOTS, TIME_KNOTS = 17, 12, 16, 64
 OUTSIDE = 5e-4  # share of all samples on either side of the outermost knots
@@ -51,7 +51,7 @@ class Basis:
 
 
 def signal_bases(view: View) -> list[Basis]:
-    """Return the curves along every signal that has a value at each sample."""
+    """Return the bases of curves along every signal with a value at each sample."""
     tracks = view.tracks
     drive = tuple(track.drive - view.rest_drive for track in tracks)  # 0 at 0 V
     speed = tuple(
@@ -75,15 +75,15 @@ def signal_bases(view: View) -> list[Basis]:
 
 
 def displacement_basis(view: View) -> Basis:
-    """Return the curve along the static response."""
+    """Return the basis of a curve along the static response."""
     return _spline_basis(view, "displacement", "m", view.static, KNOTS, view.half_stroke_m)
 
 
 def reading_basis(view: View, residual: Array | None = None) -> Basis:
-    """Return the curve along the measured value.
+    """Return the basis of a curve along the measured value.
 
-    residual  (rows,)  the measured value is the static response plus this; None: as recorded, with
-              the zeros of the recordings aligned
+    residual  (rows,)  a residual: the measured value is the static response plus this residual;
+              None: the recorded value, with the zeros of the recordings aligned
     """
     readings = []
     for k, (track, static) in enumerate(zip(view.tracks, view.static, strict=True)):
@@ -97,20 +97,23 @@ def reading_basis(view: View, residual: Array | None = None) -> Basis:
 
 
 def time_spline(track: Track) -> Array:
-    """Return linear splines in time at the rows of one track, (rows, knots)."""
+    """Return linear splines of time at the rows of one track, (rows, knots)."""
     knots = np.linspace(0, len(track.drive) - 1, TIME_KNOTS)
     return linear_spline_basis(track.rows.astype(np.float64), knots)
 
 
 def time_basis(view: View) -> Basis:
-    """Return a separate curve in time for each track; its columns are those of `time_spline`."""
+    """Return the basis of a separate curve in time for each track, without its columns.
+
+    The columns of a track are those of `time_spline`.
+    """
     tracks = view.tracks
 
     def curve(k: int, coefficients: Array) -> Array:
         samples = len(tracks[k].drive)
         knots = np.linspace(0, samples - 1, TIME_KNOTS)
-        of_track = coefficients[k * TIME_KNOTS : (k + 1) * TIME_KNOTS]
-        return np.interp(np.arange(samples), knots, of_track)
+        values = coefficients[k * TIME_KNOTS : (k + 1) * TIME_KNOTS]
+        return np.interp(np.arange(samples), knots, values)
 
     return Basis(
         coordinate="time",
@@ -124,10 +127,10 @@ def time_basis(view: View) -> Basis:
 def wave_basis(
     view: View, coordinate: str, position: Signals, per_unit: float, unit: str, harmonics: int = 1
 ) -> Basis:
-    """Return waves of one frequency along a signal, with separate amplitudes for each track.
+    """Return the basis of waves along a signal, with separate amplitudes for each track.
 
-    position  (samples,) of every track
-    per_unit  periods in a unit of it
+    position  (samples,) of every track: the signal
+    per_unit  periods in one unit of the signal
     """
     orders, width = range(1, harmonics + 1), 2 * harmonics
 
@@ -150,7 +153,7 @@ def wave_basis(
 
 
 def sample_index_basis(view: View, period: int) -> Basis:
-    """Return a value for every sample of a period, the same in all recordings."""
+    """Return the basis of one value for every sample of a period, the same in all recordings."""
     cell = np.concatenate([track.rows % period for track in view.tracks])
     columns = np.zeros((len(cell), period))
     columns[np.arange(len(cell)), cell] = 1.0
@@ -166,7 +169,7 @@ def sample_index_basis(view: View, period: int) -> Basis:
 
 
 def distance_travelled(view: View) -> Signals:
-    """Return the distance that the stage has travelled since each track began, half strokes."""
+    """Return the distance travelled by the stage from the start of each track, in half strokes."""
     return tuple(np.cumsum(np.abs(np.diff(static, prepend=static[:1]))) for static in view.static)
 
 
@@ -191,11 +194,12 @@ def _spline_basis(
     scale: float,
     linear_below: float = 0.0,
 ) -> Basis:
-    """Return linear splines along a signal.
+    """Return the basis of linear splines along a signal.
 
     count         number of knots
     scale         value of 1 in ``unit``
-    linear_below  knots are evenly spaced up to this value and logarithmically beyond; 0: evenly
+    linear_below  knots are evenly spaced up to this value and logarithmically beyond it; 0: all
+                  knots are evenly spaced
     """
     x = tuple(np.arcsinh(s / linear_below) for s in signals) if linear_below else signals
     rows = view.rows(x)
@@ -216,9 +220,9 @@ def _spline_basis(
 
 
 def _turn_basis(view: View) -> Basis:
-    """Return splines of the logarithm of the time since the last turn, even and odd in direction.
+    """Return splines of the logarithm of time since a reversal, even and odd in the direction.
 
-    The curve is the same after all turning points.
+    The curve is the same after all reversals.
     """
     elapsed_s, direction = zip(*(_time_since_turn(track) for track in view.tracks), strict=True)
     decades = tuple(np.log10(time_s) for time_s in elapsed_s)
@@ -241,13 +245,13 @@ def _turn_basis(view: View) -> Basis:
 
 
 def _time_since_turn(track: Track) -> tuple[Array, Array]:
-    """Return the time since the drive last turned, and the direction in which it last moved."""
+    """Return the time since the last reversal of the drive, and the direction since then."""
     step = np.sign(np.diff(track.drive, prepend=track.drive[:1]))
     index = np.arange(len(step))
     direction = step[np.maximum.accumulate(np.where(step != 0.0, index, 0))]
-    turns = np.flatnonzero((direction[1:] != direction[:-1]) & (direction[:-1] != 0.0)) + 1
-    last_turn = np.maximum.accumulate(np.where(np.isin(index, turns), index, 0))
-    return (index - last_turn + 1) / track.rate_Hz, direction
+    reversals = np.flatnonzero((direction[1:] != direction[:-1]) & (direction[:-1] != 0.0)) + 1
+    last_reversal = np.maximum.accumulate(np.where(np.isin(index, reversals), index, 0))
+    return (index - last_reversal + 1) / track.rate_Hz, direction
 
 
 def _knots(values: Array, count: int) -> Array:

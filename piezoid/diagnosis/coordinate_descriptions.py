@@ -51,7 +51,7 @@ OTHER_AXIS_EXPERIMENT = (
 
 
 def coordinate_words(coordinate: str) -> str:
-    """Return a coordinate as it reads in a sentence."""
+    """Return the words for a coordinate in a sentence."""
     return WORDS.get(coordinate, f"the {coordinate}")
 
 
@@ -63,9 +63,9 @@ def next_experiment(coordinate: str) -> str:
 def coordinate_profile(
     position: Array, residual_m: Array, fitted_m: Array, *, unit: str, recording: str = ""
 ) -> CoordinateProfile:
-    """Return quartiles of a residual and the mean of its curve in classes of a coordinate.
+    """Return quartiles of a residual and the mean of the fitted curve in classes of a coordinate.
 
-    position  (rows,)  in ``unit``; rows where it is not finite are left out
+    position  (rows,)  in ``unit``; rows with a position that is not finite are left out
     """
     is_finite = np.isfinite(position)
     position, residual_m, fitted_m = (

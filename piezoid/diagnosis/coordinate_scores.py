@@ -1,16 +1,17 @@
 """Share of the residual that a curve along one coordinate explains on left-out blocks.
 
-The residual is what neither the nuisance class nor the tangents of any effect can follow,
+The residual is orthogonal to the nuisance class, the selected effects and the tangents of all
+other effects,
 
-    r = M y,   M = I - C (C'C)^-1 C',   C = [nuisance, selected effects, tangents of the others],
+    r = M y,   M = I - C (C'C)^-1 C',   C = [nuisance, selected effects, tangents of the others].
 
-so that it is not merely their error. A curve with columns X is fitted beside C to blocks of the
-recordings and scored on the blocks left out,
+A curve with columns X is fitted beside C to blocks of the recordings and scored on other blocks,
 
     gain = sum_b (2 r_b' X_b beta_-b - |X_b beta_-b|^2) / |r|^2,       X <- M X.
 
-Its null distribution comes from surrogates: the same residual, shifted at random along each
-recording. A surrogate has its power and its correlation but no relation to the coordinate.
+The null distribution of the gain comes from surrogates: the same residual, shifted at random along
+each recording. A surrogate has the power and the correlation of the residual, but no relation to
+the coordinate.
 
 Source: Arlot & Celisse (2010) on blocks; Phipson & Smyth (2010) on p-values that count
 permutations; Theiler et al., Physica D 58 (1992), on surrogates.
@@ -34,13 +35,13 @@ MIN_LENGTH = 1e-3  # of the length of a column: smallest part orthogonal to the 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CoordinateScore:
-    """How well a curve along one coordinate explains the residual.
+    """Fit of a curve along one coordinate to the residual.
 
     basis         of the curve
     gain          share of the residual's power explained on left-out blocks
-    p_value       of such a gain where the residual does not depend on the coordinate
+    p_value       of such a gain for a residual that does not depend on the coordinate
     coefficients  (columns,)
-    fitted        (rows,)  values of the curve beside the null
+    fitted        (rows,)  part of the curve orthogonal to the null
     """
 
     basis: Basis
@@ -51,7 +52,7 @@ class CoordinateScore:
 
     @property
     def coordinate(self) -> str:
-        """Return the coordinate's name."""
+        """Return the name of the coordinate."""
         return self.basis.coordinate
 
 
@@ -64,7 +65,7 @@ class Residual:
 
     @classmethod
     def of(cls, view: View, tangents: Sequence[Array] = ()) -> "Residual":
-        """Return the residual of the model of the view and of these tangents."""
+        """Return the residual of a view that is orthogonal to these tangents as well."""
         if not tangents:
             return cls(view=view, null=view.null)
         null = Null(
@@ -82,7 +83,7 @@ class Residual:
         return self.null.residual
 
     def score(self, basis: Basis, p_value: float = 1.0) -> CoordinateScore:
-        """Fit and cross-validate one curve."""
+        """Fit and cross-validate a curve."""
         score, _ = self._score(basis, np.zeros((len(self.values), 0)), p_value)
         return score
 
@@ -114,9 +115,9 @@ class Residual:
         return score, gains[1:]
 
     def unit_columns(self, basis: Basis) -> tuple[Array, Array]:
-        """Project columns on the complement of the null, and return unit columns and lengths."""
+        """Project the null out of the columns, and return unit columns and their lengths."""
         full_length = np.sqrt(np.einsum("ij,ij->j", basis.columns, basis.columns))
-        columns = self.null.without(basis.columns)
+        columns = self.null.project_out(basis.columns)
         length = np.sqrt(np.einsum("ij,ij->j", columns, columns))
         length = np.where(length > MIN_LENGTH * full_length, length, np.inf)
         return columns / length, length
@@ -143,6 +144,6 @@ class Residual:
             residual = self.values[rows]
             for j in range(SURROGATES):
                 shifted[rows, j] = np.roll(residual, rng.integers(1, max(len(residual), 2)))
-        shifted = self.null.without(shifted)
+        shifted = self.null.project_out(shifted)
         power = np.einsum("ij,ij->j", shifted, shifted)
         return np.asarray(shifted * np.sqrt(np.sum(self.values**2) / power))

@@ -1,9 +1,9 @@
 """Find the coordinate (time, drive, position, ...) along which the residual is systematic.
 
 Curves along a signal are tested against randomly shifted residuals, a separate course of each
-recording in time against random signs of short intervals, and what repeats against the spectrum
-around it. The hysteresis that the nuisance class cannot follow is systematic as well: the gain
-must also exceed that of healthy stages (``null_distribution``).
+recording in time against random signs of short intervals, and periodic curves against the spectrum
+around their frequency. Hysteresis that the nuisance class cannot follow is systematic as well, so
+the gain must also exceed that of healthy stages (``null_distribution``).
 """
 
 from dataclasses import replace
@@ -35,8 +35,9 @@ ROUNDS = 12  # of fitting a course in time and the null in turn
 def score_coordinates(residual: Residual) -> tuple[CoordinateScore, ...]:
     """Score a curve along each coordinate, the largest gain first.
 
-    The p-value of a curve along a signal is the share of surrogates of which a curve along any
-    signal explains as much; that of a periodic curve compares its power with the spectrum around.
+    The p-value of a curve along a signal is the share of surrogates for which a curve along any
+    signal has as large a gain. That of a periodic curve compares its power with the spectrum
+    around its frequency.
     """
     rng = np.random.default_rng(0)
     surrogates = residual.surrogates(rng)
@@ -51,9 +52,9 @@ def score_coordinates(residual: Residual) -> tuple[CoordinateScore, ...]:
 
 
 def _score_reading(residual: Residual, surrogates: Array) -> CoordinateScore:
-    """Score the measured value relative to measured values with a surrogate residual.
+    """Score the measured value, relative to measured values with surrogate residuals.
 
-    Every residual is a part of the measured value and therefore correlates with it.
+    Every residual is a part of the measured value and therefore correlated with it.
     """
     score = residual.score(reading_basis(residual.view))
     surrogate_gains = []
@@ -68,8 +69,9 @@ def _score_reading(residual: Residual, surrogates: Array) -> CoordinateScore:
 def _score_time(residual: Residual, rng: np.random.Generator) -> CoordinateScore:
     """Score a separate curve in time for each recording on left-out intervals.
 
-    The null distribution gives each chunk a random sign. It assumes that the residual is not
-    correlated for longer than a fifth of the distance of two knots, which hysteresis may violate.
+    The null distribution comes from random signs of the intervals. It assumes that the residual is
+    not correlated for longer than a fifth of the distance of two knots, which may not hold for
+    hysteresis.
     """
     explained, coefficients, fitted = np.zeros(1 + SURROGATES), [], []
     for k, track in enumerate(residual.view.tracks):
@@ -98,20 +100,20 @@ def _score_time(residual: Residual, rng: np.random.Generator) -> CoordinateScore
 
 
 def fit_time_course(residual: Residual, score: CoordinateScore) -> CoordinateScore:
-    """Fit the curves in time and the null in turn, until they are fitted jointly."""
+    """Fit the curves in time and the null alternately, which converges to the joint fit."""
     view, null = residual.view, residual.null
     columns = [time_spline(track) for track in view.tracks]
     coefficients = np.zeros((len(columns), TIME_KNOTS))
     course = np.zeros(len(view.response))
     for _ in range(ROUNDS):
-        remaining = null.without(view.response - course)
+        remaining = null.project_out(view.response - course)
         for k, spline in enumerate(columns):
             rows = view.track_rows(k)
             ridge = _time_ridge(remaining[rows])
             step = np.linalg.solve(spline.T @ spline + ridge, spline.T @ remaining[rows])
             coefficients[k] += step
             course[rows] += spline @ step
-    return replace(score, coefficients=coefficients.ravel(), fitted=null.without(course))
+    return replace(score, coefficients=coefficients.ravel(), fitted=null.project_out(course))
 
 
 def _time_ridge(values: Array) -> Array:

@@ -54,16 +54,16 @@ def _untested(effect: Effect, reason: str, next_experiment: str) -> NotDetected:
 
 
 def _last_test(effect: Effect, outcome: Outcome) -> ScoreTest | None:
-    """Return the last score test, within or between recordings: that of the larger bound."""
+    """Return the last score test within or between recordings, whichever has the larger bound."""
     names = (effect.name, f"{effect.name} {BETWEEN}")
-    tests = [outcome.screened[name] for name in names if name in outcome.screened]
+    tests = [outcome.score_tests[name] for name in names if name in outcome.score_tests]
     return max(tests, key=lambda test: test.absorption * test.bound, default=None)
 
 
 def _inseparable_reason(effect: Effect, outcome: Outcome) -> str:
     confounded = [
         words(name)
-        for name, test in outcome.screened.items()
+        for name, test in outcome.score_tests.items()
         if name in effect.confounded and not test.separable
     ]
     return (
@@ -73,10 +73,10 @@ def _inseparable_reason(effect: Effect, outcome: Outcome) -> str:
 
 
 def _bounded(test: ScoreTest, outcome: Outcome) -> NotDetected:
-    """Return the bounds of a tested effect, with the part that hysteresis absorbs.
+    """Return the bounds of a tested effect, including the part that hysteresis absorbs.
 
-    The limit is not below the bound: an effect of that size may be present and was not named. A
-    bound above the range bounds nothing.
+    The detection limit is at least the bound: an effect of that size may be present and was not
+    named. A bound above the range is none.
     """
     effect, final = test.effect, outcome.final
     scale_m = test.absorption * 2.0 * final.half_stroke_m
@@ -105,7 +105,7 @@ def _why_not_named(test: ScoreTest, outcome: Outcome) -> str:
     """State why an effect was not named although its score test alone is significant."""
     effect, final = test.effect, outcome.final
     causes = ", ".join(words(cause.effect.name) for cause in outcome.causes)
-    if effect.name in outcome.held_back:
+    if effect.name in outcome.inseparable:
         alternative = (
             f"a residue of {causes}" if causes else "structure that no hysteresis class explains"
         )

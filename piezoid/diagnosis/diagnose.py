@@ -20,14 +20,13 @@ from piezoid.diagnosis.diagnosis import (
     SOMETHING_ELSE,
     Diagnosis,
     FinalError,
-    Unexplained,
     fraction_explained,
 )
 from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.findings import findings_of, held_out
 from piezoid.diagnosis.forward_selection import SLIP
-from piezoid.diagnosis.identified_modes import split_known_modes, with_modes
-from piezoid.diagnosis.ingest_faults import with_ingested
+from piezoid.diagnosis.identified_modes import split_by_mode, with_modes
+from piezoid.diagnosis.ingest_faults import with_ingest_faults
 from piezoid.diagnosis.refit import CLEARLY_WORSE, ModelErrors, attribute_errors, repair_recordings
 from piezoid.diagnosis.residual_structure import (
     SearchResult,
@@ -37,8 +36,8 @@ from piezoid.diagnosis.residual_structure import (
 )
 from piezoid.diagnosis.residual_view import View, view_of
 from piezoid.diagnosis.segments import tracks_of
-from piezoid.diagnosis.selection import Outcome, without_causes
-from piezoid.diagnosis.step_responses import behind_jumps
+from piezoid.diagnosis.selection import Outcome, search_faults
+from piezoid.diagnosis.step_responses import step_response_view
 from piezoid.errors import IdentificationError
 from piezoid.formatting import words
 from piezoid.identification.fit import (
@@ -78,15 +77,15 @@ def diagnose(
     """Explain the difference between simulation and recordings of one axis.
 
     recordings  of one stage, in the order in which they were made
-    axis        which one; the first that has both drive and displacement
-    lab         what the laboratory declares; declared poles are part of the simulation
-    model       the axis as ``fit`` made it, of these recordings or of earlier ones; None: it is
-                fitted first. The diagnosis carries this model refitted with what is found
+    axis        to diagnose; None: the first axis with both drive and displacement
+    lab         declarations of the laboratory; declared poles are part of the simulation
+    model       the axis as ``fit`` returned it, of these or of earlier recordings; None: it is
+                fitted first. The diagnosis contains this model, refitted with the findings
     response    measured frequency response of the axis
-    progress    told what is being done, by whichever thread does it, one at a time
-    threads     so many work at once; what is found does not depend on it
+    progress    called with a short text at each step, from any thread, one call at a time
+    threads     number of threads; the result does not depend on it
 
-    Raises ``ExcitationError`` where drive or displacement is missing or does not move. A cause
+    Raises ``ExcitationError`` if drive or displacement is missing or does not move. A cause
     outside the catalogue is ``something_else`` if it depends on one coordinate. If it depends on
     several, it may be attributed to the effect that resembles it most. ``unexplained`` states the
     size of the residual that remains.
@@ -95,8 +94,8 @@ def diagnose(
     constant = recordings_of_axis(recordings, selected_axis)
     if constant and all(is_at_rest(recording, selected_axis) for recording in constant):
         progress("diagnosing recordings at constant drive")
-        resting = diagnose_at_rest(constant, selected_axis)
-        return replace(resting, counted=counted_in(recordings))
+        diagnosis = diagnose_at_rest(constant, selected_axis)
+        return replace(diagnosis, counted=counted_in(recordings))
     declared = lab or Lab()
     is_rejected = model is not None and not model.verdict.applies
     if model is None:
@@ -131,10 +130,10 @@ def _select_axis(recordings: Sequence[Recording], requested: str | None) -> str:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Selection:
-    """Effects that explain the recordings, and the errors of the model with them.
+    """Effects that explain the recordings, and the errors of the model with these effects.
 
-    recordings  that were searched
-    mode_recordings  that a known mode shapes; they are not searched
+    recordings       recordings that were searched
+    mode_recordings  recordings that an identified mode shapes, which were not searched
     """
 
     axis: str
@@ -145,7 +144,7 @@ class _Selection:
     scales: Scales
 
     def repaired(self, recordings: Sequence[Recording]) -> tuple[Recording, ...]:
-        """Return the recordings, those searched without the faults repaired."""
+        """Return the recordings, with the selected faults repaired in the searched ones."""
         raw, clean = self.result.raw.tracks, self.result.outcome.clean.tracks
         if self.result.structure is not None:
             clean = add_structure(self.result.outcome.clean, self.result.structure)
@@ -165,14 +164,13 @@ def _select_effects(
 ) -> _Selection:
     """Select faults and effects, and refit the model with them.
 
-    Only faults of the data are reported where the class of a given model does not apply
-    (``is_rejected``), or where the model leaves too much with everything selected: an effect would
-    stand for the missing class. A model that was fitted here may not apply because of an effect.
+    Only faults of the data are searched if the class of the model of the caller does not apply
+    (``is_rejected``), or if the error with all selected effects is too large: an effect would
+    compensate for the missing class. A model that was fitted here may not apply because of an
+    effect, so it is not rejected at first.
     """
     executor.report("fitting the widest class of hysteresis")
-    searched, mode_recordings = split_known_modes(
-        driven_recordings(recordings, axis), axis, model, lab
-    )
+    searched, mode_recordings = split_by_mode(driven_recordings(recordings, axis), model, lab)
     scales, view = scales_of(searched, axis), view_on(searched, axis=axis, lab=lab)
     attribute = partial(
         attribute_errors,
@@ -182,25 +180,21 @@ def _select_effects(
         scales=scales,
         progress=executor.report,
     )
-    if not is_rejected:
+    rejection = model.verdict.reason if is_rejected else None
+    if rejection is None:
         result, errors = _prefer_named_effects(search_all(view, executor), attribute)
         error = errors.final_m / view.half_stroke_m
         if error > 2.0 * MAX_RESIDUAL:
-            rejection = (
-                f"everything found leaves {50.0 * error:.1f} % of the range"
-                if model.verdict.applies
-                else model.verdict.reason
-            )
-            result = _data_faults_only(view, rejection, executor)
-            errors = attribute(result)
-    else:
-        result = _data_faults_only(view, model.verdict.reason, executor)
+            large_error = f"with all findings the error is {50.0 * error:.1f} % of the range"
+            rejection = large_error if model.verdict.applies else model.verdict.reason
+    if rejection is not None:
+        result = locate_residual(view, search_faults(view, rejection, executor))
         errors = attribute(result)
     useful = _drop_useless_slips(result, errors)
     return _Selection(
         axis=axis,
         result=replace(
-            useful, outcome=with_ingested(useful.outcome, searched, view.half_stroke_m)
+            useful, outcome=with_ingest_faults(useful.outcome, searched, view.half_stroke_m)
         ),
         errors=errors,
         recordings=searched,
@@ -214,11 +208,11 @@ def _prefer_named_effects(
 ) -> tuple[SearchResult, ModelErrors]:
     """Prefer the named effects if they predict held-out data as well as the free curve.
 
-    If the model is as good without the curve, the class of the search did not follow the
-    hysteresis and the model does, unless no healthy stage of any law leaves as much. A curve with
-    which the model is clearly worse is dropped even then. Rows beyond the end of a sensor's range
-    are not in the search: there its error decides, which was a fifth of that with a limit of the
-    amplifier on a Duhem stage whose model errors differ by 1 %.
+    If the model is as good without the curve, the curve is hysteresis that the nuisance class does
+    not follow and the model does; it is kept only if no healthy stage of any law has as systematic
+    a residual. A curve that makes the model clearly worse is always dropped. The end of a sensor's
+    range is kept, because the search left out the rows beyond it: on a Duhem stage its error was a
+    fifth of that with a limit of the amplifier, while the errors of the models differed by 1 %.
     """
     errors = attribute(result)
     without_structure, structure = result.without_structure, result.structure
@@ -238,9 +232,9 @@ def _prefer_named_effects(
 def _drop_useless_slips(result: SearchResult, errors: ModelErrors) -> SearchResult:
     """Drop clock slips whose repair does not reduce the held-out error of the model.
 
-    They are found against the nuisance class, whose own error may look like one: on fresh stages
-    of the zoo undoing two wrong ones raised the held-out error, and undoing ten right ones lowered
-    it.
+    Slips are detected against the nuisance class, and its error may look like a slip: on new
+    stages of the zoo undoing two wrong slips increased the held-out error, and undoing ten right
+    slips reduced it.
     """
     faults = result.outcome.faults
     if SLIP not in faults or errors.without_m.get(SLIP, np.inf) > errors.final_m:
@@ -251,10 +245,6 @@ def _drop_useless_slips(result: SearchResult, errors: ModelErrors) -> SearchResu
 
 def _names_of(result: SearchResult) -> set[str]:
     return {cause.effect.name for cause in result.outcome.causes}
-
-
-def _data_faults_only(view: View, rejection: str, executor: Executor) -> SearchResult:
-    return locate_residual(view, without_causes(view, rejection, executor))
 
 
 def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
@@ -269,7 +259,7 @@ def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
         tracks, half_stroke_m=half_stroke_m, voltage_V=scales.voltage_V, rest_drive=rest_drive
     )
     scope = scope_of(pieces_of(moving_recordings, axis, scales, rig))
-    return replace(view, one_speed=scope.has_one_speed and behind_jumps(view) is None)
+    return replace(view, one_speed=scope.has_one_speed and step_response_view(view) is None)
 
 
 def _assembled(
@@ -283,7 +273,7 @@ def _assembled(
     errors, outcome, half_stroke_m = selection.errors, result.outcome, result.raw.half_stroke_m
     searched = findings_of(result, errors, selection.recordings, axis, scales)
     searched_names = {finding.effect for finding in searched}
-    quality, unexplained = final.quality, result.unexplained
+    quality = final.quality
     diagnosis = Diagnosis(
         axis=axis,
         stroke_m=2.0 * half_stroke_m,
@@ -298,19 +288,13 @@ def _assembled(
         ),
         findings=searched,
         not_detected=tuple(
-            not_tested(effect, outcome.against)
-            if outcome.against
+            not_tested(effect, outcome.rejection)
+            if outcome.rejection
             else not_detected(effect, outcome)
             for effect in every_effect()
             if effect.name not in searched_names
         ),
-        unexplained=Unexplained(
-            rms_m=unexplained.rms * half_stroke_m,
-            share=unexplained.share,
-            p_value=unexplained.p_value,
-            coordinate=unexplained.coordinate,
-            gain=unexplained.gain,
-        ),
+        unexplained=result.unexplained,
         counted=counted_in(recordings),
         model=final,
         strengths={
@@ -330,12 +314,11 @@ def _assembled(
         if name in errors.without_m
     }
     effects_of_other_recordings = {*diagnosis.names} - searched_names - {*gains}
-    note = "{}: its error is not part of the baseline's."
     return with_budget(
         diagnosis,
         _remaining_errors(outcome, errors, final, selection.repaired(recordings)),
         {
-            name: note.format(words(name).capitalize())
+            name: f"{words(name).capitalize()}: its error is not part of the baseline's."
             for name in sorted(effects_of_other_recordings)
         },
         gains,
@@ -345,7 +328,7 @@ def _assembled(
 def _remaining_errors(
     outcome: Outcome, errors: ModelErrors, final: AxisModel, recordings: Sequence[Recording]
 ) -> RemainingErrors:
-    rows, columns = outcome.final.null.every.shape
+    rows, columns = outcome.final.null.all_columns.shape
     has_wide_class = final.without_loop_shape() is not final
     with_structure_m = errors.without_m.get(SOMETHING_ELSE, errors.final_m)
     return RemainingErrors(
@@ -354,15 +337,15 @@ def _remaining_errors(
         scatter=errors.scatter,
         before_m=min(with_structure_m, errors.baseline_m) if has_wide_class else None,
         structure_m=sqrt(max(with_structure_m**2 - errors.final_m**2, 0.0)),
-        is_compared=not outcome.against,
+        is_compared=not outcome.rejection,
         recordings_m=_errors_by_recording(final, recordings),
     )
 
 
 def _errors_by_recording(model: AxisModel, recordings: Sequence[Recording]) -> dict[str, float]:
-    """Return the error in sample of each recording of a fit that extrapolates, rms in m.
+    """Return the error in sample of each recording, rms in m.
 
-    Empty where the error in sample is no smaller part of the held-out error than the rest.
+    Empty unless most of the power of the held-out error is extrapolation.
     """
     quality, errors_m = model.quality, {}
     if quality.held_out_rms_m**2 < 2.0 * quality.explained_rms_m**2:

@@ -35,11 +35,11 @@ class Size:
 class CoordinateProfile:
     """Residual in classes of one coordinate, with the curve fitted to it.
 
-    unit               SI, of ``place``; empty: parts of a period
-    place              (classes,)
+    unit                     SI, of ``place``; empty: parts of a period
+    place                    (classes,)  mean of the coordinate
     low_m, median_m, high_m  (classes,)  quartiles of the residual
-    fitted_m           (classes,)  mean of the curve
-    recording          whose time ``place`` is, if it is a time; else empty
+    fitted_m                 (classes,)  mean of the curve
+    recording                the recording, if the coordinate is time; else empty
     """
 
     unit: str
@@ -55,13 +55,14 @@ class CoordinateProfile:
 class Unexplained:
     """Residual that no effect of the catalogue explains.
 
-    rms_m       beyond the noise, beside hysteresis of the widest class and every selected effect,
+    rms_m       beyond the noise, of the widest class of hysteresis with every selected effect,
                 before any structure along a coordinate is subtracted
-    share       of the residual's power, noise included
-    p_value     probability that a healthy stage leaves as systematic a residual, by its rank among
-                healthy stages of every law of the zoo; at rest: of the highest line in white noise
-    coordinate  that explains most of it on left-out blocks
-    gain        share of its power, noise included, that this coordinate explains
+    share       of the power of the residual, noise included
+    p_value     probability that a healthy stage has as systematic a residual, by its rank among
+                healthy stages of every law of the zoo; at constant drive: of the highest line in
+                white noise
+    coordinate  that explains most of the residual on left-out blocks
+    gain        share of the power of the residual, noise included, that this coordinate explains
     """
 
     rms_m: float
@@ -73,22 +74,22 @@ class Unexplained:
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One detected cause of the residual.
+    """A detected cause of the residual.
 
-    held_out_gain           1 - rms with it / rms without it, both refitted, on rows left out
-    held_out_rms_before_m   without it
-    held_out_rms_after_m    with it
-    p_value                 of a cause and of something else: the probability that a healthy stage
-                            shows as much, by its rank among healthy stages of every law of the
-                            zoo, never below one over their number; of a noise that varies
-                            along a coordinate: by its shifts; of a fault of the data: of such
-                            evidence where there is none, times the number of effects
-    rms_percent             rms of what it adds, percent of the stroke
+    held_out_gain           1 - rms with / rms without the cause, both refitted, on left-out rows
+    held_out_rms_before_m   rms without the cause
+    held_out_rms_after_m    rms with the cause
+    p_value                 of an effect and of something else: the probability that a healthy
+                            stage shows as much, by its rank among healthy stages of every law of
+                            the zoo, at least one over their number; of noise that varies along a
+                            coordinate: by shifts of the noise; of a fault of the data: of such
+                            evidence without a fault, times the number of effects
+    rms_percent             rms of the contribution, in percent of the stroke
     not_separable_from      effects that would explain nearly as much
-    parameters              nonlinear ones, by name with unit
-    coordinate              of something else: the coordinate it depends on
-    law                     of something else: the formula, where one predicts other recordings
-    seen                    of something else: its picture
+    parameters              nonlinear parameters, by name with unit
+    coordinate              of something else: the coordinate on which it depends
+    law                     of something else: the formula, if it predicts other recordings
+    seen                    of something else: the profile along the coordinate
     """
 
     effect: str
@@ -114,10 +115,10 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class NotDetected:
-    """One effect that was not detected, with its bound.
+    """An effect that was not detected, with its bound.
 
-    upper_bound_m      rms of the most it could be, one-sided 95 %; None where it was not tested
-    detection_limit_m  rms from which it would have been found in four of five cases
+    upper_bound_m      upper bound of its rms, one-sided 95 %; None if it was not tested
+    detection_limit_m  rms from which it would have been detected in four of five cases
     reason             one sentence with numbers
     """
 
@@ -130,7 +131,7 @@ class NotDetected:
 
 @dataclass(frozen=True, kw_only=True)
 class HeldOut:
-    """An error on data that were not fitted, in metres and in percent of the stroke."""
+    """An error on left-out data, in metres and in percent of the stroke."""
 
     rms_m: float
     rms_percent: float
@@ -148,11 +149,11 @@ class FinalError(HeldOut):
 
 @dataclass(frozen=True, kw_only=True)
 class BudgetPart:
-    """One part of the held-out error of the baseline; the squares of all parts add up to it.
+    """A part of the held-out error of the baseline; the squares of all parts add up to its square.
 
     part          name of an effect, ``noise``, ``extrapolation`` or ``unexplained``
-    is_explained  whether the final model removes it
-    text          what it is, in one or two sentences
+    is_explained  whether the final model removes the part
+    text          description in one or two sentences
     """
 
     part: str
@@ -170,27 +171,27 @@ def fraction_explained(baseline: float, residual: float, noise: float) -> float:
 
 
 def held_out_gain(before_m: float, after_m: float) -> float:
-    """Return the part by which an error falls, 0 where it rises."""
+    """Return the relative reduction of an error, 0 if it increases."""
     return min(max(1.0 - after_m / before_m, 0.0), 1.0) if before_m > 0.0 else 0.0
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Diagnosis(Summarised):
-    """Everything that was found and not found about one axis.
+    """Diagnosis of one axis: findings, effects that were not detected, and the error budget.
 
-    baseline            of the simulation before any effect
-    final               with everything found
-    envelope_rms_m      what the widest class of hysteresis leaves with everything found
+    baseline            error of the simulation without any effect
+    final               error of the model with all findings
+    envelope_rms_m      error of the widest class of hysteresis with all findings
     noise_floor_rms_m   of the sensor
     explained_fraction  of the variance above the noise floor
     unexplained         residual that no effect explains; None in files of older versions
     budget              parts of the error of ``baseline``: effects in the model, largest first,
-                        then what remains of the final error, then the noise
-    findings            by falling gain
-    strengths           of every effect that was evidence, named or not: its rms over the structure
-                        that is left beside it. Not in diagnosis.json
-    model               the axis with everything found in it, as it ships; None for a stage at
-                        rest. It stands in model.json, not here
+                        then the parts of the final error, then the noise
+    findings            the largest gain first
+    strengths           of every selected effect, named or not: its rms over that of the structure
+                        of the residual. Not in diagnosis.json
+    model               the axis with all findings, as it ships; None for a stage at constant
+                        drive. It is written to model.json, not to diagnosis.json
     counted             as ``AxisModel.counted``
     """
 

@@ -1,10 +1,10 @@
 """Statements about a diagnosis: confounded effects, unexplained residual, next recordings.
 
-The sizes of the findings stand in their table; a statement is made only where a reader has to know
+The table of the findings contains their sizes; a statement is made only if a reader has to know
 more than a size.
 """
 
-from piezoid.diagnosis.constant_drive import RESTS
+from piezoid.diagnosis.constant_drive import NOT_EXCITED
 from piezoid.diagnosis.coordinate_descriptions import coordinate_words
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding
 from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
@@ -49,9 +49,9 @@ def largest_first(diagnosis: Diagnosis) -> tuple[Finding, ...]:
 
 
 def _remaining(diagnosis: Diagnosis) -> list[Statement]:
-    """Return the part that dominates the error of the final model, if that is far above the noise.
+    """Return the statement of the part that dominates a final error far above the noise.
 
-    What one coordinate explains is a finding with a statement of its own. Every fit predicts new
+    A part along one coordinate is a finding with a separate statement. Every fit predicts new
     recordings worse than its own: extrapolation needs action only if it is most of the error.
     """
     part = diagnosis.largest_remaining
@@ -91,7 +91,7 @@ def _nothing_found(diagnosis: Diagnosis) -> list[Statement]:
         return [_statement(diagnosis, Kind.LIMIT, Level.WARNING, "no_effect_tested", text)]
     residual_m, noise_m = diagnosis.envelope_rms_m, diagnosis.noise_floor_rms_m
     times = f", {significant(residual_m / noise_m, 2)} times the sensor noise" if noise_m else ""
-    at_rest = any(absence.reason == RESTS for absence in diagnosis.not_detected)
+    at_rest = any(absence.reason == NOT_EXCITED for absence in diagnosis.not_detected)
     where = "at constant drive" if at_rest else "beyond hysteresis of any shape"
     count = (
         "1 effect was tested and not" if n_tested == 1 else f"{n_tested} effects were tested, none"

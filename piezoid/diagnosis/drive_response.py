@@ -2,12 +2,12 @@
 
     y = Psi(h),   h = sum_i w_i z_i,   z_i the plays' states
 
-The model's own Jacobian along the drive has the columns
+The Jacobian of the model along the drive has the columns
 
     Psi'(h) z_i,  Psi'(h) w_i dz_i/dr_i,  s_j(h),  1{h beyond r_j},  Psi'(h) D[u^p],  dy/dt
 
 of play weights and thresholds, dead-zone weights and thresholds, a bent input (p = 0, 2, 3), and
-a lag; beside them, for each drive, a zero and the differences that other initial states make.
+a lag. Each drive also has columns of its zero and of changes by other initial states.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,23 +24,23 @@ from piezoid.operators.chain import Chain, Following
 from piezoid.operators.dead_zone import LINEAR
 from piezoid.records.recording import Quantity, Recording
 
-ROWS = 700  # of each drive that are compared
-BENT = (0, 2, 3)  # powers of the input that the model might have bent
+ROWS = 700  # of each drive
+BEND_POWERS = (0, 2, 3)  # of the input, by which the envelope of the model may be wrong
 BEND = 1e-3  # of half the range, for the finite difference
-SETTLED = 2  # cycles over the range before a drive of which the initial state is not known
+HISTORY_CYCLES = 2  # over the range, before a drive whose initial state is unknown
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Driven:
+class DriveResponse:
     """Response of the model of one axis to one drive.
 
-    name       of the experiment or recording
-    model      of the axis
-    rate_Hz    of its samples
-    voltage_V  (samples,)
+    name          of the experiment or recording
+    model         of the axis
+    rate_Hz       sampling rate of the drive
+    voltage_V     (samples,)
+    rows          (rows,)   samples at which columns are computed
     other_drives  scaled drives of other axes that move, by axis
-    memory_V   (plays,)  before the first sample; None: cycled over the range, then here
-    rows       (rows,)   samples that are looked at
+    memory_V      (plays,)  before the first sample; None: that after cycles over the range
     """
 
     name: str
@@ -58,7 +58,7 @@ class Driven:
 
     @property
     def half_range_V(self) -> float:
-        """Return half the range of the drive in the model's data."""
+        """Return half the range of the drive in the data of the model."""
         low_V, high_V = self.model.voltage_V
         return 0.5 * (high_V - low_V)
 
@@ -70,14 +70,14 @@ class Driven:
         return forward.inner(reached_V - self.model.hysteresis.voltage_offset_V)
 
     @cached_property
-    def past_V(self) -> Array:
-        """Return the memory before the first sample."""
+    def initial_memory_V(self) -> Array:
+        """Return the play memory before the first sample."""
         return self._memory_after(1.0) if self.memory_V is None else self.memory_V
 
     @cached_property
     def output_m(self) -> Array:
         """Return the output of the plays, sum_i w_i z_i."""
-        return self._plays(self.drive_V, self.past_V)
+        return self._play_output(self.drive_V, self.initial_memory_V)
 
     @cached_property
     def slope(self) -> Array:
@@ -86,18 +86,18 @@ class Driven:
 
     @cached_property
     def static_m(self) -> Array:
-        """Return the static response, rising or falling as the axis does."""
+        """Return the static response, with the polarity of the axis."""
         return self.model.polarity * self.model.hysteresis.dead_zones.run(self.output_m)
 
     @cached_property
-    def walls_m(self) -> Array:
+    def irreversible_m(self) -> Array:
         """Return the irreversible part: the response without the play of width zero."""
         weight = self.model.hysteresis.plays.weight[0]
         return np.asarray(self.static_m - self.model.polarity * self.slope * weight * self.drive_V)
 
     @cached_property
     def state(self) -> Array:
-        """Return the memory at the rows over half the range, (rows, plays)."""
+        """Return the play states at the rows over half the range, (rows, plays)."""
         return self._states[0] / self.half_range_V
 
     @cached_property
@@ -112,80 +112,80 @@ class Driven:
             slope * by_threshold * plays.weight,
             beyond * (h - zones.threshold),
             beyond[:, zones.threshold != 0].astype(float),
-            np.column_stack([self._bent(power) for power in BENT])[self.rows],
+            np.column_stack([self._bend_column(power) for power in BEND_POWERS])[self.rows],
         ]
         return np.hstack(parts)
 
     @cached_property
     def speed(self) -> Array:
-        """Return the change by a small lag, dy/dt at the rows, (rows, 1)."""
+        """Return the column of a lag, dy/dt at the rows, (rows, 1)."""
         return np.asarray((np.gradient(self.static_m) * self.rate_Hz)[self.rows, None])
 
     @cached_property
     def individual(self) -> Array:
         """Return the columns of this drive only: its zero and changes of its initial state."""
-        memories_V = [self._memory_after(side) for side in (-1.0, 1.0)] + [
-            self.model.virgin_memory_V
-        ]
-        parts = [np.ones(len(self.rows))]
-        for memory_V in memories_V:
-            changed = self._plays(self.drive_V, memory_V) - self.output_m
-            parts.append((self.slope * changed)[self.rows])
-        return np.column_stack(parts)
+        cycled_memories_V = [self._memory_after(side) for side in (-1.0, 1.0)]
+        columns = [np.ones(len(self.rows))]
+        for memory_V in (*cycled_memories_V, self.model.virgin_memory_V):
+            change_m = self._play_output(self.drive_V, memory_V) - self.output_m
+            columns.append((self.slope * change_m)[self.rows])
+        return np.column_stack(columns)
 
     @cached_property
     def _states(self) -> tuple[Array, Array]:
         """Return the states z_i at the rows, and dz_i/dr_i, (rows, plays) each.
 
-        The derivative by a gap moves all plays behind it: the differences are those of single
-        thresholds, the first of a play that has some width.
+        A gap between two thresholds shifts all wider plays, so derivatives by single thresholds
+        are differences of derivatives by gaps.
         """
         gap = np.diff(self.model.hysteresis.plays.threshold, prepend=0.0)
         per_gap, count = np.append(0.0, 1.0 / gap[1:]), len(gap)
-        slope = per_gap * np.diff(self.past_V, prepend=self.drive_V[:1])
+        slope = per_gap * np.diff(self.initial_memory_V, prepend=self.drive_V[:1])
         chain = Chain(gap=gap, weight=np.ones(count + 1), memory_slope=slope, zones=LINEAR)
         rows = np.empty((len(self.rows), count + chain.columns), order="F")
         Following(chain, float(self.drive_V[0])).rows(self.drive_V, self.rows, rows)
         by_gap = rows[:, count : 2 * count] - rows[:, :count] * (slope * per_gap)
         return rows[:, -count - 2 : -2], -np.diff(by_gap, axis=1, append=0.0)
 
-    def _plays(self, drive_V: Array, memory_V: Array) -> Array:
+    def _play_output(self, drive_V: Array, memory_V: Array) -> Array:
         return self.model.hysteresis.plays.run(drive_V, memory_V)[0]
 
-    def _bent(self, power: int) -> Array:
+    def _bend_column(self, power: int) -> Array:
         unit = self.drive_V / self.half_range_V
         bend_V = BEND * self.half_range_V * unit**power
         return (
-            self.slope * (self._plays(self.drive_V + bend_V, self.past_V) - self.output_m) / BEND
+            self.slope
+            * (self._play_output(self.drive_V + bend_V, self.initial_memory_V) - self.output_m)
+            / BEND
         )
 
     def _memory_after(self, side: float) -> Array:
-        """Return the memory after cycles over the range, arriving from above (1) or below (-1)."""
+        """Return the play memory after cycles that end at the upper (1) or lower (-1) end."""
         reach_V, start_V = self.half_range_V, float(self.drive_V[0])
         middle_V = sum(self.model.voltage_V) / 2 - self.model.hysteresis.voltage_offset_V
-        reversals = [middle_V - side * reach_V, middle_V + side * reach_V] * SETTLED
+        reversals = [middle_V - side * reach_V, middle_V + side * reach_V] * HISTORY_CYCLES
         history_V = np.array([*reversals, start_V])
         plays = self.model.hysteresis.plays
         return plays.run(history_V, plays.virgin_memory())[1]
 
 
 def rows_of(samples: int, count: int) -> NDArray[np.int_]:
-    """Return rows spread over a drive, evenly on average and at no one distance."""
+    """Return rows spread evenly over a drive on average, at random distances."""
     if samples <= count:
         return np.arange(samples)
     spread = np.random.default_rng(samples).random(count)
     return np.unique(((np.arange(count) + spread) * (samples / count)).astype(int))
 
 
-def driven_recording(axis: AxisModel, recording: Recording) -> Driven:
-    """Return a recording's drive, with the fitted initial memory of its first piece."""
+def driven_recording(axis: AxisModel, recording: Recording) -> DriveResponse:
+    """Return the response to the drive of a recording, with its fitted initial memory."""
     starts = starts_of(axis, recording)
     other_drives = {
         channel.axis: channel.values
         for channel in recording.channels
         if channel.quantity is Quantity.VOLTAGE and channel.axis != axis.axis
     }
-    return Driven(
+    return DriveResponse(
         name=recording.name,
         model=axis,
         rate_Hz=recording.sampling_rate_Hz,
@@ -197,7 +197,7 @@ def driven_recording(axis: AxisModel, recording: Recording) -> Driven:
 
 
 def scaled_drives(others_V: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the drives that move, about their middle and over half their range."""
+    """Return the drives that move, scaled to -1 to 1 over their range."""
     spans = {axis: (float(u.min()), float(u.max())) for axis, u in others_V.items()}
     return {
         axis: (2.0 * others_V[axis] - low - high) / (high - low)
@@ -206,7 +206,7 @@ def scaled_drives(others_V: Mapping[str, Array]) -> dict[str, Array]:
     }
 
 
-def null_columns(drives: Sequence[Driven], *, lag: bool) -> Array:
+def null_columns(drives: Sequence[DriveResponse], *, lag: bool) -> Array:
     """Return the columns that a refit of the model could absorb, for all drives together.
 
     lag  whether to include the lag of the model; false for effects that are lags themselves

@@ -1,7 +1,7 @@
 """Interface of one effect between the catalogue and the search.
 
-An effect is one file: an explanation under five headings, the trials that look for it, placebos
-of the same freedom that must do clearly worse, what it adds once it is selected, and its size.
+An effect is one file: an explanation under five headings, trials, placebos with the same freedom
+that must explain clearly less, the contribution of the selected effect, and its size.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -11,7 +11,7 @@ import numpy as np
 
 from piezoid.diagnosis.appearance import Appearance
 from piezoid.diagnosis.blocked_regression import Null
-from piezoid.diagnosis.drive_response import Driven
+from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.segments import Places, Track
 from piezoid.identification.extensions.extension import Extension, Where
@@ -35,10 +35,10 @@ BETWEEN = "between recordings"
 class EffectEstimate:
     """Estimate of one effect by the search: start values of its extension.
 
-    effect       its name
-    parameters   nonlinear ones, by name with unit; drives in half ranges
-    coefficient  (columns,)  linear ones
-    from_jumps   whether jumps of the drive have shown it
+    effect       name of the effect
+    parameters   nonlinear parameters, by name with unit; drives in half ranges
+    coefficient  (columns,)  linear coefficients
+    from_jumps   whether the effect was detected in step responses
     """
 
     effect: str
@@ -48,7 +48,7 @@ class EffectEstimate:
 
     @property
     def first_coefficient(self) -> float:
-        """The first linear coefficient; 1 for an effect without any."""
+        """The first linear coefficient; 1 for an effect without linear coefficients."""
         return float(self.coefficient[0]) if len(self.coefficient) else 1.0
 
 
@@ -56,10 +56,10 @@ class EffectEstimate:
 class SearchScaling:
     """Units of the scaled numbers of a search, and the pieces it ran on.
 
-    voltage_V         half the range of the drive: what 1 means
-    voltage_offset_V  its middle: what 0 means
+    voltage_V         half the range of the drive: 1 in scaled units
+    voltage_offset_V  middle of the drive: 0 in scaled units
     half_stroke_m     half the stroke
-    pieces            in the order of the search's tracks
+    pieces            in the order of the tracks of the search
     recordings        names, in the order in which they were made
     """
 
@@ -94,18 +94,20 @@ Filter = Callable[[Array, float, Parameters], Array]  # (signal, rate_Hz, parame
 class Trial:
     """One hypothesis of an effect: its columns and parameters.
 
-    columns              (rows, columns)  what it would add to the response; zeros: nothing tells
-                         in advance, and it is only put in place where its effect is refitted
-    parameters           nonlinear ones, by name with unit
-    physical             False: a placebo of the same freedom, to calibrate by
-    coefficient_range    of the first coefficient, as physics allows it; the tangent of a filter
-                         errs by factors, and only its sign is tested
+    columns              (rows, columns)  predicted contribution to the response; zeros: no
+                         prediction, the trial is only a start value of refits
+    parameters           nonlinear parameters, by name with unit
+    physical             False: a placebo with the same freedom
+    coefficient_range    physically possible range of the first coefficient; the tangent of a
+                         filter is off by factors, so that only its sign is tested
     minimum_coefficient  size below which the first coefficient counts as zero
-    needs_time           whether at one speed this is a width of the loop, as a lag is
-    unique               whether no other shape of its kind is missing; where many are, one of
-                         them is only the nearest
-    free                 parameters to refine: by which factor (above 1) or step (below)
-    limits               their ranges; an estimate at its limit was not found
+    needs_time           whether the effect only changes the loop width if all branches have one
+                         speed, as a lag does
+    unique               whether this is the only missing shape of its family; if many are missing,
+                         the trial is only the nearest
+    free                 parameters to refine, with the factor (above 1) or step (below 1) of a
+                         trial
+    limits               ranges of these parameters; an estimate at a limit is rejected
     """
 
     columns: Array
@@ -121,22 +123,20 @@ class Trial:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fault:
-    """A fault of the data themselves, found without any model of the stage.
+    """A fault of the data.
 
-    tracks   repaired, or as they were where nothing can be repaired
-    value    size
-    spread   its standard error
-    p_value  of such evidence where there is no fault
-    alike    effects that these recordings do not tell from it
-    where    recordings that have it, with places, for people
+    tracks     with the fault repaired; unchanged tracks if it cannot be repaired
+    value      size
+    spread     standard error of the size
+    p_value    of such evidence without a fault
+    locations  recordings with the fault and its location in each, as text
     """
 
     tracks: tuple[Track, ...]
     value: float
     spread: float
     p_value: float
-    alike: tuple[str, ...] = ()
-    where: tuple[str, ...] = ()
+    locations: tuple[str, ...] = ()
 
     def merged_with(self, earlier: "Fault | None") -> "Fault":
         """Merge with an earlier detection, keeping the larger size and the smaller p-value."""
@@ -148,8 +148,7 @@ class Fault:
             value=larger.value,
             spread=larger.spread,
             p_value=min(earlier.p_value, self.p_value),
-            alike=tuple(dict.fromkeys((*earlier.alike, *self.alike))),
-            where=tuple(dict.fromkeys((*earlier.where, *self.where))),
+            locations=tuple(dict.fromkeys((*earlier.locations, *self.locations))),
         )
 
 
@@ -157,15 +156,15 @@ class Fault:
 class Tangent:
     """Predicted contribution of an effect along a planned drive, for ``piezoid plan``.
 
-    columns  (drive, scale) -> (samples, columns), m for a strength of one, made from the fitted
-             model alone
-    per_drive        whether every drive has coefficients of its own
-    lags     whether it is a lag itself, so that a fitted lag must not take it away
-    scale    in s or Hz: for effects whose shape depends on their size; 0: it does not
-    scale_parameter  name of a finding's parameter that is this scale, or empty
+    columns          (drive, scale) -> (samples, columns), in m for a strength of 1, computed from
+                     the fitted model
+    per_drive        whether every drive has separate coefficients
+    lags             whether the effect is a lag, which a fitted lag would absorb
+    scale            in s or Hz, if the shape of the effect depends on its size; else 0
+    scale_parameter  name of the parameter of a finding that is this scale, or empty
     """
 
-    columns: Callable[[Driven, float], Array]
+    columns: Callable[[DriveResponse, float], Array]
     per_drive: bool = False
     lags: bool = False
     scale: float = 0.0
@@ -173,9 +172,9 @@ class Tangent:
 
 
 def delay_tangent(response_filter: Filter, name: str) -> Tangent:
-    """Return the tangent of a filter that delays by its one parameter, a time in s."""
+    """Return the tangent of a filter that delays by its only parameter, a time in s."""
 
-    def columns(drive: Driven, time_s: float) -> Array:
+    def columns(drive: DriveResponse, time_s: float) -> Array:
         read_m = response_filter(drive.static_m, drive.rate_Hz, {name: time_s})
         return np.asarray((read_m - drive.static_m)[:, None] / time_s)
 
@@ -186,26 +185,26 @@ def delay_tangent(response_filter: Filter, name: str) -> Tangent:
 class ConstantDriveData:
     """Displacement recorded at constant drive.
 
-    recording  whose they are
-    axis       of the stage
-    keep       (rows,)  samples that are used
-    time_s     (rows,)
-    calm_m     (rows,)  readings less what drifts
+    recording    with these readings
+    axis         of the stage
+    rows         (rows,)  samples that are used
+    time_s       (rows,)
+    detrended_m  (rows,)  readings without drift
     """
 
     recording: Recording
     axis: str
-    keep: Places
+    rows: Places
     time_s: Array
-    calm_m: Array
+    detrended_m: Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FaultTest:
-    """How a fault of the data is looked for.
+    """Detection of a fault of the data.
 
     find   (view) -> the fault, or None
-    bound  (view) -> share of the stroke that could be missed
+    bound  (view) -> size of the largest undetected fault, as a share of the stroke
     """
 
     find: Callable[[View], Fault | None]
@@ -221,7 +220,7 @@ def without_part(kind: type[Extension], *, lag: bool = False) -> Without:
     lag  whether the effect is also represented by the lag of the model
     """
 
-    def taken_out(axis: AxisModel, _: Recording) -> AxisModel | None:
+    def remove(axis: AxisModel, _: Recording) -> AxisModel | None:
         remaining = tuple(e for e in axis.extensions if not isinstance(e, kind))
         has_lag = lag and axis.lag.time_s > 0.0
         if len(remaining) == len(axis.extensions) and not has_lag:
@@ -229,18 +228,17 @@ def without_part(kind: type[Extension], *, lag: bool = False) -> Without:
         lag_model = Lag(kind="none", time_s=0.0) if lag else axis.lag
         return replace(axis, extensions=remaining, lag=lag_model)
 
-    return taken_out
+    return remove
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Structural:
-    """A part of the nuisance class and of the static model themselves, judged last.
+    """Test of an effect that is part of the nuisance class and of the static model.
 
-    null_without         (view) -> the nuisance class without it: the null to beat
-    structure            (structure, model, found) -> the static structure to refit with it, or
-                         without it
-    largest_noise_ratio  residual over noise above which that null counts as misspecified
-    may_be_bouc_wen      whether a Bouc-Wen state may do what it seems to do
+    null_without         (view) -> the nuisance class without the effect, as the null hypothesis
+    structure            (structure, model, is_selected) -> the static structure of refits
+    largest_noise_ratio  residual over noise above which this null counts as misspecified
+    may_be_bouc_wen      whether a Bouc-Wen state may represent the effect
     """
 
     null_without: Callable[[View], Null]
@@ -253,44 +251,41 @@ class Structural:
 class Effect:
     """Definition of one effect of the catalogue.
 
-    name                      as in diagnosis.json
-    explanation               the file's docstring
-    unit                      of its size
-    experiment                what to record to see it better, or to separate it from its
-                              confounded effects
-    control                   what it means for who controls the stage
-    shows                     the coordinate in which it is seen
-    tangent                   what it would add along a drive; or why no drive exposes it better
-    confounded                names of the effects that look alike
-    untestable                (view) -> why these recordings cannot show it; empty where they can
-    trials                    (view) -> physical trials and placebos
-    columns                   (view, parameters) -> what it adds once selected, (rows, columns)
-    covariates                (view) -> columns that come with it and are no evidence of it
-    drive_filter              (drive, rate_Hz, parameters) -> what reaches the stage, for effects
-                              in front of the hysteresis
-    response_filter           (response, rate_Hz, parameters) -> what is read, for filters that
-                              the whole response passes
-    other_side                the same cause on the other side of the hysteresis
-    between_recordings        the same cause where it acts between two recordings
-    fault                     how it is looked for, for faults of the data
-    size                      (view, parameters, coefficients) -> size in ``unit``; None: rms in
-                              percent
-    note                      (parameters) -> what the parameters mean, for its explanation
-    at_rest                   (standing) -> what it adds while the drive rests, (rows, columns), or
-                              why these readings cannot show it; None: it needs a drive
-    model_error               part of the size that the law itself may be wrong by (a spectrum
-                              that is not even, a hold between samples), which blocks of rows
-                              cannot show. Two to three times the worst of thirteen laws
-                              (``python -m benchmarks.zoo.sizes``)
-    may_be_absorbed           whether the nuisance class may have been fitted to it, so that its
-                              columns are made from a response without it
-    inject                    (recording, share) -> the recording with it, share of the stroke
-    extend                    (found, setting) -> the model's extension to refit from there
-    structural                for what nuisance class and static model have themselves
-    without                   (model, recording) -> the model without it, None where the model
-                              does not have it
-    minimum_gain              part of the held-out error that it must take off
-    detectable_share          share of the stroke from which it is found at 0.05 % of noise
+    name                as in diagnosis.json
+    explanation         docstring of the file
+    unit                of the size
+    experiment          recording that shows the effect better or separates it from confounded
+                        effects
+    control             consequence for the control of the stage
+    shows               coordinate along which the effect is visible
+    tangent             predicted contribution along a drive; or why no drive shows it better
+    confounded          names of effects that resemble it
+    untestable          (view) -> why these recordings cannot show the effect; empty if they can
+    trials              (view) -> physical trials and placebos
+    columns             (view, parameters) -> contribution of the selected effect, (rows, columns)
+    covariates          (view) -> columns that accompany the effect and are no evidence of it
+    drive_filter        (drive, rate_Hz, parameters) -> drive of the stage, for effects in front of
+                        the hysteresis
+    response_filter     (response, rate_Hz, parameters) -> reading, for filters of the response
+    other_side          the same cause on the other side of the hysteresis
+    between_recordings  the same cause if it acts between two recordings
+    fault               detection, for faults of the data
+    size                (view, parameters, coefficients) -> size in ``unit``; None: rms in percent
+    note                (parameters) -> meaning of the parameters, for the explanation
+    at_rest             (data) -> contribution at constant drive, (rows, columns), or why these
+                        readings cannot show it; None: the effect needs a drive
+    model_error         relative error of the size by the law of the effect (a spectrum that is not
+                        even, a hold between samples), which blocks of rows cannot show. Two to
+                        three times the worst of thirteen laws
+                        (``python -m benchmarks.zoo.sizes``)
+    may_be_absorbed     whether the nuisance class can follow the effect, so that its columns are
+                        computed from a response without it
+    inject              (recording, share) -> the recording with the effect, a share of the stroke
+    extend              (estimate, setting) -> extensions of the model with start values of a refit
+    structural          test of an effect that is part of the nuisance class
+    without             (model, recording) -> the model without the effect; None if it has none
+    minimum_gain        smallest relative reduction of the held-out error
+    detectable_share    share of the stroke from which it is detected at a noise of 0.05 %
     """
 
     name: str

@@ -1,14 +1,14 @@
 """Size of an effect, with an interval from independent blocks.
 
-Coefficients and nonlinear parameters are judged together, by the columns of the one and the
-tangents of the other beside the whole null; the size is a function of both,
+The size is a function of coefficients and nonlinear parameters. Their joint covariance is that of
+the columns of the coefficients and the tangents of the parameters, beside the whole null:
 
-    var size = g' cov g + (k size)^2,    g = its gradient by small steps,
+    var size = g' cov g + (k size)^2,    g the gradient of the size by small steps,
 
-k what the law of the effect may itself be wrong by.
+k the relative error of the size by the law of the effect.
 
-A share of the stroke is the root of what the blocks explain, known to as many standard errors as
-the effect itself.
+A size as a share of the stroke is the root of the explained power, and its relative error half of
+that of the power.
 
 Source: the delta method; Liang & Zeger, Biometrika 73 (1986) for the covariance.
 """
@@ -34,30 +34,30 @@ QUANTILE = 2.0  # of Student's distribution for some sixty blocks
 
 
 def size_of(cause: Candidate) -> Size:
-    """Return a cause's size with its 95 % interval."""
+    """Return the size of a cause with its 95 % interval."""
     effect, selected = cause.effect, cause.selected
     beta = cause.cv.coefficient
     if effect.size is None:
         value = 100.0 * cause.share
         # the relative error of the explained power is 1/z; its root has half of that
-        reach = QUANTILE * value / (2.0 * max(cause.cv.z, 1.0))
+        margin = QUANTILE * value / (2.0 * max(cause.cv.z, 1.0))
     else:
         value = effect.size(_size_view(cause), selected.parameters, beta)
-        reach = QUANTILE * hypot(_spread(cause, value), effect.model_error * value)
-    return Size(value=value, unit=effect.unit, ci95=(value - reach, value + reach))
+        margin = QUANTILE * hypot(_standard_error(cause, value), effect.model_error * value)
+    return Size(value=value, unit=effect.unit, ci95=(value - margin, value + margin))
 
 
 def _size_view(cause: Candidate) -> View:
-    """Return the view that a size is computed on: without the effect if it filters the drive."""
+    """Return the view for the size of an effect: without the effect if it filters the drive."""
     return cause.without if cause.effect.drive_filter is not None else cause.view
 
 
-def _spread(cause: Candidate, value: float) -> float:
-    """Return the standard error of a size from the errors of coefficients and parameters."""
+def _standard_error(cause: Candidate, value: float) -> float:
+    """Return the standard error of a size by the errors of coefficients and parameters."""
     effect, selected, view, size_view = cause.effect, cause.selected, cause.view, _size_view(cause)
     assert effect.size is not None
     beta = cause.cv.coefficient
-    columns = [_nudged(cause, name) for name in selected.free]
+    columns = [_parameter_column(cause, name) for name in selected.free]
     gradient = [
         (effect.size(size_view, with_step(selected, name, NUDGE).parameters, beta) - value) / NUDGE
         for name in selected.free
@@ -69,14 +69,14 @@ def _spread(cause: Candidate, value: float) -> float:
             step = nudged[k] - beta[k]
             gradient.append((effect.size(view, selected.parameters, nudged) - value) / step)
     # a parameter without influence on these recordings does not change the size either
-    moving = [k for k, column in enumerate(columns) if np.any(column)]
+    influential = [k for k, column in enumerate(columns) if np.any(column)]
     null = replace(view, selected=cause.without.selected).null
-    cov = null.clustered_covariance(np.column_stack([columns[k] for k in moving]))
-    slope = np.array([gradient[k] for k in moving])
+    cov = null.clustered_covariance(np.column_stack([columns[k] for k in influential]))
+    slope = np.array([gradient[k] for k in influential])
     return sqrt(max(float(slope @ cov @ slope), 0.0))
 
 
-def _nudged(cause: Candidate, name: str) -> Array:
+def _parameter_column(cause: Candidate, name: str) -> Array:
     """Return the derivative of the response by a free parameter, per step width."""
     selected, view = cause.selected, cause.view
     nudged = with_step(selected, name, NUDGE)

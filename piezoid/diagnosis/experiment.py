@@ -1,10 +1,10 @@
 """Plan the next experiment: the drive that best answers the open questions of a diagnosis.
 
-Questions come first: two effects that could not be separated, else the size with the widest
-interval, else an effect that these recordings could hardly show. Every candidate drive is
-simulated on the fitted model. The plan answers the first question that a drive answers, with the
-best drive or a shorter one that is nearly as good. If no drive answers any question, the plan
-states what the best one leaves and which limit prevents more.
+The questions are, in this order: two effects that could not be separated, the size with the widest
+interval, an effect that these recordings could hardly show. Every candidate drive is simulated on
+the fitted model. The plan is for the first question that a drive answers, with the best drive or a
+shorter one that is nearly as good. If no drive answers any question, the plan states the remaining
+uncertainty with the best drive and the limit that prevents a better answer.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,7 +17,12 @@ from piezoid.diagnosis.drive_response import driven_recording
 from piezoid.diagnosis.effects.cross_coupling import NAME as COUPLING
 from piezoid.diagnosis.planning.drive_limits import Bench, Drive, DriveLimits, bench_of
 from piezoid.diagnosis.planning.open_questions import Question, is_open, questions_of
-from piezoid.diagnosis.planning.plan_ranking import Alternative, Choice, Table, table_of
+from piezoid.diagnosis.planning.plan_ranking import (
+    Alternative,
+    CandidateTable,
+    Choice,
+    simulate_candidates,
+)
 from piezoid.diagnosis.planning.separation import SeparationEstimate
 from piezoid.errors import ExcitationError
 from piezoid.identification.actuator_model import ActuatorModel
@@ -25,8 +30,8 @@ from piezoid.raw_counts import VOLTAGE, refuse_counts
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 
-LOOSER = 4.0  # times a limit, to find the one that prevents an answer
-NOTICEABLE = 0.9  # of the remaining share: a limit with less influence does not prevent an answer
+LOOSER = 4.0  # factor on each limit, to find the limit that prevents an answer
+NOTICEABLE = 0.9  # ratio of remaining shares above which a limit does not prevent an answer
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,7 +79,7 @@ def plan(
 
     recordings  those of the diagnosis: the expectation is then of all recordings together, and is
                 compared with the present precision
-    effect      that is asked about; None: the most pressing open question
+    effect      to plan for; None: the most pressing open question
     clock_Hz    of the converters, if neither lab.toml nor the model states it
     seed        of the random parts of a drive
 
@@ -92,8 +97,8 @@ def plan(
         and float(np.ptp(channel.values)) > 0.0
     ]
 
-    def table_on(bench: Bench) -> Table:
-        return table_of(axis, bench, diagnosis, recorded, seed)
+    def table_on(bench: Bench) -> CandidateTable:
+        return simulate_candidates(axis, bench, diagnosis, recorded, seed)
 
     table = table_on(bench)
     questions = questions_of(diagnosis, effect)
@@ -132,11 +137,12 @@ def plan(
 
 
 def _first_answered(
-    table: Table, questions: Sequence[Question]
+    table: CandidateTable, questions: Sequence[Question]
 ) -> tuple[Choice, tuple[Question, ...]]:
     """Return the first question that a drive answers, and the questions before it.
 
-    If none is answered: the first of which a drive shows the effect, else the first.
+    If no question is answered: the first question with a drive that shows its effect, else the
+    first question.
     """
     unanswered: list[Choice] = []
     for question in questions:
@@ -152,8 +158,8 @@ def limiting_factor(
 ) -> str:
     """State which limit prevents a better answer, or that none does.
 
-    share_left     (bench) -> share of the uncertainty that the best drive leaves in other limits
-    present_share  share that it leaves within the present limits
+    share_left     (bench) -> share of the uncertainty that remains with the best drive
+    present_share  share that remains within the present limits
     """
     limits, margin_V = bench.limits, 0.5 * (LOOSER - 1.0) * np.ptp(bench.limits.range_V)
     wider = replace(

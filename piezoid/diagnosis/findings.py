@@ -1,4 +1,4 @@
-"""Findings of a search: faults and effects, with the errors of the model with and without each.
+"""Findings of a search: faults and effects, each with the errors of the model with and without it.
 
 The errors are held-out errors of the refitted model.
 """
@@ -77,7 +77,7 @@ def findings_of(
 def _has_hysteresis_only(outcome: Outcome) -> bool:
     """Tell whether only hysteresis was detected: other effects could pass for noise."""
     has_effects = any(cause.effect.structural is None for cause in outcome.causes)
-    return not (outcome.against or outcome.faults or has_effects)
+    return not (outcome.rejection or outcome.faults or has_effects)
 
 
 def _middle_m(view: View, recordings: Sequence[Recording], axis: str, scales: Scales) -> float:
@@ -88,14 +88,14 @@ def _middle_m(view: View, recordings: Sequence[Recording], axis: str, scales: Sc
 
 
 def held_out(rms_m: float, half_stroke_m: float) -> HeldOut:
-    """Return an error in metres and in percent of the stroke."""
+    """Return a held-out error in metres and in percent of the stroke."""
     return HeldOut(rms_m=rms_m, rms_percent=50.0 * rms_m / half_stroke_m)
 
 
 def fault_finding(name: str, fault: Fault, errors: ModelErrors, half_stroke_m: float) -> Finding:
     """Return the finding of a fault of the data.
 
-    Its gain is 0 if it was repaired on reading, or cannot be repaired.
+    The gain of a fault that ingest repaired, or that cannot be repaired, is 0.
     """
     effect = effect_named(name)
     before_m, after_m = errors.without_m.get(name, errors.final_m), errors.final_m
@@ -110,23 +110,23 @@ def fault_finding(name: str, fault: Fault, errors: ModelErrors, half_stroke_m: f
         size=Size(
             value=fault.value, unit=effect.unit, ci95=(fault.value - margin, fault.value + margin)
         ),
-        not_separable_from=fault.alike,
-        explanation=effect.summary + (f" {_list_places(fault)}" if fault.where else ""),
+        not_separable_from=(),
+        explanation=effect.summary + (f" {_list_places(fault)}" if fault.locations else ""),
         next_experiment=effect.experiment,
         parameters={},
     )
 
 
 def _list_places(fault: Fault) -> str:
-    further = len(fault.where) - MAX_PLACES
+    further = len(fault.locations) - MAX_PLACES
     suffix = f" and {further} more" if further > 0 else ""
-    return f"Seen in {', '.join(fault.where[:MAX_PLACES])}{suffix}."
+    return f"Seen in {', '.join(fault.locations[:MAX_PLACES])}{suffix}."
 
 
 def effect_finding(cause: Candidate, outcome: Outcome, errors: ModelErrors) -> Finding:
     """Return the finding of a selected effect.
 
-    If hysteresis of some kind may be all of it, its interval is extended to zero.
+    The interval includes zero if the effect cannot be separated from a structural effect.
     """
     effect, parameters = cause.effect, cause.selected.parameters
     before_m, after_m = errors.without_m[effect.name], errors.final_m

@@ -1,8 +1,8 @@
 """Forward selection: add one effect after another until none is significant.
 
-A step takes in the effect that leaves the smallest error, or what explains as much without any
-effect: a filter on the other side of the hysteresis, a Bouc-Wen state, other initial states. Where
-nothing is significant, slips of the clock are tried in the place of a filter.
+Each step adds the effect with the smallest error, unless a change without a new effect explains as
+much: a selected filter on the other side of the hysteresis, a Bouc-Wen state, or other initial
+states. If no effect is significant, clock slips are tried instead of a filter.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,11 +15,11 @@ from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
 from piezoid.diagnosis.candidate import Candidate, evaluate
 from piezoid.diagnosis.effect import BETWEEN, Effect, Fault
 from piezoid.diagnosis.effects import every_effect
-from piezoid.diagnosis.effects.timestamp_fault import find_slips_beside
+from piezoid.diagnosis.effects.timestamp_fault import find_equal_slips, find_slips
 from piezoid.diagnosis.initial_state_search import (
     OTHER_INITIAL_STATES,
     InitialStates,
-    with_own_initial_states,
+    with_individual_initial_states,
     with_shared_initial_state,
 )
 from piezoid.diagnosis.refinement import initial_guess, refine, refine_together, with_step
@@ -33,39 +33,40 @@ from piezoid.diagnosis.residual_view import (
 )
 from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.segments import Track
-from piezoid.diagnosis.step_responses import modes_behind_jumps, without_unresolved_ringing
+from piezoid.diagnosis.step_responses import modes_after_steps, without_unresolved_ringing
 from piezoid.formatting import words
 from piezoid.numerics.executor import Executor
 
-FIRST_GAIN = 0.25  # of the best tangent's gain, from which an effect is refitted at first
+FIRST_GAIN = 0.25  # gain over that of the best tangent from which an effect is refitted first
 MIN_GAIN = 0.012  # of the error: tangents err by factors
-NEAR_PLACEBO = 0.9  # times its placebo's gain, below which a refit will not help it
-NEAR = 3.0  # times the smallest error: largest error of a first refit that is refined
-ABOUT = (-6, -5, -4, -3, -2, -1, 1, 2, 3, 4, 5, 6)  # steps from a trial to beyond the next
+MIN_PLACEBO_RATIO = 0.9  # gain over that of the placebo below which no refit makes up for it
+MAX_START_RATIO = 3.0  # error over the smallest: largest error of start values that are refined
+NEIGHBOURS = (-6, -5, -4, -3, -2, -1, 1, 2, 3, 4, 5, 6)  # steps from a trial to beyond the next
 OTHER_SIDE = 0.98  # largest relative error at which a filter changes its side
 MAX_EFFECTS = 5
 SLIP = "timestamp_fault"
-NOISY = 1.1  # residual/noise below which no structure of hysteresis is looked for
-BOUC_WEN = 0.97  # largest relative error at which a Bouc-Wen state is taken in
+MIN_NOISE_RATIO = 1.1  # residual/noise below which no structure of hysteresis is searched
+BOUC_WEN = 0.97  # largest relative error at which a Bouc-Wen state is added
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SelectionState:
-    """The state of the selection after a step.
+    """State of the selection after a step.
 
-    clean     the view of repaired tracks, with the initial states and Bouc-Wen state taken in
-    selected  effects, in the order in which they were selected
-    view      the view with them, on which the score tests are made
-    faults    of the data, by effect
-    screened  the last score test of each effect that was not selected, also ``BETWEEN`` recordings
-    initial   the best shared and the best own initial states, where they are known
+    clean        view of the repaired tracks, with the selected initial states and Bouc-Wen state
+    selected     effects, in the order in which they were selected
+    view         the view with the selected effects, on which score tests are made
+    faults       of the data, by effect
+    score_tests  the last score test of each effect that was not selected, also ``BETWEEN``
+                 recordings
+    initial      views with the best shared and the best individual initial states, if computed
     """
 
     clean: View
     selected: tuple[SelectedEffect, ...]
     view: View
     faults: Mapping[str, Fault]
-    screened: Mapping[str, ScoreTest]
+    score_tests: Mapping[str, ScoreTest]
     initial: InitialStates | None = None
 
     def updated(
@@ -76,7 +77,7 @@ class SelectionState:
         faults: Mapping[str, Fault] | None = None,
         initial: InitialStates | None = None,
     ) -> "SelectionState":
-        """Return the state with these parts replaced."""
+        """Return the state with the stated fields replaced; without ``initial`` it has none."""
         clean = self.clean if clean is None else clean
         selected = self.selected if selected is None else tuple(selected)
         return SelectionState(
@@ -84,7 +85,7 @@ class SelectionState:
             selected=selected,
             view=with_effects(clean, selected),
             faults=self.faults if faults is None else faults,
-            screened=self.screened,
+            score_tests=self.score_tests,
             initial=initial,
         )
 
@@ -97,21 +98,21 @@ def select_forward(
 ) -> SelectionState:
     """Select effects one after another until none is significant.
 
-    initial  of the view, where they are known
+    initial  views with shared and with individual initial states, if computed
     """
     executor.report("looking for modes after steps of the drive")
-    selected = modes_behind_jumps(clean)
+    selected = modes_after_steps(clean)
     clean = without_unresolved_ringing(clean, selected)
     state = SelectionState(
         clean=clean,
         selected=selected,
         view=with_effects(clean, selected),
         faults=faults,
-        screened={},
+        score_tests={},
         initial=None if selected else initial,
     )
     for _ in range(MAX_EFFECTS + 2):
-        state = replace(state, screened=_score_all(state, executor))
+        state = replace(state, score_tests=_score_all(state, executor))
         next_state = _next_state(state, executor)
         if next_state is None:
             break
@@ -120,7 +121,7 @@ def select_forward(
 
 
 def _score_all(state: SelectionState, executor: Executor) -> dict[str, ScoreTest]:
-    def tested(effect: Effect) -> ScoreTest | None:
+    def run_test(effect: Effect) -> ScoreTest | None:
         executor.report(f"testing {words(effect.name)}")
         return score_test(effect, state.view)
 
@@ -135,7 +136,7 @@ def _score_all(state: SelectionState, executor: Executor) -> dict[str, ScoreTest
     for name, effect in list(effects.items()):
         if effect.between_recordings is not None:
             effects[f"{name} {BETWEEN}"] = effect.between_recordings
-    tests = zip(effects, executor.map(tested, effects.values()), strict=True)
+    tests = zip(effects, executor.map(run_test, effects.values()), strict=True)
     return {name: test for name, test in tests if test is not None}
 
 
@@ -143,31 +144,31 @@ def _next_state(state: SelectionState, executor: Executor) -> SelectionState | N
     """Take the step with the smallest error; None if no step reduces it."""
     view = state.view
 
-    def with_bouc_wen_state() -> View:
-        return with_best_bouc_wen(view) if view.rms > NOISY * view.noise else view
+    def search_bouc_wen() -> View:
+        return with_best_bouc_wen(view) if view.rms > MIN_NOISE_RATIO * view.noise else view
 
     best = best_candidate(refit_shortlist(state, executor))
     min_rms = best.view.rms if best else np.inf
-    exchanged = moved_to_other_side(state, best)
-    if exchanged is not None:
-        return state.updated(selected=exchanged)
+    selected = exchange_filter_side(state, best)
+    if selected is not None:
+        return state.updated(selected=selected)
     if state.initial is None:
         shared = with_shared_initial_state(view, executor)
-        individual, bent = executor.run_both(
-            lambda: with_own_initial_states(view, shared), with_bouc_wen_state
+        individual, bouc_wen = executor.run_both(
+            lambda: with_individual_initial_states(view, shared), search_bouc_wen
         )
     else:
-        (shared, individual), bent = state.initial, with_bouc_wen_state()
-    if bent.rms < min(BOUC_WEN * view.rms, min_rms, individual.rms):
-        return state.updated(clean=with_bouc_wen(state.clean, bent.nuisance.bouc_wen))
+        (shared, individual), bouc_wen = state.initial, search_bouc_wen()
+    if bouc_wen.rms < min(BOUC_WEN * view.rms, min_rms, individual.rms):
+        return state.updated(clean=with_bouc_wen(state.clean, bouc_wen.nuisance.bouc_wen))
     if initial_states_explain(individual, view, min_rms):
-        # not reused once effects are selected: these depend on the static response
-        freed = state.updated(
+        # selected effects depend on the static response, so initial states are not reused then
+        next_state = state.updated(
             clean=with_free_memory(with_reversals(state.clean, individual.nuisance.reversals)),
             initial=None if state.selected else (shared, individual),
         )
-        if freed.view.rms < view.rms:  # effects fitted anew beside them may explain less
-            return freed
+        if next_state.view.rms < view.rms:  # effects refitted beside them may explain less
+            return next_state
     if best is None:
         return _with_slips(state)
     clean = without_unresolved_ringing(state.clean, [best.selected])
@@ -180,22 +181,24 @@ def initial_states_explain(individual: View, view: View, min_rms: float) -> bool
 
 
 def refit_shortlist(state: SelectionState, executor: Executor) -> list[Candidate]:
-    """Refit the effects with the largest gains, and the others only if none is significant.
+    """Refit the effects with the largest gains, and other effects only if none is significant.
 
     An effect is refitted if its tangent explains enough, and as much as its placebo. Tangents of
     refined parameters are off by factors and are not compared with their placebos.
     """
-    hopeful = [f for f in state.screened.values() if f.physical and f.total_gain > MIN_GAIN]
-    first_gain = FIRST_GAIN * max((f.total_gain for f in hopeful), default=0.0)
-    hopeful = [
-        f
-        for f in hopeful
-        if f.placebo is None or f.trial.free or f.cv.gain > NEAR_PLACEBO * f.placebo.gain
+    tests = [t for t in state.score_tests.values() if t.physical and t.total_gain > MIN_GAIN]
+    first_gain = FIRST_GAIN * max((test.total_gain for test in tests), default=0.0)
+    tests = [
+        test
+        for test in tests
+        if test.placebo is None
+        or test.trial.free
+        or test.cv.gain > MIN_PLACEBO_RATIO * test.placebo.gain
     ]
-    candidates = _refitted([f for f in hopeful if f.total_gain > first_gain], state, executor)
+    candidates = _refit_effects([t for t in tests if t.total_gain > first_gain], state, executor)
     if best_candidate(candidates) is None:
-        candidates += _refitted(
-            [f for f in hopeful if f.total_gain <= first_gain], state, executor
+        candidates += _refit_effects(
+            [t for t in tests if t.total_gain <= first_gain], state, executor
         )
     return candidates
 
@@ -206,12 +209,12 @@ def best_candidate(candidates: Iterable[Candidate]) -> Candidate | None:
     return min(significant, key=lambda candidate: candidate.cv.rms, default=None)
 
 
-def _refitted(
+def _refit_effects(
     tests: Sequence[ScoreTest], state: SelectionState, executor: Executor
 ) -> list[Candidate]:
-    """Refit each effect together with the selected ones, unless its initial error is large."""
+    """Refit each effect beside the selected ones, unless its start values have a large error."""
     clean, selected = state.clean, state.selected
-    starts = executor.map(lambda test: _start(test, state), tests)
+    starts = executor.map(lambda test: _start_values(test, state), tests)
     errors = executor.map(lambda start: with_effects(clean, [*selected, start]).rms, starts)
     min_rms = min(errors, default=0.0)
 
@@ -219,18 +222,20 @@ def _refitted(
         start, test = pair
         executor.report(f"refitting with {words(start.effect.name)}")
         refined, view = refine(start, clean, selected)
-        return _refitted_together(evaluate(refined, view, state.view, test=test), state, test)
+        return _refit_with_resembling(evaluate(refined, view, state.view, test=test), state, test)
 
-    hopeful = [
-        (start, test)
-        for start, test, rms in zip(starts, tests, errors, strict=True)
-        if rms <= NEAR * min_rms
-    ]
-    return executor.map(refit, hopeful)
+    return executor.map(
+        refit,
+        [
+            (start, test)
+            for start, test, rms in zip(starts, tests, errors, strict=True)
+            if rms <= MAX_START_RATIO * min_rms
+        ],
+    )
 
 
-def _start(test: ScoreTest, state: SelectionState) -> SelectedEffect:
-    """Return the initial guess of a refit.
+def _start_values(test: ScoreTest, state: SelectionState) -> SelectedEffect:
+    """Return the start values of a refit: those of the tangent, or of the best trial of a filter.
 
     For filters of the drive the tangent is misleading: the static response was fitted to the
     command, not to the filtered drive, and the error has a second minimum at which the response
@@ -245,51 +250,54 @@ def _start(test: ScoreTest, state: SelectionState) -> SelectedEffect:
 
     trials = [trial for trial in test.effect.trials(state.view) if trial.physical]
     best = min((guess, *(initial_guess(test.effect, trial, 1.0) for trial in trials)), key=error)
-    neighbours = [with_step(best, name, part) for name in best.free for part in ABOUT]
+    neighbours = [with_step(best, name, step) for name in best.free for step in NEIGHBOURS]
     return min((best, *neighbours), key=error)
 
 
-def _refitted_together(candidate: Candidate, state: SelectionState, test: ScoreTest) -> Candidate:
-    """Refine selected effects that resemble a candidate together with it.
+def _refit_with_resembling(
+    candidate: Candidate, state: SelectionState, test: ScoreTest
+) -> Candidate:
+    """Refine a candidate together with the selected effects that resemble it.
 
     A delay may become physical that way: beside a limit that absorbs a part of it, it differs from
-    recording to recording. With more free parameters than a time this is too expensive.
+    recording to recording. A candidate with several free parameters is expensive to refine, so it
+    must be physical already.
     """
     free = len(candidate.selected.free)
-    alike = [
+    resembling = [
         effect
         for effect in state.selected
         if effect.free and not effect.from_jumps and effect.effect.resembles(candidate.effect)
     ]
-    if not alike or not (free == 1 or (free and candidate.physical)):
+    if not resembling or not (free == 1 or (free and candidate.physical)):
         return candidate
-    unrelated = [effect for effect in state.selected if effect not in alike]
-    refined, view = refine_together([*alike, candidate.selected], state.clean, unrelated)
+    unrelated = [effect for effect in state.selected if effect not in resembling]
+    refined, view = refine_together([*resembling, candidate.selected], state.clean, unrelated)
     return evaluate(refined[-1], view, candidate.without, test=test)
 
 
-def moved_to_other_side(
+def exchange_filter_side(
     state: SelectionState, best: Candidate | None
 ) -> tuple[SelectedEffect, ...] | None:
     """Return the selected effects with a filter on the other side of the hysteresis, if better.
 
     The amplifier rounds reversals of the drive in front of the hysteresis, the filter of a sensor
-    those of the displacement behind it. A filter on the wrong side leaves a residual that looks
+    those of the displacement behind it. A filter on the wrong side causes a residual that looks
     like rate dependence.
 
     best  the best candidate: only filters that resemble it are tried; None: all filters
     """
+    min_rms = state.view.rms if best is None else min(state.view.rms, best.view.rms)
     for k, selected in enumerate(state.selected):
-        exchanged = selected.effect.other_side
-        if exchanged is None or not (best is None or selected.effect.resembles(best.effect)):
+        other_side = selected.effect.other_side
+        if other_side is None or not (best is None or selected.effect.resembles(best.effect)):
             continue
-        preceding, behind = state.selected[:k], state.selected[k + 1 :]
+        preceding, following = state.selected[:k], state.selected[k + 1 :]
         refined, view = refine(
-            replace(selected, effect=exchanged), state.clean, [*preceding, *behind], finer=1
+            replace(selected, effect=other_side), state.clean, [*preceding, *following], finer=1
         )
-        rivals = [state.view.rms] if best is None else [state.view.rms, best.view.rms]
-        if view.rms < OTHER_SIDE * min(rivals):
-            return (*preceding, refined, *behind)
+        if view.rms < OTHER_SIDE * min_rms:
+            return (*preceding, refined, *following)
     return None
 
 
@@ -297,26 +305,28 @@ def _with_slips(state: SelectionState) -> SelectionState | None:
     """Search for clock slips again, beside the selected effects.
 
     The selected effects may have hidden slips in the first search. In the fast half of a chirp a
-    slip resembles a delay of the whole chirp: if a slip is known, slips of the same length are
-    also tried instead of each filter.
+    slip resembles a delay of the whole chirp: if another slip was detected, slips of its length
+    are also tried instead of each filter.
     """
-    if not state.selected or state.view.rms < NOISY * state.view.noise:
+    if not state.selected or state.view.rms < MIN_NOISE_RATIO * state.view.noise:
         return None
     slip = state.faults.get(SLIP)
-    samples = None if slip is None else round(slip.value)
     selections = [state.selected]
     if slip is not None:
         selections += [
-            tuple(effect for effect in state.selected if effect is not filtered)
-            for filtered in state.selected
-            if filtered.effect.response_filter is not None
+            tuple(effect for effect in state.selected if effect is not response_filter)
+            for response_filter in state.selected
+            if response_filter.effect.response_filter is not None
         ]
     for selected in selections:
         view = state.view if selected is state.selected else with_effects(state.clean, selected)
-        fault = find_slips_beside(view, partial(_refit, state, selected), samples)
+        refit = partial(_refit, state, selected)
+        fault = find_slips(view, refit)
+        if fault is None and slip is not None:
+            fault = find_equal_slips(view, refit, round(slip.value))
         if fault is None:
             continue
-        clean = with_tracks(state.clean, _as_recorded(state, fault.tracks))
+        clean = with_tracks(state.clean, _with_recorded_commands(state, fault.tracks))
         if with_effects(clean, selected).rms < state.view.rms:
             faults = {**state.faults, SLIP: fault.merged_with(slip)}
             return state.updated(clean=clean, selected=selected, faults=faults, initial=None)
@@ -326,11 +336,12 @@ def _with_slips(state: SelectionState) -> SelectionState | None:
 def _refit(
     state: SelectionState, selected: Sequence[SelectedEffect], tracks: Sequence[Track]
 ) -> View:
-    return with_effects(with_tracks(state.clean, _as_recorded(state, tracks)), selected)
+    clean = with_tracks(state.clean, _with_recorded_commands(state, tracks))
+    return with_effects(clean, selected)
 
 
-def _as_recorded(state: SelectionState, tracks: Sequence[Track]) -> tuple[Track, ...]:
-    """Return the readings of tracks with the commands as they were recorded."""
+def _with_recorded_commands(state: SelectionState, tracks: Sequence[Track]) -> tuple[Track, ...]:
+    """Return tracks with the readings of these tracks and the commands as recorded."""
     return tuple(
         replace(clean, response=track.response, rows=track.rows, block=track.block)
         for clean, track in zip(state.clean.tracks, tracks, strict=True)

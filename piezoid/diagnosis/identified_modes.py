@@ -1,7 +1,7 @@
 """Findings of modes that the fit of dynamics has identified, excluded from the search for effects.
 
 Recordings that a mode shapes determine its frequency and damping far better than a search for
-effects, and hide everything else there. Hysteresis and slow effects are sought in the recordings
+effects, and hide all other effects. Hysteresis and slow effects are searched in the recordings
 that the mode does not shape.
 """
 
@@ -29,39 +29,39 @@ from piezoid.records.recording import Recording
 
 NAME = "resonance"
 TREND = 3  # degree of the slow motion that no dynamics explain
-_LEAST_P = 1e-12
-RATIO_DOUBT = 0.8  # of the gain ratio: uncertainty by damping and static gain
+MIN_P_VALUE = 1e-12
+MIN_RATIO = 0.8  # of the gain ratio: its uncertainty by damping and static gain
 MIN_RISE = 1.5  # noise and distortion raise a gain by up to 1.2
-# A mode so close that the gain rises further lies within 10 % of the band and would be resolved;
-# noise that grows with speed raised a single line by 24.
+# With a larger rise the mode would be within 10 % of the band and resolved; noise that grows with
+# speed raised a single line by 24.
 MAX_RISE = 6.0
-# Of the part of the motion that a mode would add: tones to 120 Hz into a mode of 160 Hz leave 0.76
-# of it on a Dahl stage and 0.79 on plays, and 0.01 at most without the mode.
+# Of the part of the motion that a mode would add: for tones to 120 Hz and a mode of 160 Hz the
+# residual contains 0.76 of it on a Dahl stage, 0.79 on plays, and at most 0.01 without the mode.
 MIN_SHARE = 0.4
 NOISE_LINES = 3.0  # times the rms of a line of white noise, which a motion must exceed
 RISING_P = 1e-3  # the largest of some hundred lines lies four standard deviations out
 
 
-def split_known_modes(
-    recordings: Sequence[Recording], axis: str, model: AxisModel | None, lab: Lab
+def split_by_mode(
+    recordings: Sequence[Recording], model: AxisModel, lab: Lab
 ) -> tuple[tuple[Recording, ...], tuple[Recording, ...]]:
-    """Split recordings into quasi-static ones to be searched, and those shaped by a known mode.
+    """Split recordings into quasi-static ones to be searched, and those shaped by a mode.
 
     The second part is empty if the model has no mode, or if no recording would remain.
     """
-    dynamics = None if model is None else model.dynamics
+    dynamics = model.dynamics
     if dynamics is None or not resolved_modes(dynamics).any():
         return tuple(recordings), ()
-    return quasi_static(recordings, axis, rig_of(lab, axis))
+    return quasi_static(recordings, model.axis, rig_of(lab, model.axis))
 
 
 def with_modes(
     diagnosis: Diagnosis, model: AxisModel, shaped: Sequence[Recording], final: View
 ) -> Diagnosis:
-    """Return a diagnosis that names the mode of the model's dynamics.
+    """Return a diagnosis with a finding of the largest mode of the dynamics of the model.
 
-    shaped   recordings that it shapes: the errors with and without it are theirs
-    final    view of the searched recordings with every effect in place
+    shaped   recordings that the mode shapes, whose errors the finding states
+    final    view of the searched recordings with every effect in the model
     """
     dynamics = model.dynamics
     if dynamics is None:
@@ -86,7 +86,7 @@ def with_modes(
         held_out_gain=gain,
         held_out_rms_before_m=before_m,
         held_out_rms_after_m=after_m,
-        p_value=min(1.0, _LEAST_P * len(every_effect())),
+        p_value=min(1.0, MIN_P_VALUE * len(every_effect())),
         rms_percent=100.0 * (before_m * gain / diagnosis.stroke_m),
         size=Size(value=frequency_Hz, unit=effect.unit, ci95=(low_Hz, high_Hz)),
         not_separable_from=(),
@@ -105,15 +105,16 @@ def with_modes(
 def _with_rising_gain(
     diagnosis: Diagnosis, bandwidth: BandwidthVerdict | None, final: View
 ) -> Diagnosis:
-    """Name a mode that no fit resolves because the gain still rises where the lines end.
+    """Add a finding of an unresolved mode beyond the band, by a gain that rises towards its end.
 
-    Far below its frequency f_0 a lightly damped mode raises the gain at rest to
+    Below its frequency f_0 a lightly damped mode multiplies the static gain by
 
         r = 1 / (1 - (f / f_0)^2),   f_0 = f / sqrt(1 - 1 / r)
 
-    The gain is that behind the hysteresis of the model, and rises as well where that hysteresis is
+    The gain is that behind the hysteresis of the model, and also rises if that hysteresis is
     wrong: small fast tones on large slow motion have another gain on a Dahl stage than on plays.
-    So the part 1 - 1 / r of the motion at f must be missing from the widest class of hysteresis.
+    The part 1 - 1 / r of the motion at f must therefore be missing from the widest class of
+    hysteresis.
     """
     if bandwidth is None or bandwidth.kind == "first_order" or NAME in diagnosis.names:
         return diagnosis
@@ -122,7 +123,7 @@ def _with_rising_gain(
         return diagnosis
     if unexplained_share(final, peak_Hz) < MIN_SHARE * (1.0 - 1.0 / ratio):
         return diagnosis
-    frequency_Hz, high_Hz = (peak_Hz / sqrt(1.0 - 1.0 / r) for r in (ratio, RATIO_DOUBT * ratio))
+    frequency_Hz, high_Hz = (peak_Hz / sqrt(1.0 - 1.0 / r) for r in (ratio, MIN_RATIO * ratio))
     effect, error = effect_named(NAME), diagnosis.final
     finding = Finding(
         effect=NAME,
@@ -167,7 +168,7 @@ def unexplained_share(view: View, frequency_Hz: float) -> float:
 
 
 def _with_response(diagnosis: Diagnosis, model: AxisModel, dynamics: LinearDynamics) -> Diagnosis:
-    """State that a measured frequency response shows the mode and the recordings do not."""
+    """State that a measured frequency response shows modes that the recordings do not show."""
     assert model.response is not None
     modes = resolved_modes(dynamics)
     if not modes.any():
@@ -194,6 +195,6 @@ def _residual_m(
         moved_m, _ = dynamics.sampled(recording.sampling_rate_Hz).run(drive_V - drive_V[0])
     else:
         moved_m = dynamics.static_gain_m_per_V * (drive_V - drive_V[0])
-    left_m = recording.displacement_m(model.axis) - moved_m
-    time = np.linspace(-1.0, 1.0, len(left_m))
-    return np.asarray(left_m - np.polyval(np.polyfit(time, left_m, TREND), time))
+    residual_m = recording.displacement_m(model.axis) - moved_m
+    time = np.linspace(-1.0, 1.0, len(residual_m))
+    return np.asarray(residual_m - np.polyval(np.polyfit(time, residual_m, TREND), time))

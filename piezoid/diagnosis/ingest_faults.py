@@ -9,20 +9,22 @@ from piezoid.diagnosis.selection import Outcome
 from piezoid.records.recording import Recording
 
 STAMP_FAULTS = ("gap", "duplicate_time", "time_reversed")
-LOST = "lost_readings"
+INVALID = "lost_readings"
 CERTAIN_P = 1e-12  # time stamps and flags are read, not estimated
 CLOCK, SPIKES = "timestamp_fault", "outliers"
 
 
-def with_ingested(outcome: Outcome, recordings: Sequence[Recording], stroke_m: float) -> Outcome:
+def with_ingest_faults(
+    outcome: Outcome, recordings: Sequence[Recording], half_stroke_m: float
+) -> Outcome:
     """Add the faults that ingest detected and repaired to the outcome of a search.
 
     The size of a clock fault is the number of samples that are missing, have a repeated stamp, or
-    by which the clock stepped back, plus the samples of a slip. The size of lost readings is
+    by which the clock stepped back, plus the samples of a slip. The size of invalid readings is
     their largest distance from the motion, in nm.
 
-    recordings  the searched recordings
-    stroke_m    half the range of the displacement
+    recordings     the searched recordings
+    half_stroke_m  half the range of the displacement
     """
     statements = [(r.name, s) for r in recordings for s in r.statements]
     faults, tracks = dict(outcome.faults), outcome.clean.tracks
@@ -36,20 +38,22 @@ def with_ingested(outcome: Outcome, recordings: Sequence[Recording], stroke_m: f
             # each number is rounded to whole samples
             spread=hypot(sqrt(len(counts) / 12.0), slip.spread if slip else 0.0),
             p_value=CERTAIN_P,
-            where=tuple(dict.fromkeys([n for n, _ in stamps] + list(slip.where if slip else ()))),
+            locations=tuple(
+                dict.fromkeys([n for n, _ in stamps] + list(slip.locations if slip else ()))
+            ),
         )
         faults = {CLOCK: clock, **faults}
-    lost_readings = [(name, s) for name, s in statements if s.quantity == LOST]
-    if lost_readings:
-        farthest_nm = 1e9 * max(statement.value or 0.0 for _, statement in lost_readings)
+    invalid = [(name, s) for name, s in statements if s.quantity == INVALID]
+    if invalid:
+        largest_nm = 1e9 * max(statement.value or 0.0 for _, statement in invalid)
         spikes = faults.pop(SPIKES, None)
         readings = Fault(
             tracks=tracks if spikes is None else spikes.tracks,
-            value=farthest_nm,
-            # the true reading is known to the noise
-            spread=max(1e9 * outcome.final.noise * stroke_m, 0.01 * farthest_nm),
+            value=largest_nm,
+            # the error of the true reading is the noise
+            spread=max(1e9 * outcome.final.noise * half_stroke_m, 0.01 * largest_nm),
             p_value=CERTAIN_P,
-            where=tuple(f"{name}: {statement.text}" for name, statement in lost_readings),
+            locations=tuple(f"{name}: {statement.text}" for name, statement in invalid),
         )
         faults = {SPIKES: readings.merged_with(spikes), **faults}
     return replace(outcome, faults=faults)

@@ -1,10 +1,11 @@
 """Search for the initial hysteresis state of each track.
 
-The nuisance class is fitted to rows where that is forgotten: before them the drive has covered its
-whole range since the track began. Hypotheses about the initial state are then compared by how well
-such a class follows a track from its first sample on, each track by itself and all with one, since
-a person cycles a stage the same way every time. Nothing else may pass for memory: a hypothesis
-must lower the error of all tracks together once everything is refitted.
+The nuisance class is fitted to rows that do not depend on the initial state, because the drive has
+covered its whole range since the track began. Hypotheses about the initial state are then compared
+by the error of this class from the first sample on: for each track, and for all tracks with one
+shared hypothesis, because stages are usually cycled in the same way before every recording. A
+hypothesis must also reduce the error of all tracks together after a refit of the nuisance class,
+so that no other effect passes for an initial state.
 
 Source: Krejci (1996) on forgetting; Mayergoyz (1991) on wiping out.
 """
@@ -21,15 +22,15 @@ from piezoid.diagnosis.nuisance_columns import (
     SHARED,
     THRESHOLD,
     BoucWenLaw,
+    bouc_wen_along,
     bouc_wen_columns,
-    rubbed,
-    rubbing,
-    shape,
-    states_under,
+    friction_along,
+    initial_friction,
+    shared_response,
 )
 from piezoid.diagnosis.residual_view import (
     View,
-    cycled,
+    with_cycled_drives,
     with_free_memory,
     with_reversals,
     with_shared_reversals,
@@ -38,79 +39,80 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import SERIAL, Executor
 from piezoid.operators.play import play_columns
 
-COVERED = 0.97  # of the whole range: the initial state is then forgotten
-FEWEST = 4  # rows for a column, or all rows are taken
-CLEARLY = 0.9  # largest misfit, relative to a cycled track, at which another hypothesis is taken
-# A shared hypothesis does as well as individual ones if it leaves at most NEARLY of the power that
-# these remove and AS_GOOD of what they leave.
-NEARLY = 0.025
-AS_GOOD = 1.06
-OTHER_INITIAL_STATES = 0.92  # largest relative error at which other initial states are taken
+COVERED = 0.97  # share of the range after which the initial state no longer matters
+MIN_ROWS_PER_COLUMN = 4  # else all rows are fitted
+MAX_MISFIT_RATIO = 0.9  # largest misfit of another hypothesis, over that of a cycled drive
+# A shared hypothesis is as good as individual ones if its excess of power is at most
+# MAX_EXCESS_EXPLAINED of the power that they explain, and its power at most MAX_POWER_RATIO of
+# theirs.
+MAX_EXCESS_EXPLAINED = 0.025
+MAX_POWER_RATIO = 1.06
+OTHER_INITIAL_STATES = 0.92  # largest relative error at which other initial states are selected
 POINTS = 500  # samples of a track that are compared
-PARTS = (0.15, 0.05, 0.015)  # of half the range, by which reversals are moved
-FARTHEST = 1.2
+STEPS = (0.15, 0.05, 0.015)  # of half the range, by which reversals are changed
+MAX_REVERSAL = 1.2  # of half the range
 
 InitialStates = tuple[View, View]
-"""A view with the best shared hypothesis, and with initial states that fit each track best: both
-the same whatever initial states the view had."""
+"""Views with the best shared hypothesis and with the best initial state of each track; neither
+depends on the initial states that were assumed before."""
 
 
 def with_shared_initial_state(view: View, executor: Executor = SERIAL) -> View:
     """Return the view with the shared initial state of the smallest error."""
-    ways = shared_hypotheses([track.drive for track in view.tracks], view.rest_drive)
+    candidates = shared_hypotheses([track.drive for track in view.tracks], view.rest_drive)
     # a view holds columns for all rows: recompute the best instead of keeping all in memory
-    errors = executor.map(lambda reversals: with_shared_reversals(view, reversals).rms, ways)
-    return with_shared_reversals(view, ways[errors.index(min(errors))])
+    errors = executor.map(lambda reversals: with_shared_reversals(view, reversals).rms, candidates)
+    return with_shared_reversals(view, candidates[errors.index(min(errors))])
 
 
-def with_own_initial_states(view: View, shared: View) -> View:
-    """Fit an initial state to each track, with free corrections of the first states.
+def with_individual_initial_states(view: View, shared: View) -> View:
+    """Fit an initial state to each track, with free corrections of all initial states.
 
     shared  the view with the best shared hypothesis, which is one of the candidates
     """
-    view = cycled(view)
-    weight = _forgetful_weight(view)
+    view = with_cycled_drives(view)
+    weight = _memoryless_weight(view)
     sketches = [_sketch(view, k, weight) for k in range(len(view.tracks))]
     individual = tuple(
         _best_hypothesis(view.nuisance.reversals[k], [s]) for k, s in enumerate(sketches)
     )
-    alike = (_best_hypothesis(view.nuisance.reversals[0], sketches),) * len(sketches)
+    equal = (_best_hypothesis(view.nuisance.reversals[0], sketches),) * len(sketches)
     view = with_free_memory(view)
-    ways = (individual, alike, shared.nuisance.reversals)
-    view = min(view, *(with_reversals(view, reversals) for reversals in ways), key=_error)
+    candidates = (individual, equal, shared.nuisance.reversals)
+    view = min(view, *(with_reversals(view, reversals) for reversals in candidates), key=_error)
     for k, best in enumerate(individual):
         current = view.nuisance.reversals
         view = min(view, with_reversals(view, (*current[:k], best, *current[k + 1 :])), key=_error)
     return view
 
 
-def with_shared_where_as_good(view: View) -> View:
-    """Return the view with one initial state shared by all tracks.
+def with_shared_state_if_as_good(view: View) -> View:
+    """Return the view with the best shared hypothesis, or with cycled drives.
 
-    A shared hypothesis other than cycling the drive over its range must do as well as initial
-    states fitted track by track.
+    The shared hypothesis must be as good as initial states fitted track by track.
     """
     if not view.nuisance.free:
         return view
-    shared = view.cache.get("alike")  # needed for the trials and the null of one effect
+    shared = view.cache.get("shared")  # needed for the trials and the null of one effect
     if shared is None:
-        first, best = cycled(view), with_shared_initial_state(view)
-        shared = best if shared_does_as_well(best, view, first) else first
-        view.cache["alike"] = shared
+        cycled, best = with_cycled_drives(view), with_shared_initial_state(view)
+        shared = best if is_shared_state_as_good(best, view, cycled) else cycled
+        view.cache["shared"] = shared
     return shared
 
 
-def shared_does_as_well(shared: View, individual: View, first: View) -> bool:
-    """Tell whether one shared initial state does as well as initial states fitted track by track.
+def is_shared_state_as_good(shared: View, individual: View, cycled: View) -> bool:
+    """Tell whether one shared initial state is as good as initial states fitted track by track.
 
     A wide class fits almost equally well from almost any initial state; only the true one needs no
     correction.
 
-    first  the view with drives that were cycled
+    cycled  the view with initial states of cycled drives
     """
     individual_power, excess = individual.rms**2, shared.rms**2 - individual.rms**2
     return excess < min(
-        (AS_GOOD - 1.0) * individual_power, NEARLY * (first.rms**2 - individual_power)
+        (MAX_POWER_RATIO - 1.0) * individual_power,
+        MAX_EXCESS_EXPLAINED * (cycled.rms**2 - individual_power),
     )
 
 
@@ -118,70 +120,70 @@ def _error(view: View) -> float:
     return view.rms
 
 
-def _forgetful_weight(view: View) -> Array:
-    """Fit the shared coefficients to rows at which the initial state is forgotten."""
-    is_forgotten = np.concatenate([_forgotten(t.drive)[t.rows] for t in view.tracks])
+def _memoryless_weight(view: View) -> Array:
+    """Fit the shared coefficients to rows that do not depend on the initial state."""
+    rows = np.concatenate([_has_covered_range(t.drive)[t.rows] for t in view.tracks])
     columns = np.hstack([view.nuisance.columns, view.selected])
-    if np.count_nonzero(is_forgotten) < FEWEST * columns.shape[1]:
+    if np.count_nonzero(rows) < MIN_ROWS_PER_COLUMN * columns.shape[1]:
         return view.weight
-    null = Null(
-        columns=columns[is_forgotten],
-        response=view.response[is_forgotten],
-        block=view.block[is_forgotten],
-    )
+    null = Null(columns=columns[rows], response=view.response[rows], block=view.block[rows])
     return null.fit(null.response)[: view.nuisance.shared]
 
 
-def _forgotten(drive: Array) -> Array:
-    """Return at which samples the drive has covered the whole range, 2, since the first."""
+def _has_covered_range(drive: Array) -> Array:
+    """Tell for each sample whether the drive has covered the whole range since the first."""
     span = np.maximum.accumulate(drive) - np.minimum.accumulate(drive)
     return np.asarray(span > COVERED * 2.0)
 
 
 def _best_hypothesis(first: Reversals, sketches: Sequence["_Sketch"]) -> Reversals:
-    """Return the initial state of the smallest misfit, refined reversal by reversal."""
+    """Return the initial state with the smallest misfit, refined reversal by reversal.
+
+    first  initial state of a cycled drive, returned unless another one is clearly better
+    """
 
     def misfit(reversals: Reversals) -> float:
         return sum(sketch.misfit(reversals) ** 2 for sketch in sketches)
 
     best = min(hypotheses(sketches[0].drive), key=misfit)
-    for part in PARTS:
-        for position in range(len(best)):
-            neighbours = [_turned(best, position, sign * part) for sign in (1.0, -1.0)]
+    for step in STEPS:
+        for k in range(len(best)):
+            neighbours = [_with_step(best, k, sign * step) for sign in (1.0, -1.0)]
             best = min(best, *neighbours, key=misfit)
-    return best if misfit(best) < CLEARLY**2 * misfit(first) else first
+    return best if misfit(best) < MAX_MISFIT_RATIO**2 * misfit(first) else first
 
 
-def _turned(reversals: Reversals, position: int, step: float) -> Reversals:
-    reversal = min(max(reversals[position] + step, -FARTHEST), FARTHEST)
-    return (*reversals[:position], reversal, *reversals[position + 1 :])
+def _with_step(reversals: Reversals, k: int, step: float) -> Reversals:
+    reversal = min(max(reversals[k] + step, -MAX_REVERSAL), MAX_REVERSAL)
+    return (*reversals[:k], reversal, *reversals[k + 1 :])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Sketch:
-    """A track at few samples and its reversals, on which hypotheses are tried.
+    """A track at some samples and its reversals, on which hypotheses are compared.
 
-    began      (states,)         friction after a drive that was cycled before
-    friction   (points, states)  from there
-    remembers  (points, states)  the part of its beginning that is not forgotten
+    initial_friction  (states,)         friction states after a cycled drive
+    friction          (points, states)  friction states along the track from there
+    decay             (points, states)  share of a change of the initial state that remains
     """
 
     weight: Array
     bouc_wen: BoucWenLaw | None
     drive: Array
     response: Array
-    began: Array
+    initial_friction: Array
     friction: Array
-    remembers: Array
+    decay: Array
 
     def misfit(self, reversals: Reversals) -> float:
         """Return the standard deviation of the residual under a hypothesis."""
         states, _ = play_columns(self.drive, THRESHOLD, memory_after(self.drive, reversals))
-        rubs = self.friction + (rubbed(self.drive, reversals) - self.began) * self.remembers
-        model = shape(states, rubs, self.drive, self.weight[:SHARED])
+        difference = initial_friction(self.drive, reversals) - self.initial_friction
+        friction = self.friction + difference * self.decay
+        model = shared_response(states, friction, self.drive, self.weight[:SHARED])
         if self.bouc_wen:
-            bent = states_under(self.bouc_wen, reversals, self.drive)
-            model = model + bouc_wen_columns(bent, self.drive) @ self.weight[SHARED:]
+            state = bouc_wen_along(self.bouc_wen, reversals, self.drive)
+            model = model + bouc_wen_columns(state, self.drive) @ self.weight[SHARED:]
         return float(np.std(model - self.response))
 
 
@@ -191,14 +193,14 @@ def _sketch(view: View, k: int, weight: Array) -> _Sketch:
     reversals = np.flatnonzero(step[1:] * step[:-1] < 0) + 1
     spread = np.linspace(0, len(track.drive) - 1, POINTS).astype(int)
     points = np.unique([*spread, *reversals[:POINTS]])
-    began = rubbed(track.drive, hypotheses(track.drive)[0])
+    first_friction = initial_friction(track.drive, hypotheses(track.drive)[0])
     travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(track.drive)))])
     return _Sketch(
         weight=weight,
         bouc_wen=view.nuisance.bouc_wen,
         drive=np.asarray(track.drive[points]),
         response=np.asarray(track.response[points]),
-        began=began,
-        friction=rubbing(track.drive, began)[points],
-        remembers=np.exp(-travelled[points][:, None] / REACH),
+        initial_friction=first_friction,
+        friction=friction_along(track.drive, first_friction)[points],
+        decay=np.exp(-travelled[points][:, None] / REACH),
     )

@@ -1,6 +1,6 @@
 """Hypotheses of earlier reversals of a drive, and the initial states after them.
 
-Of all that a drive did, later turns wipe out those between them.
+A reversal wipes out all earlier reversals that it exceeds.
 
 Source: Krejci (1996); Mayergoyz (1991) on wiping out.
 """
@@ -14,12 +14,12 @@ from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
 
 RANDOM_HYPOTHESES = 16
-ONCE, TWICE = 9, 5  # places of turns to try
-FREE = 4  # number of deliberate histories that do not depend on 0 V
-DECAYING = 24  # turns that end at rest
-ROUND = 0.03  # of a drive's span: so near an end it has come there
-ROUNDS = 3  # that show that a drive goes round
-SAME = 1.4  # times the mean round: a first one that is longer begins a sweep of the frequency
+SINGLE_LEVELS, PAIR_LEVELS = 9, 5  # levels of one reversal, and of each of two
+DELIBERATE = 4  # first hypotheses: histories as laboratories make them
+DECAYING = 24  # reversals of a cycle that decays to rest
+AT_END = 0.03  # of a drive's span: distance from an end below which the drive reaches it
+MIN_CYCLES = 3  # of a periodic drive
+MAX_FIRST_CYCLE = 1.4  # over the mean cycle: a longer first cycle begins a sweep of the frequency
 Reversals = tuple[float, ...]
 
 
@@ -32,15 +32,15 @@ def memory_after(drive: Array, reversals: Sequence[float]) -> Array:
 def hypotheses(drive: Array) -> tuple[Reversals, ...]:
     """Return hypotheses of earlier reversals, cycles over the full range first.
 
-    The others: cycles in the opposite order, rest, decaying cycles about the first value, one or
-    two reversals after rest or an end of the range, and random reversals.
+    These are followed by cycles in the opposite order, rest, decaying cycles about the first
+    value, one or two reversals after rest or an end of the range, and random reversals.
     """
     low, high = min(-1.0, float(drive.min())), max(1.0, float(drive.max()))
-    once = np.linspace(low, high, ONCE + 2)[1:-1].tolist()
-    twice = np.linspace(low, high, TWICE + 2)[1:-1].tolist()
-    chance = np.random.default_rng(RANDOM_HYPOTHESES)
+    single = np.linspace(low, high, SINGLE_LEVELS + 2)[1:-1].tolist()
+    pair = np.linspace(low, high, PAIR_LEVELS + 2)[1:-1].tolist()
+    rng = np.random.default_rng(RANDOM_HYPOTHESES)
     random = [
-        (*chance.uniform((-0.3, -1, -0.3, -1, -0.3, -1), (1, 0.3, 1, 0.3, 1, 0.3)).tolist(),)
+        (*rng.uniform((-0.3, -1, -0.3, -1, -0.3, -1), (1, 0.3, 1, 0.3, 1, 0.3)).tolist(),)
         for _ in range(RANDOM_HYPOTHESES)
     ]
     return (
@@ -48,16 +48,16 @@ def hypotheses(drive: Array) -> tuple[Reversals, ...]:
         (high, low),
         (0.0,),
         _decaying(float(drive[0])),
-        *((end, turn) for end in (low, high, 0.0) for turn in once),
-        *((end, a, b) for end in (low, high) for a in twice for b in twice if a != b),
+        *((end, level) for end in (low, high, 0.0) for level in single),
+        *((end, a, b) for end in (low, high) for a in pair for b in pair if a != b),
         *random,
     )
 
 
-def _decaying(about: float) -> Reversals:
+def _decaying(middle: float) -> Reversals:
     deviations = np.linspace(1.0, 0.0, DECAYING, endpoint=False)
     deviations[1::2] *= -1.0
-    return (*(about + deviations).tolist(),)
+    return (*(middle + deviations).tolist(),)
 
 
 def shared_hypotheses(
@@ -65,62 +65,67 @@ def shared_hypotheses(
 ) -> tuple[tuple[Reversals, ...], ...]:
     """Return hypotheses of earlier reversals for the drives of all recordings.
 
-    Either every drive has the same history, or the first one has it and each further drive
+    Either every drive has the same history, or the first drive has it and each further drive
     continues where the previous one ended. A periodic drive may have started long before its
     recording.
 
     rest_drive  the drive at 0 V
     """
-    single_drive = [_on_purpose(drive, rest_drive) for drive in drives]
-    extremes = [
-        np.array(_left_by((), drive)) for drive in drives
-    ]  # extremes that a later drive depends on
-    rounds = [_round_of(drive) for drive in drives]
+    deliberate = [_deliberate_hypotheses(drive, rest_drive) for drive in drives]
+    extremes = [np.array(_remaining_reversals((), drive)) for drive in drives]
+    cycles = [_earlier_cycle(drive) for drive in drives]
     candidates: list[tuple[Reversals, ...]] = []
-    for led in (False, True) if any(rounds) else (False,):
-        lead = rounds if led else [()] * len(drives)
+    for has_cycles in (False, True) if any(cycles) else (False,):
+        cycle = cycles if has_cycles else [()] * len(drives)
         candidates += [
-            tuple(map(_led, reversals, lead)) for reversals in zip(*single_drive, strict=True)
+            tuple(map(_before_cycle, reversals, cycle))
+            for reversals in zip(*deliberate, strict=True)
         ]
         candidates += [
-            _one_after_another(reversals, extremes, lead) for reversals in single_drive[0]
+            _continued_histories(reversals, extremes, cycle) for reversals in deliberate[0]
         ]
     return tuple(candidates)
 
 
-def _round_of(drive: Array) -> Reversals:
+def _earlier_cycle(drive: Array) -> Reversals:
     """Return the two reversals before a periodic drive; empty if the drive is not periodic."""
     low, high = float(drive.min()), float(drive.max())
-    margin = ROUND * (high - low)
+    margin = AT_END * (high - low)
     at_end = np.flatnonzero((drive < low + margin) | (drive > high - margin))
-    above = drive[at_end] > 0.5 * (low + high)
-    crossed = at_end[1:][above[1:] != above[:-1]]  # arrivals at the opposite end
-    if len(crossed) < 2 * ROUNDS or crossed[1] * (len(crossed) - 1) > 2.0 * SAME * crossed[-1]:
+    is_high = drive[at_end] > 0.5 * (low + high)
+    arrivals = at_end[1:][is_high[1:] != is_high[:-1]]  # at the opposite end
+    if len(arrivals) < 2 * MIN_CYCLES:
         return ()
-    began_there = at_end[0] == 0
-    return (high, low) if above[0] != began_there else (low, high)
+    if arrivals[1] * (len(arrivals) - 1) > 2.0 * MAX_FIRST_CYCLE * arrivals[-1]:
+        return ()
+    starts_at_end = at_end[0] == 0
+    return (high, low) if is_high[0] != starts_at_end else (low, high)
 
 
-def _led(reversals: Reversals, lead: Reversals) -> Reversals:
-    return _left_by(reversals, np.array(lead)) if lead else reversals
+def _before_cycle(reversals: Reversals, cycle: Reversals) -> Reversals:
+    return _remaining_reversals(reversals, np.array(cycle)) if cycle else reversals
 
 
-def _on_purpose(drive: Array, rest_drive: float) -> tuple[Reversals, ...]:
-    free = hypotheses(drive)[:FREE]
-    return (*free, *((*cycled, rest_drive) for cycled in free[:2]))
+def _deliberate_hypotheses(drive: Array, rest_drive: float) -> tuple[Reversals, ...]:
+    first = hypotheses(drive)[:DELIBERATE]
+    return (*first, *((*cycled, rest_drive) for cycled in first[:2]))
 
 
-def _one_after_another(
-    reversals: Reversals, extremes: Sequence[Array], lead: Sequence[Reversals]
+def _continued_histories(
+    reversals: Reversals, extremes: Sequence[Array], cycles: Sequence[Reversals]
 ) -> tuple[Reversals, ...]:
-    histories = [_led(reversals, lead[0])]
-    for end, first in zip(extremes[:-1], lead[1:], strict=True):
-        histories.append(_led(_left_by(histories[-1], end), first))
+    """Return the histories of all drives if each drive continues where the previous one ended.
+
+    extremes  reversals of each drive that a later drive depends on
+    """
+    histories = [_before_cycle(reversals, cycles[0])]
+    for previous, cycle in zip(extremes[:-1], cycles[1:], strict=True):
+        histories.append(_before_cycle(_remaining_reversals(histories[-1], previous), cycle))
     return (*histories,)
 
 
-def _left_by(reversals: Reversals, drive: Array) -> Reversals:
-    """Return the reversals that no later one has wiped out, and the last value.
+def _remaining_reversals(reversals: Reversals, drive: Array) -> Reversals:
+    """Return the reversals that a drive after them does not wipe out, and its last value.
 
     Going back in time, each of them exceeds all later ones. The last value may become a reversal.
     """

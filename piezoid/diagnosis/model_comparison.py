@@ -1,9 +1,9 @@
 """Model comparison: find the confounded effects that could replace a selected effect.
 
-Each confounded effect is refitted in the place of the selected one, with all others in the model.
-The two are not separable on these recordings if the blocks do not lose significantly less with
-the selected effect (Vuong). Blocks may be certain of a difference no larger than that between two
-interpolations of the drive, so a small share of the explained error separates nothing.
+Each confounded effect is refitted instead of the selected effect, with all others in the model.
+The two are not separable on these recordings if the loss over blocks is not significantly smaller
+with the selected effect (Vuong). The difference between two interpolations of the drive may be
+significant, so a small difference does not separate effects either.
 
 Source: Vuong, Econometrica 57 (1989).
 """
@@ -18,13 +18,13 @@ from piezoid.diagnosis.refinement import initial_guess, refine
 from piezoid.diagnosis.refitted_view import SelectedEffect, with_effects
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import score_test
-from piezoid.diagnosis.step_responses import behind_jumps
+from piezoid.diagnosis.step_responses import step_response_view
 from piezoid.formatting import words
 from piezoid.numerics.executor import Executor
 
 MIN_TANGENT_GAIN = 0.5  # of the effect's gain, by a confounded effect that is refitted
 SEPARABLE = 1.96  # standard errors between two effects
-ALIKE = 0.02  # of the explained and of the remaining error: no difference
+MIN_DIFFERENCE = 0.02  # of the explained and of the remaining error, to separate two effects
 
 Confounded = dict[str, tuple[str, ...]]  # names of effects that could replace an effect, by name
 
@@ -76,12 +76,12 @@ def _evaluation_view(
 
     An effect detected in step responses is evaluated on these, where the drive is filtered.
     """
-    jumps = behind_jumps(with_effects(clean, remaining)) if effect.from_jumps else None
-    if jumps is None:
+    if not effect.from_jumps:
         return clean, remaining
-    return jumps, [
-        effect_beside for effect_beside in remaining if effect_beside.effect.drive_filter is None
-    ]
+    step_responses = step_response_view(with_effects(clean, remaining))
+    if step_responses is None:
+        return clean, remaining
+    return step_responses, [other for other in remaining if other.effect.drive_filter is None]
 
 
 def _find_confounded(
@@ -128,10 +128,11 @@ def _evaluate_alternative(
 def is_confounded(alternative: Candidate, candidate: Candidate) -> bool:
     """Tell whether the recordings cannot separate an alternative from a selected effect."""
     if not alternative.physical:
-        # a physically impossible effect with a smaller error: the selected effect is doubtful
+        # an impossible effect with a smaller error raises doubts about the selected effect
         return alternative.cv.rms < candidate.cv.rms
     excess = alternative.cv.rms**2 - candidate.cv.rms**2
     explained = candidate.without.rms**2 - candidate.cv.rms**2
-    if excess < ALIKE * explained and alternative.cv.rms < (1.0 + ALIKE) * candidate.cv.rms:
+    is_small = excess < MIN_DIFFERENCE * explained
+    if is_small and alternative.cv.rms < (1.0 + MIN_DIFFERENCE) * candidate.cv.rms:
         return True
     return paired_z(alternative.cv.loss, candidate.cv.loss) < SEPARABLE

@@ -1,13 +1,14 @@
 """Noise level: find the coordinate on which the white noise of the readings depends.
 
-A sensor may be noisier far out, an amplifier louder while it slews. No mean shows that, and no
-effect of the catalogue explains it. The noise at a sample is the second difference of the error e
-of the static response, into which hysteresis hardly enters,
+A sensor may have more noise at one end of its range, an amplifier while it slews. The mean of the
+residual does not show it, and no effect of the catalogue explains it. The noise at a sample is
+estimated by the second difference of the error e of the static response, which hysteresis hardly
+changes,
 
     d_i^2 = (e_(i-1) - 2 e_i + e_(i+1))^2 / 6,      log d_i^2 = offset of the track + f(x_i) + xi,
 
-xi the logarithm of chi-squared, of mean -1.27. f along one coordinate at a time is tested as for
-a residual: on left-out blocks, against the same logarithms shifted along each recording.
+xi the logarithm of chi-squared, of mean -1.27. Curves f along one coordinate are tested as for a
+residual: on left-out blocks, against the same logarithms shifted along each recording.
 
 Source: Harvey, Econometrica 44 (1976) on regressions of the logarithm; von Neumann (1941) on
 differences.
@@ -27,21 +28,21 @@ from piezoid.records.sample_statistics import step_size
 
 MEAN_LOG = -1.2704  # of chi-squared of one degree: the digamma of 1/2, and log 2
 MIN_NOISE = 1e-3  # of the noise: smaller differences are rounding
-RANGE = (0.02, 0.98)  # quantiles of the level: the quietest and the loudest place
-# The loudest over the quietest: at most 1.5 on an outsider's healthy stages, 1.7 with a delay, and
-# from 3.7 on where the noise grows by the reading or the speed (docs/how_piezoid_decides.md).
+RANGE = (0.02, 0.98)  # quantiles of the noise level that count as its lowest and highest value
+# Highest over lowest level: at most 1.5 on an outsider's healthy stages, 1.7 with a delay, and at
+# least 3.7 if the noise grows with the reading or the speed (docs/how_piezoid_decides.md).
 MIN_RATIO = 2.0
-MIN_SHARE = 0.5  # of the residual's power: below it differences of other structure pass for noise
+MIN_SHARE = 0.5  # of the residual's power: below it other structure passes for noise
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NoiseLevel:
     """Level of the noise along the coordinate that explains most of it.
 
-    score  of the curve of its logarithm
-    local  (rows,)  magnitude of the noise at a row
+    score  of the curve of the logarithm of the noise power
+    local  (rows,)  magnitude of the noise at each row
     level  (rows,)  rms of the noise by the curve
-    view   whose rows these are
+    view   the view with these rows
     """
 
     score: CoordinateScore
@@ -61,9 +62,9 @@ def noise_level(view: View, max_p_value: float) -> NoiseLevel | None:
 
     max_p_value  of the coordinate
 
-    Noise below the converter's resolution cannot be measured, and noise that is a minor part of
-    the residual not separated from the rest. Time is not tested: logarithms are skew, and random
-    signs are no null distribution of a course in time then.
+    Noise below the resolution of the converter cannot be measured. Noise that is a minor part of
+    the residual cannot be separated from other structure. Time is not tested: the distribution of
+    the logarithms is skew, so that random signs are no null distribution.
     """
     if any(step_size(track.response) > view.noise for track in view.tracks):
         return None
@@ -72,7 +73,7 @@ def noise_level(view: View, max_p_value: float) -> NoiseLevel | None:
         return None
     values = np.log(np.maximum(local, MIN_NOISE * view.noise) ** 2)
     offsets = np.column_stack(
-        [view.of_track(k, np.ones(len(t.rows))) for k, t in enumerate(view.tracks)]
+        [view.track_column(k, np.ones(len(t.rows))) for k, t in enumerate(view.tracks)]
     )
     residual = Residual(view=view, null=Null(columns=offsets, response=values, block=view.block))
     surrogates = residual.surrogates(np.random.default_rng(0))
@@ -88,8 +89,8 @@ def noise_level(view: View, max_p_value: float) -> NoiseLevel | None:
 def _local_noise(view: View, k: int) -> Array:
     """Return the magnitude of the noise at the rows of a track.
 
-    It is the typical level where it cannot be measured: next to samples that were never recorded,
-    and where the static response bends by more than the noise from sample to sample.
+    Rows at which it cannot be measured have the typical level: next to samples that were not
+    recorded, and where the second difference of the static response exceeds the noise.
     """
     track, static = view.tracks[k], view.static[k]
     noise = np.full(len(static), np.nan)

@@ -1,17 +1,17 @@
 """p-values as ranks among healthy stages: of a systematic residual, and of evidence for an effect.
 
-Hysteresis of another law than the nuisance class leaves a systematic residual, which no shuffling
+Hysteresis of another law than the nuisance class causes a systematic residual, which no shuffling
 distinguishes from an effect outside the catalogue. Its score is therefore compared with the
-scores of healthy stages of all laws of the zoo. Its rank among n of them is a p-value,
+scores of healthy stages of all laws of the zoo. Its rank among n scores is a p-value,
 
     p = (1 + #{s_i >= s}) / (n + 1),
 
-exactly uniform for a healthy stage that is exchangeable with these, whatever the score is. An
-effect is compared in the same way with the strongest evidence that the diagnosis of a healthy
-stage came upon, named or dismissed: the rms of the effect over that of the structure left beside
-it. That p-value is of any finding in the whole diagnosis, so it needs no factor for the number of
-effects. Limitation: the drives of these stages have unknown histories, so evidence of an initial
-state is not in the table, and an initial state is only ranked among evidence of other effects.
+exactly uniform for a healthy stage that is exchangeable with the stages of the table, whatever the
+score is. An effect is compared in the same way with the strongest evidence in the diagnosis of a
+healthy stage, named or dismissed: the rms of the effect over that of the structure of the
+residual. That p-value applies to any finding of a diagnosis, so it needs no factor for the number
+of effects. Limitation: the drives of these stages have unknown histories, so the table contains no
+evidence of initial states, and an initial state is ranked among evidence of other effects.
 ``python -m benchmarks.zoo.healthy`` makes the table.
 
 Source: Vovk, Gammerman & Shafer, Algorithmic Learning in a Random World (2005), conformal p.
@@ -30,8 +30,8 @@ def structure_score(gain: float, rms: float, noise: float) -> float:
 
     gain  share of the residual's power that the coordinate explains on left-out blocks
 
-    A residual that repeats within a few samples enters the estimate of the noise; what a
-    coordinate explains is not noise.
+    A residual that repeats within a few samples increases the estimate of the noise, so the noise
+    power is at most the unexplained power.
     """
     gain = min(max(gain, 0.0), 1.0)
     noise_power = min(noise**2, (1.0 - gain) * rms**2)
@@ -49,7 +49,7 @@ def rank_p_value(value: float, null_values: Iterable[float]) -> float:
 
 
 def structure_p_value(gain: float, rms: float, noise: float) -> float:
-    """Return the probability of a residual as systematic in a healthy stage."""
+    """Return the probability that a healthy stage has a residual as systematic as this."""
     return rank_p_value(structure_score(gain, rms, noise), _healthy("scores"))
 
 
@@ -59,7 +59,7 @@ def smallest_structure_p_value() -> float:
 
 
 def evidence_p_value(strength: float) -> float:
-    """Return the probability of evidence as strong for any effect in a healthy stage.
+    """Return the probability that a healthy stage shows evidence as strong for any effect.
 
     The strength of a healthy stage without evidence is 0.
     """

@@ -25,7 +25,7 @@ from piezoid.numerics.arrays import Array
 
 MIN_PERIODS = 4.0  # of a wave in a recording
 LINES = 3  # of each recording
-DRIVEN = 4.0  # times the surrounding spectrum: a line of the motion of the stage
+MIN_LINE_RATIO = 4.0  # of a line of the motion of the stage, over the surrounding spectrum
 RESOLVED = 0.9  # periods per recording between two lines; 1 separates two waves
 AROUND = 12  # frequencies on either side that a line is compared with
 MAX_PERIOD = 128  # samples
@@ -33,7 +33,7 @@ ROWS_PER_CELL = 6
 CELLS = 1 << 14  # along a signal, for its spectrum
 HARMONICS, MAINS_HARMONICS = 6, 12
 MAINS_OFFSET_Hz = 0.15  # largest deviation of a power grid from its nominal frequency
-BETTER = 1.15  # times the gain of one wave: needed by a periodic curve of another shape
+MIN_GAIN_RATIO = 1.15  # of a periodic curve of another shape, over the gain of one wave
 
 
 class Peak(NamedTuple):
@@ -47,8 +47,8 @@ class Peak(NamedTuple):
 def score_periodic(residual: Residual) -> list[CoordinateScore]:
     """Score the best curves that repeat in time, with the sample index and along signals.
 
-    Of the measured value the static response is taken: the residual is a part of the reading, and
-    a wave as short as the noise would follow it.
+    The coordinate "reading" is here the static response: the residual is a part of the measured
+    value, so that a wave as short as the noise would follow it.
     """
     view = residual.view
     scores = (
@@ -61,7 +61,7 @@ def score_periodic(residual: Residual) -> list[CoordinateScore]:
 
 
 def mains_frequency_Hz(frequency_Hz: float) -> float:
-    """Return the mains frequency of which a line is a harmonic, or 0."""
+    """Return the mains frequency with a harmonic at this frequency, or 0."""
     for nominal_Hz in GRIDS_Hz:
         order = round(frequency_Hz / nominal_Hz)
         if order and abs(frequency_Hz / order - nominal_Hz) < MAINS_OFFSET_Hz:
@@ -88,8 +88,8 @@ def strongest_peaks(spectrum: Array) -> list[Peak]:
 def _score_spectral_lines(residual: Residual) -> CoordinateScore | None:
     """Score the strongest lines of all recordings, in seconds and in samples.
 
-    What repeats with the sample index has another frequency in a recording of another rate. Lines
-    of the stage's own motion are left out: they are unmodelled hysteresis.
+    A line that repeats with the sample index has another frequency at another sampling rate. Lines
+    of the motion of the stage are left out: they are unmodelled hysteresis.
     """
     view = residual.view
     seconds = tuple(track.time_s for track in view.tracks)
@@ -117,7 +117,7 @@ def _score_spectral_lines(residual: Residual) -> CoordinateScore | None:
         in_samples = _score_wave(
             residual, "sample_index", samples, "samples", per_sample, k, p_value
         )
-        if in_samples.gain > BETTER * score.gain:
+        if in_samples.gain > MIN_GAIN_RATIO * score.gain:
             score = in_samples
         if best is None or score.gain > best.gain:
             best = score
@@ -144,7 +144,7 @@ def _driven_lines(static: Array, noise: float) -> Array:
     floor_level = 2.0 * noise / sqrt(count)
     around = np.maximum(median_filter(spectrum, 2 * AROUND + 1, mode="nearest"), floor_level)
     top = np.flatnonzero(spectrum[1:-1] >= np.maximum(spectrum[:-2], spectrum[2:])) + 1
-    top = top[spectrum[top] > DRIVEN * around[top]]
+    top = top[spectrum[top] > MIN_LINE_RATIO * around[top]]
     below, centre, above = (np.log(np.maximum(spectrum[top + j], 1e-300)) for j in (-1, 0, 1))
     curvature = np.minimum(below - 2.0 * centre + above, -1e-9)
     return np.asarray(top + 0.5 * (below - above) / curvature)
@@ -168,7 +168,10 @@ def _score_wave(
 def _refine_frequency(
     residual: Residual, position: Signals, per_unit: float, width: float
 ) -> float:
-    """Return the frequency within a width at which waves explain most in all tracks together."""
+    """Return the frequency near a frequency at which waves of all tracks explain most.
+
+    width  largest difference of the frequency
+    """
     longest = max(float(signal[-1]) for signal in position)
     count = int(np.clip(8.0 * longest * width, 9, 161)) | 1
     frequencies = per_unit + width * np.linspace(-1.0, 1.0, count)
@@ -196,13 +199,13 @@ def _with_harmonics(residual: Residual, line: CoordinateScore) -> CoordinateScor
     for coordinate, per_unit, count in trials:
         waves = wave_basis(residual.view, coordinate, basis.position, per_unit, basis.unit, count)
         score = residual.score(waves, line.p_value)
-        if score.gain > BETTER * best.gain:
+        if score.gain > MIN_GAIN_RATIO * best.gain:
             best = score
     return best
 
 
 def _score_sample_index(residual: Residual) -> CoordinateScore | None:
-    """Score the period in samples whose cells differ most, by the chi-squared of their means."""
+    """Score the period in samples with the largest chi-squared of the means over its samples."""
     view = residual.view
     excess = np.zeros(MAX_PERIOD + 1)  # of chi-squared, in standard deviations
     for period in range(2, MAX_PERIOD + 1):

@@ -1,7 +1,7 @@
 """Refine the nonlinear parameters of an effect, with the whole model refitted at every step.
 
-Tangents only locate an effect; the error with the effect in the model decides. The parameters are
-searched one after the other with decreasing steps.
+Tangents only give start values; the error with the effect in the model decides. The parameters
+are searched one after the other with decreasing steps.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ Refined = tuple[SelectedEffect, View]  # an effect, and the view with it and all
 def initial_guess(effect: Effect, trial: Trial, coefficient: float) -> SelectedEffect:
     """Return an effect with the parameters of its best tangent.
 
-    A coefficient of 1.7 of a filter of the response means a time constant 1.7 times as long.
+    For a filter of the response the time constant is multiplied by the coefficient.
     """
     parameters = dict(trial.parameters)
     if effect.response_filter is not None:
@@ -46,8 +46,8 @@ def refine(
 ) -> Refined:
     """Refine the parameters of an effect beside selected effects by coordinate search.
 
-    finer  number of coarse steps to skip, for parameters that are nearly right
-    start  a view with similar effects
+    finer  number of coarse steps to skip, for parameters near the minimum
+    start  a view with similar effects, to start the rounds of ``with_effects``
     """
     best = effect, _settled_view(clean, [*selected, effect], start)
     for fraction in STEP_FRACTIONS[finer:]:
@@ -61,9 +61,9 @@ def refine_together(
 ) -> tuple[list[SelectedEffect], View]:
     """Refine the parameters of several effects together.
 
-    One after the other follows a curved valley slowly: a limit found without the lag behind it
-    absorbs a part of the lag. The change of one round is therefore extrapolated to the minimum of
-    a parabola.
+    Refining one effect after the other is slow in a curved valley of the error: a limit that was
+    fitted without the lag behind it absorbs a part of the lag. The change of one round is
+    therefore extrapolated to the minimum of a parabola.
 
     Source: Hooke & Jeeves, J. ACM 8 (1961), the pattern move.
     """
@@ -73,15 +73,14 @@ def refine_together(
         remaining = [*selected, *refined[:k], *refined[k + 1 :]]
         refined[k], view = refine(effect, clean, remaining, finer=1, start=view)
 
-    def extrapolated(length: float) -> tuple[list[SelectedEffect], View]:
-        extrapolated_effects = [
-            _extrapolate(a, b, length) for a, b in zip(effects, refined, strict=True)
-        ]
-        return extrapolated_effects, with_effects(clean, [*selected, *extrapolated_effects], view)
+    def extrapolate(length: float) -> tuple[list[SelectedEffect], View]:
+        pairs = zip(effects, refined, strict=True)
+        trial = [_extrapolate(first, second, length) for first, second in pairs]
+        return trial, with_effects(clean, [*selected, *trial], view)
 
-    twice = extrapolated(1.0)
-    length = _vertex(start.rms**2, view.rms**2, twice[1].rms ** 2) - 1.0
-    return min((refined, view), twice, extrapolated(length), key=lambda result: result[1].rms)
+    doubled = extrapolate(1.0)
+    length = _vertex(start.rms**2, view.rms**2, doubled[1].rms ** 2) - 1.0
+    return min((refined, view), doubled, extrapolate(length), key=lambda result: result[1].rms)
 
 
 def with_step(effect: SelectedEffect, name: str, step: float) -> SelectedEffect:
@@ -101,14 +100,17 @@ def _limited(effect: SelectedEffect, name: str, value: float) -> float:
 
 
 def _settled_view(clean: View, effects: Sequence[SelectedEffect], start: View | None) -> View:
-    """Return the view one round beyond where rounds without a start end: steps compare to it."""
+    """Return the view after further rounds from a start, so that steps can be compared with it.
+
+    Without a start the rounds begin at the settled view of the same effects.
+    """
     return with_effects(clean, effects, start or with_effects(clean, effects))
 
 
 def _line_search(
     best: Refined, clean: View, selected: Sequence[SelectedEffect], name: str, fraction: float
 ) -> Refined:
-    """Step to the side that reduces the error, else to the vertex of a parabola through three."""
+    """Step in the direction that reduces the error, else to the vertex of a parabola."""
 
     def trial(origin: Refined, step: float) -> Refined:
         effect = with_step(origin[0], name, step)
@@ -121,16 +123,14 @@ def _line_search(
         if not _is_better(result, best):
             continue
         for _ in range(MAX_STEPS):
-            following = trial(result, step)
-            if not _is_better(following, result):
+            next_result = trial(result, step)
+            if not _is_better(next_result, result):
                 break
-            result = following
+            result = next_result
         return result
     curvature = errors[0] + errors[1] - 2.0 * best[1].rms
     vertex = 0.5 * fraction * (errors[1] - errors[0]) / curvature if curvature > 0.0 else 0.0
-    vertex = min(
-        max(vertex, -fraction), fraction
-    )  # ill-conditioned if the errors are nearly equal
+    vertex = min(max(vertex, -fraction), fraction)  # far away if the errors are nearly equal
     if abs(vertex) <= MIN_VERTEX * fraction:
         return best
     return min(best, trial(best, vertex), key=lambda result: result[1].rms)

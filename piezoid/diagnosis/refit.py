@@ -6,7 +6,7 @@ baseline is the static model with the declared rig and without every effect. A f
 repaired in the recordings themselves, as it was in the search.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,7 +38,7 @@ from piezoid.numerics.arrays import Samples
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 
-CLEARLY_WORSE = 1.1  # times the held-out error of the model without a part
+CLEARLY_WORSE = 1.1  # ratio of held-out errors, of the model with a part over that without it
 FREE_RUNGS = 0.85  # of the error: largest error with free shares of a creep ladder
 SMALL_LAG = 0.1  # of the lag of the model: start value beside a mode that the lag had represented
 STATIC = Structure(lag=False)
@@ -48,14 +48,14 @@ STATIC = Structure(lag=False)
 class ModelErrors:
     """Held-out errors of the model, rms in m.
 
-    baseline_m  of the static model on the recordings as they came, without every effect: with an
-                initial state of its own unless that is one of them
-    final_m     with every effect, faults repaired
-    without_m   with every effect but one, by its name; also without the modes of the dynamics, if
-                these ring in the recordings
+    baseline_m  of the static model without any effect, on unrepaired recordings; it has fitted
+                initial states unless the initial state is a selected effect
+    final_m     of the model with all effects, on repaired recordings
+    without_m   of the model without one effect, by the name of that effect; also without the modes
+                of the dynamics, if these ring in the recordings
     scatter     relative standard error of the mean square of the final error
-    model       that ships: with the fitted lag where no lag or delay was found; unchanged where
-                its class does not apply
+    model       to ship: with a fitted lag if the search selected no lag or delay; the model of the
+                fit if its class does not apply
     """
 
     baseline_m: float
@@ -76,8 +76,8 @@ def attribute_errors(
 ) -> ModelErrors:
     """Compute the errors of the baseline, of the full model, and without each detected effect.
 
-    recordings  those of the search, not repaired
-    model       the axis as fitted to them, or to earlier ones
+    recordings  of the search, not repaired
+    model       the axis as fitted to these or to earlier recordings
     scales      of the search
     """
     outcome, structure = result.outcome, result.structure
@@ -130,76 +130,79 @@ def refit_model(
     recordings      in which the axis moves, faults repaired, in the order of their recording
     estimates       of the effects, by the search
     model           the axis as fitted, from which all refits start
-    lab             its clock is part of the rig
+    lab             declares the clock of the converters
     raw             the recordings, not repaired
-    faults          names of repaired faults: without them the model is fitted to ``raw``
+    faults          names of repaired faults; the error without them is that of a fit to ``raw``
     rows            samples to fit, for each track; None: all, thinned evenly
-    with_structure  the recordings with unexplained structure; None: there is none
-    structure_rows  samples of these to fit
+    with_structure  the recordings before unexplained structure was subtracted; None: there is none
+    structure_rows  samples to fit of these recordings
     """
     extensions, starts, structure = _with_effects(model, recordings, estimates, lab, scales)
     progress("refitting the simulation")
     declared = _declared_hold(lab, model)
-    modes = _known_modes(model, extensions)
+    modes = _identified_modes(model, extensions)
     ringing = [e for e in (*extensions, *modes) if isinstance(e, LinearMode)]
-    unrepaired = _Rows(recordings=raw, samples=None, ringing=ringing)
-    repaired = _Rows(recordings=recordings, samples=rows, ringing=ringing)
+    unrepaired = _FitData(recordings=raw, samples=None, ringing=ringing)
+    repaired = _FitData(recordings=recordings, samples=rows, ringing=ringing)
     baseline = unrepaired.fit(model, declared, STATIC)
     alternatives, without = (baseline.model,), {}
-    final = _best(
-        repaired.fit(model, parts, structure, alternatives)
-        for parts in _with_whole_modes(extensions)
-    )
+    fits = [
+        repaired.fit(model, start, structure, alternatives)
+        for start in _with_full_participation(extensions)
+    ]
+    final = min(fits, key=lambda fit: fit.held_out_rms_m)
     if modes:
         with_modes = in_order([*extensions, *modes])
         ringing_fit = repaired.fit(model, with_modes, structure, alternatives)
         if ringing_fit.held_out_rms_m < CLEARLY_WORSE * final.held_out_rms_m:
             without[RESONANCE], final, extensions = final, ringing_fit, with_modes
-    # A change between recordings leaves none of them with a gain on both sides of it.
+    # after a change between two recordings (place 0) no recording has both gains
     if any(e.effect == "gain_change" and e.parameters["place"] > 0.0 for e in estimates):
         final = _with_later_recordings(final, repaired, structure)
     final = _with_free_rungs(final, repaired, structure)
-    fitted = final.model.extensions
-    plain = STATIC
-    for estimate in estimates:  # a part of the static model that was found is none of the baseline
-        plain = _structure_of(plain, estimate, model, has_effect=False)
-    if plain != STATIC:
-        baseline = unrepaired.fit(final.model, declared, plain, alternatives)
+    fitted_extensions = final.model.extensions
+    baseline_structure = STATIC
+    for estimate in estimates:
+        baseline_structure = _structure_of(baseline_structure, estimate, model, has_effect=False)
+    if baseline_structure != STATIC:
+        baseline = unrepaired.fit(final.model, declared, baseline_structure, alternatives)
     for estimate in estimates:
         progress(f"refitting without {words(estimate.effect)}")
-        removed = starts.get(estimate.effect, ())
-        remaining = [
+        effect_starts = starts.get(estimate.effect, ())
+        remaining_extensions = [
             extension
-            for start, extension in zip(extensions, fitted, strict=True)
-            if not any(start is part for part in removed)
+            for start, extension in zip(extensions, fitted_extensions, strict=True)
+            if not any(start is effect_start for effect_start in effect_starts)
         ]
-        reduced = _structure_of(structure, estimate, model, has_effect=False)
-        without[estimate.effect] = repaired.fit(final.model, remaining, reduced, alternatives)
+        remaining_structure = _structure_of(structure, estimate, model, has_effect=False)
+        without[estimate.effect] = repaired.fit(
+            final.model, remaining_extensions, remaining_structure, alternatives
+        )
     if faults:
-        with_faults = unrepaired.fit(final.model, fitted, structure, alternatives)
+        with_faults = unrepaired.fit(final.model, fitted_extensions, structure, alternatives)
         without |= dict.fromkeys(faults, with_faults)
     if with_structure is not None:
         progress("refitting without the unnamed structure")
-        structured = _Rows(recordings=with_structure, samples=structure_rows, ringing=ringing)
-        without[SOMETHING_ELSE] = structured.fit(final.model, fitted, structure, alternatives)
-    # a refit without a drift would drop a zero that moves
+        data = _FitData(recordings=with_structure, samples=structure_rows, ringing=ringing)
+        without[SOMETHING_ELSE] = data.fit(final.model, fitted_extensions, structure, alternatives)
+    # a refit without drift would lose a baseline that wanders
     drifts = drifting_zeros(model.starts, model.quality.rms_m, model.quality.range_m)
-    ships = starts or (not drifts and (model.verdict.applies or estimates))
+    ships_refit = starts or (not drifts and (model.verdict.applies or estimates))
     return ModelErrors(
         baseline_m=baseline.held_out_rms_m,
         final_m=final.held_out_rms_m,
         without_m={name: fit.held_out_rms_m for name, fit in without.items()},
         scatter=relative_scatter(final.held_m),
-        model=_shipped(model, final, repaired, structure) if ships else model,
+        model=_shipped_model(model, final, repaired, structure) if ships_refit else model,
     )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Rows:
-    """Rows over which joint fits compare.
+class _FitData:
+    """Recordings of joint fits that are compared with each other.
 
-    samples  that may be fitted, for each piece; None: all, thinned evenly
-    ringing  modes whose unresolved ringing is left out of every fit
+    samples  to fit, for each piece; None: all, thinned evenly
+    ringing  modes; rows in which their ringing is not resolved are excluded from every fit
     """
 
     recordings: Sequence[Recording]
@@ -225,15 +228,15 @@ class _Rows:
 
 
 def _declared_hold(lab: Lab, model: AxisModel) -> tuple[ConverterHold, ...]:
-    """Return the hold of the declared clock, as far as the recordings are late at all.
+    """Return the hold of the declared clock, with a delay of at most the lag of the model.
 
-    A generator, or a voltage that was measured, moves between samples.
+    The output of a generator moves between samples, and so does a voltage that was measured.
     """
     clock_Hz = lab.acquisition.sampling_rate_Hz
     if clock_Hz is None:
         return ()
-    late_s = np.inf if model.lag.kind == "none" else model.lag.time_s
-    hold_s = min(0.5 / clock_Hz, late_s)
+    max_hold_s = np.inf if model.lag.kind == "none" else model.lag.time_s
+    hold_s = min(0.5 / clock_Hz, max_hold_s)
     return (ConverterHold(hold_s=hold_s),) if hold_s > 0.0 else ()
 
 
@@ -244,7 +247,7 @@ def _with_effects(
     lab: Lab,
     scales: Scales,
 ) -> tuple[tuple[Extension, ...], dict[str, tuple[Extension, ...]], Structure]:
-    """Return all extensions in their order, those of each effect, and the static structure."""
+    """Return all extensions in model order, the extensions of each effect, and the structure."""
     scaling, structure = scaling_of(model, recordings, scales), STATIC
     starts: dict[str, tuple[Extension, ...]] = {}
     for estimate in estimates:
@@ -252,12 +255,12 @@ def _with_effects(
         if extend is not None:
             starts[estimate.effect] = extend(estimate, scaling)
         structure = _structure_of(structure, estimate, model, has_effect=True)
-    parts = (part for of_effect in starts.values() for part in of_effect)
-    return tuple(in_order([*_declared_hold(lab, model), *parts])), starts, structure
+    extensions = (extension for of_effect in starts.values() for extension in of_effect)
+    return tuple(in_order([*_declared_hold(lab, model), *extensions])), starts, structure
 
 
-def _known_modes(model: AxisModel, extensions: Sequence[Extension]) -> list[LinearMode]:
-    """Return the resolved modes of the dynamics, unless the search has found one."""
+def _identified_modes(model: AxisModel, extensions: Sequence[Extension]) -> list[LinearMode]:
+    """Return the resolved modes of the dynamics; none if the extensions contain a mode."""
     dynamics = model.dynamics
     if dynamics is None or any(isinstance(e, LinearMode) for e in extensions):
         return []
@@ -270,63 +273,59 @@ def _known_modes(model: AxisModel, extensions: Sequence[Extension]) -> list[Line
     ]
 
 
-def _best(fits: Iterable[Extended]) -> Extended:
-    return min(fits, key=lambda fit: fit.held_out_rms_m)
+def _with_full_participation(extensions: tuple[Extension, ...]) -> list[tuple[Extension, ...]]:
+    """Return start values: the extensions as they are, and with participation 1 of every mode.
 
-
-def _with_whole_modes(extensions: tuple[Extension, ...]) -> list[tuple[Extension, ...]]:
-    """Return the extensions, and again with all motion through every mode that carries a part.
-
-    A small fast motion on a large slow one is smaller than the static response of the search says,
-    which lowers the share: from there a fit ended with 0.18 in place of 1.
+    The search underestimates the participation, because small fast motion on large slow motion is
+    smaller than its static response predicts: one fit from there ended with 0.18 instead of 1.
     """
-    whole = tuple(
+    full = tuple(
         replace(e, participation=1.0) if isinstance(e, LinearMode) else e for e in extensions
     )
-    return [extensions] if whole == extensions else [extensions, whole]
+    return [extensions] if full == extensions else [extensions, full]
 
 
 def _structure_of(
     structure: Structure, estimate: EffectEstimate, model: AxisModel, *, has_effect: bool
 ) -> Structure:
-    """Return the static structure with or without an effect that is a part of it."""
+    """Return the static structure with or without an effect; unchanged if it is not structural."""
     structural = effect_named(estimate.effect).structural
     if structural is None:
         return structure
     return structural.structure(structure, model, has_effect)
 
 
-def _with_later_recordings(final: Extended, rows: _Rows, structure: Structure) -> Extended:
-    """Decide by their gains which recordings were made after a change within one of them.
+def _with_later_recordings(final: Extended, data: _FitData, structure: Structure) -> Extended:
+    """Decide by their gains which recordings were made after a gain change within one recording.
 
-    Files are given in the order of their names as often as in that of their time.
+    The order of the files does not tell: it is often that of their names.
     """
     extensions = final.model.extensions
     change = next((e for e in extensions if isinstance(e, GainChange)), None)
-    if change is None or len(rows.recordings) == 1:
+    if change is None or len(data.recordings) == 1:
         return final
 
     def refit(further: Sequence[GainChange], later: tuple[str, ...]) -> Extended:
-        parts = [replace(e, later=later) if isinstance(e, GainChange) else e for e in extensions]
-        return rows.fit(final.model, in_order([*parts, *further]), structure)
+        start = [replace(e, later=later) if isinstance(e, GainChange) else e for e in extensions]
+        return data.fit(final.model, in_order([*start, *further]), structure)
 
-    free = [
+    free_gains = [
         GainChange(recording=recording.name, instant_s=0.0, ratio=1.0)
-        for recording in rows.recordings
+        for recording in data.recordings
         if recording.name != change.recording
     ]
-    fitted = refit(free, ()).model.extensions
-    gains = {e.recording: e.ratio for e in fitted if isinstance(e, GainChange)}
+    fitted_extensions = refit(free_gains, ()).model.extensions
+    gains = {e.recording: e.ratio for e in fitted_extensions if isinstance(e, GainChange)}
     middle = 0.5 * (1.0 + gains[change.recording])
     is_larger = gains[change.recording] > 1.0
-    later = tuple(e.recording for e in free if (gains[e.recording] > middle) == is_larger)
+    later = tuple(e.recording for e in free_gains if (gains[e.recording] > middle) == is_larger)
     if set(later) == set(change.later):
         return final
-    changed = refit((), later)
-    return changed if changed.held_out_rms_m < final.held_out_rms_m else final
+    refitted = refit((), later)
+    return refitted if refitted.held_out_rms_m < final.held_out_rms_m else final
 
 
-def _with_free_rungs(final: Extended, rows: _Rows, structure: Structure) -> Extended:
+def _with_free_rungs(final: Extended, data: _FitData, structure: Structure) -> Extended:
     """Free the share of each rung of a creep ladder if the error is then clearly smaller.
 
     Free rungs also follow hysteresis that differs a little from the model's.
@@ -334,23 +333,26 @@ def _with_free_rungs(final: Extended, rows: _Rows, structure: Structure) -> Exte
     extensions = final.model.extensions
     if not any(isinstance(extension, CreepLadder) for extension in extensions):
         return final
-    free = [replace(e, even=False) if isinstance(e, CreepLadder) else e for e in extensions]
-    refit = rows.fit(final.model, free, structure)
+    free_rungs = [replace(e, even=False) if isinstance(e, CreepLadder) else e for e in extensions]
+    refit = data.fit(final.model, free_rungs, structure)
     return refit if refit.held_out_rms_m < FREE_RUNGS * final.held_out_rms_m else final
 
 
-def _shipped(model: AxisModel, final: Extended, rows: _Rows, structure: Structure) -> AxisModel:
-    """Return the final model with its one lag where the runtime looks for it.
+def _shipped_model(
+    model: AxisModel, final: Extended, data: _FitData, structure: Structure
+) -> AxisModel:
+    """Move the lag from the extensions to the lag of the model, where the runtime reads it.
 
-    A lag that was fitted before any effect was found stands for a mode as well, so beside a mode
-    it also starts from a fraction of its value.
+    Without a lag or delay among the extensions the lag of the model is fitted again. The lag of
+    the first fit also represented any mode, so a fraction of it is a second start value.
     """
     extensions = final.model.extensions
     lag = next((e for e in extensions if isinstance(e, Delay | FirstOrderLag)), None)
     if lag is None:
-        small = replace(model.lag, time_s=SMALL_LAG * model.lag.time_s)
-        first, second = (replace(final.model, lag=lag) for lag in (model.lag, small))
-        return rows.fit(first, extensions, replace(structure, lag=True), (second,)).model
+        small_lag = replace(model.lag, time_s=SMALL_LAG * model.lag.time_s)
+        starts = [replace(final.model, lag=start_lag) for start_lag in (model.lag, small_lag)]
+        with_lag = replace(structure, lag=True)
+        return data.fit(starts[0], extensions, with_lag, starts[1:]).model
     if isinstance(lag, FirstOrderLag):
         model_lag = Lag(kind="first_order", time_s=lag.lag_s)
     elif lag.delay_samples > 0.0:
@@ -367,7 +369,7 @@ def _shipped(model: AxisModel, final: Extended, rows: _Rows, structure: Structur
 
 
 def repaired_faults(outcome: Outcome) -> tuple[str, ...]:
-    """Return the faults that were repaired; the others need a new measurement."""
+    """Return the names of the faults that were repaired; other faults need a new measurement."""
     tracks, names = outcome.first.tracks, []
     for name, fault in outcome.faults.items():
         if any(a is not b for a, b in zip(tracks, fault.tracks, strict=True)):
@@ -384,12 +386,12 @@ def repair_recordings(
     scales: Scales,
 ) -> tuple[Recording, ...]:
     """Apply the changes that a search made to its tracks to the recordings."""
-    pairs = iter(zip(original, repaired, strict=True))
-    return tuple(_repair(recording, axis, pairs, scales) for recording in recordings)
+    track_pairs = iter(zip(original, repaired, strict=True))
+    return tuple(_repair(recording, axis, track_pairs, scales) for recording in recordings)
 
 
 def _repair(
-    recording: Recording, axis: str, pairs: Iterator[tuple[Track, Track]], scales: Scales
+    recording: Recording, axis: str, track_pairs: Iterator[tuple[Track, Track]], scales: Scales
 ) -> Recording:
     change = {
         Quantity.VOLTAGE: np.zeros(recording.samples),
@@ -398,10 +400,10 @@ def _repair(
     for piece in recording.pieces:
         if piece.stop - piece.start < MINIMUM_SAMPLES:
             continue  # too short for a track
-        old, new = next(pairs)
-        change[Quantity.VOLTAGE][piece] = scales.voltage_V * (new.drive - old.drive)
+        original, repaired = next(track_pairs)
+        change[Quantity.VOLTAGE][piece] = scales.voltage_V * (repaired.drive - original.drive)
         change[Quantity.DISPLACEMENT][piece] = scales.displacement_m * (
-            new.response - old.response
+            repaired.response - original.response
         )
     if not any(values.any() for values in change.values()):
         return recording

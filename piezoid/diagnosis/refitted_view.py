@@ -1,4 +1,4 @@
-"""Views with selected effects: the nuisance class refitted with all of them in the model."""
+"""Views with selected effects: the nuisance class refitted beside all of them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,20 +13,20 @@ from piezoid.diagnosis.residual_view import View, with_filtered_commands
 from piezoid.numerics.arrays import Array
 
 POLYNOMIAL_DEGREE = 3
-QUIET = 0.03  # of the power of ringing in the recording that rings most
-ROWS_PER_COLUMN = 2  # of quiet recordings
+MAX_RINGING = 0.03  # power of ringing over that in the recording that rings most: none below it
+ROWS_PER_COLUMN = 2  # of recordings without ringing
 MAX_ROUNDS = 6  # of fitting the static response and applying effects to it
 SETTLED = 2e-3  # change of the rms below which the rounds end
-AT_LIMIT = 0.03  # of a limit: a parameter as near counts as at it
+AT_LIMIT = 0.03  # relative distance from a limit below which a parameter counts as at the limit
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SelectedEffect:
     """An effect with its nonlinear parameters.
 
-    free        parameters to refine: by which factor (above 1) or step (below) to try
-    limits      ranges of these
-    from_jumps  whether it was detected in step responses, on which it is then evaluated
+    free        parameters to refine, with the factor (above 1) or step (below 1) of a trial
+    limits      ranges of these parameters
+    from_jumps  whether the effect was detected in step responses, and is evaluated on these
     """
 
     effect: Effect
@@ -45,7 +45,7 @@ class SelectedEffect:
 
     @property
     def adds_columns(self) -> bool:
-        """Whether it adds columns with free coefficients."""
+        """Whether the effect adds columns with free coefficients."""
         effect = self.effect
         return (
             effect.columns is not None
@@ -59,10 +59,10 @@ def with_effects(
 ) -> View:
     """Return the view with these effects in the model.
 
-    Effects on the drive change the drive. Filters of the response and columns are made from a
-    static response that is itself fitted beside them, round after round until the error settles.
+    Filters of the drive change the drive. Filters of the response and columns are computed from
+    the static response, which is fitted beside them: in rounds, until the error settles.
 
-    start  a view with similar effects, at whose static response the rounds begin
+    start  a view with similar effects; its static response is the start of the rounds
     """
     view = with_filtered_drive(clean, effects)
     on_response = [effect for effect in effects if effect.effect.drive_filter is None]
@@ -71,7 +71,7 @@ def with_effects(
     ringing_source = without_ringing(view, on_response)
     source, last_rms = view, view.rms
     if start is not None:
-        source, last_rms = replace(view, guess=start.static), start.rms
+        source, last_rms = replace(view, static_override=start.static), start.rms
     for _ in range(MAX_ROUNDS):
         offset = filter_offset(source, on_response)
         columns = effect_columns(source, on_response, ringing_source)
@@ -83,9 +83,9 @@ def with_effects(
 
 
 def with_filtered_drive(clean: View, effects: Sequence[SelectedEffect]) -> View:
-    """Return the view with effects applied that filter the drive.
+    """Return the view with the filters of the drive applied.
 
-    The last such view is cached: refining effects of the response asks for it again and again.
+    The last such view is cached, because each step of refining another effect needs it.
     """
     filters = [effect for effect in effects if effect.effect.drive_filter is not None]
     if not filters:
@@ -100,9 +100,9 @@ def with_filtered_drive(clean: View, effects: Sequence[SelectedEffect]) -> View:
 
 
 def _filter_drive(filters: Sequence[SelectedEffect], command: Array, rate_Hz: float) -> Array:
-    for limit in filters:
-        assert limit.effect.drive_filter is not None
-        command = limit.effect.drive_filter(command, rate_Hz, limit.parameters)
+    for selected in filters:
+        assert selected.effect.drive_filter is not None
+        command = selected.effect.drive_filter(command, rate_Hz, selected.parameters)
     return command
 
 
@@ -136,42 +136,44 @@ def effect_columns(view: View, effects: Sequence[SelectedEffect], ringing_source
 
 
 def without_ringing(view: View, effects: Sequence[SelectedEffect]) -> View:
-    """Return a view whose static response contains no ringing; the same if no effect is a mode.
+    """Return a view with a static response without ringing; the same view if no effect is a mode.
 
-    A periodic drive puts its harmonics on a mode, and plays follow periodic ringing as if it were
-    hysteresis. A mode of quality factor Q amplifies the ringing in that static response Q times,
-    so that columns made from it lead away from the mode. The hysteresis is therefore taken from
-    slow recordings, or from a polynomial of the drive, which cannot ring, if there are none or if
-    its modes explain more: what follows a few loops may be far off along other drives.
+    Harmonics of a periodic drive excite a mode, and plays can follow periodic ringing as if it
+    were hysteresis. A mode of quality factor Q amplifies the ringing in such a static response Q
+    times, so that columns computed from it do not resemble the mode. The hysteresis is therefore
+    fitted to recordings without ringing. If there are too few, or if the modes explain more with
+    it, a polynomial of the drive replaces it: hysteresis fitted to a few loops may be wrong along
+    other drives.
     """
     modes = [effect for effect in effects if effect.effect.may_be_absorbed]
-    if not modes or view.guess is not None:
+    if not modes or view.static_override is not None:
         return view
     polynomial = with_polynomial_response(view)
     power = np.sum(effect_columns(polynomial, modes, polynomial) ** 2, axis=1)
     edges = view.nuisance.edges
-    mean = np.array([power[a:b].mean() for a, b in pairwise(edges)])
-    is_quiet = np.repeat(mean < QUIET * mean.max(), np.diff(edges))
+    mean = np.array([power[first:stop].mean() for first, stop in pairwise(edges)])
+    rows = np.repeat(mean < MAX_RINGING * mean.max(), np.diff(edges))
     columns = view.nuisance.columns
-    if np.count_nonzero(is_quiet) < ROWS_PER_COLUMN * columns.shape[1]:
+    if np.count_nonzero(rows) < ROWS_PER_COLUMN * columns.shape[1]:
         return polynomial
-    null = Null(
-        columns=columns[is_quiet], response=view.response[is_quiet], block=view.block[is_quiet]
-    )
+    null = Null(columns=columns[rows], response=view.response[rows], block=view.block[rows])
     weight = null.fit(null.response)[: view.nuisance.shared]
     static = tuple(view.nuisance.static(k, weight) for k in range(len(view.tracks)))
 
     def error(source: View) -> float:
         return replace(view, selected=effect_columns(source, modes, source)).rms
 
-    return min(replace(view, guess=static), polynomial, key=error)
+    return min(replace(view, static_override=static), polynomial, key=error)
 
 
 def with_polynomial_response(view: View) -> View:
-    """Return the view with polynomials of the drive as static responses, unless given."""
-    if view.guess is not None:
+    """Return the view with polynomials of the drive as static responses.
+
+    A view with other static responses than the fitted ones stays as it is.
+    """
+    if view.static_override is not None:
         return view
-    drive, static = view.of(lambda _, track: track.drive), view.rows(view.static)
-    polynomial = np.polyfit(drive, static, POLYNOMIAL_DEGREE)
-    guess = tuple(np.asarray(np.polyval(polynomial, track.drive)) for track in view.tracks)
-    return replace(view, guess=guess)
+    drive, response = view.column(lambda _, track: track.drive), view.rows(view.static)
+    polynomial = np.polyfit(drive, response, POLYNOMIAL_DEGREE)
+    static = tuple(np.asarray(np.polyval(polynomial, track.drive)) for track in view.tracks)
+    return replace(view, static_override=static)

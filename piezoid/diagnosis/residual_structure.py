@@ -2,9 +2,9 @@
 
 Effects are searched first. If the residual is then systematic along one coordinate, the curve
 along it is subtracted from the readings and the search is repeated: an effect that had absorbed
-the structure is not found again, and effects that it had hidden are. A curve that explains clearly
-more than a selected effect replaces it, because a wrong name is worse than none. The second search
-is accepted if its error is clearly smaller.
+the structure is not found again, and effects that the structure had hidden are found. A curve that
+explains clearly more than a selected effect replaces it, because a wrong name is worse than none.
+The second search is accepted if its error is clearly smaller.
 """
 
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from piezoid.diagnosis.coordinate_bases import Signals, displacement_basis
 from piezoid.diagnosis.coordinate_scores import SURROGATES, CoordinateScore, Residual
 from piezoid.diagnosis.coordinate_tests import fit_time_course, score_coordinates
+from piezoid.diagnosis.diagnosis import Unexplained
 from piezoid.diagnosis.null_distribution import (
     rank_p_value,
     smallest_structure_p_value,
@@ -36,26 +37,8 @@ MAINS_COORDINATES = ("frequency", "line_phase")
 MIN_NOISE_RATIO = 1.1  # residual/noise; below it a limit of the amplifier explains a plateau
 MAX_P_VALUE = 0.02  # of one coordinate, by surrogates: the second of 99
 MAX_HEALTHY_P_VALUE = 0.05  # of a residual as systematic in a healthy stage
-REPLACES = 0.9  # of the error with the effect: largest error with a curve instead
-BETTER = 0.97  # of the error: largest error after the second search
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class UnexplainedResidual:
-    """Residual of the named effects, in scaled units.
-
-    rms         beyond the noise, before any structure is subtracted
-    share       of the residual's power
-    p_value     probability that a healthy stage leaves as systematic a residual
-    coordinate  that explains most of it
-    gain        share of its power that this coordinate explains, on left-out blocks
-    """
-
-    rms: float
-    share: float
-    p_value: float
-    coordinate: str
-    gain: float
+MAX_CURVE_RATIO = 0.9  # largest error with a curve instead of an effect, over that with the effect
+MAX_SECOND_RATIO = 0.97  # largest error after the second search, over that after the first
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,9 +49,9 @@ class ResidualStructure:
     curve            (samples,) of every track
     share            of the residual's power above the noise
     residual         (rows,)
-    view             whose residual this is
-    healthy_p_value  probability that a healthy stage leaves as systematic a residual
-    range_end        of the sensor, if this is the structure
+    view             the view with this residual
+    healthy_p_value  probability of a residual as systematic in a healthy stage
+    range_end        end of the sensor's range, if the structure is one
     """
 
     score: CoordinateScore
@@ -84,7 +67,7 @@ class ResidualStructure:
         """Whether the residual is more systematic than in any healthy stage."""
         return self.range_end is None and self.healthy_p_value <= smallest_structure_p_value()
 
-    def beyond_range(self, k: int) -> NDArray[np.bool_]:
+    def is_beyond_range(self, k: int) -> NDArray[np.bool_]:
         """Tell which samples of a track lie beyond the range of the sensor."""
         if self.range_end is None:
             return np.zeros(len(self.curve[k]), dtype=bool)
@@ -93,18 +76,18 @@ class ResidualStructure:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SearchResult:
-    """A search for effects, with structure of the residual subtracted before it if any was found.
+    """Result of a search for effects, and the structure that was subtracted before it.
 
-    raw                the view of the recordings as they came
+    raw                the view of the unrepaired recordings
     outcome            of the search; its first view is without the structure
-    unexplained        residual of the named effects
+    unexplained        residual of the named effects, before any structure is subtracted
     structure          None if the residual is not systematic along one coordinate
-    without_structure  the search with nothing subtracted, if there is structure
+    without_structure  result of the search with nothing subtracted, if there is structure
     """
 
     raw: View
     outcome: Outcome
-    unexplained: UnexplainedResidual
+    unexplained: Unexplained
     structure: ResidualStructure | None = None
     without_structure: "SearchResult | None" = None
 
@@ -115,18 +98,18 @@ def search_all(view: View, executor: Executor) -> SearchResult:
     executor.report("locating the unexplained residual")
     residual = Residual.of(first.final, _unselected_tangents(first, first.final))
     scores = score_coordinates(residual)
-    without_curve = SearchResult(raw=view, outcome=first, unexplained=_unexplained(first, scores))
+    first_result = SearchResult(raw=view, outcome=first, unexplained=_unexplained(first, scores))
     curve = _structure_replacing_effect(first) or _first_significant(residual, scores, first)
-    best, best_rms = without_curve, BETTER * first.final.rms
+    best, best_rms = first_result, MAX_SECOND_RATIO * first.final.rms
     for structure in (_sensor_range_structure(first), curve):
         if structure is None:
             continue
         executor.report("searching again without this structure")
-        second = search(subtract_structure(view, structure), executor)
+        second = search(_subtract_structure(view, structure), executor)
         if second.final.rms < best_rms:
             best_rms = second.final.rms
             best = replace(
-                without_curve, outcome=second, structure=structure, without_structure=without_curve
+                first_result, outcome=second, structure=structure, without_structure=first_result
             )
     return best
 
@@ -137,11 +120,11 @@ def locate_residual(view: View, outcome: Outcome) -> SearchResult:
     return SearchResult(raw=view, outcome=outcome, unexplained=_unexplained(outcome, scores))
 
 
-def subtract_structure(view: View, structure: ResidualStructure) -> View:
+def _subtract_structure(view: View, structure: ResidualStructure) -> View:
     """Subtract a structure from the view, and drop rows beyond the range of the sensor."""
     tracks = []
     for k, (track, curve) in enumerate(zip(view.tracks, structure.curve, strict=True)):
-        is_measured = ~structure.beyond_range(k)[track.rows]
+        is_measured = ~structure.is_beyond_range(k)[track.rows]
         rows, block = track.rows[is_measured], track.block[is_measured]
         tracks.append(replace(track, response=track.response - curve, rows=rows, block=block))
     return with_tracks(view, tracks)
@@ -151,7 +134,7 @@ def add_structure(view: View, structure: ResidualStructure) -> tuple[Track, ...]
     """Return the tracks of a view with a subtracted structure and its rows restored."""
     tracks = []
     for k, (track, raw) in enumerate(zip(view.tracks, structure.view.tracks, strict=True)):
-        unmeasured = raw.rows[structure.beyond_range(k)[raw.rows]]
+        unmeasured = raw.rows[structure.is_beyond_range(k)[raw.rows]]
         rows = np.union1d(track.rows, unmeasured)
         block = np.interp(rows, raw.rows, raw.block).astype(int)
         response = track.response + structure.curve[k]
@@ -159,12 +142,12 @@ def add_structure(view: View, structure: ResidualStructure) -> tuple[Track, ...]
     return tuple(tracks)
 
 
-def _unexplained(outcome: Outcome, scores: Sequence[CoordinateScore]) -> UnexplainedResidual:
+def _unexplained(outcome: Outcome, scores: Sequence[CoordinateScore]) -> Unexplained:
     final, best = outcome.final, scores[0]
-    significant = max((s.gain for s in scores if s.p_value <= MAX_P_VALUE), default=0.0)
-    power = _power_above_noise(final.rms**2, final.noise**2, min(significant, 1.0))
-    return UnexplainedResidual(
-        rms=sqrt(power),
+    significant_gain = max((s.gain for s in scores if s.p_value <= MAX_P_VALUE), default=0.0)
+    power = _power_above_noise(final.rms**2, final.noise**2, min(significant_gain, 1.0))
+    return Unexplained(
+        rms_m=sqrt(power) * final.half_stroke_m,
         share=power / max(final.rms**2, 1e-300),
         p_value=structure_p_value(best.gain, final.rms, final.noise),
         coordinate=best.coordinate,
@@ -185,17 +168,17 @@ def _share(residual: Residual, gain: float) -> float:
 
 
 def _unselected_tangents(outcome: Outcome, view: View, selected: str = "") -> list[Array]:
-    """Return the tangents, at the rows of a view, of all tested effects but one."""
+    """Return the tangents of all tested effects but one, at the rows of a view."""
     return [
         test.trial.columns
-        for name, test in outcome.screened.items()
+        for name, test in outcome.score_tests.items()
         if name != selected and len(test.trial.columns) == len(view.response)
     ]
 
 
 def _structure_replacing_effect(outcome: Outcome) -> ResidualStructure | None:
     """Return a curve with a clearly smaller error than the effect it replaces."""
-    best, smallest_ratio = None, REPLACES
+    best, smallest_ratio = None, MAX_CURVE_RATIO
     for cause in outcome.causes:
         if cause.effect.structural is not None or cause.selected.from_jumps:
             continue
@@ -213,12 +196,12 @@ def _structure_replacing_effect(outcome: Outcome) -> ResidualStructure | None:
 def _first_significant(
     residual: Residual, scores: Sequence[CoordinateScore], outcome: Outcome
 ) -> ResidualStructure | None:
-    """Return the structure of the largest gain that is rare in surrogates and healthy stages."""
+    """Return the structure with the largest gain that is rare in surrogates and healthy stages."""
     has_mains = MAINS in {cause.effect.name for cause in outcome.causes}
     for score in scores:
         is_line = score.coordinate in MAINS_COORDINATES
         if has_mains and is_line and mains_frequency_Hz(score.basis.per_unit):
-            continue  # interference whose phase wanders or harmonics die out faster than modelled
+            continue  # interference with other harmonics or a faster phase change than modelled
         healthy_p_value = structure_p_value(score.gain, residual.null.rms, residual.view.noise)
         if score.p_value <= MAX_P_VALUE and healthy_p_value <= MAX_HEALTHY_P_VALUE:
             return _structure_along(residual, score, healthy_p_value)
@@ -228,7 +211,7 @@ def _first_significant(
 def _structure_along(
     residual: Residual, score: CoordinateScore, healthy_p_value: float
 ) -> ResidualStructure:
-    """Refit the curve beside the model only: tangents of effects absorb a part of it."""
+    """Refit the curve without tangents of effects, which would absorb a part of it."""
     residual_beside_model = Residual.of(residual.view)
     if score.coordinate == "time":
         fitted = fit_time_course(residual_beside_model, score)

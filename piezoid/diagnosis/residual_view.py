@@ -1,6 +1,6 @@
-"""View of the recordings: nuisance class and selected effects, fitted, with their residual.
+"""View of the recordings: the fit of nuisance class and selected effects, and its residual.
 
-Effects are tested on the static response of the fit at every sample and on its residual at rows.
+Effects are tested on the static response of the fit at all samples and on its residual at rows.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,21 +21,21 @@ from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.sample_statistics import step_size
 
 PAST_RATE_Hz = 1e-9  # sampling rate of turning points before a recording: no limit acts on them
-DIGITS = 9  # of half the stroke: steps of a converter are equal beyond rounding
+DIGITS = 9  # of half the stroke: steps of a converter are equal up to rounding
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class View:
     """Tracks with their nuisance class and the selected effects.
 
-    selected   (rows, columns)  of selected effects, part of the null
-    offset     (rows,)          change of the response by selected filters
-    half_stroke_m  half the range of the displacement: 1 in scaled units
-    voltage_V  half the range of the drive
-    rest_drive  drive at 0 V, in half ranges from its middle
-    guess      static responses that replace the fitted ones, (samples,) for each track
-    one_speed  whether all branches were driven at one speed without jumps: any effect that needs
-               time is then part of the loop width
+    selected         (rows, columns)  of selected effects, part of the null
+    offset           (rows,)          change of the response by selected filters
+    half_stroke_m    half the range of the displacement: 1 in scaled units
+    voltage_V        half the range of the drive
+    rest_drive       drive at 0 V, in half ranges from its middle
+    static_override  (samples,) of every track: static responses instead of the fitted ones
+    one_speed        whether all branches were driven at one speed without jumps, so that effects
+                     that need time only change the loop width
     """
 
     nuisance: NuisanceClass
@@ -44,12 +44,12 @@ class View:
     half_stroke_m: float
     voltage_V: float
     rest_drive: float
-    guess: tuple[Array, ...] | None = None
+    static_override: tuple[Array, ...] | None = None
     one_speed: bool = False
 
     @property
     def tracks(self) -> tuple[Track, ...]:
-        """Return the tracks."""
+        """Return the tracks of the nuisance class."""
         return self.nuisance.tracks
 
     @Once
@@ -69,7 +69,7 @@ class View:
 
     @Once
     def null(self) -> Null:
-        """Return the nuisance class with everything selected."""
+        """Return the null hypothesis: the nuisance class and all selected effects."""
         return Null(
             columns=self.nuisance.columns,
             response=self.response,
@@ -86,8 +86,8 @@ class View:
     @Once
     def static(self) -> tuple[Array, ...]:
         """Return the static response of every track at every sample, without the track's zero."""
-        if self.guess is not None:
-            return self.guess
+        if self.static_override is not None:
+            return self.static_override
         return tuple(self.nuisance.static(k, self.weight) for k in range(len(self.tracks)))
 
     @property
@@ -97,10 +97,10 @@ class View:
 
     @Once
     def noise(self) -> float:
-        """Return the white noise of the response or of a coarse converter, rms.
+        """Return the rms of the white noise, at least that of a coarse converter.
 
-        An error that repeats every other sample looks like noise; a smaller residual shows that it
-        is none.
+        A systematic error that alternates from sample to sample looks like noise, so the noise of
+        a track is at most its residual.
         """
         rows = np.diff(self.nuisance.edges)
         residual = np.add.reduceat(self.null.residual**2, self.nuisance.edges[:-1]) / rows
@@ -108,11 +108,11 @@ class View:
         return float(np.sqrt(np.average(np.minimum(noise, residual), weights=rows)))
 
     def rows(self, signals: Sequence[Array]) -> Array:
-        """Return one column: signals of all tracks at the rows."""
+        """Return the values of signals of all tracks at the rows, (rows,)."""
         return np.concatenate([s[t.rows] for s, t in zip(signals, self.tracks, strict=True)])
 
-    def of(self, signal: Callable[[int, Track], Array]) -> Array:
-        """Return one column: a signal computed for each track, at the rows."""
+    def column(self, signal: Callable[[int, Track], Array]) -> Array:
+        """Compute a signal for each track, and return its values at the rows, (rows,)."""
         return self.rows([signal(k, track) for k, track in enumerate(self.tracks)])
 
     def track_rows(self, k: int) -> slice:
@@ -120,15 +120,15 @@ class View:
         edges = self.nuisance.edges
         return slice(int(edges[k]), int(edges[k + 1]))
 
-    def of_track(self, k: int, values: Array) -> Array:
-        """Return a column that is zero outside one track."""
+    def track_column(self, k: int, values: Array) -> Array:
+        """Return values at the rows of one track, and zero at all other rows, (rows,)."""
         column = np.zeros(self.nuisance.edges[-1])
         column[self.track_rows(k)] = values
         return column
 
 
 def _noise(response: Array) -> float:
-    # readings that stay on one step of a converter do not differ, and err by a part of the step
+    # readings on one step of a converter do not differ, but have an error of up to half the step
     step = step_size(np.round(response, DIGITS))
     return max(white_noise_rms(response), step / sqrt(12.0))
 
@@ -136,7 +136,7 @@ def _noise(response: Array) -> float:
 def view_of(
     tracks: Sequence[Track], *, half_stroke_m: float, voltage_V: float, rest_drive: float
 ) -> View:
-    """Return the view of tracks, assuming that each drive was cycled over its range before."""
+    """Return the view of tracks, assuming that drives were cycled over their range before."""
     histories = tuple(
         History(track=track, reversals=hypotheses(track.drive)[0]) for track in tracks
     )
@@ -152,13 +152,13 @@ def view_of(
     )
 
 
-def cycled(view: View) -> View:
-    """Return the view with every drive cycled over its range before."""
+def with_cycled_drives(view: View) -> View:
+    """Return the view with initial states of drives that were cycled over their range before."""
     return with_shared_reversals(view, tuple(hypotheses(track.drive)[0] for track in view.tracks))
 
 
 def with_free_memory(view: View) -> View:
-    """Return the view with fitted corrections of the first states of every track."""
+    """Return the view with fitted corrections of the initial state of every track."""
     return replace(view, nuisance=replace(view.nuisance, free=True))
 
 
@@ -179,12 +179,13 @@ def with_shared_reversals(view: View, reversals: tuple[Reversals, ...]) -> View:
 
 def _histories_with(view: View, reversals: tuple[Reversals, ...]) -> tuple[History, ...]:
     return tuple(
-        h.with_reversals(t) for h, t in zip(view.nuisance.histories, reversals, strict=True)
+        history.with_reversals(of_track)
+        for history, of_track in zip(view.nuisance.histories, reversals, strict=True)
     )
 
 
 def with_bouc_wen(view: View, bouc_wen: BoucWenLaw | None) -> View:
-    """Return the view with a Bouc-Wen state of these parameters in its nuisance class."""
+    """Return the view with a Bouc-Wen state in its nuisance class, or with none."""
     return replace(view, nuisance=replace(view.nuisance, bouc_wen=bouc_wen))
 
 
@@ -196,7 +197,7 @@ def with_filtered_commands(view: View, drive_filter: Callable[[Array, float], Ar
     Reversals before a recording, assumed to be slow, are filtered as well.
     """
     commands = [drive_filter(track.command, track.rate_Hz) for track in view.tracks]
-    if all(a is b.command for a, b in zip(commands, view.tracks, strict=True)):
+    if all(command is track.command for command, track in zip(commands, view.tracks, strict=True)):
         return view
     tracks = tuple(
         track
@@ -204,17 +205,18 @@ def with_filtered_commands(view: View, drive_filter: Callable[[Array, float], Ar
         else replace(track, command=command, drive=track.read(command))
         for track, command in zip(view.tracks, commands, strict=True)
     )
-    filtered = tuple(
+    filtered_reversals = tuple(
         tuple(drive_filter(np.array(reversals), PAST_RATE_Hz).tolist()) if reversals else ()
         for reversals in view.nuisance.reversals
     )
-    return with_tracks(with_reversals(view, filtered), tracks)
+    return with_tracks(with_reversals(view, filtered_reversals), tracks)
 
 
 def with_tracks(view: View, tracks: Sequence[Track]) -> View:
-    """Return the view of other tracks, and no selected effects."""
+    """Return the view of other tracks with the same initial states, and no selected effects."""
     histories = tuple(
-        h.on(track) for h, track in zip(view.nuisance.histories, tracks, strict=True)
+        history.with_track(track)
+        for history, track in zip(view.nuisance.histories, tracks, strict=True)
     )
     nuisance = replace(view.nuisance, histories=histories)
     rows = int(nuisance.edges[-1])
@@ -223,5 +225,5 @@ def with_tracks(view: View, tracks: Sequence[Track]) -> View:
         nuisance=nuisance,
         selected=np.zeros((rows, 0)),
         offset=np.zeros(rows),
-        guess=None,
+        static_override=None,
     )

@@ -19,7 +19,7 @@ def blocks_of(rows: int) -> Places:
 
 
 def held_out_residual(y: Array, parts: Sequence[Array]) -> Array:
-    """Return the residual of columns and a constant on rows they were not fitted to, (rows,)."""
+    """Return the residual of columns and a constant on left-out blocks, (rows,)."""
     design = np.column_stack([np.ones(len(y)), *parts])
     residual, fold = np.empty(len(y)), blocks_of(len(y)) % FOLDS
     for out in range(FOLDS):
@@ -30,7 +30,7 @@ def held_out_residual(y: Array, parts: Sequence[Array]) -> Array:
 
 
 def gain_on_blocks(reference: Array, residual: Array) -> tuple[float, float]:
-    """Return the relative reduction of the rms, and its z value over blocks."""
+    """Return the relative reduction of the rms between two residuals, and its z over blocks."""
     block = blocks_of(len(reference))
     gain = 1.0 - float(np.sqrt(np.mean(residual**2) / max(float(np.mean(reference**2)), 1e-300)))
     gains = np.bincount(block, reference**2 - residual**2, BLOCKS).astype(np.float64)
@@ -40,8 +40,8 @@ def gain_on_blocks(reference: Array, residual: Array) -> tuple[float, float]:
 
 def cubic(time_s: Array) -> Array:
     """Return a cubic of time, (rows, 3)."""
-    along = 2.0 * (time_s - time_s[0]) / max(float(np.ptp(time_s)), 1e-30) - 1.0
-    return np.column_stack([along, along**2, along**3])
+    unit = 2.0 * (time_s - time_s[0]) / max(float(np.ptp(time_s)), 1e-30) - 1.0
+    return np.column_stack([unit, unit**2, unit**3])
 
 
 def waves(time_s: Array, frequencies_Hz: Sequence[float]) -> Array:
@@ -52,17 +52,18 @@ def waves(time_s: Array, frequencies_Hz: Sequence[float]) -> Array:
 
 
 def peak_Hz(signal: Array, time_s: Array, near_Hz: float, reach_Hz: float) -> float:
-    """Return the frequency of a signal's line, at the vertex of its power.
+    """Return the frequency of a line of a signal, at the vertex of its power.
 
-    A frequency error of an eighth of a period over the record leaves a fifth of the line, which
-    would be reported as a second line.
+    With a frequency error of an eighth of a period over the recording, a fifth of the line would
+    remain and be reported as a second line.
     """
     frequencies = near_Hz + reach_Hz * np.linspace(-1.0, 1.0, 41)
     power = np.array(
         [abs(np.exp(-2j * np.pi * f * time_s) @ signal) for f in frequencies.tolist()]
     )
     peak = int(np.clip(np.argmax(power), 1, len(frequencies) - 2))
-    left_power, at, right_power = power[peak - 1 : peak + 2].tolist()
-    curved = 2.0 * at - left_power - right_power
-    off = 0.5 * (right_power - left_power) / curved if curved > 0.0 else 0.0
-    return float(frequencies[peak] + (frequencies[1] - frequencies[0]) * np.clip(off, -1.0, 1.0))
+    left, centre, right = power[peak - 1 : peak + 2].tolist()
+    curvature = 2.0 * centre - left - right
+    offset = 0.5 * (right - left) / curvature if curvature > 0.0 else 0.0
+    step_Hz = frequencies[1] - frequencies[0]
+    return float(frequencies[peak] + step_Hz * np.clip(offset, -1.0, 1.0))

@@ -1,4 +1,4 @@
-"""Sample slips: instants after which the readings are some samples late or early.
+"""Sample slips: instants from which on the readings are some samples late or early.
 
 A slip of L samples at sample m of a track adds
 
@@ -8,7 +8,7 @@ x the static response. Of the residual e it explains
 
     G(m, L) = (e . c)^2 / |c - P c|^2,    beta = (e . c) / |c - P c|^2,
 
-P the projection on the nuisance class and on all that resembles a delay: a delay of each track,
+P the projection on the nuisance class and on columns that resemble a delay: a delay of each track,
 the square and the root of speed, acceleration, relaxations. Running sums give all m at once. The
 beta of a slip is near one.
 
@@ -23,18 +23,18 @@ import numpy as np
 from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.segments import Places, Track
-from piezoid.diagnosis.signals import answers_of_others
+from piezoid.diagnosis.signals import other_axis_columns
 from piezoid.numerics.arrays import Array
 from piezoid.operators.filters import relaxed
 
 MAX_LENGTH = 0.1  # of a track
-LENGTHS = 16  # tried, early and late
-INSTANTS = 120  # tried in a track
+LENGTHS = 16  # of trial slips, both early and late
+INSTANTS = 120  # of trial slips in a track
 END_SHARE = 0.03  # of a track at either end, in which no slip is detectable
 MIN_MOTION = 0.02  # of a track's squared speed, after a slip
 MIN_ROWS = 100  # of a track
-MIN_UNSHARED = 3e-3  # of the square of a column: smallest part orthogonal to the null
-BETA_OF_ONE, BETA_OF_MORE = 0.6, 0.2  # smallest beta of a slip of one sample, and of more
+MIN_ORTHOGONAL = 3e-3  # of the square of a column: smallest part orthogonal to the null
+MIN_BETA_OF_ONE, MIN_BETA = 0.6, 0.2  # smallest beta of a slip of one sample, and of longer slips
 RELAXATIONS_s = (3e-4, 3e-3, 3e-2, 0.3, 3.0)
 SAMPLES_PER_REACH = 8000  # of a track, for one sample of reach of a slope
 MAX_ROUNDS = 4  # of placing a slip and fitting the static response again
@@ -42,10 +42,10 @@ MAX_ROUNDS = 4  # of placing a slip and fitting the static response again
 
 @dataclass(frozen=True, kw_only=True)
 class Slip:
-    """One slip.
+    """A slip of the readings against the drive.
 
     track    index of the track
-    instant  first sample that is out of step
+    instant  first sample after the slip
     samples  length, > 0: the readings after it are late; an estimate need not be an integer
     gain     share of the track's squared residual that it explains
     """
@@ -56,7 +56,7 @@ class Slip:
     gain: float
 
 
-def slip_places(slips: Sequence[Slip], tracks: Sequence[Track]) -> tuple[str, ...]:
+def slip_locations(slips: Sequence[Slip], tracks: Sequence[Track]) -> tuple[str, ...]:
     """State the recording of each slip, and its time if the recording is one track."""
     names = [track.name for track in tracks]
     descriptions = []
@@ -68,7 +68,7 @@ def slip_places(slips: Sequence[Slip], tracks: Sequence[Track]) -> tuple[str, ..
 
 
 def max_slip(samples: int) -> int:
-    """Return the length of the longest slip of a track of so many samples."""
+    """Return the length of the longest slip of a track with this number of samples."""
     return int(MAX_LENGTH * samples)
 
 
@@ -78,14 +78,14 @@ def instant_error(samples: int) -> int:
 
 
 def delay_change(static: Array, rows: Places, samples: int) -> Array:
-    """Return the change of a response by a delay of some samples, at some samples."""
+    """Return the change of a static response by a delay of some samples, at the rows."""
     return np.asarray(static[np.clip(rows - samples, 0, len(static) - 1)] - static[rows])
 
 
 def delay_like_null(view: View, *, other_axes: bool = False) -> Null:
-    """Return the view's null with columns of everything else that resembles a delay.
+    """Return the null of a view, extended by columns that resemble a delay.
 
-    other_axes  with the responses to the drives of other axes as well
+    other_axes  whether to add responses to the drives of other axes
     """
     tracks = view.tracks
     speed = [
@@ -94,7 +94,7 @@ def delay_like_null(view: View, *, other_axes: bool = False) -> Null:
     ]
     second = [_slope(v, 2) * track.rate_Hz for v, track in zip(speed, tracks, strict=True)]
     third = [_slope(v, 2) * track.rate_Hz for v, track in zip(second, tracks, strict=True)]
-    columns = [view.of_track(k, speed[k][track.rows]) for k, track in enumerate(tracks)]
+    columns = [view.track_column(k, speed[k][track.rows]) for k, track in enumerate(tracks)]
     columns += [view.rows(second), view.rows(third)]
     columns += [view.rows([np.sign(v) * np.abs(v) ** power for v in speed]) for power in (0.5, 2)]
     for time_s in RELAXATIONS_s:
@@ -103,16 +103,16 @@ def delay_like_null(view: View, *, other_axes: bool = False) -> Null:
             for static, track in zip(view.static, tracks, strict=True)
         ]
         columns.append(view.rows(delayed))
-    columns += [answers_of_others(view)] if other_axes else []
+    columns += [other_axis_columns(view)] if other_axes else []
     return Null(
-        columns=np.column_stack([view.null.every, *(c for c in columns if np.any(c))]),
+        columns=np.column_stack([view.null.all_columns, *(c for c in columns if np.any(c))]),
         response=view.response,
         block=view.block,
     )
 
 
 def _slope(signal: Array, reach: int) -> Array:
-    """Return the mean change per sample, over a reach to either side."""
+    """Return the mean change per sample over a number of samples on either side."""
     padded = np.pad(signal, reach, mode="edge")
     return np.asarray((padded[2 * reach :] - padded[: -2 * reach]) / (2 * reach))
 
@@ -121,9 +121,10 @@ def _slope(signal: Array, reach: int) -> Array:
 class SlipScan:
     """Scores of slips at the rows of one track.
 
-    rows     of the track among all rows
-    static   (samples,)
-    samples  (rows,)  of these rows
+    null     with columns that resemble a delay
+    rows     rows of the track among those of all tracks
+    static   (samples,)  static response of the track
+    samples  (rows,)     samples of the rows
     """
 
     null: Null
@@ -155,26 +156,28 @@ class SlipScan:
         return np.asarray(first[_sums_from(motion, first) > MIN_MOTION * motion.sum()])
 
     def score(self, samples: int, first: Places) -> tuple[Array, Array]:
-        """Return gain and beta of slips of one length from some rows on."""
+        """Return gain and beta of slips of one length that start at some rows."""
         change = delay_change(self.static, self.samples, samples)
         product = _sums_from(self.residual * change, first)
-        square, unshared = self._squares(change, first)
-        is_unshared = unshared > MIN_UNSHARED * square + 1e-300
-        beta = np.where(is_unshared, product / np.where(is_unshared, unshared, 1.0), 0.0)
+        square, orthogonal = self._squares(change, first)
+        is_orthogonal = orthogonal > MIN_ORTHOGONAL * square + 1e-300
+        beta = np.where(is_orthogonal, product / np.where(is_orthogonal, orthogonal, 1.0), 0.0)
         power = float(self.residual @ self.residual) + 1e-300
         return np.asarray(beta * product / power), np.asarray(beta)
 
-    def unshared_part(self, samples: int, first: Places) -> Array:
-        """Return the share of the square of such slips that the null cannot follow."""
-        square, unshared = self._squares(delay_change(self.static, self.samples, samples), first)
-        return np.asarray(unshared / (square + 1e-300))
+    def orthogonal_share(self, samples: int, first: Places) -> Array:
+        """Return the share of the square of such slips that is orthogonal to the null."""
+        square, orthogonal = self._squares(delay_change(self.static, self.samples, samples), first)
+        return np.asarray(orthogonal / (square + 1e-300))
 
     def _squares(self, change: Array, first: Places) -> tuple[Array, Array]:
-        """Return sums of squares of a column from rows on, and of its part beside the null."""
+        """Return the sums of squares of a column from some rows on, and of its orthogonal part."""
         from scipy.linalg import solve_triangular
 
         square = _sums_from(change * change, first)
-        shared = _sums_from(self.null.every[self.rows] * change[:, None], first) / self.null.scale
+        shared = (
+            _sums_from(self.null.all_columns[self.rows] * change[:, None], first) / self.null.scale
+        )
         half = solve_triangular(self.null.factor, shared.T, lower=True)
         return square, np.asarray(square - np.sum(half * half, axis=0))
 
@@ -193,7 +196,7 @@ class SlipScan:
 
 
 def _sums_from(values: Array, first: Places) -> Array:
-    """Return the sums from each of some rows to the end."""
+    """Return the sums from each of these rows to the end."""
     parts = np.add.reduceat(values, first, axis=0)
     return np.asarray(np.cumsum(parts[::-1], axis=0)[::-1])
 
@@ -201,7 +204,7 @@ def _sums_from(values: Array, first: Places) -> Array:
 def strongest_slips(view: View, null: Null) -> list[Slip]:
     """Return the strongest slip of every track, the largest gain first."""
     slips = [_strongest_slip(view, null, k) for k in range(len(view.tracks))]
-    return sorted((s for s in slips if s is not None), key=lambda s: s.gain, reverse=True)
+    return sorted(filter(None, slips), key=lambda slip: slip.gain, reverse=True)
 
 
 def _strongest_slip(view: View, null: Null, k: int) -> Slip | None:
@@ -214,7 +217,7 @@ def _strongest_slip(view: View, null: Null, k: int) -> Slip | None:
     for samples in scan.promising_lengths(first) if len(first) else ():
         gain, beta = scan.score(samples, first)
         # a tangent has the right sign but may be wrong in length, except of one sample
-        low = BETA_OF_ONE if abs(samples) == 1 else BETA_OF_MORE
+        low = MIN_BETA_OF_ONE if abs(samples) == 1 else MIN_BETA
         high = max_slip(len(scan.static)) / abs(samples)
         gain = np.where((beta > low) & (beta < high), gain, 0.0)
         j = int(np.argmax(gain))
@@ -237,11 +240,11 @@ def refine_slip(
 ) -> Slip:
     """Refine the instant of a slip to a sample and its length to an integer.
 
-    refit       refits repaired tracks with the effects of the view; None: it has none
+    refit       refits repaired tracks with the effects of the view; None: the view has no effects
     has_length  whether the length is fixed and only the instant is refined
 
-    The static response is fitted again with the slip undone; the constants and initial states of
-    the tracks are interpolated from rows to all samples.
+    The static response is refitted with the slip undone. The contribution of the zero and of the
+    initial state is interpolated from rows to all samples.
     """
     k, samples = slip.track, round(slip.samples) or int(np.sign(slip.samples))
     slip = replace(slip, samples=samples)
@@ -253,9 +256,9 @@ def refine_slip(
             repaired = refit(repaired.tracks)
         track, static = repaired.tracks[k], repaired.static[k]
         residual = repaired.null.residual[repaired.track_rows(k)]
-        constants = track.response[track.rows] - residual - static[track.rows]
-        samples_of_track = np.arange(len(static))
-        measured = view.tracks[k].response - np.interp(samples_of_track, track.rows, constants)
+        offsets = track.response[track.rows] - residual - static[track.rows]
+        offset = np.interp(np.arange(len(static)), track.rows, offsets)
+        measured = view.tracks[k].response - offset
         refined = _best_neighbour(measured, static, slip, width, reach)
         if refined == slip:
             break
@@ -264,7 +267,11 @@ def refine_slip(
 
 
 def _best_neighbour(measured: Array, static: Array, slip: Slip, width: int, reach: int) -> Slip:
-    """Return the slip of the smallest error within a width of its instant and a reach."""
+    """Return the slip with the smallest error near a slip.
+
+    width  largest difference of the instant, in samples
+    reach  largest difference of the length, in samples
+    """
     n, samples = len(static), int(slip.samples)
     shortest, longest = max(samples - reach, -max_slip(n)), min(samples + reach, max_slip(n))
     first, stop = max(slip.instant - width, 2), min(slip.instant + width, n - 2)
@@ -284,19 +291,15 @@ def _best_neighbour(measured: Array, static: Array, slip: Slip, width: int, reac
 def undo_slip(view: View, slip: Slip) -> View:
     """Return the view of tracks with one slip undone."""
     tracks = list(view.tracks)
-    tracks[slip.track] = in_step(tracks[slip.track], slip)
+    tracks[slip.track] = shift_readings(tracks[slip.track], slip)
     return with_tracks(view, tracks)
 
 
-def in_step(track: Track, slip: Slip) -> Track:
+def shift_readings(track: Track, slip: Slip) -> Track:
     """Shift the readings after a slip back, and drop rows without a reading."""
     samples, count = int(slip.samples), len(track.response)
-    samples_of_track = np.arange(count)
-    source = np.where(
-        samples_of_track >= slip.instant,
-        np.clip(samples_of_track + samples, 0, count - 1),
-        samples_of_track,
-    )
+    index = np.arange(count)
+    source = np.where(index >= slip.instant, np.clip(index + samples, 0, count - 1), index)
     end = slip.instant + 2 + max(-samples, 0)
     is_missing = (track.rows > slip.instant - 3) & (track.rows < end)
     has_reading = ~is_missing & (track.rows + max(samples, 0) < count)

@@ -1,10 +1,11 @@
 """Score tests: gain of each effect by its tangent, compared with placebos.
 
-It tells where to look. Effects are accepted in ``candidate``, after a refit.
+A score test only selects the effects to refit; ``candidate`` decides after the refit.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -13,26 +14,27 @@ from piezoid.diagnosis.effect import Effect, Trial
 from piezoid.diagnosis.residual_view import View
 from piezoid.numerics.arrays import Array
 
-LEAST_SHARE = 0.05
-APART = 0.03  # of a column, by length: smallest part beside the null that separates lag and loop
+MIN_FILTER_SHARE = 0.05  # smallest coefficient of a filter's tangent
+# of the length of a column: smallest part orthogonal to the null that separates a lag from a loop
+MIN_ORTHOGONAL = 0.03
 TINY = 1e-12  # of a column: numerically zero
-Row = tuple[Trial, CrossValidated, Array]
+ValidatedTrial = tuple[Trial, CrossValidated, Array]  # with its columns orthogonal to the null
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ScoreTest:
-    """The best of an effect's trials.
+    """Result of the best trial of an effect.
 
-    trial       the best real one that physics allows, or the best real one
-    cv          what it brings
-    placebo     what the best placebo brings, None where there is none
-    share       rms of what it adds, of the whole stroke
-    bound       the largest such share the data allow, one-sided 95 %
-    floor       the share below which the trial counts its first coefficient as none
-    absorption  how many times more it adds than that: the rest the null takes up
-    physical    whether physics allows it
-    separable   whether the null leaves enough of it to tell it from hysteresis
-    total_gain  1 - rms / rms without, all that comes with it included
+    trial       the best trial with a physically possible coefficient; if none has, the best trial
+    cv          its cross-validated gain
+    placebo     cross-validated gain of the best placebo; None if there is no placebo
+    share       rms of its contribution beyond the null, of the whole stroke
+    bound       upper bound of this share, one-sided 95 %
+    floor       share that corresponds to the smallest coefficient of the trial
+    absorption  rms of its whole contribution over that beyond the null, >= 1
+    physical    whether its coefficient is physically possible
+    separable   whether any trial can be separated from hysteresis
+    total_gain  1 - rms / rms without the effect and its covariates
     """
 
     effect: Effect
@@ -49,12 +51,12 @@ class ScoreTest:
 
 
 def score_test(effect: Effect, view: View) -> ScoreTest | None:
-    """Return the score test of the best trial; None if there is no physical trial."""
+    """Return the score test of the best trial; None if every trial is a placebo or zero."""
     trials = [t for t in effect.trials(view) if np.any(t.columns)] if effect.trials else []
     null = null_of(effect, view)
     if not any(trial.physical for trial in trials):
         return None
-    test = screened(effect, null, trials, one_speed=view.one_speed)
+    test = screen_trials(effect, null, trials, one_speed=view.one_speed)
     null_ratio = null.rms / view.null.rms if effect.covariates is not None else 1.0
     return replace(test, total_gain=1.0 - (1.0 - test.cv.gain) * null_ratio)
 
@@ -68,22 +70,28 @@ def null_of(effect: Effect, view: View) -> Null:
     return replace(view, selected=np.hstack([view.selected, effect.covariates(view)])).null
 
 
-def screened(effect: Effect, null: Null, trials: Sequence[Trial], *, one_speed: bool) -> ScoreTest:
-    """Cross-validate the trials of an effect against a null and select the best one.
+def screen_trials(
+    effect: Effect, null: Null, trials: Sequence[Trial], *, one_speed: bool
+) -> ScoreTest:
+    """Cross-validate the trials of an effect against a null and select the best trial.
 
-    one_speed  whether the view has one speed: effects that need time are then loop width
+    one_speed  whether the view has one speed: effects that need time then change the loop width
     """
-    widths = np.cumsum([0, *(t.columns.shape[1] for t in trials)])
-    across = null.without(np.hstack([t.columns for t in trials]))
-    validated = [
-        (t, null.cross_validated(across[:, a:b], projected=True), across[:, a:b])
-        for t, a, b in zip(trials, widths[:-1], widths[1:], strict=True)
+    edges = np.cumsum([0, *(trial.columns.shape[1] for trial in trials)])
+    orthogonal = null.project_out(np.hstack([trial.columns for trial in trials]))
+    validated: list[ValidatedTrial] = []
+    for trial, (first, stop) in zip(trials, pairwise(edges.tolist()), strict=True):
+        columns = orthogonal[:, first:stop]
+        validated.append((trial, null.cross_validated(columns, projected=True), columns))
+    placebos = [cv for trial, cv, _ in validated if not trial.physical]
+    physical = [result for result in validated if result[0].physical]
+    separable = [
+        result
+        for result in physical
+        if not (one_speed and result[0].needs_time) and _is_separable(result)
     ]
-    placebos = [cv for t, cv, _ in validated if not t.physical]
-    real = [(t, cv, c) for t, cv, c in validated if t.physical]
-    separable = [row for row in real if not (one_speed and row[0].needs_time) and _is_apart(row)]
-    allowed = [row for row in separable if _sound(effect, row[0], row[1])]
-    trial, cv, columns = max(allowed or real, key=lambda row: row[1].gain)
+    possible = [result for result in separable if _is_possible(effect, result[0], result[1])]
+    trial, cv, columns = max(possible or physical, key=lambda result: result[1].gain)
     share, bound = _shares(cv, columns)
     return ScoreTest(
         effect=effect,
@@ -94,41 +102,43 @@ def screened(effect: Effect, null: Null, trials: Sequence[Trial], *, one_speed: 
         bound=bound,
         floor=trial.minimum_coefficient * float(np.sqrt(np.mean(columns[:, 0] ** 2))) / 2.0,
         absorption=_absorption(trial, columns),
-        physical=bool(allowed),
+        physical=bool(possible),
         separable=bool(separable),
         total_gain=cv.gain,
     )
 
 
-def _sound(effect: Effect, trial: Trial, cv: CrossValidated) -> bool:
+def _is_possible(effect: Effect, trial: Trial, cv: CrossValidated) -> bool:
+    """Tell whether the first coefficient of a trial is physically possible."""
     low, high = trial.coefficient_range
     if not trial.unique:
         return False
     if effect.drive_filter is not None or effect.response_filter is not None:
         # the tangent of a filter has the right sign, but its length is off by factors
-        low, high = LEAST_SHARE, float("inf")
+        low, high = MIN_FILTER_SHARE, float("inf")
     return bool(
         low <= cv.coefficient[0] <= high and abs(cv.coefficient[0]) >= trial.minimum_coefficient
     )
 
 
-def _is_apart(row: Row) -> bool:
-    trial, _, across = row
+def _is_separable(result: ValidatedTrial) -> bool:
+    """Tell whether a trial that needs time has a sufficient part orthogonal to the null."""
+    trial, _, orthogonal = result
     if not trial.needs_time:
         return True
     centred = trial.columns[:, 0] - trial.columns[:, 0].mean()
-    return bool(np.linalg.norm(across[:, 0]) >= APART * np.linalg.norm(centred))
+    return bool(np.linalg.norm(orthogonal[:, 0]) >= MIN_ORTHOGONAL * np.linalg.norm(centred))
 
 
-def _absorption(trial: Trial, across: Array) -> float:
+def _absorption(trial: Trial, orthogonal: Array) -> float:
     """Return the ratio of the norm of a trial to its norm orthogonal to the null."""
     centred = trial.columns - trial.columns.mean(axis=0)
-    return max(float(np.linalg.norm(centred) / (np.linalg.norm(across) + TINY)), 1.0)
+    return max(float(np.linalg.norm(centred) / (np.linalg.norm(orthogonal) + TINY)), 1.0)
 
 
-def _shares(cv: CrossValidated, across: Array) -> tuple[float, float]:
+def _shares(cv: CrossValidated, orthogonal: Array) -> tuple[float, float]:
     """Return the rms of a trial beyond the null as a share of the stroke, and its upper bound."""
-    added_rms = float(np.sqrt(np.mean((across @ cv.coefficient) ** 2)))
-    length = np.sqrt(np.mean(across**2, axis=0))
-    doubt = float(np.sqrt(np.sum((length * cv.spread) ** 2)))
-    return added_rms / 2.0, (added_rms + 1.645 * doubt) / 2.0
+    added_rms = float(np.sqrt(np.mean((orthogonal @ cv.coefficient) ** 2)))
+    length = np.sqrt(np.mean(orthogonal**2, axis=0))
+    error = float(np.sqrt(np.sum((length * cv.spread) ** 2)))
+    return added_rms / 2.0, (added_rms + 1.645 * error) / 2.0

@@ -18,12 +18,12 @@ from piezoid.record_json import RecordLayout, fields_of, from_fields, from_json,
 
 SCHEMA = "piezoid.diagnosis/1"
 REMEDY = "Diagnose the recordings again with this version."
-BESIDE = ("schema", "digest", "axes", "since_model")  # the diagnosis at the top of the file
+OTHER_ENTRIES = ("schema", "digest", "axes", "since_model")  # beside the first diagnosis
 NOT_WRITTEN = ("strengths", "model")
-# field -> entry, where they differ
+# field -> entry of the file with another name
 HELD_OUT = {"rms_m": "held_out_rms_m", "rms_percent": "held_out_rms_percent"}
 UNEXPLAINED = {"gain": "coordinate_gain"}
-ABSENT = {"upper_bound_m": "upper_bound", "detection_limit_m": "detection_limit"}
+NOT_DETECTED = {"upper_bound_m": "upper_bound", "detection_limit_m": "detection_limit"}
 
 
 def write_diagnosis(
@@ -46,64 +46,65 @@ def write_diagnosis(
 
 
 def read_diagnosis(content: bytes, location: str = "diagnosis.json") -> Diagnosis:
-    """Read diagnosis.json back: the axis at its top.
+    """Read the diagnosis of the first axis from diagnosis.json.
 
-    Raises ``ParameterFileError`` where a bit was changed, the schema is another, or an entry is
-    missing or of another kind.
+    Raises ``ParameterFileError`` if the digest does not match, the schema is different, or an
+    entry is missing or of another type.
     """
     return read_diagnoses(content, location)[0]
 
 
 def read_diagnoses(content: bytes, location: str = "diagnosis.json") -> tuple[Diagnosis, ...]:
-    """Read the diagnoses of all axes back, the one at the top first; raises the same."""
+    """Read the diagnoses of all axes; raises the same errors as ``read_diagnosis``."""
     record = unseal(content, SCHEMA, location)
     with refusing(SCHEMA, location, remedy=REMEDY):
-        top = {name: entry for name, entry in record.items() if name not in BESIDE}
-        axes = (top, *record.get("axes", {}).values())
+        first = {name: entry for name, entry in record.items() if name not in OTHER_ENTRIES}
+        axes = (first, *record.get("axes", {}).values())
         return tuple(from_json(Diagnosis, axis, LAYOUTS) for axis in axes)
 
 
 def _diagnosis_entries(diagnosis: Diagnosis) -> dict[str, Any]:
     unit = "counts, rms" if "displacement" in diagnosis.counted else "m, rms"
     entries = {n: v for n, v in fields_of(diagnosis).items() if n not in NOT_WRITTEN}
-    absent = [_absent_entries(absence, unit) for absence in diagnosis.not_detected]
-    return _telling({**entries, "not_detected": absent}, "unexplained", "budget", "counted")
+    not_detected = [_not_detected_entries(effect, unit) for effect in diagnosis.not_detected]
+    entries |= {"not_detected": not_detected}
+    return _without_empty(entries, "unexplained", "budget", "counted")
 
 
-def _absent_entries(absent: NotDetected, unit: str) -> dict[str, Any]:
-    entries = [*_renamed(fields_of(absent), ABSENT).items()]
+def _not_detected_entries(effect: NotDetected, unit: str) -> dict[str, Any]:
+    entries = [*_rename(fields_of(effect), NOT_DETECTED).items()]
     return dict([*entries[:2], ("unit", unit), *entries[2:]])
 
 
-def _read_absent(table: Mapping[str, Any]) -> NotDetected:
+def _read_not_detected(table: Mapping[str, Any]) -> NotDetected:
     entries = {name: entry for name, entry in table.items() if name != "unit"}
-    return from_fields(NotDetected, _renamed(_of_known(entries), _turned(ABSENT)))
+    return from_fields(NotDetected, _rename(_check_effect(entries), _invert(NOT_DETECTED)))
 
 
-def _of_known(table: Mapping[str, Any]) -> Mapping[str, Any]:
+def _check_effect(table: Mapping[str, Any]) -> Mapping[str, Any]:
     if table["effect"] not in {SOMETHING_ELSE, *(effect.name for effect in every_effect())}:
         raise ValueError(f"effect {table['effect']!r}, which this version does not know")
     return table
 
 
-def _telling(entries: dict[str, Any], *silent: str) -> dict[str, Any]:
-    """Omit those of some entries that are empty."""
-    return {name: entry for name, entry in entries.items() if name not in silent or entry}
+def _without_empty(entries: dict[str, Any], *optional: str) -> dict[str, Any]:
+    """Omit optional entries that are empty."""
+    return {name: entry for name, entry in entries.items() if name not in optional or entry}
 
 
-def _renamed(entries: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
+def _rename(entries: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
     return {names.get(name, name): entry for name, entry in entries.items()}
 
 
-def _turned(names: Mapping[str, str]) -> dict[str, str]:
+def _invert(names: Mapping[str, str]) -> dict[str, str]:
     return {entry: field for field, entry in names.items()}
 
 
 def _layout(kind: type, names: Mapping[str, str]) -> RecordLayout:
     return RecordLayout(
         kind=kind,
-        write=lambda record: _renamed(fields_of(record), names),
-        read=lambda table: from_fields(kind, _renamed(table, _turned(names))),
+        write=lambda record: _rename(fields_of(record), names),
+        read=lambda table: from_fields(kind, _rename(table, _invert(names))),
     )
 
 
@@ -111,10 +112,10 @@ LAYOUTS = (
     RecordLayout(kind=Diagnosis, write=_diagnosis_entries),
     RecordLayout(
         kind=Finding,
-        write=lambda finding: _telling(fields_of(finding), "coordinate", "law", "seen"),
-        read=lambda table: from_fields(Finding, _of_known(table)),
+        write=lambda finding: _without_empty(fields_of(finding), "coordinate", "law", "seen"),
+        read=lambda table: from_fields(Finding, _check_effect(table)),
     ),
-    RecordLayout(kind=NotDetected, write=fields_of, read=_read_absent),
+    RecordLayout(kind=NotDetected, write=fields_of, read=_read_not_detected),
     _layout(FinalError, HELD_OUT),
     _layout(HeldOut, HELD_OUT),
     _layout(Unexplained, UNEXPLAINED),

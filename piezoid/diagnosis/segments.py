@@ -22,32 +22,32 @@ from piezoid.records.recording import Quantity, Recording
 
 ROWS = 12_000  # of all tracks together
 BLOCKS = 15  # of one track
-FORGOTTEN = 7.0  # time constants of declared poles, to a thousandth
-TURN = 0.03  # of half the drive's range: how far a branch is still reversible,
-LONGEST = 4000  # samples that may take it
-MOST_TURNS = 60  # or twice as many, of one track
+SETTLING = 7.0  # time constants of declared poles, to a thousandth
+REVERSIBLE = 0.03  # of half the drive's range: distance from a reversal in which no wall moves
+MAX_BRANCH = 4000  # samples in which a branch must cover this distance
+MAX_REVERSALS = 60  # of one track, or up to twice as many
 
 Places = NDArray[np.int_]
-SAME = 0.01  # relative difference of rates up to which a recording has the rate of the converter
-APART = 1e-4  # of a pole: nearer ones are one
+EQUAL_RATE = 0.01  # relative difference of a sampling rate from the clock of the converter
+MIN_POLE_DISTANCE = 1e-4  # of a pole: closer poles are moved apart
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Track:
-    """One uninterrupted stretch of one recording of one axis.
+    """An uninterrupted segment of a recording of one axis, in scaled units.
 
-    name      of the recording
-    rate_Hz   sampling rate
-    command   (samples,)  about -1 to 1 over the range of all tracks, at the ceramic
-    drive     (samples,)  the same behind the sensor's declared pole, which commutes with
-                          hysteresis but not with limits of the amplifier
-    sensor_Hz             that pole, None where it is not declared
-    response  (samples,)  displacement over half the stroke, without its middle; it rises with
-                          the drive
+    name          of the recording
+    rate_Hz       sampling rate
+    command       (samples,)  drive at the ceramic, about -1 to 1 over the range of all tracks
+    drive         (samples,)  command behind the declared pole of the sensor, which commutes with
+                  hysteresis but not with limits of the amplifier
+    sensor_Hz     pole of the sensor; None if it is not declared
+    response      (samples,)  displacement over half the stroke, without its middle; it rises with
+                  the drive
     other_drives  scaled drives of other axes that move, by axis
-    rows      (rows,)     samples that are compared
-    block     (rows,)     block of each of these, from 0
-    bridged   (count,)    samples that were never measured: they are not among ``rows``
+    rows          (rows,)     samples that are fitted
+    block         (rows,)     block of each row, from 0
+    bridged       (count,)    samples that were not measured and are not among ``rows``
     """
 
     name: str
@@ -67,7 +67,7 @@ class Track:
         object.__setattr__(self, "response", frozen(self.response, "response"))
 
     def read(self, command: Array) -> Array:
-        """Return another command behind the sensor's pole, the change straight between samples."""
+        """Return the drive of another command, whose change is linear between samples."""
         if command is self.command:
             return self.drive
         return self.drive + behind_pole(command - self.command, self.sensor_Hz, self.rate_Hz)
@@ -79,17 +79,20 @@ class Track:
 
     @Once
     def branches(self) -> tuple[Places, Places]:
-        """Return the reversals of the drive, and where it is ``TURN`` away from them."""
+        """Return reversals of the drive, and the samples at the distance ``REVERSIBLE`` from each.
+
+        A reversal without such a sample is left out.
+        """
         step = np.sign(np.diff(self.drive))
         reversals = np.flatnonzero(step[1:] * step[:-1] < 0) + 1
         pairs = []
-        for turn in reversals[:: max(len(reversals) // MOST_TURNS, 1)].tolist():
-            stretch = self.drive[turn : turn + LONGEST]
-            state = np.flatnonzero(np.abs(stretch - stretch[0]) > TURN)
-            if len(state):
-                pairs.append((turn, turn + int(state[0])))
-        turn, end = np.array(pairs, dtype=int).reshape(-1, 2).T
-        return turn, end
+        for reversal in reversals[:: max(len(reversals) // MAX_REVERSALS, 1)].tolist():
+            branch = self.drive[reversal : reversal + MAX_BRANCH]
+            distant = np.flatnonzero(np.abs(branch - branch[0]) > REVERSIBLE)
+            if len(distant):
+                pairs.append((reversal, reversal + int(distant[0])))
+        starts, ends = np.array(pairs, dtype=int).reshape(-1, 2).T
+        return starts, ends
 
     @Once
     def path(self) -> tuple[Array, Places]:
@@ -115,10 +118,10 @@ def tracks_of(
     *,
     clock_Hz: float | None = None,
 ) -> tuple[Track, ...]:
-    """Cut recordings of one axis into tracks with some ``ROWS`` rows in all.
+    """Return the tracks of recordings of one axis, with about ``ROWS`` rows in all.
 
-    clock_Hz  of the converter, where it is declared: it holds every value for one period, which
-              is half a period of delay in recordings that are slower
+    clock_Hz  of the converter, if declared: it holds every value for one period, which delays the
+              drive of slower recordings by half a period
     """
     pieces = pieces_of(recordings, axis, scales, rig)
     commanded = pieces_of(recordings, axis, scales, Rig())
@@ -127,13 +130,13 @@ def tracks_of(
     tracks = []
     for piece, unfiltered in zip(pieces, commanded, strict=True):
         recording = recordings[piece.recording]
-        first = _first(recording, len(piece.drive), starts.get(piece.recording, 0))
+        first = _first_sample(recording, len(piece.drive), starts.get(piece.recording, 0))
         starts[piece.recording] = first + len(piece.drive)
         bridged = np.array(recording.bridged, dtype=int) - first
         bridged = bridged[(bridged >= 0) & (bridged < len(piece.drive))]
         rows = np.setdiff1d(spread_rows(len(piece.drive), share), bridged)
-        rows = rows[rows >= _settled(piece, rig)]
-        command, drive = _reaching(piece, unfiltered, rig, clock_Hz)
+        rows = rows[rows >= _settling_samples(piece, rig)]
+        command, drive = _command_and_drive(piece, unfiltered, rig, clock_Hz)
         tracks.append(
             Track(
                 name=piece.name,
@@ -151,36 +154,36 @@ def tracks_of(
     return tuple(tracks)
 
 
-def _settled(piece: Piece, rig: Rig) -> int:
-    """Return from which sample on poles have forgotten how fast the drive was before the first.
+def _settling_samples(piece: Piece, rig: Rig) -> int:
+    """Return the number of samples in which the declared poles settle.
 
-    They begin as if it had rested, and it may have run already.
+    Their simulation starts at rest, but the drive may move before the first sample.
     """
     poles_Hz = (rig.amplifier_bandwidth_Hz, rig.sensor_bandwidth_Hz)
     slowest_s = sum(1.0 / (2.0 * np.pi * pole_Hz) for pole_Hz in poles_Hz if pole_Hz)
-    samples = int(np.ceil(FORGOTTEN * slowest_s * piece.sampling_rate_Hz))
+    samples = int(np.ceil(SETTLING * slowest_s * piece.sampling_rate_Hz))
     return min(samples, len(piece.drive) // 10)
 
 
-def _reaching(
-    piece: Piece, commanded: Piece, rig: Rig, clock_Hz: float | None
+def _command_and_drive(
+    piece: Piece, unfiltered: Piece, rig: Rig, clock_Hz: float | None
 ) -> tuple[Array, Array]:
     """Return the drive at the ceramic, and the same drive behind the pole of the sensor.
 
-    piece      drive behind the pole of the amplifier, linear between samples
-    commanded  drive in front of it
+    piece       drive behind the pole of the amplifier, linear between samples
+    unfiltered  drive in front of this pole
     """
     rate_Hz = piece.sampling_rate_Hz
     amplifier_Hz, sensor_Hz = rig.amplifier_bandwidth_Hz, rig.sensor_bandwidth_Hz
     if is_held(rate_Hz, clock_Hz, rig):
-        ceramic = staircase_response(commanded.drive, (amplifier_Hz,), rate_Hz)
-        return ceramic, staircase_response(commanded.drive, (amplifier_Hz, sensor_Hz), rate_Hz)
+        ceramic = staircase_response(unfiltered.drive, (amplifier_Hz,), rate_Hz)
+        return ceramic, staircase_response(unfiltered.drive, (amplifier_Hz, sensor_Hz), rate_Hz)
     delay = 0.0 if clock_Hz is None else 0.5 * rate_Hz / clock_Hz
     command = later(piece.drive, delay) if delay else piece.drive
     return command, behind_pole(command, sensor_Hz, rate_Hz)
 
 
-def _first(recording: Recording, samples: int, earliest: int) -> int:
+def _first_sample(recording: Recording, samples: int, earliest: int) -> int:
     starts = [int(p.start) for p in recording.pieces if p.stop - p.start == samples]
     return next(start for start in starts if start >= earliest)
 
@@ -201,7 +204,7 @@ def _other_drives(recording: Recording, axis: str, first: int, samples: int) -> 
 def is_held(rate_Hz: float, clock_Hz: float | None, rig: Rig) -> bool:
     """Tell whether samples are converter values and a pole of the signal chain is declared."""
     has_bandwidth = rig.amplifier_bandwidth_Hz is not None or rig.sensor_bandwidth_Hz is not None
-    return has_bandwidth and clock_Hz is not None and abs(rate_Hz / clock_Hz - 1.0) < SAME
+    return has_bandwidth and clock_Hz is not None and abs(rate_Hz / clock_Hz - 1.0) < EQUAL_RATE
 
 
 def staircase_response(
@@ -224,8 +227,8 @@ def staircase_response(
     if len(rates) == 1:
         return _behind(command, rates[0] / rate_Hz)
     first, second = rates
-    if abs(second / first - 1.0) < APART:
-        second = first * (1.0 + APART)
+    if abs(second / first - 1.0) < MIN_POLE_DISTANCE:
+        second = first * (1.0 + MIN_POLE_DISTANCE)
     share = second / (second - first)
     return np.asarray(
         share * _behind(command, first / rate_Hz)

@@ -1,10 +1,10 @@
 """Search for causes: faults of the data, forward selection, model comparison.
 
-Every effect gets a score test by its tangents; the shortlist is refitted with the whole model, and
-the one that then leaves the smallest error is selected, if it is significant, physical and clearly
-better than its placebos. All are tested again beside it. At the end each must hold beside all
-others and not be small beside the structure that the nuisance class leaves, and a confounded
-effect that does better replaces it.
+Every effect gets a score test by its tangents. A shortlist is refitted with the whole model, and
+the effect with the smallest error is selected if it is significant, physical and clearly better
+than its placebos. All other effects are then tested again beside it. At the end each selected
+effect must be significant beside all others and not be small beside the structure of the residual,
+and confounded effects that explain as much are reported with it.
 """
 
 from collections.abc import Collection, Mapping
@@ -21,8 +21,8 @@ from piezoid.diagnosis.forward_selection import SLIP, select_forward
 from piezoid.diagnosis.initial_state_search import (
     OTHER_INITIAL_STATES,
     InitialStates,
-    shared_does_as_well,
-    with_own_initial_states,
+    is_shared_state_as_good,
+    with_individual_initial_states,
     with_shared_initial_state,
 )
 from piezoid.diagnosis.model_comparison import Confounded, compare_models
@@ -32,25 +32,24 @@ from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.formatting import words
 from piezoid.numerics.executor import SERIAL, Executor
 
-MOST = 0.65  # share of the power above the noise that unmistakable structure explains
-MOST_REPAIRS = 3
-EVIDENT = 0.5  # of the error: largest error with an evident shared initial state
+CLEAR_SHARE = 0.65  # explained share of the power above the noise from which structure is clear
+MAX_REPAIRS = 3
+EVIDENT = 0.5  # largest relative error at which a shared initial state is evident
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Outcome:
     """Result of a search.
 
-    first       the view of the raw recordings
-    clean       with faults repaired
-    final       with all causes at work
-    faults      by effect
-    causes      every selected effect beside all others
-    confounded  effects that would explain as much in the place of a selected one, by its name
-    screened    the last score test of each effect that was not selected
-    held_back   significant structure beside causes it cannot be separated from
-    dismissed   what was selected, or structure that was significant, and has no name
-    against     why the class does not apply, so that no cause is looked for; empty where it does
+    first        view before any fault was repaired
+    clean        view with faults repaired
+    final        view with all causes in the model
+    faults       by effect
+    causes       every selected effect, evaluated beside all others
+    confounded   effects that would explain as much instead of a selected effect, by its name
+    score_tests  the last score test of each effect that was not selected
+    dismissed    selected effects and significant structure that may not be named
+    rejection    why the model class does not apply and no cause was searched; empty if it applies
     """
 
     first: View
@@ -59,15 +58,19 @@ class Outcome:
     faults: Mapping[str, Fault]
     causes: tuple[Candidate, ...]
     confounded: Confounded
-    screened: Mapping[str, ScoreTest]
-    held_back: tuple[str, ...] = ()
+    score_tests: Mapping[str, ScoreTest]
     dismissed: tuple[Candidate, ...] = ()
-    against: str = ""
+    rejection: str = ""
+
+    @property
+    def inseparable(self) -> tuple[str, ...]:
+        """Return the significant structural effects that the causes cannot be separated from."""
+        return tuple(c.effect.name for c in self.dismissed if c.effect.structural is not None)
 
 
 def search(view: View, executor: Executor = SERIAL) -> Outcome:
     """Search for the causes of the residual of the nuisance class."""
-    clean, faults, initial = repaired(view, executor)
+    clean, faults, initial = repair_faults(view, executor)
     state = select_forward(clean, faults, executor, initial)
     causes, confounded, dismissed = compare_models(state.clean, state.selected, executor)
     final = with_effects(state.clean, [cause.selected for cause in causes])
@@ -79,21 +82,24 @@ def search(view: View, executor: Executor = SERIAL) -> Outcome:
         faults=state.faults,
         causes=tuple(causes),
         confounded=confounded,
-        screened={**_dropped(final, {*named_effects, *state.screened}), **state.screened},
+        score_tests={
+            **_test_dropped_effects(final, {*named_effects, *state.score_tests}),
+            **state.score_tests,
+        },
         dismissed=tuple(dismissed),
     )
     return _with_structure(outcome, executor)
 
 
-def without_causes(view: View, against: str, executor: Executor = SERIAL) -> Outcome:
-    """Look for faults of the data alone, where the class of model does not apply.
+def search_faults(view: View, rejection: str, executor: Executor = SERIAL) -> Outcome:
+    """Search for faults of the data only, because the model class does not apply.
 
-    against  why it does not
+    rejection  why the class does not apply
 
-    Whatever stands for a cause there would stand for the missing class. A slip of the clock is
-    told by readings against a model, and is not looked for either.
+    An effect would compensate for the missing class, and so would a clock slip, which is detected
+    by comparing readings with a model. Neither is searched.
     """
-    clean, faults, _ = repaired(view, executor, but=SLIP)
+    clean, faults, _ = repair_faults(view, executor, skipped=SLIP)
     return Outcome(
         first=view,
         clean=clean,
@@ -101,51 +107,54 @@ def without_causes(view: View, against: str, executor: Executor = SERIAL) -> Out
         faults=faults,
         causes=(),
         confounded={},
-        screened={},
-        against=against,
+        score_tests={},
+        rejection=rejection,
     )
 
 
-def _dropped(final: View, tested: Collection[str]) -> dict[str, ScoreTest]:
-    """Test effects against the final view that were selected and dropped again."""
-    screenings = [
+def _test_dropped_effects(final: View, tested: Collection[str]) -> dict[str, ScoreTest]:
+    """Test effects on the final view that were selected and dropped again."""
+    tests = [
         score_test(effect, final)
         for effect in every_effect()
         if effect.structural is None and effect.name not in tested and not effect.untestable(final)
     ]
-    return {test.effect.name: test for test in screenings if test is not None}
+    return {test.effect.name: test for test in tests if test is not None}
 
 
 def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
-    """Test for missing structure of the nuisance class, beside all causes."""
+    """Test the structural effects, beside all causes."""
     final = outcome.final
     for effect in every_effect():
         if effect.structural is None or effect.untestable(final):
             continue
         executor.report(f"testing {words(effect.name)}")
-        judgement = structural_candidate(effect, final)
-        if judgement is None:
+        result = structural_candidate(effect, final)
+        if result is None:
             continue
-        test, structure = judgement
-        if structure.may_be_named and may_be_named(structure, final):
+        test, structure = result
+        if structure.may_be_named and exceeds_misfit(structure, final):
             outcome = replace(outcome, causes=(*outcome.causes, structure))
             continue
-        outcome = replace(outcome, screened={**outcome.screened, effect.name: test})
+        outcome = replace(outcome, score_tests={**outcome.score_tests, effect.name: test})
         if structure.is_significant:
             outcome = replace(
                 outcome,
-                held_back=(*outcome.held_back, effect.name),
                 dismissed=(*outcome.dismissed, structure),
                 confounded=_with_confounded(outcome.confounded, effect),
             )
     return outcome
 
 
-def may_be_named(structure: Candidate, final: View) -> bool:
-    """Tell whether missing structure may be named: a class that does not fit looks like it."""
-    clear = explained_share(structure.cv.gain, final.rms, final.noise) > MOST
+def exceeds_misfit(structure: Candidate, final: View) -> bool:
+    """Tell whether a structural effect is clear or the nuisance class fits well.
+
+    The residual of a misspecified class resembles missing structure.
+    """
     structural = structure.effect.structural
-    return clear or structural is None or final.rms < structural.largest_noise_ratio * final.noise
+    assert structural is not None
+    is_clear = explained_share(structure.cv.gain, final.rms, final.noise) > CLEAR_SHARE
+    return is_clear or final.rms < structural.largest_noise_ratio * final.noise
 
 
 def _with_confounded(confounded: Confounded, effect: Effect) -> Confounded:
@@ -156,27 +165,29 @@ def _with_confounded(confounded: Confounded, effect: Effect) -> Confounded:
     }
 
 
-def repaired(
-    view: View, executor: Executor, *, but: str = ""
+def repair_faults(
+    view: View, executor: Executor, *, skipped: str = ""
 ) -> tuple[View, dict[str, Fault], InitialStates | None]:
     """Repair faults of the data, and return the repaired view and the faults by effect.
 
     The initial state is the shared hypothesis if it is evident, else a drive cycled over its
     range. The last value holds the fitted initial states, or None if anything was repaired.
 
-    but  name of a fault that is not searched for
+    skipped  name of a fault that is not searched
     """
     faults: dict[str, Fault] = {}
     shared = with_shared_initial_state(view, executor)
-    individual = with_own_initial_states(view, shared)
-    evident = shared.rms < EVIDENT * view.rms and shared_does_as_well(shared, individual, view)
-    believed = shared if evident else view
+    individual = with_individual_initial_states(view, shared)
+    is_evident = shared.rms < EVIDENT * view.rms and is_shared_state_as_good(
+        shared, individual, view
+    )
+    assumed = shared if is_evident else view
     # a wrong initial state looks like lost readings
-    view = individual if individual.rms < OTHER_INITIAL_STATES * believed.rms else believed
+    view = individual if individual.rms < OTHER_INITIAL_STATES * assumed.rms else assumed
     for effect in every_effect():
-        if effect.fault is None or effect.name == but:
+        if effect.fault is None or effect.name == skipped:
             continue
-        for _ in range(MOST_REPAIRS):
+        for _ in range(MAX_REPAIRS):
             executor.report(f"looking for {words(effect.name)}")
             fault = effect.fault.find(view)
             if fault is None:
@@ -186,4 +197,4 @@ def repaired(
                 break
             view = with_tracks(view, fault.tracks)
     initial = (shared, individual) if view.tracks == individual.tracks else None
-    return with_shared_reversals(view, believed.nuisance.reversals), faults, initial
+    return with_shared_reversals(view, assumed.nuisance.reversals), faults, initial

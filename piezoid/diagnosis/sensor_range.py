@@ -2,9 +2,9 @@
 
     y = min(x, L)   or   y = max(x, L)
 
-A limit of the amplifier makes a plateau as well, but there the stage leaves the plateau at the
-drive at which it came; at a limit of the sensor the loop is open. So the hysteresis is fitted
-without the readings on the plateau, and predicts the displacement there.
+A limit of the amplifier causes a plateau as well, but with equal drives at its start and end; at a
+limit of the sensor the loop is open there. The hysteresis is therefore fitted without the readings
+on the plateau, and predicts the displacement there.
 
 Source: Tobin (1958) on censored readings.
 """
@@ -21,16 +21,16 @@ from piezoid.diagnosis.segments import Track
 
 PLATEAU_WIDTH = 5.0  # noise standard deviations on either side of the plateau's median
 MIN_ROWS = 20  # on the plateau, of one recording
-MIN_EXCESS = 8.0  # noise standard deviations that the predicted displacement goes beyond it
+MIN_EXCESS = 8.0  # noise standard deviations of the predicted displacement beyond the plateau
 MIN_DRIVE_RANGE = 20.0  # of noise, in half ranges; at a turning point it is 2 * PLATEAU_WIDTH
 MAX_SHARE = 0.4  # of the rows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SensorRangeEnd:
-    """One end of the sensor's range.
+    """An end of the range of the sensor.
 
-    error  (samples,) of every track: reading less predicted displacement
+    error  (samples,) of every track: reading minus predicted displacement
     level  reading at the end, in half strokes from 0 of the static response
     side   1 at the top, -1 at the bottom
     """
@@ -56,26 +56,27 @@ def find_sensor_range_end(view: View, effects: Sequence[SelectedEffect]) -> Sens
 def _end_on_side(
     view: View, effects: Sequence[SelectedEffect], side: int
 ) -> SensorRangeEnd | None:
-    starts = [_plateau_start(track, side, view.noise) for track in view.tracks]
-    is_on = [side * t.response > start for t, start in zip(view.tracks, starts, strict=True)]
-    rows = [on[track.rows] for on, track in zip(is_on, view.tracks, strict=True)]
-    count = sum(int(on.sum()) for on in rows)
-    if not 0 < count < MAX_SHARE * sum(len(on) for on in rows):
+    on_plateau = [
+        side * track.response > _plateau_start(track, side, view.noise) for track in view.tracks
+    ]
+    rows = [is_on[track.rows] for is_on, track in zip(on_plateau, view.tracks, strict=True)]
+    count = sum(int(is_on.sum()) for is_on in rows)
+    if not 0 < count < MAX_SHARE * sum(map(len, rows)):
         return None
     tracks = tuple(
-        replace(track, rows=track.rows[~on], block=track.block[~on])
-        for track, on in zip(view.tracks, rows, strict=True)
+        replace(track, rows=track.rows[~is_on], block=track.block[~is_on])
+        for track, is_on in zip(view.tracks, rows, strict=True)
     )
     fitted = with_effects(with_tracks(view, tracks), effects)
     errors, levels = [], []
-    for k, (track, on) in enumerate(zip(view.tracks, is_on, strict=True)):
+    for k, (track, is_on) in enumerate(zip(view.tracks, on_plateau, strict=True)):
         error = np.zeros(len(track.response))
-        if on.any():
-            offset, level = _offset(fitted, k), float(np.median(track.response[on]))
+        if is_on.any():
+            offset, level = _offset(fitted, k), float(np.median(track.response[is_on]))
             displacement = fitted.static[k] + offset
-            beyond = np.where(on, side * np.minimum(side * (level - displacement), 0.0), 0.0)
-            if float(np.abs(beyond).max()) > MIN_EXCESS * view.noise:
-                error = beyond
+            excess = np.where(is_on, side * np.minimum(side * (level - displacement), 0.0), 0.0)
+            if float(np.abs(excess).max()) > MIN_EXCESS * view.noise:
+                error = excess
                 levels.append(level - offset)
         errors.append(error)
     if not levels:

@@ -1,12 +1,13 @@
-"""Linear filters of the static response of a track, and the change by a changed drive."""
+"""Helpers of effects: columns of filters and other axes, and recordings with an effect added."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Filter, Parameters
+from piezoid.diagnosis.effect import Filter, Parameters, Trial
 from piezoid.diagnosis.residual_view import View
+from piezoid.diagnosis.segments import Track
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.simulation import where_of
 from piezoid.numerics.arrays import Array
@@ -15,20 +16,16 @@ from piezoid.operators.play import play_columns
 from piezoid.records.recording import Quantity, Recording
 
 GRIDS_Hz = (50.0, 60.0)
+SHORTEST_SAMPLES = 0.5  # time constant of the fastest trial, in the fastest recording
 GAPS = np.array([0.2, 0.5, 0.8])  # of another axis' half range: thresholds of its plays
-
-
-def rate_of(signal: Array, rate_Hz: float) -> Array:
-    """Return the derivative of a signal by central differences."""
-    return np.asarray(np.gradient(signal) * rate_Hz)
 
 
 def mode(signal: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> Array:
     """Return a signal filtered by one mechanical mode; unchanged if the mode is too fast.
 
-        x'' + (w / Q) x' + w^2 x = w^2 h,    bilinear with the frequency kept
+        x'' + (w / Q) x' + w^2 x = w^2 h,    bilinear transform, prewarped at the frequency w
 
-    A recording with fewer than four rows for a period cannot show the mode.
+    A recording with fewer than four samples in a period cannot show the mode.
     """
     if rate_Hz < 4.0 * frequency_Hz:
         return signal
@@ -42,12 +39,12 @@ def mode(signal: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> 
 def added_percent(
     columns: Callable[[View, Parameters], Array],
 ) -> Callable[[View, Parameters, Array], float]:
-    """Return the contribution of an effect to the readings, rms in percent of the stroke.
+    """Return a function for the contribution of an effect, rms in percent of the stroke.
 
-        s = max over tracks of 100 rms(c - mean c),   c = columns coefficient
+        s = max over tracks of 50 rms(c - mean c),   c = columns coefficient, in half strokes
 
-    It is what a person measures with the drive at rest, and not what is left of it beside a free
-    hysteresis, which takes up a part of anything slow or periodic.
+    This is the size that a measurement at constant drive shows. The contribution beyond the
+    nuisance class is smaller, because hysteresis absorbs a part of anything slow or periodic.
     """
 
     def size(view: View, parameters: Parameters, coefficient: Array) -> float:
@@ -59,33 +56,58 @@ def added_percent(
     return size
 
 
-def filtered_change(view: View, passed: Filter, parameters: Parameters) -> Array:
+def filtered_change(view: View, response_filter: Filter, parameters: Parameters) -> Array:
     """Return the change by a filter of the response at the rows, (rows, 1)."""
-    return view.of(lambda k, t: passed(view.static[k], t.rate_Hz, parameters) - view.static[k])[
-        :, None
+
+    def change(k: int, track: Track) -> Array:
+        static = view.static[k]
+        return response_filter(static, track.rate_Hz, parameters) - static
+
+    return view.column(change)[:, None]
+
+
+def delay_trials(
+    view: View, response_filter: Filter, parameters: Sequence[tuple[str, float]]
+) -> list[Trial]:
+    """Return trials of a filter that delays by one parameter, each with its name and value."""
+    return [
+        Trial(
+            columns=filtered_change(view, response_filter, {name: value}),
+            parameters={name: value},
+            needs_time=True,
+            free={name: 1.5},
+        )
+        for name, value in parameters
     ]
 
 
-def drive_change(view: View, passed: Filter, parameters: Parameters) -> Array:
+def trial_times_s(view: View, longest_s: float, count: int) -> list[float]:
+    """Return time constants from half a sample of the fastest recording on, log-spaced."""
+    fastest_Hz = max(track.rate_Hz for track in view.tracks)
+    times_s = np.geomspace(SHORTEST_SAMPLES / fastest_Hz, longest_s, count)
+    return [float(time_s) for time_s in times_s]
+
+
+def drive_change(view: View, drive_filter: Filter, parameters: Parameters) -> Array:
     """Return the change by a filter of the command at the rows, (rows, 1)."""
-    parts = []
+    changes = []
     for k, track in enumerate(view.tracks):
-        command = passed(track.command, track.rate_Hz, parameters)
+        command = drive_filter(track.command, track.rate_Hz, parameters)
         if command is track.command or np.array_equal(command, track.command):
-            parts.append(np.zeros(len(track.rows)))
+            changes.append(np.zeros(len(track.rows)))
             continue
-        changed = view.nuisance.static_rows(k, view.weight, track.read(command))
-        parts.append(changed - view.static[k][track.rows])
-    return np.concatenate(parts)[:, None]
+        response = view.nuisance.static_rows(k, view.weight, track.read(command))
+        changes.append(response - view.static[k][track.rows])
+    return np.concatenate(changes)[:, None]
 
 
-def untested(view: View) -> Array:
+def zero_columns(view: View) -> Array:
     """Return zero columns for a trial that is evaluated without a tangent."""
     return np.zeros((len(view.response), 1))
 
 
 def with_displacement(recording: Recording, displacement_m: Array) -> Recording:
-    """Return a recording of which the displacement reads otherwise."""
+    """Return a recording with other readings of the displacement."""
     channels = tuple(
         replace(channel, values=displacement_m)
         if channel.quantity is Quantity.DISPLACEMENT and channel.axis == recording.axis
@@ -95,10 +117,10 @@ def with_displacement(recording: Recording, displacement_m: Array) -> Recording:
     return replace(recording, channels=channels)
 
 
-def through(recording: Recording, part: Extension) -> Recording:
-    """Return a recording of which the displacement came about with this part of a model.
+def with_extension(recording: Recording, part: Extension) -> Recording:
+    """Return a recording with an extension of the model applied to its displacement.
 
-    Parts in front of the hysteresis have nothing to act on: a recording knows no ceramic.
+    Extensions in front of the hysteresis cannot be applied to a recording.
     """
     where = where_of(recording, recording.axis, slice(0, recording.samples))
     moved_m = part.response(recording.displacement_m(), where)
@@ -110,36 +132,29 @@ def stroke_of(recording: Recording) -> float:
     return float(np.ptp(recording.displacement_m()))
 
 
-def seconds_of(recording: Recording) -> Array:
-    """Return the time of every sample."""
-    return np.arange(recording.samples) / recording.sampling_rate_Hz
-
-
 def with_added(recording: Recording, change_m: Array, share: float) -> Recording:
-    """Return a recording with a change added, of which the rms is a share of the stroke."""
+    """Return a recording with a change added, scaled to an rms that is a share of the stroke."""
     rms_m = float(np.sqrt(np.mean(change_m**2)))
     scale = share * stroke_of(recording) / rms_m if rms_m > 0 else 1.0
     return with_displacement(recording, recording.displacement_m() + change_m * scale)
 
 
-def answers_of_others(view: View, *, backwards: bool = False) -> Array:
-    """Return each other axis' drive, its square and its plays, (rows, columns).
+def other_axis_columns(view: View, *, backwards: bool = False) -> Array:
+    """Return the drive of each other axis, its square and its plays, (rows, columns).
 
-    backwards  the same drives run backwards in time, which nothing can answer to
+    backwards  whether to reverse these drives in time, for a placebo
     """
     axes = sorted({axis for track in view.tracks for axis in track.other_drives})
-    parts = [np.zeros((len(view.response), 0))]
-    return np.column_stack([*parts, *(_answer(view, axis, backwards) for axis in axes)])
+    columns = [_columns_of_axis(view, axis, backwards) for axis in axes]
+    return np.column_stack([np.zeros((len(view.response), 0)), *columns])
 
 
-def _answer(view: View, axis: str, backwards: bool) -> Array:
+def _columns_of_axis(view: View, axis: str, backwards: bool) -> Array:
     columns = np.zeros((len(view.response), 2 + len(GAPS)))
-    edges = view.nuisance.edges
     for k, track in enumerate(view.tracks):
         if axis not in track.other_drives:
             continue
         drive = track.other_drives[axis][:: -1 if backwards else 1]
         plays, _ = play_columns(drive, GAPS, np.full(len(GAPS), drive[0]))
-        part = np.column_stack([drive, drive**2, plays])[track.rows]
-        columns[edges[k] : edges[k + 1]] = part
+        columns[view.track_rows(k)] = np.column_stack([drive, drive**2, plays])[track.rows]
     return columns

@@ -44,9 +44,9 @@ def structure_finding(
     """Return the finding of structure that the search subtracted from the readings.
 
     without_curve  held-out error of the model without the curve
-    with_curve     and with it
+    with_curve     held-out error of the model with the curve
     scale_m        displacement of 1 in scaled units
-    middle_m       displacement of 0
+    middle_m       displacement of 0 in scaled units
     """
     score, view = structure.score, structure.view
     low_m, rms_m, high_m = (view.half_stroke_m * rms for rms in _rms_with_interval(structure))
@@ -78,9 +78,9 @@ def structure_finding(
 def noise_finding(
     noise: NoiseLevel, *, error: HeldOut, scale_m: float, middle_m: float
 ) -> Finding:
-    """Return the finding of a noise that depends on a coordinate.
+    """Return the finding of noise that depends on a coordinate.
 
-    error  held-out error of the model, which contains this noise
+    error  held-out error of the model, which includes this noise
     """
     score, view = noise.score, noise.view
     low_m, rms_m, high_m = (view.half_stroke_m * rms for rms in excess_of(noise))
@@ -109,11 +109,11 @@ def _size(low_m: float, rms_m: float, high_m: float) -> Size:
 
 
 def _rms_with_interval(structure: ResidualStructure) -> tuple[float, float, float]:
-    """Return the rms of the curve between the limits of its 95 % interval; blocks are independent.
+    """Return lower limit, value and upper limit (95 %) of the rms of the curve, over blocks.
 
-    A periodic curve counts as large as it is, although hysteresis can follow a part of it. Along
-    another coordinate the curve and hysteresis cannot be separated: only the part that no
-    hysteresis follows counts.
+    A periodic curve counts in full, although hysteresis can follow a part of it. Along another
+    coordinate the curve and hysteresis cannot be separated: only the part that no hysteresis
+    follows counts.
     """
     fitted = structure.score.fitted
     power = np.add.reduceat(
@@ -142,7 +142,7 @@ def _parameters(structure: ResidualStructure) -> dict[str, float]:
 
 
 def _location(structure: ResidualStructure, profile: CoordinateProfile) -> str:
-    """State the values of the coordinate where the structure is, or its period."""
+    """State the range of the coordinate with most of the structure, or its period."""
     parameters = _parameters(structure)
     if "frequency_Hz" in parameters:
         return f", at {parameters['frequency_Hz']:.5g} Hz"
@@ -158,7 +158,7 @@ def _location(structure: ResidualStructure, profile: CoordinateProfile) -> str:
 
 
 def _law(structure: ResidualStructure, scale_m: float, middle_m: float) -> str:
-    """Return the formula of a sensor's range that ends, which predicts other recordings."""
+    """Return the formula of the end of a sensor's range, which applies to other recordings."""
     end = structure.range_end
     if end is None:
         return ""
@@ -174,7 +174,9 @@ def _profile(
     scale_m: float,
     middle_m: float,
 ) -> CoordinateProfile:
-    """Return the profile of the residual; of a course in time, in the recording of most power.
+    """Return the profile of the residual along the coordinate of a score.
+
+    The profile of a course in time is that of the recording with the largest power.
 
     residual, fitted  (rows,)  in half strokes
     """

@@ -41,7 +41,7 @@ def test_spikes_are_found_sized_and_bridged():
     fault = outliers.EFFECT.fault.find(view)
     assert within(fault, 1e9 * 0.02 * STROKE_m)
     assert fault.p_value < 1e-3
-    assert fault.where == ("walk (5)",)
+    assert fault.locations == ("walk (5)",)
     left = fault.tracks[1].response - healthy().tracks[1].response
     assert np.abs(left - np.median(left)).max() < 0.02
 

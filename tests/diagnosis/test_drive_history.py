@@ -7,14 +7,14 @@ import pytest
 
 from piezoid.diagnosis.drive_history import CHUNK, History, states_at
 from piezoid.diagnosis.initial_states import memory_after
-from piezoid.diagnosis.nuisance import KEPT, NuisanceClass
+from piezoid.diagnosis.nuisance import MAX_KEPT, NuisanceClass
 from piezoid.diagnosis.nuisance_columns import (
     SHARED,
     THRESHOLD,
-    rubbed,
-    rubbing,
-    shape_columns,
-    states_under,
+    bouc_wen_along,
+    friction_along,
+    initial_friction,
+    write_shared_columns,
 )
 from piezoid.diagnosis.residual_view import with_filtered_commands
 from piezoid.diagnosis.segments import Track
@@ -49,7 +49,7 @@ def track(drive: np.ndarray) -> Track:
 
 def every_state(drive: np.ndarray, reversals: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
     plays, _ = play_columns(drive, THRESHOLD, memory_after(drive, reversals))
-    return plays, rubbing(drive, rubbed(drive, reversals))
+    return plays, friction_along(drive, initial_friction(drive, reversals))
 
 
 @pytest.mark.parametrize("reversals", RANDOM_HYPOTHESES)
@@ -68,18 +68,22 @@ def test_the_bouc_wen_state_at_rows_is_that_of_every_sample() -> None:
     bouc_wen = (1.6, 0.6, 1.6, 0.1)
     bent = replace(view.nuisance, bouc_wen=bouc_wen)
     drive, place = drive_with_holds(), track(drive_with_holds()).rows
-    every = states_under(bouc_wen, RANDOM_HYPOTHESES[0], drive)[place]
-    np.testing.assert_allclose(bent.bent_at(RANDOM_HYPOTHESES[0], drive, place), every, atol=1e-4)
+    every = bouc_wen_along(bouc_wen, RANDOM_HYPOTHESES[0], drive)[place]
+    np.testing.assert_allclose(
+        bent.bouc_wen_state_at(RANDOM_HYPOTHESES[0], drive, place), every, atol=1e-4
+    )
 
 
 def test_a_recording_too_long_to_keep_its_states_has_the_same_static_response() -> None:
     """Made chunk by chunk: the ends of two of them are compared, where memory is handed on."""
     weight = np.random.default_rng(5).normal(size=SHARED)
-    drive = np.resize(drive_with_holds(), KEPT + 1)
+    drive = np.resize(drive_with_holds(), MAX_KEPT + 1)
     reversals = RANDOM_HYPOTHESES[2]
     long = NuisanceClass(histories=(History(track=track(drive), reversals=reversals),))
     head = drive[: 2 * CHUNK + 1000]
-    expected = shape_columns(*every_state(head, reversals), head) @ weight
+    columns = np.empty((len(head), SHARED), order="F")
+    write_shared_columns(columns, *every_state(head, reversals), head)
+    expected = columns @ weight
     static = long.static(0, weight)
     assert static.shape == drive.shape
     np.testing.assert_allclose(static[: len(head)], expected, rtol=1e-9, atol=1e-9)

@@ -9,12 +9,12 @@ from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.candidate import is_consistent
 from piezoid.diagnosis.effects import delay
 from piezoid.diagnosis.initial_state_search import (
-    with_own_initial_states,
+    with_individual_initial_states,
     with_shared_initial_state,
 )
 from piezoid.diagnosis.refinement import initial_guess, refine
 from piezoid.diagnosis.refitted_view import SelectedEffect
-from piezoid.diagnosis.residual_view import View, cycled
+from piezoid.diagnosis.residual_view import View, with_cycled_drives
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.operators.filters import later
@@ -38,14 +38,16 @@ def late_view() -> View:
 def test_the_memory_of_cycled_drives_is_left_alone_and_another_one_is_found():
     known, lab = recorded(draw_campaign(404, truth="preisach", plans=("sweep", "check")))
     view = view_of_recordings(known, lab)
-    assert with_own_initial_states(view, with_shared_initial_state(view)).rms > 0.95 * view.rms
+    assert (
+        with_individual_initial_states(view, with_shared_initial_state(view)).rms > 0.95 * view.rms
+    )
     unknown, lab = recorded(
         draw_campaign(407, truth="preisach", plans=("sweep", "check"), careless=True)
     )
     view = view_of_recordings(unknown, lab)
-    found = with_own_initial_states(view, with_shared_initial_state(view))
+    found = with_individual_initial_states(view, with_shared_initial_state(view))
     assert found.rms < 0.9 * view.rms
-    assert cycled(found).rms == pytest.approx(view.rms)
+    assert with_cycled_drives(found).rms == pytest.approx(view.rms)
 
 
 def test_errors_of_coefficients_know_that_rows_of_a_block_are_not_independent():
@@ -56,7 +58,7 @@ def test_errors_of_coefficients_know_that_rows_of_a_block_are_not_independent():
     for _ in range(200):
         error = np.repeat(chance.normal(size=40), 50) + 0.1 * chance.normal(size=2000)
         null = Null(columns=np.ones((2000, 1)), response=error, block=block)
-        across = null.without(column)[:, 0]
+        across = null.project_out(column)[:, 0]
         found.append(float(across @ error / (across @ across)))
         said.append(float(null.clustered_covariance(column)[0, 0]) ** 0.5)
     # rows counted one by one would say a seventh of it

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.planning.candidate_drives import MENU, played
+from piezoid.diagnosis.planning.candidate_drives import EXPERIMENTS, drive_of
 from piezoid.diagnosis.planning.drive_limits import Bench, Drive, DriveLimits
 from piezoid.diagnosis.planning.waveforms import multisine_period, odd_lines
 from piezoid.errors import ExcitationError
@@ -32,7 +32,7 @@ def test_other_axes_are_asked_for_where_none_is_known() -> None:
     limits = DriveLimits(voltage_min_V=0.0, voltage_max_V=10.0, slew_V_per_s=1e3)
     bench = Bench(axis="x", limits=limits, clock_Hz=RATE_HZ)
     with pytest.raises(ExcitationError, match="no other axis"):
-        played(next(one for one in MENU if one.needs_other), bench, 0)
+        drive_of(next(one for one in EXPERIMENTS if one.needs_other), bench, 0)
 
 
 def test_the_csv_comes_back_exactly_under_a_header_with_units(rng: np.random.Generator) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.experiment import Plan, plan
-from piezoid.diagnosis.planning.candidate_drives import MENU, Experiment, played
+from piezoid.diagnosis.planning.candidate_drives import EXPERIMENTS, Experiment, drive_of
 from piezoid.diagnosis.planning.drive_limits import Bench, DriveLimits
 from piezoid.diagnosis.planning.plan_file import SCHEMA, plan_files, sentences
 from piezoid.diagnosis.sealed_diagnosis import read_diagnosis, write_diagnosis
@@ -107,13 +107,13 @@ def test_an_effect_the_recordings_could_not_show_is_planned_for() -> None:
 
 
 @pytest.mark.parametrize("slew_V_per_s", [60.0, 30_000.0])
-@pytest.mark.parametrize("experiment", MENU, ids=lambda one: one.name)
+@pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda one: one.name)
 def test_every_drive_of_the_menu_stays_inside_range_and_slew(
     experiment: Experiment, slew_V_per_s: float
 ) -> None:
     limits = DriveLimits(voltage_min_V=1.0, voltage_max_V=8.0, slew_V_per_s=slew_V_per_s)
     bench = Bench(axis="x", limits=limits, clock_Hz=CLOCK_Hz, other_limits={"y": limits})
-    drive = played(experiment, bench, 0)
+    drive = drive_of(experiment, bench, 0)
     assert drive.voltage_V.min() >= 1.0
     assert drive.voltage_V.max() <= 8.0
     jumps_V = np.abs(np.diff(drive.voltage_V, axis=0)).max()
@@ -137,7 +137,7 @@ def test_the_files_of_a_plan_are_read_back(tmp_path: Path) -> None:
     content = unseal(files["plan.json"], SCHEMA, "plan.json")
     assert content["drive"]["name"] == planned.drive.name
     assert content["why"] == " ".join(sentences(planned))
-    assert len(content["alternatives"]) == len(MENU)
+    assert len(content["alternatives"]) == len(EXPERIMENTS)
     place = tmp_path / "drive.csv"
     place.write_bytes(files["drive.csv"])
     (recording,) = collect([place], Lab()).recordings

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.initial_state_search import shared_does_as_well
-from piezoid.diagnosis.selection import repaired
+from piezoid.diagnosis.initial_state_search import is_shared_state_as_good
+from piezoid.diagnosis.selection import repair_faults
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.numerics.executor import SERIAL
 from piezoid.records.lab import Lab
@@ -35,7 +35,7 @@ from .played import (
 def test_faults_are_looked_for_beside_the_memory_that_leaves_least(before, is_shared) -> None:
     """Nothing is wrong with the data; only a shared initial state that is evident stays."""
     view = view_after(*before)
-    clean, faults, known = repaired(view, SERIAL)
+    clean, faults, known = repair_faults(view, SERIAL)
     assert faults == {}
     assert known is not None
     shared = known[0].nuisance.reversals
@@ -51,9 +51,9 @@ def test_a_shared_initial_state_is_not_evident_where_it_leaves_most_of_the_error
         noise_m = 6.0 * NOISE * float(np.ptp(moved_m)) * chance.normal(size=one.samples)
         noisy.append(with_displacement(one, moved_m + noise_m))
     view = view_of_recordings(tuple(noisy), Lab())
-    clean, _, known = repaired(view, SERIAL)
+    clean, _, known = repair_faults(view, SERIAL)
     assert known is not None
     shared, own = known
     assert 0.5 * view.rms < shared.rms < 0.9 * view.rms
-    assert shared_does_as_well(shared, own, view)
+    assert is_shared_state_as_good(shared, own, view)
     assert clean.nuisance.reversals == view.nuisance.reversals

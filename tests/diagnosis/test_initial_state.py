@@ -9,8 +9,8 @@ from piezoid.diagnosis.candidate import Candidate, structural_candidate
 from piezoid.diagnosis.effects import initial_state
 from piezoid.diagnosis.initial_state_search import (
     OTHER_INITIAL_STATES,
-    shared_does_as_well,
-    with_own_initial_states,
+    is_shared_state_as_good,
+    with_individual_initial_states,
     with_shared_initial_state,
 )
 from piezoid.diagnosis.residual_view import View, with_free_memory
@@ -22,7 +22,7 @@ from .played import at_rest, cycled, cycled_the_other_way, forgotten, view_after
 
 def structure_of(view: View) -> Candidate:
     """Judge the memory of recordings as a search does in which nothing else is found."""
-    own = with_own_initial_states(view, with_shared_initial_state(view))
+    own = with_individual_initial_states(view, with_shared_initial_state(view))
     final = with_free_memory(own) if own.rms < OTHER_INITIAL_STATES * view.rms else view
     judgement = structural_candidate(initial_state.EFFECT, final)
     assert judgement is not None
@@ -45,7 +45,10 @@ def test_what_a_laboratory_always_does_before_it_records_is_no_unknown_memory(be
     assert not structure_of(view).is_significant
     if before[0] is not cycled:
         # though the memory that is taken for granted at first is none of it
-        assert with_own_initial_states(view, with_shared_initial_state(view)).rms < 0.6 * view.rms
+        assert (
+            with_individual_initial_states(view, with_shared_initial_state(view)).rms
+            < 0.6 * view.rms
+        )
 
 
 def test_one_recording_that_came_from_elsewhere_has_a_memory_that_nobody_recorded() -> None:
@@ -58,6 +61,6 @@ def test_a_ceramic_that_was_never_driven_so_far_is_poled_once_and_was_not_demagn
     campaign = draw_campaign(104133, truth="preisach", effects={"initial_state": 2.5})
     view = view_of_recordings(*recorded(campaign))
     shared = with_shared_initial_state(view)
-    own = with_own_initial_states(view, shared)
+    own = with_individual_initial_states(view, shared)
     assert own.rms < 0.85 * shared.rms
-    assert not shared_does_as_well(shared, own, view)
+    assert not is_shared_state_as_good(shared, own, view)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.initial_state_search import (
-    with_own_initial_states,
+    with_individual_initial_states,
     with_shared_initial_state,
 )
-from piezoid.diagnosis.initial_states import FREE, memory_after, shared_hypotheses
+from piezoid.diagnosis.initial_states import DELIBERATE, memory_after, shared_hypotheses
 from piezoid.diagnosis.nuisance_columns import THRESHOLD
 from piezoid.diagnosis.residual_view import with_reversals
 from piezoid.numerics.arrays import Array
@@ -22,7 +22,7 @@ from .bench import view_of_recordings
 from .play_stage import drive
 from .played import NOISE, WIDTH, HALF_STROKE_m, moved, recorded_as
 
-HABITS = FREE + 2  # what a laboratory does on purpose, with the two that end at 0 V
+HABITS = DELIBERATE + 2  # what a laboratory does on purpose, with the two that end at 0 V
 
 ZERO_VOLTS = -1.3  # in half ranges from the middle of the drive
 SELDOM = 6  # samples of a drive for one that is recorded
@@ -87,7 +87,7 @@ def test_what_a_stage_with_friction_remembers_is_found_though_drives_hardly_tell
         for (kind, part), before in zip(kinds.items(), turns, strict=True)
     ]
     view = view_of_recordings(tuple(recordings), Lab())
-    own = with_own_initial_states(view, with_shared_initial_state(view))
+    own = with_individual_initial_states(view, with_shared_initial_state(view))
     assert own.rms < near * with_reversals(own, turns).rms
     assert own.rms < 0.5 * view.rms
 

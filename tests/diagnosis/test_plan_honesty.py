@@ -12,17 +12,17 @@ from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.effect import Tangent
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.experiment import Plan, plan
-from piezoid.diagnosis.planning.candidate_drives import MENU, played
+from piezoid.diagnosis.planning.candidate_drives import EXPERIMENTS, drive_of
 from piezoid.diagnosis.planning.drive_limits import Bench, DriveLimits, bench_of
 from piezoid.diagnosis.planning.open_questions import (
     Question,
     answers,
     expected_limit_m,
-    left_open,
     questions_of,
+    remaining_uncertainty,
 )
 from piezoid.diagnosis.planning.plan_file import sentences
-from piezoid.diagnosis.planning.plan_ranking import Table, table_of
+from piezoid.diagnosis.planning.plan_ranking import CandidateTable, simulate_candidates
 from piezoid.diagnosis.planning.separation import SeparationEstimate
 from piezoid.errors import ExcitationError
 from piezoid.records.lab import Amplifier, Lab
@@ -55,10 +55,10 @@ def _too_slow() -> Plan:
 
 
 @cache
-def _table() -> Table:
+def _table() -> CandidateTable:
     axis = MODEL["x"]
     bench = bench_of(MODEL, axis, Lab(), (), CLOCK_Hz)
-    return table_of(axis, bench, diagnosed(), (), 0)
+    return simulate_candidates(axis, bench, diagnosed(), (), 0)
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,7 @@ def test_other_axes_that_reach_their_loops_late_are_waited_for() -> None:
     slow = DriveLimits(voltage_min_V=0.0, voltage_max_V=10.0, slew_V_per_s=1.0)
     fast = replace(slow, slew_V_per_s=50.0)
     bench = Bench(axis="x", limits=fast, clock_Hz=CLOCK_Hz, other_limits={"y": slow, "z": fast})
-    drive = played(next(one for one in MENU if one.needs_other), bench, 0)
+    drive = drive_of(next(one for one in EXPERIMENTS if one.needs_other), bench, 0)
     still_V = drive.voltage_V[:, 0] == 5.0
     for k in (1, 2):
         moving = np.abs(np.diff(drive.voltage_V[:, k])) > 0.0
@@ -109,9 +109,9 @@ def test_where_speed_is_what_is_missing_the_plan_says_so_and_is_right() -> None:
     )
     assert said is not None
     faster = _planned(_open(delay=HIGH_m), 8.0, effect="delay")
-    left = left_open(faster.question, None, faster.planned)
+    left = remaining_uncertainty(faster.question, None, faster.planned)
     assert 100 * left == pytest.approx(float(said[1]), abs=0.6)
-    assert left < left_open(slow.question, None, slow.planned)
+    assert left < remaining_uncertainty(slow.question, None, slow.planned)
 
 
 def test_a_question_that_no_drive_answers_gives_way_to_one_that_is_answered() -> None:

@@ -117,13 +117,13 @@ def test_what_drives_a_mode_is_told_by_the_recordings_it_leaves_alone() -> None:
     parameters = {"frequency_Hz": FREQUENCY_Hz, "quality": QUALITY}
     ringing = SelectedEffect(effect=resonance.EFFECT, parameters=parameters)
     calm = without_ringing(view, [ringing])
-    assert calm.guess is not None
+    assert calm.static_override is not None
     drive = view.tracks[2].drive
     truth, _ = moved(drive, memory_after(cycled, float(drive[0])))
 
     off = [
         np.std(truth - np.polyval(np.polyfit(static, truth, 1), static))
-        for static in (calm.guess[2], view.static[2])
+        for static in (calm.static_override[2], view.static[2])
     ]
     assert off[0] < 0.3 * off[1]
     assert without_ringing(view, []) is view

@@ -11,7 +11,7 @@ from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import timestamp_fault
 from piezoid.diagnosis.effects.timestamp_fault import slip_evidence
-from piezoid.diagnosis.ingest_faults import with_ingested
+from piezoid.diagnosis.ingest_faults import with_ingest_faults
 from piezoid.diagnosis.residual_view import with_tracks
 from piezoid.diagnosis.sample_slips import delay_like_null, strongest_slips
 from piezoid.diagnosis.selection import Outcome, search
@@ -39,7 +39,7 @@ def test_a_slip_is_found_sized_and_undone(kind, samples):
     assert fault is not None
     assert within(fault, samples)
     assert fault.p_value < 0.01
-    name, _, since_s, *_ = fault.where[0].split()
+    name, _, since_s, *_ = fault.locations[0].split()
     assert name == kind
     assert float(since_s) == pytest.approx(4100 / clean(kind)[0], rel=0.05)
     again = with_tracks(view, fault.tracks)
@@ -103,14 +103,14 @@ def test_what_the_stamps_tell_is_a_timestamp_fault_of_so_many_samples():
         faults={"timestamp_fault": slip},
         causes=(),
         confounded={},
-        screened={},
+        score_tests={},
     )
-    assert with_ingested(found, [whole], STROKE_m).faults == found.faults
+    assert with_ingest_faults(found, [whole], STROKE_m).faults == found.faults
     told = [whole, replace(whole, name="b", statements=statements)]
-    fault = with_ingested(found, told, STROKE_m).faults["timestamp_fault"]
+    fault = with_ingest_faults(found, told, STROKE_m).faults["timestamp_fault"]
     assert fault.value == 48.0
     assert fault.p_value < 1e-6
-    alone = with_ingested(replace(found, faults={}), told, STROKE_m)
+    alone = with_ingest_faults(replace(found, faults={}), told, STROKE_m)
     assert alone.faults["timestamp_fault"].value == 43.0
 
 

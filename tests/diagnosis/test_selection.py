@@ -80,7 +80,7 @@ def test_structure_is_no_name_where_much_else_is_left_and_may_be_what_causes_are
     coupled = tuple(cross_coupling.EFFECT.inject(one, 0.004) for one in wrong)
     found = search.search(view_of_recordings(coupled, Lab()))
     assert [cause.effect.name for cause in found.causes] == ["cross_coupling", "creep"]
-    assert found.held_back == ("initial_state",)
+    assert found.inseparable == ("initial_state",)
     assert "initial_state" in {one.effect.name for one in found.dismissed}
     assert found.final.rms > 2.0 * found.final.noise
     # a memory looks like creep, and not like the drive of another axis

@@ -10,7 +10,7 @@ from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effect import EffectEstimate
 from piezoid.diagnosis.effects import resonance
 from piezoid.diagnosis.selection import Outcome, search
-from piezoid.diagnosis.step_responses import behind_jumps, modes_behind_jumps
+from piezoid.diagnosis.step_responses import modes_after_steps, step_response_view
 from piezoid.identification.extensions import LAYOUT_OF_EXTENSIONS
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
@@ -101,21 +101,21 @@ def test_what_only_follows_a_jump_late_or_hums_as_before_does_not_ring(made) -> 
     noise_m = np.random.default_rng(8).normal(0.0, NOISE_m, 9000)
     reading_m = STROKE_m * made() + noise_m
     recordings = [recording("sweep"), recording("walk", reading_m, jumping())]
-    assert modes_behind_jumps(view_on(recordings, axis="x", lab=Lab())) == ()
+    assert modes_after_steps(view_on(recordings, axis="x", lab=Lab())) == ()
 
 
 def test_a_ring_that_drowns_in_the_noise_is_no_evidence() -> None:
     faint = static() + 0.005 * (rung(static(), 61.0, 15.0) - static())
     noise_m = np.random.default_rng(8).normal(0.0, NOISE_m, 9000)
     recordings = [recording("sweep"), recording("walk", STROKE_m * faint + noise_m, jumping())]
-    assert modes_behind_jumps(view_on(recordings, axis="x", lab=Lab())) == ()
+    assert modes_after_steps(view_on(recordings, axis="x", lab=Lab())) == ()
 
 
 def test_a_jump_behind_which_the_drive_goes_on_as_fast_tells_nothing() -> None:
     place = np.arange(9000 - JUMP_AT)
     fast = np.concatenate([np.full(JUMP_AT, 0.6), -0.3 + 0.5 * np.sin(2 * np.pi * place / 180)])
     recordings = [recording("sweep"), recording("walk", STROKE_m * moved(fast), fast)]
-    assert behind_jumps(view_on(recordings, axis="x", lab=Lab())) is None
+    assert step_response_view(view_on(recordings, axis="x", lab=Lab())) is None
 
 
 def test_a_recorded_actuator_that_a_step_struck_rings_near_970_hertz(
@@ -128,7 +128,7 @@ def test_a_recorded_actuator_that_a_step_struck_rings_near_970_hertz(
     )
     lab = read_lab(tmp_path / "lab.toml")
     recordings = collect([realdata / "actuator_150V" / "hysteresis_v_150_1hz.csv"], lab).recordings
-    (found,) = modes_behind_jumps(view_on(recordings, axis="x", lab=lab))
+    (found,) = modes_after_steps(view_on(recordings, axis="x", lab=lab))
     assert found.effect.name == "resonance"
     assert found.parameters["frequency_Hz"] == pytest.approx(968.0, rel=0.01)
 

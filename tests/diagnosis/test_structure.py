@@ -9,7 +9,7 @@ from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
 from piezoid.diagnosis.candidate import structural_candidate
 from piezoid.diagnosis.effects import non_congruence
-from piezoid.diagnosis.nuisance_columns import CURVED, SHARED
+from piezoid.diagnosis.nuisance_columns import CURVED_COUNT, SHARED
 from piezoid.diagnosis.residual_view import View, with_bouc_wen, with_tracks
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.selection import search
@@ -28,7 +28,7 @@ def sound_stage(truth: str, seed: int) -> View:
 @pytest.mark.parametrize("seed", [1, 3])
 def test_walls_drawn_to_a_curved_rest_are_followed_to_the_noise_and_open_by_nothing(seed) -> None:
     view = sound_stage("wall_pinning", seed)
-    straight = np.delete(view.null.every, range(SHARED - CURVED, SHARED), axis=1)
+    straight = np.delete(view.null.all_columns, range(SHARED - CURVED_COUNT, SHARED), axis=1)
     assert view.rms < 1.1 * view.noise
     assert Null(columns=straight, response=view.response, block=view.block).rms > 1.14 * view.noise
     assert abs(float(score_test(non_congruence.EFFECT, view).cv.coefficient[0])) < 0.05
@@ -39,7 +39,7 @@ def test_one_of_many_products_with_the_drive_that_a_ceramic_misses_is_not_named(
     view = sound_stage("bouc_wen", seed)
     found = score_test(non_congruence.EFFECT, view)
     assert found.cv.gain > non_congruence.EFFECT.minimum_gain
-    assert abs(float(found.cv.coefficient[0])) > non_congruence.OPENING
+    assert abs(float(found.cv.coefficient[0])) > non_congruence.MIN_OPENING
     assert not search(view).causes
 
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.signals import through, with_displacement
+from piezoid.diagnosis.signals import with_displacement, with_extension
 from piezoid.digests import seal
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.extensions.extension import Where
@@ -201,7 +201,7 @@ def test_a_periodic_error_is_fitted_beside_loop_shape(angle: float) -> None:
     recordings, plain, _ = fitted("dahl", 1.0)
     phases = (Phase(recording=recordings[1].name, angle=angle),)
     true = PeriodicError(wavelength_m=1.5e-6, cosine_m=(2e-8,), sine_m=(3e-8,), phases=phases)
-    read = tuple(through(recording, true) for recording in recordings)
+    read = tuple(with_extension(recording, true) for recording in recordings)
     unknown = tuple(Phase(recording=r.name, angle=0.0) for r in recordings[1:])
     began = replace(true, wavelength_m=1.502e-6, cosine_m=(1e-8,), sine_m=(2e-8,), phases=unknown)
     axis = with_loop_shape(replace(plain, extensions=(began,)), read)
@@ -226,7 +226,7 @@ def test_a_steep_periodic_error_and_unknown_histories_are_fitted_together() -> N
         sine_m=(8e-8, 1e-8),
         phases=tuple(Phase(recording=name, angle=0.5) for name in ("small", "noise")),
     )
-    read = tuple(through(recording, true) for recording in still)
+    read = tuple(with_extension(recording, true) for recording in still)
     plain = estimate_axis(read, "x", Rig(), orders=((8, 2),))
     began = replace(true, wavelength_m=7.007e-7, cosine_m=(5e-8, 0.0), sine_m=(7e-8, 0.0))
     shaped = with_loop_shape(replace(plain, extensions=(began,)), read)

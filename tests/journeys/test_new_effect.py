@@ -46,7 +46,7 @@ import numpy as np
 
 from piezoid.diagnosis.appearance import Appearance, unsigned
 from piezoid.diagnosis.effect import Effect, Tangent, Trial, without_part
-from piezoid.diagnosis.signals import filtered_change, through
+from piezoid.diagnosis.signals import filtered_change, with_extension
 from piezoid.identification.extensions.extension import Extension, free
 from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.operators.filters import relaxed
@@ -118,7 +118,7 @@ EFFECT = Effect(
     trials=trials,
     columns=columns,
     size=lambda view, way, coefficient: 100.0 * float(coefficient[0]),
-    inject=lambda recording, share: through(recording, ChargeLeak(share=share, time_s=0.4)),
+    inject=lambda recording, share: with_extension(recording, ChargeLeak(share=share, time_s=0.4)),
     extend=lambda estimate, _: (
         ChargeLeak(share=estimate.first_coefficient, time_s=estimate.parameters["time_s"]),
     ),

@@ -16,7 +16,7 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_DRIVE
-from piezoid.diagnosis.drive_response import Driven
+from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
     Effect,
     EffectEstimate,
@@ -27,16 +27,16 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.signals import drive_change, stroke_of, untested, with_displacement
+from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement, zero_columns
 from piezoid.identification.extensions.amplifier_limits import AmplifierLimits
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
 DEPTHS = (0.01, 0.02, 0.04, 0.07, 0.11, 0.16, 0.24)  # below the end of the drive
-DEEPER = (0.4, 0.6, 0.8, 1.0, 1.2)  # and where a tangent would look like anything
-LEAST = 0.05  # of the drive's range that gets through: less moves no stage that was recorded
-SHORTEST, STEP = 0.015, 0.06  # a step of the refit, of the depth: seven reach the next depth
+LARGE_DEPTHS = (0.4, 0.6, 0.8, 1.0, 1.2)  # without a tangent, which would resemble any effect
+MIN_RANGE = 0.05  # share of the drive's range between the limits
+MIN_STEP, STEP = 0.015, 0.06  # of the refit, the second over the depth: seven reach the next depth
 CLIPPED_AT = 0.94  # of the range, about its middle, in a plan
 
 
@@ -47,13 +47,17 @@ def _clip(drive: Array, _: float, parameters: Parameters) -> Array:
     return np.clip(drive, low, high)
 
 
-def _trials(view: View) -> list[Trial]:
-    high = max(float(track.command.max()) for track in view.tracks)
+def _command_range(view: View) -> tuple[float, float]:
     low = min(float(track.command.min()) for track in view.tracks)
-    margin, middle = LEAST * (high - low), 0.5 * (high + low)
-    ways = [
+    return low, max(float(track.command.max()) for track in view.tracks)
+
+
+def _trials(view: View) -> list[Trial]:
+    low, high = _command_range(view)
+    margin, middle = MIN_RANGE * (high - low), 0.5 * (high + low)
+    candidates = [
         (depth, levels, limits)
-        for depth in (*DEPTHS, *DEEPER)
+        for depth in (*DEPTHS, *LARGE_DEPTHS)
         for levels, limits in (
             ({"high": high - depth}, {"high": (low + margin, np.inf)}),
             ({"low": low + depth}, {"low": (-np.inf, high - margin)}),
@@ -65,24 +69,23 @@ def _trials(view: View) -> list[Trial]:
     ]
     return [
         Trial(
-            columns=drive_change(view, _clip, levels) if depth in DEPTHS else untested(view),
+            columns=drive_change(view, _clip, levels) if depth in DEPTHS else zero_columns(view),
             parameters=levels,
-            free=dict.fromkeys(levels, max(SHORTEST, STEP * depth)),
+            free=dict.fromkeys(levels, max(MIN_STEP, STEP * depth)),
             limits=limits,
         )
-        for depth, levels, limits in ways
+        for depth, levels, limits in candidates
         if all(limits[side][0] < level < limits[side][1] for side, level in levels.items())
     ]
 
 
 def _size(view: View, parameters: Parameters, _: Array) -> float:
-    high = max(float(track.command.max()) for track in view.tracks)
-    low = min(float(track.command.min()) for track in view.tracks)
+    low, high = _command_range(view)
     cut = max(high - parameters.get("high", high), parameters.get("low", low) - low)
     return 100.0 * cut / (high - low)
 
 
-def _tangent(drive: Driven, _: float) -> Array:
+def _tangent(drive: DriveResponse, _: float) -> Array:
     """Return the motion beyond CLIPPED_AT of the range, above and below."""
     low_V, high_V = drive.model.voltage_V
     unit = (2.0 * drive.voltage_V - low_V - high_V) / (high_V - low_V)
@@ -92,7 +95,7 @@ def _tangent(drive: Driven, _: float) -> Array:
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Let the top of the stroke be missing."""
+    """Clip the displacement at the top, by a share of the stroke."""
     moved_m = recording.displacement_m()
     return with_displacement(
         recording, np.minimum(moved_m, moved_m.max() - share * stroke_of(recording))

@@ -27,7 +27,7 @@ from itertools import product
 import numpy as np
 
 from piezoid.diagnosis.appearance import Appearance
-from piezoid.diagnosis.drive_response import Driven
+from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
     Effect,
     EffectEstimate,
@@ -38,7 +38,8 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.signals import seconds_of, through, with_added
+from piezoid.diagnosis.segments import Track
+from piezoid.diagnosis.signals import with_added, with_extension
 from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
@@ -50,22 +51,24 @@ RUNGS = 8  # of a creep ladder in the model: as many as the runtime has
 PER_DECADE = 2
 FASTEST_s = 0.01
 DECAY_s = 30.0  # of creep from before a track; slower creep is part of its zero
-LONGER = 10.0  # slowest time constant over the longest track
-TOLD_AT_s = 10.0  # reference time of the spectrum, within a record
-TILTS = (0.0, -0.15, 0.15)  # of it there, for each decade
-BEGINS = (1.0, 0.5)  # part of the fastest rung
-ALLOWED = (0.0, 0.1)  # share of a step for each decade
-LEAST_s = 2.0  # a shorter record shows no slow motion
+SLOWEST = 10.0  # slowest time constant over the longest track
+REFERENCE_s = 10.0  # time at which the spectrum has the size of the effect
+TILTS = (0.0, -0.15, 0.15)  # relative change of the spectrum per decade
+FIRST_RUNGS = (1.0, 0.5)  # share of the fastest rung that is present
+SHARES = (0.0, 0.1)  # physically possible shares of a step per decade
+MIN_DURATION_s = 2.0  # a shorter recording shows no slow motion
 PLANNED_s = (0.03, 3000.0)  # time constants in a plan
-STILL = 1e-4  # of the drive's range: a change below it is a hold
-SHORTEST_HOLD_s = 0.2  # that is drawn
+HOLD_CHANGE = 1e-4  # of the drive's range: a smaller change is a hold
+MIN_HOLD_s = 0.2  # of a hold in the picture
 
 
 def _untestable(view: View) -> str:
     longest_s = _longest_s(view)
-    if longest_s < LEAST_s:
-        return f"the longest recording lasts {longest_s:.2g} s; creep needs {LEAST_s:g} s or more"
-    return ""
+    if longest_s >= MIN_DURATION_s:
+        return ""
+    return (
+        f"the longest recording lasts {longest_s:.2g} s; creep needs {MIN_DURATION_s:g} s or more"
+    )
 
 
 def _longest_s(view: View) -> float:
@@ -73,31 +76,34 @@ def _longest_s(view: View) -> float:
 
 
 def _ladder(view: View, parameters: Parameters, *, backwards: bool = False) -> Array:
-    """Return the relaxation of the static response that adds a whole step in a decade."""
-    first, stop = np.log10([FASTEST_s, LONGER * _longest_s(view)])
+    """Return the relaxation of the static response with a coefficient of a whole step per decade.
+
+    backwards  whether to run the relaxation backwards in time, for a placebo
+    """
+    first, stop = np.log10([FASTEST_s, SLOWEST * _longest_s(view)])
     decade = np.arange(first + 0.5 / PER_DECADE, stop, 1.0 / PER_DECADE)
-    share = 1.0 + parameters["tilt"] * (decade - np.log10(min(TOLD_AT_s, _longest_s(view))))
+    share = 1.0 + parameters["tilt"] * (decade - np.log10(min(REFERENCE_s, _longest_s(view))))
     share[0] *= parameters["begins"]
     times_s, share = (10.0**decade).tolist(), np.maximum(share, 0.0) / PER_DECADE
+    order = slice(None, None, -1 if backwards else 1)
 
-    def crept(signal: Array, rate_Hz: float) -> Array:
-        rungs = [first_order(time_s, rate_Hz) for time_s in times_s]
-        total = ladder(signal[::-1] if backwards else signal, rungs, share)
-        return total[::-1] if backwards else total
+    def relax(k: int, track: Track) -> Array:
+        rungs = [first_order(time_s, track.rate_Hz) for time_s in times_s]
+        return ladder(view.static[k][order], rungs, share)[order]
 
-    return view.of(lambda k, track: crept(view.static[k], track.rate_Hz))[:, None]
+    return view.column(relax)[:, None]
 
 
 def _trials(view: View) -> list[Trial]:
     trials = []
-    for tilt, first_rung, backwards in product(TILTS, BEGINS, (False, True)):
+    for tilt, first_rung, backwards in product(TILTS, FIRST_RUNGS, (False, True)):
         spectrum = {"tilt": tilt, "begins": first_rung}
         trials.append(
             Trial(
                 columns=_ladder(view, spectrum, backwards=backwards),
                 parameters=spectrum,
                 physical=not backwards,
-                coefficient_range=ALLOWED,
+                coefficient_range=SHARES,
             )
         )
     return trials
@@ -107,13 +113,13 @@ def _decays(view: View) -> Array:
     """Return one exponential decay for each track: creep from before the recording."""
     return np.column_stack(
         [
-            view.of_track(k, np.exp(-track.rows / (track.rate_Hz * DECAY_s)))
+            view.track_column(k, np.exp(-track.rows / (track.rate_Hz * DECAY_s)))
             for k, track in enumerate(view.tracks)
         ]
     )
 
 
-def _tangent(drive: Driven, _: float) -> Array:
+def _tangent(drive: DriveResponse, _: float) -> Array:
     first, stop = np.log10(PLANNED_s)
     times_s = np.logspace(first, stop, round((stop - first) * PER_DECADE))
     rungs = [first_order(time_s, drive.rate_Hz) for time_s in times_s]
@@ -124,29 +130,29 @@ def _in_holds(recording: Recording) -> tuple[Array, Array]:
     """Return decades of time since the drive stopped, and the direction of its last move."""
     voltage_V, rate_Hz = recording.voltage_V(), recording.sampling_rate_Hz
     step = np.diff(voltage_V, prepend=voltage_V[0])
-    moving = np.abs(step) > STILL * max(float(np.ptp(voltage_V)), 1e-30)
-    last_move = np.maximum.accumulate(np.where(moving, np.arange(len(step)), 0))
-    since_s = (np.arange(len(step)) - last_move) / rate_Hz
+    is_moving = np.abs(step) > HOLD_CHANGE * max(float(np.ptp(voltage_V)), 1e-30)
+    last_move = np.maximum.accumulate(np.where(is_moving, np.arange(len(step)), 0))
+    elapsed_s = (np.arange(len(step)) - last_move) / rate_Hz
     with np.errstate(divide="ignore"):
-        decades = np.where(moving | (since_s <= 0.0), np.nan, np.log10(since_s))
-    stops = np.flatnonzero(np.diff(np.append(moving, True).astype(int)) > 0)
-    for end in stops:
-        if since_s[end] < SHORTEST_HOLD_s:
+        decades = np.where(is_moving | (elapsed_s <= 0.0), np.nan, np.log10(elapsed_s))
+    hold_ends = np.flatnonzero(np.diff(np.append(is_moving, True).astype(int)) > 0)
+    for end in hold_ends:
+        if elapsed_s[end] < MIN_HOLD_s:
             decades[last_move[end] : end + 1] = np.nan
     return np.asarray(decades), np.asarray(np.sign(step[last_move]))
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Let a recording creep."""
-    times_s = np.geomspace(0.03, 3.0 * float(seconds_of(recording)[-1]) + 0.1, 9)
-    ladder = CreepLadder(time_s=tuple(times_s.tolist()), share=(0.1,) * 9)
-    crept_m = through(recording, ladder).displacement_m() - recording.displacement_m()
-    return with_added(recording, crept_m - crept_m.mean(), share)
+    """Add logarithmic creep of the displacement."""
+    times_s = np.geomspace(0.03, 3.0 * float(recording.time_s[-1]) + 0.1, 9)
+    creep = CreepLadder(time_s=tuple(times_s.tolist()), share=(0.1,) * 9)
+    change_m = with_extension(recording, creep).displacement_m() - recording.displacement_m()
+    return with_added(recording, change_m - change_m.mean(), share)
 
 
 def extend(estimate: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
     """Return the model extension, starting from the creep share of the search."""
-    time_s = np.geomspace(FASTEST_s, LONGER * setting.longest_s, RUNGS)
+    time_s = np.geomspace(FASTEST_s, SLOWEST * setting.longest_s, RUNGS)
     share = np.clip(estimate.first_coefficient * np.log10(time_s[1] / time_s[0]), 1e-4, 0.1)
     return (CreepLadder(time_s=tuple(time_s.tolist()), share=(float(share),) * RUNGS, even=True),)
 

@@ -16,7 +16,7 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.appearance import Appearance, unsigned
-from piezoid.diagnosis.drive_response import Driven
+from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
     ConstantDriveData,
     Effect,
@@ -27,7 +27,13 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.signals import GAPS, added_percent, answers_of_others, through, with_added
+from piezoid.diagnosis.signals import (
+    GAPS,
+    added_percent,
+    other_axis_columns,
+    with_added,
+    with_extension,
+)
 from piezoid.identification.extensions.cross_axis import CrossAxis
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
@@ -45,12 +51,12 @@ def _untestable(view: View) -> str:
 
 def _trials(view: View) -> list[Trial]:
     return [
-        Trial(columns=answers_of_others(view)),
-        Trial(columns=answers_of_others(view, backwards=True), physical=False),
+        Trial(columns=other_axis_columns(view)),
+        Trial(columns=other_axis_columns(view, backwards=True), physical=False),
     ]
 
 
-def _tangent(drive: Driven, _: float) -> Array:
+def _tangent(drive: DriveResponse, _: float) -> Array:
     if not drive.other_drives:
         return np.zeros((len(drive.voltage_V), 1))
     return 1e-6 * np.column_stack(list(drive.other_drives.values()))
@@ -63,12 +69,12 @@ def _other_drive(recording: Recording) -> tuple[Array, Array]:
     return unsigned(np.full(recording.samples, np.nan))
 
 
-def _at_rest(standing: ConstantDriveData) -> Array | str:
+def _at_rest(data: ConstantDriveData) -> Array | str:
     other_drives = [
-        channel.values[standing.keep]
-        for channel in standing.recording.channels
+        channel.values[data.rows]
+        for channel in data.recording.channels
         if channel.quantity is Quantity.VOLTAGE
-        and channel.axis != standing.axis
+        and channel.axis != data.axis
         and np.ptp(channel.values) > 10.0 * white_noise_rms(channel.values)
     ]
     if not other_drives:
@@ -77,17 +83,17 @@ def _at_rest(standing: ConstantDriveData) -> Array | str:
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Let the axis answer to every other drive the recording holds."""
+    """Couple the axis to every other drive of the recording."""
     coupled = recording
     for channel in recording.channels:
         if channel.quantity is Quantity.VOLTAGE and channel.axis != recording.axis:
-            answer = CrossAxis(
+            extension = CrossAxis(
                 axis=channel.axis,
                 centre_V=float(channel.values.mean()),
                 gain_m_per_V=1e-6,
                 curvature_m_per_V_per_V=0.0,
             )
-            coupled = through(coupled, answer)
+            coupled = with_extension(coupled, extension)
     change_m = coupled.displacement_m() - recording.displacement_m()
     return with_added(recording, change_m, share)
 
@@ -95,10 +101,10 @@ def inject(recording: Recording, share: float) -> Recording:
 def extend(_: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
     """Return the model extension, starting from the estimate of the search."""
     axes = sorted({axis for piece in setting.pieces for axis in piece.others_V})
-    return tuple(_coupled(axis, setting) for axis in axes)
+    return tuple(_cross_axis(axis, setting) for axis in axes)
 
 
-def _coupled(axis: str, setting: SearchScaling) -> Extension:
+def _cross_axis(axis: str, setting: SearchScaling) -> Extension:
     drives = [piece.others_V[axis] for piece in setting.pieces if axis in piece.others_V]
     low, high = min(float(u.min()) for u in drives), max(float(u.max()) for u in drives)
     return CrossAxis(
@@ -130,9 +136,9 @@ EFFECT = Effect(
     tangent=Tangent(columns=_tangent),
     untestable=_untestable,
     trials=_trials,
-    columns=lambda view, _: answers_of_others(view),
-    size=added_percent(lambda view, _: answers_of_others(view)),
-    model_error=0.06,  # the other axis has its own hysteresis, of which plays follow most
+    columns=lambda view, _: other_axis_columns(view),
+    size=added_percent(lambda view, _: other_axis_columns(view)),
+    model_error=0.06,  # by the hysteresis of the other axis, which the plays represent in part
     at_rest=_at_rest,
     inject=inject,
     extend=extend,

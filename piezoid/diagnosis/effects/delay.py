@@ -13,8 +13,6 @@ Source
     Devasia, Eleftheriou & Moheimani (2007)
 """
 
-import numpy as np
-
 from piezoid.diagnosis.appearance import OVER_SPEED
 from piezoid.diagnosis.effect import (
     Effect,
@@ -26,39 +24,27 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.signals import filtered_change, through
+from piezoid.diagnosis.signals import delay_trials, trial_times_s, with_extension
 from piezoid.identification.extensions.delay import Delay
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
 from piezoid.operators.filters import later
 
-SHORTEST = 0.5  # samples of the fastest recording
 LONGEST_s = 0.03
-TRIED = 12
-# strokes a second at which what is injected is late by its share: the same time in every recording
-SPEED = 50.0
+TRIALS = 12
+SPEED = 50.0  # strokes per second at which the error of the injected delay is its share
 
 
-def _passed(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
+def _delayed(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
     time_s = parameters.get("delay_s", 0.0) + parameters.get("delay_samples", 0.0) / rate_Hz
     return later(response, time_s * rate_Hz)
 
 
 def _trials(view: View) -> list[Trial]:
-    fastest_Hz = max(track.rate_Hz for track in view.tracks)
-    times_s = np.geomspace(SHORTEST / fastest_Hz, LONGEST_s, TRIED)
-    ways = [("delay_s", float(t)) for t in times_s]
+    delays = [("delay_s", time_s) for time_s in trial_times_s(view, LONGEST_s, TRIALS)]
     if len({track.rate_Hz for track in view.tracks}) > 1:
-        ways += [("delay_samples", n) for n in (1.0, 2.0, 4.0, 8.0)]
-    return [
-        Trial(
-            columns=filtered_change(view, _passed, {name: value}),
-            parameters={name: value},
-            needs_time=True,
-            free={name: 1.5},
-        )
-        for name, value in ways
-    ]
+        delays += [("delay_samples", samples) for samples in (1.0, 2.0, 4.0, 8.0)]
+    return delay_trials(view, _delayed, delays)
 
 
 def _size(view: View, parameters: Parameters, _: Array) -> float:
@@ -86,12 +72,12 @@ EFFECT = Effect(
     control="A delay costs phase in proportion to frequency and limits the bandwidth; the "
     "reference can be advanced by a constant delay.",
     shows=OVER_SPEED,
-    tangent=delay_tangent(_passed, "delay_s"),
+    tangent=delay_tangent(_delayed, "delay_s"),
     confounded=("lag", "rate_dependence", "resonance"),
     trials=_trials,
-    response_filter=_passed,
+    response_filter=_delayed,
     size=_size,
-    inject=lambda recording, share: through(recording, Delay(delay_s=share / SPEED)),
+    inject=lambda recording, share: with_extension(recording, Delay(delay_s=share / SPEED)),
     extend=extend,
     without=without_part(Delay, lag=True),
 )

@@ -24,7 +24,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.appearance import Appearance
-from piezoid.diagnosis.drive_response import Driven
+from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
     Effect,
     EffectEstimate,
@@ -35,7 +35,7 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.signals import seconds_of, through
+from piezoid.diagnosis.signals import with_extension
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.gain_change import GainChange, ramp
 from piezoid.identification.hysteresis.cycles import MIN_CYCLES
@@ -43,7 +43,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.repetition import equal_cycles
 from piezoid.records.recording import Recording
 
-# Instants tried, in shares of a track. The nuisance class absorbs a step of the gain at the wrong
+# Trial instants, in shares of a track. The nuisance class absorbs a step of the gain at the wrong
 # instant: in a chirp of a stage with three effects the held-out gain was 0.50 at the true instant,
 # 0.25 at a distance of 0.01, and negative at 0.03.
 INSTANTS = np.linspace(0.07, 0.93, 40)
@@ -63,13 +63,13 @@ def _change(
     if is_temporary:
         share = share - ramp(time, instant + TEMPORARY, duration)
     response = view.static[k][track.rows]
-    return np.column_stack([view.of_track(k, share * response), view.of_track(k, share)])
+    return np.column_stack([view.track_column(k, share * response), view.track_column(k, share)])
 
 
 def _gains_of_tracks(view: View) -> Array:
-    """Return columns of a gain of each track but the first: no evidence of a change in a track."""
+    """Return a column of a gain for each track but the first: no evidence of a change in one."""
     columns = [
-        view.of_track(k, view.static[k][track.rows])
+        view.track_column(k, view.static[k][track.rows])
         for k, track in enumerate(view.tracks)
         if k > 0
     ]
@@ -86,14 +86,17 @@ def _trials(view: View) -> list[Trial]:
         for instant in INSTANTS:
             parameters = {"track": float(k), "place": float(instant)}
             trials.append(_trial(_change(view, k, instant, 0.0), parameters, free={"place": 0.02}))
-        few = INSTANTS[::10]
-        placebos = [_change(view, k, t - TEMPORARY / 2, 0.0, is_temporary=True) for t in few]
+        placebo_instants = INSTANTS[::10]
+        placebos = [
+            _change(view, k, instant - TEMPORARY / 2, 0.0, is_temporary=True)
+            for instant in placebo_instants
+        ]
         # enough equal cycles show a slow trend of the gain
         if equal_cycles(view.tracks[k].drive, fewest=MIN_CYCLES) is not None:
             trend = {"track": float(k), "place": 0.5, "lasts": 1.0}
             trials.append(_trial(_change(view, k, 0.5, 1.0), trend))
         else:
-            placebos += [_change(view, k, instant, 0.5) for instant in few]
+            placebos += [_change(view, k, instant, 0.5) for instant in placebo_instants]
         trials += [_trial(columns, {}, physical=False) for columns in placebos]
     return trials
 
@@ -117,12 +120,8 @@ def _trial(
 
 
 def _from_track_on(view: View, first: int) -> Array:
-    """Return the column of a gain of all tracks from one on."""
-    parts = [
-        static[track.rows] * float(k >= first)
-        for k, (track, static) in enumerate(zip(view.tracks, view.static, strict=True))
-    ]
-    return np.concatenate(parts)[:, None]
+    """Return the column of a gain of all tracks from ``first`` on."""
+    return view.column(lambda k, _: view.static[k] * float(k >= first))[:, None]
 
 
 def _trials_between(view: View) -> list[Trial]:
@@ -157,7 +156,7 @@ def _columns(view: View, parameters: Parameters) -> Array:
     return _change(view, int(parameters["track"]), parameters["place"], duration)
 
 
-def _tangent(drive: Driven, _: float) -> Array:
+def _tangent(drive: DriveResponse, _: float) -> Array:
     is_late = drive.time_s > 0.5 * drive.time_s[-1]
     return np.asarray((drive.static_m * is_late)[:, None])
 
@@ -165,21 +164,21 @@ def _tangent(drive: Driven, _: float) -> Array:
 def _about_middle(recording: Recording) -> tuple[Array, Array]:
     voltage_V = recording.voltage_V()
     middle = voltage_V - 0.5 * (voltage_V.max() + voltage_V.min())
-    return seconds_of(recording), np.asarray(np.sign(middle))
+    return recording.time_s, np.asarray(np.sign(middle))
 
 
 def inject(recording: Recording, share: float) -> Recording:
     """Let the gain rise in the middle, by twice its share at the end of the stroke."""
     middle_s, ratio = 0.5 * recording.duration_s, 1.0 + 4.0 * share
     change = GainChange(recording=recording.name, instant_s=middle_s, ratio=ratio)
-    return through(recording, change)
+    return with_extension(recording, change)
 
 
 def extend(estimate: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
     """Return the model extension, starting from the estimate of the search."""
     piece = setting.pieces[int(estimate.parameters["track"])]
-    whole_s = piece.samples / piece.rate_Hz
-    instant_s = piece.first / piece.rate_Hz + estimate.parameters["place"] * whole_s
+    duration_s = piece.samples / piece.rate_Hz
+    instant_s = piece.first / piece.rate_Hz + estimate.parameters["place"] * duration_s
     following = setting.recordings.index(piece.recording) + 1
     return (
         GainChange(
@@ -187,7 +186,7 @@ def extend(estimate: EffectEstimate, setting: SearchScaling) -> tuple[Extension,
             instant_s=instant_s,
             ratio=float(np.clip(1.0 + estimate.first_coefficient, 0.5, 2.0)),
             later=setting.recordings[following:],
-            lasts_s=estimate.parameters.get("lasts", 0.0) * whole_s,
+            lasts_s=estimate.parameters.get("lasts", 0.0) * duration_s,
         ),
     )
 
@@ -219,7 +218,7 @@ WITHIN = Effect(
     extend=extend,
     without=without_part(GainChange),
     detectable_share=8e-3,
-    minimum_gain=0.1,  # a memory that is not quite known bends the heights of cycles as well
+    minimum_gain=0.1,  # a small error of the initial state also changes the heights of cycles
 )
 BETWEEN = replace(
     WITHIN,

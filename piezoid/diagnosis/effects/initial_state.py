@@ -22,7 +22,7 @@ import numpy as np
 from piezoid.diagnosis.appearance import OVER_TIME
 from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.effect import Effect, Structural, Trial
-from piezoid.diagnosis.initial_state_search import with_shared_where_as_good
+from piezoid.diagnosis.initial_state_search import with_shared_state_if_as_good
 from piezoid.diagnosis.residual_view import View, with_free_memory
 from piezoid.diagnosis.signals import with_added
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
@@ -30,37 +30,38 @@ from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import starts_of
 from piezoid.records.recording import Recording
 
-CHANGE = 1e-6  # of half the stroke: initial states that differ by less are one
+MIN_CHANGE = 1e-6  # of half the stroke: initial states that differ by less are equal
 
 
-def _against(view: View) -> Null:
-    """Return the nuisance class as it would be had the same been done before every recording."""
-    return with_shared_where_as_good(view).null
+def _null_without(view: View) -> Null:
+    """Return the nuisance class with one initial state shared by all recordings."""
+    return with_shared_state_if_as_good(view).null
 
 
 def _trials(view: View) -> list[Trial]:
-    shared, free = with_shared_where_as_good(view), with_free_memory(view)
+    shared, free = with_shared_state_if_as_good(view), with_free_memory(view)
     columns = []
     for k in range(len(view.tracks)):
         drive = view.tracks[k].drive
         static = shared.nuisance.static_rows(k, view.weight, drive)
-        columns.append(view.of_track(k, view.static[k][view.tracks[k].rows] - static))
+        columns.append(view.track_column(k, view.static[k][view.tracks[k].rows] - static))
     memory = free.nuisance.columns[:, list(free.nuisance.memory_columns)]
     columns_and_memory = np.column_stack([*columns, memory])
-    return [Trial(columns=columns_and_memory[:, np.abs(columns_and_memory).max(axis=0) > CHANGE])]
+    has_change = np.abs(columns_and_memory).max(axis=0) > MIN_CHANGE
+    return [Trial(columns=columns_and_memory[:, has_change])]
 
 
 def _cycled(axis: AxisModel, recording: Recording) -> AxisModel:
     """Return the model with initial states of a drive that was cycled before each piece.
 
-    That is what one assumes of a stage about which nothing is known.
+    This is the usual assumption about a stage with an unknown history.
     """
     voltage_V, (low_V, high_V) = recording.voltage_V(axis.axis), axis.voltage_V
-    fitted = (p.start for p in recording.pieces if p.stop - p.start >= MINIMUM_SAMPLES)
+    first_samples = (p.start for p in recording.pieces if p.stop - p.start >= MINIMUM_SAMPLES)
     starts = [start for start in axis.starts if start.recording != recording.name]
-    for start, first in zip(starts_of(axis, recording), fitted, strict=True):
-        way_V = np.array([low_V, high_V, voltage_V[first]])
-        _, memory_V = axis.hysteresis.run(way_V, axis.virgin_memory_V)
+    for start, first in zip(starts_of(axis, recording), first_samples, strict=True):
+        history_V = np.array([low_V, high_V, voltage_V[first]])
+        _, memory_V = axis.hysteresis.run(history_V, axis.virgin_memory_V)
         starts.append(replace(start, memory_V=memory_V))
     return replace(axis, starts=tuple(starts))
 
@@ -69,8 +70,8 @@ def inject(recording: Recording, share: float) -> Recording:
     """Change the initial state: an error until the drive has moved by half its range."""
     drive_V = recording.voltage_V()
     span_V = np.maximum.accumulate(drive_V) - np.minimum.accumulate(drive_V)
-    early = np.clip(1.0 - 2.0 * span_V / max(float(np.ptp(drive_V)), 1e-30), 0.0, 1.0)
-    return with_added(recording, early, share)
+    error = np.clip(1.0 - 2.0 * span_V / max(float(np.ptp(drive_V)), 1e-30), 0.0, 1.0)
+    return with_added(recording, error, share)
 
 
 EFFECT = Effect(
@@ -86,12 +87,13 @@ EFFECT = Effect(
     confounded=("creep", "thermal_drift", "gain_change", "amplifier_saturation"),
     trials=_trials,
     structural=Structural(
-        null_without=_against,
+        null_without=_null_without,
         structure=lambda structure, _, is_selected: replace(structure, memory=is_selected),
         largest_noise_ratio=1.6,
     ),
-    # On laws that forget slowly, pasts as laboratories leave them are found at 0.35 to 1.2 of the
-    # noise, rms; injected ones at full size from 1.9 on. A gain of 0.25 asks for about 0.9.
+    # On laws with slow decay of memory, usual laboratory histories appear as initial states of
+    # 0.35 to 1.2 times the noise (rms), injected initial states of full size of 1.9 times and
+    # more. A gain of 0.25 requires about 0.9 times.
     minimum_gain=0.25,
     inject=inject,
     without=_cycled,

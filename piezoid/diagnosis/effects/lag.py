@@ -7,8 +7,8 @@ Why it happens
     charges the ceramic slowly; the hysteresis then follows the filtered command.
 How it is detected
     The static response behind one pole explains what static hysteresis cannot, with nearly all
-    of the response passing through it. At low frequency a lag cannot be told from a delay, and
-    the report says so. The pole is placed in front of the hysteresis if the error is clearly
+    of the response passing through it. At low frequency a lag cannot be separated from a delay,
+    and the report states it. The pole is placed in front of the hysteresis if the error is clearly
     smaller there.
 What the extension adds
     A first-order pole behind or in front of the hysteresis.
@@ -18,39 +18,26 @@ Source
 
 from dataclasses import replace
 
-import numpy as np
-
 from piezoid.diagnosis.appearance import OVER_SPEED
 from piezoid.diagnosis.effect import Effect, Parameters, Trial, delay_tangent, without_part
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.signals import filtered_change, through
+from piezoid.diagnosis.signals import delay_trials, trial_times_s, with_extension
 from piezoid.identification.extensions.first_order_lag import FirstOrderLag
 from piezoid.numerics.arrays import Array
 from piezoid.operators.filters import relaxed
 
-SHORTEST = 0.5  # samples of the fastest recording
 LONGEST_s = 0.1
-TRIED = 14
-# strokes a second at which what is injected is late by its share: the same pole in every recording
-SPEED = 50.0
+TRIALS = 14
+SPEED = 50.0  # strokes per second at which the error of the injected lag is its share
 
 
-def _passed(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
+def _lagged(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
     return relaxed(response, parameters["time_s"], rate_Hz)
 
 
 def _trials(view: View) -> list[Trial]:
-    fastest_Hz = max(track.rate_Hz for track in view.tracks)
-    times_s = np.geomspace(SHORTEST / fastest_Hz, LONGEST_s, TRIED)
-    return [
-        Trial(
-            columns=filtered_change(view, _passed, {"time_s": float(t)}),
-            parameters={"time_s": float(t)},
-            needs_time=True,
-            free={"time_s": 1.5},
-        )
-        for t in times_s
-    ]
+    times_s = trial_times_s(view, LONGEST_s, TRIALS)
+    return delay_trials(view, _lagged, [("time_s", time_s) for time_s in times_s])
 
 
 BEHIND = Effect(
@@ -63,14 +50,14 @@ BEHIND = Effect(
     control="A lag costs phase and gain. Declare the filter in lab.toml or keep it in the "
     "model; otherwise the loop is designed for the wrong plant.",
     shows=OVER_SPEED,
-    tangent=delay_tangent(_passed, "time_s"),
+    tangent=delay_tangent(_lagged, "time_s"),
     confounded=("delay", "rate_dependence", "resonance"),
     trials=_trials,
-    response_filter=_passed,
+    response_filter=_lagged,
     size=lambda _, parameters, __: 1e6 * parameters["time_s"],
-    inject=lambda recording, share: through(recording, FirstOrderLag(lag_s=share / SPEED)),
+    inject=lambda recording, share: with_extension(recording, FirstOrderLag(lag_s=share / SPEED)),
     extend=lambda estimate, _: (FirstOrderLag(lag_s=max(estimate.parameters["time_s"], 0.0)),),
     without=without_part(FirstOrderLag, lag=True),
 )
-IN_FRONT = replace(BEHIND, response_filter=None, drive_filter=_passed, other_side=BEHIND)
+IN_FRONT = replace(BEHIND, response_filter=None, drive_filter=_lagged, other_side=BEHIND)
 EFFECT = replace(BEHIND, other_side=IN_FRONT)

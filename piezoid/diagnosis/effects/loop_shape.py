@@ -29,7 +29,7 @@ THRESHOLDS = np.linspace(0.05, 0.95, 10)  # in half ranges of the drive
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Add plays behind a curve that alternates with the position of their states."""
+    """Add plays behind a sine of their states."""
     drive_V = recording.voltage_V()
     drive = 2.0 * (drive_V - drive_V.min()) / max(float(np.ptp(drive_V)), 1e-30) - 1.0
     _, cycled = play_columns(np.array([-1.0, 1.0, drive[0]]), THRESHOLDS, np.zeros(10))

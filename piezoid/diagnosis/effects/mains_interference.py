@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.diagnosis.appearance import IN_SPECTRUM
-from piezoid.diagnosis.drive_response import Driven
+from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
     ConstantDriveData,
     Effect,
@@ -32,7 +32,7 @@ from piezoid.diagnosis.effect import (
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.rest_columns import peak_Hz, waves
 from piezoid.diagnosis.segments import Places
-from piezoid.diagnosis.signals import GRIDS_Hz, added_percent, seconds_of, with_added
+from piezoid.diagnosis.signals import GRIDS_Hz, added_percent, with_added
 from piezoid.formatting import significant, with_unit
 from piezoid.identification.extensions.mains_lines import (
     HARMONICS,
@@ -46,13 +46,13 @@ from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.recording import Recording
 
 PLACEBOS_Hz = (41.7, 46.3, 53.9, 56.1, 63.7, 66.9)
-PHASE_TIME_s = 8.0  # for which the grid keeps a phase
+PHASE_TIME_s = 8.0  # in which the phase of the grid is constant
 MAX_KNOTS = 6  # of the phase in a track
 OFFSET_Hz, OFFSET_STEP_Hz = 0.3, 0.03  # deviation of a grid from its nominal frequency
 OFFSET_AT_REST_Hz = 0.5
-AROUND_Hz = 6.0  # of a line, to compare it with
-LINE = 8.0  # times the spectrum around
-MIN_DRIVEN = 1.0  # times the residual's line: a line of the static response that may cause it
+AROUND_Hz = 6.0  # range of frequencies that a line is compared with
+MIN_LINE_RATIO = 8.0  # amplitude of a line over that of the surrounding spectrum
+MIN_DRIVEN_RATIO = 1.0  # line of the static response over a line of the residual that it may cause
 CLOCK_ERROR = 2e-3  # of the nominal frequency: grids stay within 0.1 % for hours
 PLANNED_Hz = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
 
@@ -78,15 +78,15 @@ class DrivenLines:
 
     @classmethod
     def of(cls, view: View) -> "DrivenLines":
-        """Return the lines of a view."""
+        """Return the spectral lines of the static responses of a view."""
         floors = [white_noise_rms(t.response) / np.sqrt(len(t.response)) for t in view.tracks]
         spectra = tuple(_spectrum(static) for static in view.static)
         return cls(view=view, spectra=spectra, floors=tuple(floors))
 
     def is_driven(self, k: int, frequency_Hz: float) -> bool:
-        """Tell whether a residual line may be misfit of the motion of the stage.
+        """Tell whether a line of the residual may be misfit of the motion of the stage.
 
-        Misfit leaves a smaller line than that of the motion itself.
+        The line of the residual is then smaller than that of the motion itself.
         """
         spectrum, track = self.spectra[k], self.view.tracks[k]
         step_Hz = track.rate_Hz / len(track.response)
@@ -99,7 +99,9 @@ class DrivenLines:
             return False
         around = max(float(np.median(spectrum[is_around])), self.floors[k])
         line = float(spectrum[is_line].max())
-        return line > LINE * around and line > MIN_DRIVEN * self._residual_line(k, frequency_Hz)
+        return line > MIN_LINE_RATIO * around and line > MIN_DRIVEN_RATIO * self._residual_line(
+            k, frequency_Hz
+        )
 
     def _residual_line(self, k: int, frequency_Hz: float) -> float:
         """Return the largest amplitude of the residual of a track near a frequency."""
@@ -119,7 +121,7 @@ def _spectrum(signal: Array) -> Array:
 
 
 def _line_columns(driven: DrivenLines, grid_Hz: float, harmonics: tuple[int, ...]) -> Array:
-    """Return columns of lines whose phase may wander, in tracks whose motion has no such line."""
+    """Return columns of lines with a slowly changing phase, for tracks that do not move so."""
     view, columns = driven.view, []
     for k, track in enumerate(view.tracks):
         time_s = track.rows / track.rate_Hz
@@ -131,7 +133,7 @@ def _line_columns(driven: DrivenLines, grid_Hz: float, harmonics: tuple[int, ...
                 continue
             phase = 2 * np.pi * n * grid_Hz * time_s
             for wave in (np.cos(phase), np.sin(phase)):
-                columns += [view.of_track(k, wave * spline) for spline in splines.T]
+                columns += [view.track_column(k, wave * spline) for spline in splines.T]
     return np.column_stack(columns) if columns else np.zeros((len(view.response), 0))
 
 
@@ -182,26 +184,26 @@ def _columns(view: View, parameters: Parameters) -> Array:
     return _line_columns(DrivenLines.of(view), parameters["frequency_Hz"], HARMONICS)
 
 
-def _tangent(drive: Driven, _: float) -> Array:
+def _tangent(drive: DriveResponse, _: float) -> Array:
     lines_Hz = [f for f in PLANNED_Hz if f < 0.4 * drive.rate_Hz]
-    angles_rad = [2 * np.pi * f * drive.time_s for f in lines_Hz]
-    lines = [wave(angle_rad) for angle_rad in angles_rad for wave in (np.cos, np.sin)]
+    phases_rad = [2 * np.pi * line_Hz * drive.time_s for line_Hz in lines_Hz]
+    lines = [wave(phase_rad) for phase_rad in phases_rad for wave in (np.cos, np.sin)]
     return 1e-6 * np.column_stack(lines or [np.zeros(len(drive.voltage_V))])
 
 
 def _at_rest(data: ConstantDriveData) -> Array | str:
     """Return the lines of the grid at the frequency that fits best."""
-    recording, time_s, calm_m = data.recording, data.time_s, data.calm_m
+    recording, time_s, detrended_m = data.recording, data.time_s, data.detrended_m
     rate_Hz, span_s = recording.sampling_rate_Hz, float(np.ptp(time_s))
     if rate_Hz <= 2.0 * GRIDS_Hz[0] or span_s * OFFSET_AT_REST_Hz < 1.0:
         return (
-            f"at {significant(rate_Hz)} Hz for {with_unit(recording.duration_s, 's')} no line of "
-            "the grid can be told"
+            f"{with_unit(recording.duration_s, 's')} at {significant(rate_Hz)} Hz cannot show a "
+            "line of the grid"
         )
     offsets_Hz = np.arange(-OFFSET_AT_REST_Hz, OFFSET_AT_REST_Hz, 0.25 / span_s).tolist()
     trials_Hz = [f + offset for f in GRIDS_Hz if rate_Hz > 2.0 * f for offset in offsets_Hz]
-    power = [abs(np.exp(-2j * np.pi * f * time_s) @ calm_m) for f in trials_Hz[:4000]]
-    best_Hz = peak_Hz(calm_m, time_s, trials_Hz[int(np.argmax(power))], 0.25 / span_s)
+    power = [abs(np.exp(-2j * np.pi * f * time_s) @ detrended_m) for f in trials_Hz[:4000]]
+    best_Hz = peak_Hz(detrended_m, time_s, trials_Hz[int(np.argmax(power))], 0.25 / span_s)
     return waves(time_s, [n * best_Hz for n in HARMONICS if 2 * n * best_Hz < rate_Hz])
 
 
@@ -211,16 +213,16 @@ def _clock_note(parameters: Parameters) -> str:
     nominal_Hz = min(GRIDS_Hz, key=lambda grid_Hz: abs(grid_Hz - frequency_Hz))
     error = frequency_Hz / nominal_Hz - 1.0
     if abs(error) < CLOCK_ERROR:
-        return f"The line stands at {frequency_Hz:.2f} Hz."
+        return f"The line is at {frequency_Hz:.2f} Hz."
     return (
-        f"The line stands at {frequency_Hz:.2f} Hz. If this is the mains, the clock of the file "
-        f"is {100.0 * abs(error):.2f} % off."
+        f"The line is at {frequency_Hz:.2f} Hz. If this is the mains, the clock of the file is "
+        f"{100.0 * abs(error):.2f} % off."
     )
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Let 50 Hz hum."""
-    hum = np.sin(2 * np.pi * 50.0 * seconds_of(recording) + 1.0)
+    """Add hum of 50 Hz."""
+    hum = np.sin(2 * np.pi * 50.0 * recording.time_s + 1.0)
     return with_added(recording, hum, share)
 
 
@@ -239,7 +241,7 @@ EFFECT = Effect(
     columns=_columns,
     size=added_percent(_columns),
     note=_clock_note,
-    model_error=0.04,  # a phase that wanders between knots, and higher harmonics, are not in it
+    model_error=0.04,  # by changes of the phase between knots, and by higher harmonics
     at_rest=_at_rest,
     inject=inject,
     extend=lambda estimate, setting: (

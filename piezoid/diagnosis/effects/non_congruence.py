@@ -21,9 +21,10 @@ import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_DRIVE
 from piezoid.diagnosis.blocked_regression import Null
-from piezoid.diagnosis.drive_response import Driven
+from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import Effect, Structural, Tangent, Trial
 from piezoid.diagnosis.residual_view import View
+from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel
@@ -31,59 +32,60 @@ from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
 
-OPENING = 0.15  # of loops over half the range; ceramics by themselves open by less
-ALONE = 0.5  # share of the power that all products with the drive explain
-# misses many of them
-WORTH = 0.025  # of the error: more than the difference between classes of ceramics
-PLAYS = np.linspace(0.05, 0.95, 10)  # thresholds of the plays that inject opens
+MIN_OPENING = 0.15  # of loops over half the range; loops of healthy ceramics open by less
+MIN_SHARE = 0.5  # of the power that all products with the drive explain
+PLAYS = np.linspace(0.05, 0.95, 10)  # thresholds of the injected plays
 POINTS = 401
 BENDS = 3  # of the envelope, on each side
 
 
-def _against(view: View) -> Null:
+def _null_without(view: View) -> Null:
     """Return the nuisance class without products with the drive."""
-    columns = np.delete(view.null.every, list(view.nuisance.bias_columns), axis=1)
+    columns = np.delete(view.null.all_columns, list(view.nuisance.bias_columns), axis=1)
     return Null(columns=columns, response=view.response, block=view.block)
 
 
 def _trials(view: View) -> list[Trial]:
-    drives, width = [t.drive[t.rows] for t in view.tracks], _irreversible(view)
-    column = np.concatenate(drives) * width
+    column = view.column(lambda _, track: track.drive) * _irreversible_response(view)
     return [
-        Trial(columns=column[:, None], minimum_coefficient=OPENING, unique=_is_alone(view, column))
+        Trial(
+            columns=column[:, None],
+            minimum_coefficient=MIN_OPENING,
+            unique=_explains_most(view, column),
+        )
     ]
 
 
-def _is_alone(view: View, column: Array) -> bool:
-    """Tell whether one column explains most of the gain of all products with the drive."""
-    null, bias = _against(view), len(view.nuisance.bias_columns)
-    across, residual = null.without(column), null.residual
-    explained = float(across @ residual) ** 2 / (float(across @ across) + 1e-300)
+def _explains_most(view: View, column: Array) -> bool:
+    """Tell whether one column explains most of the power of all products with the drive."""
+    null, n_products = _null_without(view), len(view.nuisance.bias_columns)
+    orthogonal, residual = null.project_out(column), null.residual
+    explained = float(orthogonal @ residual) ** 2 / (float(orthogonal @ orthogonal) + 1e-300)
     widest_error = float(np.sum(view.null.residual**2))
     error = float(np.sum(residual**2))
-    return explained > ALONE * (error - widest_error * (1.0 + bias / len(residual)))
+    return explained > MIN_SHARE * (error - widest_error * (1.0 + n_products / len(residual)))
 
 
-def _irreversible(view: View) -> Array:
+def _irreversible_response(view: View) -> Array:
     """Return the distance of congruent loops from the mean of the largest loop, at the rows."""
-    null, nuisance = _against(view), view.nuisance
-    congruent = np.setdiff1d(np.arange(view.null.every.shape[1]), nuisance.bias_columns)
+    null, nuisance = _null_without(view), view.nuisance
+    congruent = np.setdiff1d(np.arange(view.null.all_columns.shape[1]), nuisance.bias_columns)
     weight = np.zeros(nuisance.shared)
     shared = congruent[congruent < nuisance.shared]
     weight[shared] = null.fit(view.response)[: len(shared)]
     up = np.linspace(-1.0, 1.0, POINTS)
-    loop = nuisance.along(np.concatenate([up, up[::-1]]), (1.0, -1.0), weight)
+    loop = nuisance.static_along(np.concatenate([up, up[::-1]]), (1.0, -1.0), weight)
     middle = 0.5 * (loop[:POINTS] + loop[POINTS:][::-1])
-    parts = []
-    for k, track in enumerate(view.tracks):
-        static = nuisance.static(k, weight)
-        parts.append((static - np.interp(track.drive, up, middle))[track.rows])
-    return np.concatenate(parts)
+
+    def distance(k: int, track: Track) -> Array:
+        return nuisance.static(k, weight) - np.interp(track.drive, up, middle)
+
+    return view.column(distance)
 
 
-def _tangent(drive: Driven, _: float) -> Array:
+def _tangent(drive: DriveResponse, _: float) -> Array:
     unit = drive.drive_V / drive.half_range_V
-    return np.column_stack([drive.walls_m * unit, drive.walls_m * unit**2])
+    return np.column_stack([drive.irreversible_m * unit, drive.irreversible_m * unit**2])
 
 
 def _structure(structure: Structure, model: AxisModel, is_selected: bool) -> Structure:
@@ -98,14 +100,14 @@ def inject(recording: Recording, share: float) -> Recording:
     drive_V, moved_m = recording.voltage_V(), recording.displacement_m()
     drive = 2.0 * (drive_V - drive_V.min()) / max(float(np.ptp(drive_V)), 1e-30) - 1.0
     path = np.linspace(-1.0, 1.0, POINTS)
-    largest = _opened(np.concatenate([path[::-1], path, path[::-1]]))[POINTS:]
+    largest = _biased_plays(np.concatenate([path[::-1], path, path[::-1]]))[POINTS:]
     rms_m = share * stroke_of(recording)
-    opened_m = rms_m / float(np.sqrt(np.mean(largest**2))) * _opened(drive)
-    return with_displacement(recording, moved_m + opened_m)
+    added_m = rms_m / float(np.sqrt(np.mean(largest**2))) * _biased_plays(drive)
+    return with_displacement(recording, moved_m + added_m)
 
 
-def _opened(drive: Array) -> Array:
-    """Return plays away from the middle lines of their largest loops, times the drive."""
+def _biased_plays(drive: Array) -> Array:
+    """Return the mean distance of plays from the middle of their largest loop, times the drive."""
     _, cycled = play_columns(np.array([-1.0, 1.0, drive[0]]), PLAYS, np.zeros(len(PLAYS)))
     states, _ = play_columns(drive, PLAYS, cycled)
     u = drive[:, None]
@@ -126,12 +128,12 @@ EFFECT = Effect(
     confounded=("asymmetry",),
     trials=_trials,
     structural=Structural(
-        null_without=_against,
+        null_without=_null_without,
         structure=_structure,
         largest_noise_ratio=2.0,
         may_be_bouc_wen=True,
     ),
     inject=inject,
     detectable_share=4e-3,
-    minimum_gain=WORTH,
+    minimum_gain=0.025,  # classes of ceramics differ by less
 )

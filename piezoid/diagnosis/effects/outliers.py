@@ -37,8 +37,8 @@ TAIL = 0.99  # quantile of all distances at which their tail begins
 MIN_TAIL_RATIO = 2.0  # distance over that quantile
 MAX_CHANCE = 1e-3  # expected number of such samples from an exponential tail
 MIN_UNMOVED = 0.5  # share of a spike that remains when the static response is subtracted
-# width of a neighbourhood and the ranks among its sorted values between which all are good: one
-# wrong sample of five, or three of nine
+# Width of a neighbourhood, and ranks of its sorted values between which no value is an outlier if
+# at most one of five samples, or three of nine, are outliers.
 NEIGHBOURHOODS = ((5, (1, 3)), (9, (3, 5)))
 Ranks = tuple[int, int]
 
@@ -56,25 +56,26 @@ def _median_distance(values: Array, width: int, ranks: Ranks) -> tuple[Array, Ar
 def _spike_sizes(
     track: Track, static: Array, width: int, ranks: Ranks
 ) -> tuple[Array, Array, Array]:
-    """Return the part of each distance that is no motion, the distance, and the local spread.
+    """Return the part of each distance that is not motion, the distance, and the local spread.
 
-    Where the drive turns sharply a good reading is as far from its median as the drive is.
+    At a sharp reversal the distance of a good reading from its median is as large as that of the
+    drive.
     """
     distance, spread = _median_distance(track.response, width, ranks)
     unmoved, _ = _median_distance(track.response - static, width, ranks)
-    turn, _ = _median_distance(track.drive, width, ranks)
+    drive_distance, _ = _median_distance(track.drive, width, ranks)
     distance_size = np.abs(distance)
     size = np.where(distance * unmoved > 0.0, np.minimum(distance_size, np.abs(unmoved)), 0.0)
-    return size, distance_size, np.maximum(spread, np.abs(turn))
+    return size, distance_size, np.maximum(spread, np.abs(drive_distance))
 
 
 def spikes(track: Track, static: Array, step: float = 0.0) -> tuple[Array, float]:
-    """Return which samples are spikes, and the expected number of the smallest by chance.
+    """Return which samples are spikes, and the expected number of as large spikes by chance.
 
     step  of the drive's converter, if coarse: near a turning point such a drive may reach the next
           step for one sample
 
-    The tail of all distances is extrapolated exponentially from those that are no spikes.
+    The tail of the distances is extrapolated exponentially from samples that are not spikes.
     """
     y = track.response
     is_spike, chance = np.zeros(len(y), dtype=bool), 0.0
@@ -109,9 +110,9 @@ def _min_size(y: Array, step: float) -> float:
 
 
 def largest_undetected(view: View) -> float:
-    """Return the height of a spike that may be undetected, of the stroke.
+    """Return the height of the largest undetected spike, of the stroke.
 
-    At a twentieth of all instants, where the stage moves fast, a larger one may be undetected.
+    At a twentieth of all instants, where the stage moves fast, a larger spike may be undetected.
     """
     step = drive_step(view)
     tracks = zip(view.tracks, view.static, strict=True)
@@ -148,7 +149,7 @@ def _interpolated(track: Track, is_spike: Array) -> Track:
 
 def find_outliers(view: View) -> Fault | None:
     """Find spikes, and interpolate them."""
-    tracks, largest, chances, where = [], [], [], []
+    tracks, largest, chances, locations = [], [], [], []
     step = drive_step(view)
     for track, static in zip(view.tracks, view.static, strict=True):
         is_spike, chance = spikes(track, static, step)
@@ -159,7 +160,7 @@ def find_outliers(view: View) -> Fault | None:
         size = np.abs(track.response - repaired.response)
         largest.append((float(size.max()), white_noise_rms(repaired.response)))
         chances.append(chance)
-        where.append(f"{track.name} ({int(is_spike.sum())})")
+        locations.append(f"{track.name} ({int(is_spike.sum())})")
         tracks.append(repaired)
     if not largest:
         return None
@@ -170,7 +171,7 @@ def find_outliers(view: View) -> Fault | None:
         value=1e9 * view.half_stroke_m * height,
         spread=1e9 * view.half_stroke_m * float(np.hypot(noise * np.sqrt(1.5), 0.01 * height)),
         p_value=max(chances),
-        where=tuple(where),
+        locations=tuple(locations),
     )
 
 

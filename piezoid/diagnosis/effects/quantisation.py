@@ -89,16 +89,16 @@ def _steps_of_reading(view: View) -> Fault | None:
 
 
 def _visible_step(response: Array) -> float:
-    """Return the step of a reading, or 0 if it is small beside stroke or noise."""
+    """Return the step of a reading, or 0 if it is small compared with stroke or noise."""
     step = lattice_step(response)
     return step if step > max(MIN_STEP, MIN_NOISE_RATIO * white_noise_rms(response)) else 0.0
 
 
 def lattice_step(response: Array) -> float:
-    """Return the step of which a reading takes only multiples, 0 if it never repeats a value.
+    """Return the step of a reading that is a multiple of it, or 0 if no value repeats.
 
-    Spikes, and values interpolated in their place, are no multiples. So a step of which nearly all
-    samples are multiples is searched near the median gap of the values first.
+    Spikes, and values interpolated instead of them, are not multiples. A step of which nearly all
+    samples are multiples is therefore searched first, near the median gap of the values.
     """
     if not np.any(np.diff(response) == 0):
         return 0.0
@@ -127,7 +127,7 @@ def _refine_step(gap: float, values: Array) -> float:
 
 
 def _rayleigh(response: Array, step: float) -> float:
-    """Return n R^2; exp(-n R^2) is the p-value of n random phases that agree as well.
+    """Return n R^2; exp(-n R^2) is the p-value of n random phases with the same mean resultant R.
 
     R = |mean exp(2 pi i y / step)|, over the rows at which the reading changed  [Rayleigh's test]
     """
@@ -159,9 +159,9 @@ def drive_step(view: View) -> float:
 def _steps_of_drive(view: View) -> Fault | None:
     """Find a residual that is a sawtooth of the drive.
 
-    A recorded staircase has no sawtooth of its own, and dilutes that of other tracks.
+    The residual of a recorded staircase is not a sawtooth and would dilute that of other tracks.
     """
-    drive, residual = view.of(lambda _, track: track.drive), view.null.residual
+    drive, residual = view.column(lambda _, track: track.drive), view.null.residual
     is_fine = _is_finer(view, 1.0 / MAX_STEPS)
     rows = is_fine if is_fine.any() else ~is_fine
     sawtooth = _strongest_sawtooth(drive[rows], residual[rows])
@@ -170,7 +170,7 @@ def _steps_of_drive(view: View) -> Fault | None:
     is_finer = _is_finer(view, sawtooth.step)
     if np.mean(is_finer) < MIN_FINE_ROWS:
         return None
-    column = view.null.without(sawtooth.error(drive) * is_finer)
+    column = view.null.project_out(sawtooth.error(drive) * is_finer)
     height, std = _height(column, residual)
     is_off = abs(height / sawtooth.step - 1.0) > HEIGHT_ERROR
     if is_off or height < max(MIN_STEP, HEIGHT_Z * std):
@@ -200,7 +200,7 @@ def _height(column: Array, residual: Array) -> tuple[float, float]:
 def _is_finer(view: View, step: float) -> NDArray[np.bool_]:
     """Tell for every row whether the drive of its track takes several values within a step.
 
-    A drive that repeats after few samples has steps of its own, and so has any residual.
+    A drive that repeats after a few samples takes few values, so that any residual has steps.
     """
     is_finer = []
     for track in view.tracks:
@@ -220,7 +220,7 @@ def _strongest_sawtooth(drive: Array, residual: Array) -> Sawtooth | None:
     is_off = abs(np.pi * amplitude * frequency - 1.0) > HEIGHT_ERROR
     if power[j] < MIN_POWER * median or is_off:
         return None
-    # the transform counts from the range's lower end, cells from their middle
+    # the transform counts from the lower end of the range, a cell represents its middle
     middle = RANGE / 2 - RANGE / CELLS / 2
     phase = float(np.angle(spectrum[j])) + 2.0 * np.pi * frequency * middle
     # the power of white noise is exponential: its median is ln 2 times its mean
@@ -244,13 +244,13 @@ def _spectrum(drive: Array, residual: Array) -> tuple[Array, NDArray[np.complex1
 def largest_undetected(view: View) -> float:
     """Return the rms error of the coarsest converter that agrees with the data, of the stroke.
 
-    A reading without steps has more values than rows in which it could repeat one; a sawtooth
-    along the drive below the limit of its spectrum may be present.
+    A reading that never repeats a value may have steps of up to twice the mean gap of its values;
+    a sawtooth of the drive below the limit of its spectrum may be present.
     """
     readings = [track.measured for track in view.tracks]
     steps = [lattice_step(y) or 2.0 * float(np.ptp(y)) / len(y) for y in readings]
     residual = view.null.residual
-    _, spectrum = _spectrum(view.of(lambda _, track: track.drive), residual)
+    _, spectrum = _spectrum(view.column(lambda _, track: track.drive), residual)
     median = float(np.median(np.abs(spectrum) ** 2))
     sawtooth = np.pi * 2.0 * np.sqrt(MIN_POWER * median) / len(residual)
     return float(max(*steps, sawtooth, MIN_STEP) / np.sqrt(12.0) / 2.0)

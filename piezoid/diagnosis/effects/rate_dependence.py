@@ -28,7 +28,8 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.signals import added_percent, rate_of, with_displacement
+from piezoid.diagnosis.segments import Track
+from piezoid.diagnosis.signals import added_percent, with_displacement
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.rate_dependence import RateDependence
 from piezoid.numerics.arrays import Array
@@ -36,24 +37,25 @@ from piezoid.operators.filters import relaxed
 from piezoid.operators.limits import activated
 from piezoid.records.recording import Recording
 
-LINEAR_STRAIN = 1.0  # half strokes: from here on the lag of the walls is as good as linear
-SHARES = (0.03, 3.0)  # range of the share of the lag, which a search may divide differently
-ALLOWED = (0.03, 5.0)
+LINEAR_STRAIN = (
+    1.0  # half strokes: strain from which the lag of the walls is linear in their speed
+)
+EXTENSION_SHARES = (0.03, 3.0)  # range of the share of the lag in the model
+SHARES = (0.03, 5.0)  # physically possible coefficients
 TIMES_s = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
-WIDEST = 1.0  # strain from which the lag is as good as linear
-STRAINS = (1e-3, 1e9)  # a lag that is as good as linear has no strain
-LONGEST = (2e-6, 0.3)
-TOO_LITTLE = 1e-5  # of half the stroke: an invisible lag
-FEWEST = 8  # reversals
-ONE_PLACE = 0.01  # of half the drive's range
-SPEED = 50.0  # strokes per second at which the injected lag is the share that is asked for
+STRAIN_RANGE = (1e-3, 1e9)  # without an upper limit, because a linear lag has no strain
+TIME_RANGE_s = (2e-6, 0.3)
+MIN_LAG = 1e-5  # of half the stroke: a smaller lag is not computed
+MIN_REVERSALS = 8
+ONE_LEVEL = 0.01  # of half the drive's range: reversals within it are at one level
+SPEED = 50.0  # strokes per second at which the error of the injected lag is its share
 
 
 def reversible(view: View) -> Array:
-    """Fit the reversible slope just after reversals as a polynomial of the drive.
+    """Fit the slope just after reversals, where no domain wall moves yet, as a line of the drive.
 
-    Just after a reversal no domain wall moves yet. The slope is linear in the drive, (2,) highest
-    power first, or constant if the drive turns at one level only.
+    Returns the coefficients (2,), the highest power first. The slope is constant if the drive
+    turns at one level only, and 0 if there are too few reversals.
     """
     levels, slopes = [], []
     for track, static in zip(view.tracks, view.static, strict=True):
@@ -61,28 +63,27 @@ def reversible(view: View) -> Array:
         rise = track.drive[end] - track.drive[turn]
         levels.append(track.drive[turn])
         slopes.append((static[end] - static[turn]) / rise)
-    if sum(map(len, levels)) < FEWEST:
+    if sum(map(len, levels)) < MIN_REVERSALS:
         return np.array([0.0, 0.0])
-    where, slope = np.concatenate(levels), np.concatenate(slopes)
-    if np.ptp(where) < ONE_PLACE:
+    level, slope = np.concatenate(levels), np.concatenate(slopes)
+    if np.ptp(level) < ONE_LEVEL:
         return np.array([0.0, float(slope.mean())])
-    return np.asarray(np.polyfit(where, slope, 1))
+    return np.asarray(np.polyfit(level, slope, 1))
 
 
 def _columns(view: View, parameters: Parameters) -> Array:
     bend, slope = reversible(view)
     time_s, strain = parameters["time_s"], parameters["strain"]
 
-    def behind(k: int) -> Array:
-        track = view.tracks[k]
+    def change(k: int, track: Track) -> Array:
         walls = view.static[k] - (slope + 0.5 * bend * track.drive) * track.drive
-        if time_s * float(np.abs(np.diff(walls)).max()) * track.rate_Hz < TOO_LITTLE:
+        if time_s * float(np.abs(np.diff(walls)).max()) * track.rate_Hz < MIN_LAG:
             return np.zeros(len(walls))
-        if strain >= WIDEST:
+        if strain >= LINEAR_STRAIN:
             return np.asarray(relaxed(walls, time_s, track.rate_Hz) - walls)
         return np.asarray(activated(walls, time_s, track.rate_Hz, strain) - walls)
 
-    return view.of(lambda k, _: behind(k))[:, None]
+    return view.column(change)[:, None]
 
 
 def _trials(view: View) -> list[Trial]:
@@ -90,21 +91,18 @@ def _trials(view: View) -> list[Trial]:
         Trial(
             columns=_columns(view, {"time_s": time_s, "strain": strain}),
             parameters={"time_s": time_s, "strain": strain},
-            coefficient_range=ALLOWED,
+            coefficient_range=SHARES,
             needs_time=True,
             free={"time_s": 1.8, "strain": 2.0},
-            limits={"time_s": LONGEST, "strain": STRAINS},
+            limits={"time_s": TIME_RANGE_s, "strain": STRAIN_RANGE},
         )
         for time_s in TIMES_s
-        for strain in (WIDEST, 0.03)
+        for strain in (LINEAR_STRAIN, 0.03)
     ]
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Delay the irreversible part, by the share at SPEED strokes per second.
-
-    One time constant for all recordings of a stage: slow ones do not show it.
-    """
+    """Delay the irreversible part with one time constant, which slow recordings do not show."""
     moved_m, drive_V = recording.displacement_m(), recording.voltage_V()
     slope = 0.6 * float(np.polyfit(drive_V, moved_m, 1)[0])
     walls_m = moved_m - slope * drive_V
@@ -113,16 +111,16 @@ def inject(recording: Recording, share: float) -> Recording:
 
 
 def extend(estimate: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
-    """A share of the lag is a lag of a shorter time and a smaller strain, where motion is slow."""
-    strain, share = (
-        estimate.parameters["strain"],
-        float(np.clip(estimate.first_coefficient, *SHARES)),
-    )
-    bends = strain < LINEAR_STRAIN
+    """Return the model extension, starting from the estimate of the search.
+
+    For slow motion a share of the lag is a lag with a shorter time and a smaller strain.
+    """
+    strain = estimate.parameters["strain"]
+    share = float(np.clip(estimate.first_coefficient, *EXTENSION_SHARES))
     return (
         RateDependence(
             time_s=share * estimate.parameters["time_s"],
-            strain_m=share * strain * setting.half_stroke_m if bends else 0.0,
+            strain_m=share * strain * setting.half_stroke_m if strain < LINEAR_STRAIN else 0.0,
         ),
     )
 
@@ -136,12 +134,14 @@ EFFECT = Effect(
     control="The inverse is right at one speed only: identify the stage at the speed that you "
     "use, or leave the rest to the observer.",
     shows=OVER_SPEED,
-    tangent=Tangent(columns=lambda drive, _: -rate_of(drive.walls_m, drive.rate_Hz)[:, None]),
+    tangent=Tangent(
+        columns=lambda drive, _: -(np.gradient(drive.irreversible_m) * drive.rate_Hz)[:, None]
+    ),
     confounded=("delay", "lag", "resonance", "slew_limit"),
     trials=_trials,
     columns=_columns,
     size=added_percent(_columns),
-    model_error=0.05,  # how walls wait is not the same in every law
+    model_error=0.05,  # the law of activation differs between ceramics
     inject=inject,
     extend=extend,
     without=without_part(RateDependence),

@@ -18,7 +18,7 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.appearance import IN_SPECTRUM
-from piezoid.diagnosis.drive_response import Driven
+from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
     Effect,
     EffectEstimate,
@@ -30,108 +30,106 @@ from piezoid.diagnosis.effect import (
 )
 from piezoid.diagnosis.refitted_view import with_polynomial_response
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.signals import filtered_change, mode, through
+from piezoid.diagnosis.signals import filtered_change, mode, with_extension
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.linear_mode import LinearMode, StruckMode
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
-ALLOWED = (0.01, 1.6)
+SHARES = (0.01, 1.6)  # physically possible coefficients
 QUALITIES = (4.0, 12.0, 40.0)
-SHARP = (20.0, 60.0)  # of the modes to try about the best one of the grid,
-APART = 0.5  # of their width,
-TELLING = 0.02  # smallest share of the squared residual
-DAMPED = (2.5, 300.0)  # quality factors: below a lag, above not measurable
+FINE_QUALITIES = (20.0, 60.0)  # of the finer grid of modes about the best mode of the first grid
+FINE_STEP = 0.5  # between frequencies of the finer grid, of the width of a mode
+MIN_POWER_SHARE = 0.02  # of the squared residual, by a mode about which a finer grid is tried
+QUALITY_RANGE = (2.5, 300.0)  # a mode below it is a lag, a mode above it not measurable
 LOWEST_Hz = 15.0
 INJECTED_Hz = 300.0
 PER_OCTAVE = 5
-LEAST_RATE_Hz = 200.0
+MIN_RATE_Hz = 200.0
 PLANNED_QUALITY = 20.0
 
 
 def _untestable(view: View) -> str:
     fastest_Hz = max(track.rate_Hz for track in view.tracks)
-    if fastest_Hz < LEAST_RATE_Hz:
+    if fastest_Hz < MIN_RATE_Hz:
         return f"the fastest recording has {fastest_Hz:.4g} Hz; modes lie above {LOWEST_Hz:g} Hz"
     return ""
 
 
-def _rung(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
+def _ringing(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
     return mode(response, parameters["frequency_Hz"], parameters["quality"], rate_Hz)
 
 
 def _columns(view: View, parameters: Parameters) -> Array:
-    return filtered_change(view, _rung, parameters)
+    return filtered_change(view, _ringing, parameters)
 
 
 def _trials(view: View) -> list[Trial]:
     highest_Hz = 0.24 * max(track.rate_Hz for track in view.tracks)
     count = int(PER_OCTAVE * np.log2(highest_Hz / LOWEST_Hz)) + 1
-    ways = [
-        {"frequency_Hz": float(f), "quality": q}
-        for f in np.geomspace(LOWEST_Hz, highest_Hz, count)
-        for q in QUALITIES
+    trials = [
+        _trial(view, {"frequency_Hz": frequency_Hz, "quality": quality}, highest_Hz)
+        for frequency_Hz in np.geomspace(LOWEST_Hz, highest_Hz, count).tolist()
+        for quality in QUALITIES
     ]
-    trials = [_trial(view, mode, highest_Hz) for mode in ways]
     best, share = _best(view, trials)
-    if share < TELLING:
+    if share < MIN_POWER_SHARE:
         return trials
     smooth = with_polynomial_response(view)
-    return trials + [_trial(smooth, mode, highest_Hz) for mode in _closer(best.parameters)]
+    return trials + [_trial(smooth, mode, highest_Hz) for mode in _finer_grid(best.parameters)]
 
 
 def _trial(view: View, mode: Parameters, highest_Hz: float) -> Trial:
     return Trial(
         columns=_columns(view, mode),
         parameters=mode,
-        coefficient_range=ALLOWED,
+        coefficient_range=SHARES,
         free={"frequency_Hz": 1.06, "quality": 1.6},
-        limits={"quality": DAMPED, "frequency_Hz": (LOWEST_Hz, highest_Hz)},
+        limits={"quality": QUALITY_RANGE, "frequency_Hz": (LOWEST_Hz, highest_Hz)},
     )
 
 
 def _best(view: View, trials: list[Trial]) -> tuple[Trial, float]:
     """Return the trial that explains most of the squared residual, and its share."""
-    across = view.null.without(np.hstack([trial.columns for trial in trials]))
+    orthogonal = view.null.project_out(np.hstack([trial.columns for trial in trials]))
     residual = view.null.residual
-    square = np.einsum("ij,ij->j", across, across) + 1e-300
-    shares = (across.T @ residual) ** 2 / square / float(residual @ residual)
+    square = np.einsum("ij,ij->j", orthogonal, orthogonal) + 1e-300
+    shares = (orthogonal.T @ residual) ** 2 / square / float(residual @ residual)
     k = int(np.argmax(shares))
     return trials[k], float(shares[k])
 
 
-def _closer(best: Parameters) -> list[dict[str, float]]:
-    """Return a finer grid of modes about the best one.
+def _finer_grid(best: Parameters) -> list[dict[str, float]]:
+    """Return a finer grid of modes about the best mode of the first grid.
 
-    A sharp mode between two of the grid shows a shoulder there, and a search by steps from it ends
-    at a blunter one beside it.
+    A sharp mode between two frequencies of the first grid explains little at both, and a search by
+    steps from there ends at a mode that is damped too much.
     """
     reach = 2.0 ** (1.0 / PER_OCTAVE)
+    counts = [int(2.0 * np.log(reach) * quality / FINE_STEP) + 1 for quality in FINE_QUALITIES]
     return [
-        {"frequency_Hz": best["frequency_Hz"] * float(ratio), "quality": quality}
-        for quality in SHARP
-        for ratio in np.geomspace(
-            1.0 / reach, reach, int(2.0 * np.log(reach) * quality / APART) + 1
-        )
+        {"frequency_Hz": best["frequency_Hz"] * ratio, "quality": quality}
+        for quality, count in zip(FINE_QUALITIES, counts, strict=True)
+        for ratio in np.geomspace(1.0 / reach, reach, count).tolist()
     ]
 
 
-def _tangent(drive: Driven, frequency_Hz: float) -> Array:
-    rung_m = mode(drive.static_m, frequency_Hz, PLANNED_QUALITY, drive.rate_Hz)
-    return (rung_m - drive.static_m)[:, None]
+def _tangent(drive: DriveResponse, frequency_Hz: float) -> Array:
+    moved_m = mode(drive.static_m, frequency_Hz, PLANNED_QUALITY, drive.rate_Hz)
+    return (moved_m - drive.static_m)[:, None]
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Let a part of the motion ring, fifty times the share: so much of it a chirp shows."""
+    """Let fifty times the share of the motion ring: a chirp shows a fiftieth of it."""
     frequency_Hz = min(INJECTED_Hz, 0.2 * recording.sampling_rate_Hz)
     participation = min(50.0 * share, 1.0)
     ringing = LinearMode(frequency_Hz=frequency_Hz, quality=15.0, participation=participation)
-    return through(recording, ringing)
+    return with_extension(recording, ringing)
 
 
 def extend(estimate: EffectEstimate, _: SearchScaling) -> tuple[Extension, ...]:
     """Return the model extension, starting from the estimate of the search."""
-    # after a jump it has two columns, one sample apart: their sum is the mode
+    # after a step of the drive the mode is the sum of two columns that are one sample apart
     kind, share = (
         (StruckMode, float(np.sum(estimate.coefficient)))
         if estimate.from_jumps

@@ -18,7 +18,7 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.appearance import Appearance, unsigned
-from piezoid.diagnosis.drive_response import Driven
+from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
     Effect,
     EffectEstimate,
@@ -43,12 +43,12 @@ RANGE = 4.0  # half strokes: more than any track has
 PEAK_WIDTH = 0.6  # periods on either side of a peak
 PERIODS_IN_TRACK = 3.0  # that show an error
 ROUNDS, DAMPING = 5, 0.8  # of fitting the error and correcting the position by it
-MEAN_SAMPLES, MEAN_s = 9, 0.02  # of the readings whose mean is the position: without any hum
+MEAN_SAMPLES, MEAN_s = 9, 0.02  # of readings that are averaged, so that hum cancels
 PLANNED_PERIODS = 60.0  # in the stroke
 
 
 def _position(view: View, k: int, error: Array) -> Array:
-    """Return the position of a track without most of the noise: reading less error, (samples,)."""
+    """Return the position of a track, from averaged readings without the error, (samples,)."""
     static, track = view.static[k], view.tracks[k]
     deviation = track.response - static - error
     count = max(MEAN_SAMPLES, round(MEAN_s * track.rate_Hz))
@@ -70,7 +70,7 @@ def _harmonics(position: Array, periods: float) -> Array:
 
 
 def _waves_of_track(view: View, k: int, periods: float) -> Array:
-    """Return the waves of a track over its position: the reading less the error.
+    """Return the waves of a track along its position, the reading without the error.
 
     Over the reading a sine is distorted: an amplitude of a tenth of the period has a third of its
     size in higher orders [Kepler's equation].
@@ -90,7 +90,7 @@ def _columns(view: View, periods: float) -> Array:
     columns = []
     for k in range(len(view.tracks)):
         if np.ptp(_reading_at_rows(view, k)) * periods / 2.0 >= PERIODS_IN_TRACK:
-            columns += [view.of_track(k, wave) for wave in _waves_of_track(view, k, periods).T]
+            columns += [view.track_column(k, wave) for wave in _waves_of_track(view, k, periods).T]
     return np.column_stack(columns) if columns else np.zeros((len(view.response), 0))
 
 
@@ -149,7 +149,7 @@ def _size(view: View, _: Parameters, coefficient: Array) -> float:
     return 1e9 * view.half_stroke_m * float(max(np.median(first), np.median(second)))
 
 
-def _tangent(drive: Driven, _: float) -> Array:
+def _tangent(drive: DriveResponse, _: float) -> Array:
     stroke_m = float(np.sum(drive.model.hysteresis.plays.weight)) * 2 * drive.half_range_V
     turn = 2 * np.pi * PLANNED_PERIODS * drive.static_m / stroke_m
     return 1e-6 * np.column_stack([np.cos(turn), np.sin(turn)])
@@ -166,7 +166,7 @@ def _near_middle(recording: Recording) -> tuple[Array, Array]:
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Let the reading ripple thirty times over the stroke."""
+    """Add a ripple of thirty periods over the stroke to the reading."""
     moved_m, stroke_m = recording.displacement_m(), stroke_of(recording)
     ripple = np.sqrt(2.0) * share * stroke_m * np.sin(2 * np.pi * 30.0 * moved_m / stroke_m)
     return with_displacement(recording, moved_m + ripple)

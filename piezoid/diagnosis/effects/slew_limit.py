@@ -16,7 +16,7 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_SPEED
-from piezoid.diagnosis.drive_response import Driven
+from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
     Effect,
     Parameters,
@@ -25,46 +25,48 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.signals import drive_change, stroke_of, untested, with_displacement
+from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement, zero_columns
 from piezoid.identification.extensions.slew_limit import SlewLimit
 from piezoid.numerics.arrays import Array
 from piezoid.operators.limits import slewed
 from piezoid.records.recording import Recording
 
 SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.92)  # of the fastest drive
-SLOWER = (0.06, 0.09, 0.13, 0.18)  # and where a tangent would look like anything
-QUICK = 0.999  # quantile of the speed, to ignore single jumps of a staircase
+LOW_SHARES = (0.06, 0.09, 0.13, 0.18)  # without a tangent, which would resemble any effect
+FASTEST_QUANTILE = 0.999  # of the speed, to ignore single jumps of a staircase
 PLANNED = 0.7  # of the fastest speed along the drive, in a plan
 
 
-def _limited(drive: Array, rate_Hz: float, parameters: Parameters) -> Array:
+def _slew_limited(drive: Array, rate_Hz: float, parameters: Parameters) -> Array:
     step = parameters["limit_per_s"] / rate_Hz
     return slewed(drive, step) if np.any(np.abs(np.diff(drive)) > step) else drive
 
 
 def _trials(view: View) -> list[Trial]:
     fastest = max(
-        float(np.quantile(np.abs(np.diff(track.command)), QUICK)) * track.rate_Hz
+        float(np.quantile(np.abs(np.diff(track.command)), FASTEST_QUANTILE)) * track.rate_Hz
         for track in view.tracks
     )
-    ways = [(share, {"limit_per_s": share * fastest}) for share in (*SLOWER, *SHARES)]
+    limits = [(share, {"limit_per_s": share * fastest}) for share in (*LOW_SHARES, *SHARES)]
     return [
         Trial(
-            columns=drive_change(view, _limited, limit) if share in SHARES else untested(view),
+            columns=drive_change(view, _slew_limited, limit)
+            if share in SHARES
+            else zero_columns(view),
             parameters=limit,
             needs_time=True,
             free={"limit_per_s": 1.12},
         )
-        for share, limit in ways
+        for share, limit in limits
     ]
 
 
-def _tangent(drive: Driven, _: float) -> Array:
+def _tangent(drive: DriveResponse, _: float) -> Array:
     """Return the motion that a slew limit at a share of the largest speed removes."""
     limit_V_per_s = PLANNED * drive.model.certificate.slew_V_per_s
-    followed_V = _limited(drive.voltage_V, drive.rate_Hz, {"limit_per_s": limit_V_per_s})
+    output_V = _slew_limited(drive.voltage_V, drive.rate_Hz, {"limit_per_s": limit_V_per_s})
     gain = float(np.sum(drive.model.hysteresis.plays.weight))
-    return np.asarray(gain * (followed_V - drive.voltage_V)[:, None])
+    return np.asarray(gain * (output_V - drive.voltage_V)[:, None])
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -89,7 +91,7 @@ EFFECT = Effect(
     tangent=Tangent(columns=_tangent),
     confounded=("delay", "lag", "rate_dependence"),
     trials=_trials,
-    drive_filter=_limited,
+    drive_filter=_slew_limited,
     size=lambda view, parameters, _: view.voltage_V * parameters["limit_per_s"],
     inject=inject,
     extend=lambda estimate, setting: (

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.polynomial.legendre import legval
 
 from piezoid.diagnosis.appearance import OVER_TIME
-from piezoid.diagnosis.drive_response import Driven
+from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
     Effect,
     Tangent,
@@ -26,13 +26,13 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.signals import added_percent, seconds_of, with_added
+from piezoid.diagnosis.signals import added_percent, with_added
 from piezoid.identification.extensions.thermal_drift import ThermalDrift
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
-DEGREES_s = (5.0, 15.0, 60.0)  # from which duration drift has a slope, a bend, an inflection
-PLACEBOS = (8, 11)  # half waves, that many and the next
+DEGREES_s = (5.0, 15.0, 60.0)  # durations from which drift is linear, quadratic, cubic
+PLACEBOS = (8, 11)  # number of half waves of the first placebo wave
 PLANNED_s = 100.0
 
 
@@ -44,14 +44,17 @@ def _untestable(view: View) -> str:
 
 
 def _curves(view: View, first_wave: int = 0) -> Array:
-    """Return a smooth curve for every long track; or, for placebos, as many half waves."""
+    """Return polynomials of time for every long track, or as many waves for placebos.
+
+    first_wave  number of half waves of the first wave; 0: polynomials
+    """
     columns = []
     for k, track in enumerate(view.tracks):
         share = 2.0 * track.rows / len(track.drive) - 1.0
         for n in range(sum(track.duration_s >= least_s for least_s in DEGREES_s)):
             wave = np.cos(0.5 * np.pi * (first_wave + n) * (share + 1.0))
             curve = wave if first_wave else legval(share, np.eye(n + 2)[n + 1])
-            columns.append(view.of_track(k, curve))
+            columns.append(view.track_column(k, curve))
     return np.column_stack(columns)
 
 
@@ -62,14 +65,14 @@ def _trials(view: View) -> list[Trial]:
     ]
 
 
-def _tangent(drive: Driven, _: float) -> Array:
+def _tangent(drive: DriveResponse, _: float) -> Array:
     unit = drive.time_s / PLANNED_s
     return 1e-6 * np.column_stack([unit, unit**2])
 
 
 def inject(recording: Recording, share: float) -> Recording:
     """Add thermal drift: a slow sine and a straight line."""
-    progress = seconds_of(recording) / max(recording.duration_s, 1e-9)
+    progress = recording.time_s / max(recording.duration_s, 1e-9)
     drift_m = np.sin(2.0 * np.pi * 0.8 * progress) + 0.5 * progress
     return with_added(recording, drift_m - drift_m.mean(), share)
 

@@ -28,17 +28,17 @@ from piezoid.diagnosis.effect import Effect, Fault, FaultTest
 from piezoid.diagnosis.effects.outliers import without_spikes
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.sample_slips import (
+    MIN_ORTHOGONAL,
     MIN_ROWS,
-    MIN_UNSHARED,
     Slip,
     SlipScan,
     delay_change,
     delay_like_null,
-    in_step,
     instant_error,
     max_slip,
     refine_slip,
-    slip_places,
+    shift_readings,
+    slip_locations,
     strongest_slips,
     undo_slip,
 )
@@ -49,7 +49,7 @@ from piezoid.records.recording import Recording
 
 Refit = Callable[[Sequence[Track]], View]
 
-MAX_BETA_ERROR = 0.4  # largest deviation of beta from one, and of the step from the length
+MAX_BETA_ERROR = 0.4  # largest deviation of beta from 1, and of the step relative to the length
 MIN_GAIN = 0.33  # of the track's squared residual
 MIN_STEP_Z = 6.0  # standard errors of the step among windows of equal speed
 MIN_RMS = 3e-4  # of half the stroke
@@ -60,9 +60,9 @@ MIN_REVERSE_MOTION = 0.08  # of the squared speed
 PERMUTATIONS = 2000
 MAX_SLIPS = 8
 EVIDENT_GAIN = 0.6  # share of the squared residual of a track, evident despite other slips
-MIN_KEPT = 0.6  # of the gain of the tangent, by the refitted slip
-# Error of all recordings after a slip of a known length is undone, over that before: 0.26 in the
-# chirp of a Coleman-Hodgdon stage.
+MIN_CONFIRMED = 0.6  # of the gain of the tangent, by the refitted slip
+# Error of all recordings after undoing a slip of the length of other slips, over that before: 0.26
+# in the chirp of a Coleman-Hodgdon stage.
 MAX_ERROR = 0.9
 ROUNDING = 12.0**-0.5  # samples: standard deviation of an integer
 MIN_TRIAL_GAIN = 0.05  # of a track's squared residual, for a slip that is refined
@@ -73,10 +73,10 @@ class SlipEvidence:
     """Evidence of a slip: the delay of windows of equal speed before and after it.
 
     A limit of the amplifier, a lag or rate-dependent hysteresis delays fast windows more than slow
-    ones, whenever they come. A slip delays everything after it and nothing before.
+    windows, before and after the instant. A slip delays all windows after it and none before.
 
     beta     estimated length over length
-    step     of the delay among windows of equal speed, in samples
+    step     step of the delay among windows of equal speed, in samples
     std      standard error of this step
     p_value  of such a step if the windows are in random order
     rms      of the change by the slip, of half the stroke
@@ -105,12 +105,12 @@ class SlipEvidence:
 def largest_undetected(view: View) -> float:
     """Return the rms of the largest slip that could be present undetected, of the stroke.
 
-    A slip is evident if it explains the share g of a track's squared residual R^2. If nothing else
-    follows the share f of its own square,
+    A slip is evident if it explains the share g of a track's squared residual R^2. If a share f of
+    its square is orthogonal to the null,
 
-        rms^2 < g R^2 / f,
+        rms^2 < g R^2 / f.
 
-    f for a slip at the median of all instants that are tried.
+    f is the median over all trial instants.
     """
     null, largest = delay_like_null(view), MIN_RMS
     for k in range(len(view.tracks)):
@@ -119,8 +119,8 @@ def largest_undetected(view: View) -> float:
             continue
         first = scan.instants()
         if len(first):
-            unshared = max(float(np.median(scan.unshared_part(1, first))), MIN_UNSHARED)
-            power = MIN_GAIN / unshared * np.mean(scan.residual**2)
+            orthogonal = max(float(np.median(scan.orthogonal_share(1, first))), MIN_ORTHOGONAL)
+            power = MIN_GAIN / orthogonal * np.mean(scan.residual**2)
             largest = max(largest, float(np.sqrt(power)))
     return largest / 2.0
 
@@ -139,7 +139,7 @@ def slip_evidence(view: View, null: Null, slip: Slip) -> SlipEvidence | None:
     change = delay_change(scan.static, scan.samples, samples)
     column = np.zeros(len(null.residual))
     column[scan.rows] = np.where(np.arange(n) >= first, change, 0.0)
-    residual = (null.residual - beta * null.without(column))[scan.rows]
+    residual = (null.residual - beta * null.project_out(column))[scan.rows]
     windows = _windows(change, first)
     square = np.array([change[w] @ change[w] for w in windows]) + 1e-300
     is_after = np.array([w.start >= first for w in windows])
@@ -199,7 +199,7 @@ def _step(delay: Array, is_after: NDArray[np.bool_], weight: Array) -> tuple[flo
 
 
 def _permutation_p_value(delay: Array, weight: Array) -> float:
-    """Return how often windows in random order have as significant a step at some instant."""
+    """Return the share of random orders of the windows with as significant a step anywhere."""
     rng = np.random.default_rng(len(delay))
     orders = np.array([rng.permutation(len(delay)) for _ in range(PERMUTATIONS)])
     orders[0] = np.arange(len(delay))
@@ -212,9 +212,9 @@ def _permutation_p_value(delay: Array, weight: Array) -> float:
 
 
 def find_slips(view: View, refit: Refit | None = None) -> Fault | None:
-    """Find slips one after the other, each with all earlier ones undone.
+    """Find slips one after the other, each with all earlier slips undone.
 
-    refit  refits repaired tracks with the effects of the view; None: it has none
+    refit  refits repaired tracks with the effects of the view; None: the view has no effects
     """
     refit = refit or partial(with_tracks, view)
     repaired = _without_spikes(view, refit)
@@ -232,35 +232,26 @@ def find_slips(view: View, refit: Refit | None = None) -> Fault | None:
         return None
     tracks = list(view.tracks)
     for evidence in slips:
-        tracks[evidence.slip.track] = in_step(tracks[evidence.slip.track], evidence.slip)
-    # the length of a slip is corrected by a second slip at its instant
-    first = [evidence for evidence in slips if _is_same(evidence.slip, slips[0].slip, view)]
-    longest = first[-1]
+        tracks[evidence.slip.track] = shift_readings(tracks[evidence.slip.track], evidence.slip)
+    # a second slip at the instant of the first one corrects its length
+    at_first = [evidence for evidence in slips if _is_same(evidence.slip, slips[0].slip, view)]
+    last = at_first[-1]
     return Fault(
         tracks=tuple(tracks),
-        value=sum(evidence.slip.samples for evidence in first),
-        spread=float(np.hypot(longest.std, longest.step - longest.slip.samples)),
+        value=sum(evidence.slip.samples for evidence in at_first),
+        spread=float(np.hypot(last.std, last.step - last.slip.samples)),
         p_value=min(evidence.p_value for evidence in slips),
-        where=slip_places([evidence.slip for evidence in slips], view.tracks),
+        locations=slip_locations([evidence.slip for evidence in slips], view.tracks),
     )
 
 
-def find_slips_beside(view: View, refit: Refit, samples: int | None) -> Fault | None:
-    """Find slips in a view that contains effects: by evidence, or by a length that is known.
+def find_equal_slips(view: View, refit: Refit, samples: int) -> Fault | None:
+    """Find slips of the length of other slips by the error alone, at most one in each track.
 
-    refit    fits repaired tracks as the view was fitted
-    samples  length of slips that were found before; None: none
-    """
-    return find_slips(view, refit) or (
-        None if samples is None else _find_equal_slips(view, refit, samples)
-    )
+    A chirp has no equal speeds before and after a slip, so that ``find_slips`` finds none.
 
-
-def _find_equal_slips(view: View, refit: Refit, samples: int) -> Fault | None:
-    """Find slips of a known length, at most one in each track, by the error.
-
-    A chirp has no equal speeds before and after a slip. If the clock slips by as many samples in
-    other recordings, the error alone decides.
+    refit    refits repaired tracks with the effects of the view
+    samples  length of the slips
     """
     repaired = view
     slips: list[Slip] = []
@@ -284,20 +275,21 @@ def _find_equal_slips(view: View, refit: Refit, samples: int) -> Fault | None:
         value=samples,
         spread=ROUNDING,
         p_value=1.0,
-        where=slip_places(slips, view.tracks),
+        locations=slip_locations(slips, view.tracks),
     )
 
 
 def _without_spikes(view: View, refit: Refit) -> View:
-    """Return the view without spikes, another fault that would hide a small slip."""
-    tracks = [without_spikes(t, s) for t, s in zip(view.tracks, view.static, strict=True)]
-    if all(a is b for a, b in zip(tracks, view.tracks, strict=True)):
+    """Return the view without spikes, which would hide a small slip."""
+    pairs = zip(view.tracks, view.static, strict=True)
+    tracks = [without_spikes(track, static) for track, static in pairs]
+    if all(new is old for new, old in zip(tracks, view.tracks, strict=True)):
         return view
     return refit(tracks)
 
 
 def _next_slip(view: View, refit: Refit) -> SlipEvidence | None:
-    """Return the strongest significant slip; None if there is none."""
+    """Return the strongest significant slip, or None."""
     null = delay_like_null(view)
     for slip in strongest_slips(view, null):
         if slip.gain < MIN_TRIAL_GAIN:
@@ -329,7 +321,7 @@ def _is_significant_beside_other_axes(view: View, slip: Slip) -> bool:
 
 
 def _is_confirmed(original: View, undone: View, evidence: SlipEvidence) -> bool:
-    """Tell whether undoing a slip reduces the error; undoing a wrong one hides the true one.
+    """Tell whether undoing a slip reduces the error; undoing a wrong slip would hide the true one.
 
     With slips in other tracks the total error may not fall. Then an evident slip must explain most
     of its expected gain beside delay-like columns.
@@ -338,9 +330,9 @@ def _is_confirmed(original: View, undone: View, evidence: SlipEvidence) -> bool:
         return True
     null, undone_null = delay_like_null(original), delay_like_null(undone)
     rows = original.track_rows(evidence.slip.track)
-    promised = evidence.slip.gain * float(np.sum(null.residual[rows] ** 2))
+    expected = evidence.slip.gain * float(np.sum(null.residual[rows] ** 2))
     explained = float(np.sum(null.residual**2) - np.sum(undone_null.residual**2))
-    return evidence.slip.gain > EVIDENT_GAIN and explained > MIN_KEPT * promised
+    return evidence.slip.gain > EVIDENT_GAIN and explained > MIN_CONFIRMED * expected
 
 
 def _is_same(slip: Slip, reference: Slip, view: View) -> bool:
@@ -350,7 +342,7 @@ def _is_same(slip: Slip, reference: Slip, view: View) -> bool:
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Drop as many samples in the middle as give the share."""
+    """Drop as many samples in the middle as change the reading by the share."""
     moved_m = recording.displacement_m()
     step_m = float(np.sqrt(np.mean(np.diff(moved_m) ** 2)))
     rows = max(round(2.0 * share * float(np.ptp(moved_m)) / max(step_m, 1e-30)), 1)

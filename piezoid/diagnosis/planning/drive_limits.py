@@ -15,7 +15,7 @@ from piezoid.records.recording import Quantity, Recording
 
 @dataclass(frozen=True, kw_only=True)
 class DriveLimits:
-    """Range and speed that amplifier and actuator bear; every waveform stays inside.
+    """Limits of the voltage and of its rate of change; every waveform stays within them.
 
     voltage_min_V    lowest voltage
     voltage_max_V    highest voltage
@@ -41,7 +41,7 @@ class Drive:
     """Voltages for the converters, one column for each axis.
 
     name              of the experiment
-    why               one sentence: what it will show
+    why               purpose, in one sentence
     sampling_rate_Hz  > 0
     axes              names of the driven axes
     voltage_V         (samples, axes)
@@ -66,7 +66,7 @@ class Drive:
     def to_csv(self) -> str:
         """Return the drive as text: a header with units, then one row for each sample.
 
-        Numbers come back exactly; ingest reads the header as it is.
+        Reading the text gives exactly the same numbers; ingest understands the header.
         """
         header = ",".join(["time [s]", *(f"voltage_{axis} [V]" for axis in self.axes)])
         time_s = np.arange(len(self.voltage_V)) / self.sampling_rate_Hz
@@ -78,12 +78,12 @@ class Drive:
 class Bench:
     """Limits of all drives of one stage.
 
-    axis         whose next experiment is planned
-    limits       of its drive
-    clock_Hz     of the converters
+    axis          axis of the next experiment
+    limits        of the drive of this axis
+    clock_Hz      of the converters
     other_limits  limits of other axes that may be driven, by name
-    range_from   origin of the range, in words
-    speed_from   origin of the largest speed, in words
+    range_from    origin of the range, in words
+    speed_from    origin of the largest speed, in words
     """
 
     axis: str
@@ -135,21 +135,21 @@ def bench_of(
 
 
 def _clock_Hz(
-    model: ActuatorModel, lab: Lab, recordings: Sequence[Recording], asked_Hz: float | None
+    model: ActuatorModel, lab: Lab, recordings: Sequence[Recording], requested_Hz: float | None
 ) -> float:
-    rates = [recording.sampling_rate_Hz for recording in recordings]
-    declared = asked_Hz or lab.acquisition.sampling_rate_Hz or model.controller_rate_Hz
-    if declared is None and not rates:
+    rates_Hz = [recording.sampling_rate_Hz for recording in recordings]
+    declared_Hz = requested_Hz or lab.acquisition.sampling_rate_Hz or model.controller_rate_Hz
+    if declared_Hz is None and not rates_Hz:
         raise LabFileError(
             f"{lab.place}: no sampling rate of the converters",
             needed="the rate at which the drive will be played",
             remedy="Write [acquisition] sampling_rate_Hz = ... into lab.toml, or add --rate.",
         )
-    return declared or max(rates)
+    return declared_Hz or max(rates_Hz)
 
 
 def _limits(axis: AxisModel, lab: Lab) -> tuple[DriveLimits, str, str]:
-    """Return the recorded range inside lab.toml, the largest speed, and the origin of each."""
+    """Return the recorded range within lab.toml and the largest speed, and the origin of each."""
     amplifier = lab.amplifier_of(axis.axis)
     gain = amplifier.gain_V_per_V or 1.0
     output_V = sorted(
@@ -173,8 +173,9 @@ def _limits(axis: AxisModel, lab: Lab) -> tuple[DriveLimits, str, str]:
     if not (high_V > low_V and slew_V_per_s > 0.0):
         raise LabFileError(
             f"{lab.place}: axis {axis.axis} was driven from {axis.voltage_V[0]:g} to "
-            f"{axis.voltage_V[1]:g} V, and of that the limits leave {low_V:g} to {high_V:g} V",
-            needed="limits that hold a part of what was driven",
+            f"{axis.voltage_V[1]:g} V, and the limits restrict this range to {low_V:g} to "
+            f"{high_V:g} V",
+            needed="limits that contain a part of the recorded range",
             remedy="Correct output_min_V, output_max_V, gain_V_per_V or input_range_V.",
         )
     binding = [

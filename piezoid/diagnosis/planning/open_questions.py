@@ -1,12 +1,12 @@
 """Open questions of a diagnosis, and the uncertainty that remains after a drive.
 
-The share that a drive leaves is 1 if nothing is gained and 0 if the question is answered. For a
-size it is the expected interval over the present one; for an effect that was not detected, the
-expected detection limit over the present one; for two confounded effects, the error of the less
+The remaining uncertainty is 1 if nothing is gained and 0 if the question is answered. For a size
+it is the expected interval over the present interval; for an effect that was not detected, the
+expected detection limit over the present limit; for two confounded effects, the error of the less
 certain size, with the other free, over its present value.
 
-The errors of ``separation`` are too small, but their ratios are reliable: with the recordings at
-hand, the interval of the diagnosis is taken to shrink in proportion to the standard error.
+The errors of ``separation`` are too small, but their ratios are reliable: if the recordings are
+given, the interval of the diagnosis is expected to shrink in proportion to the standard error.
 """
 
 from collections.abc import Sequence
@@ -23,8 +23,8 @@ from piezoid.errors import ExcitationError
 HALF_95 = 1.96  # standard errors
 POWER = 2.8  # standard errors of the smallest size that is detected in four cases of five
 MAX_LEFT = 0.8  # largest remaining share after a recording that is worth its time
-WIDE = 0.25  # half the interval over the size, from which on a size is worth a recording
-UNTESTED_SHARE = 2e-3  # of the stroke, of an effect that these recordings could not show
+WIDE = 0.25  # half the interval over the size from which a size is worth a recording
+UNTESTED_SHARE = 2e-3  # of the stroke: assumed size of an effect that was not tested
 LOWERABLE = 1.25  # detection limit over the smallest size that is named
 
 
@@ -33,9 +33,9 @@ class Question:
     """A question that an experiment may answer.
 
     kind      ``separate``, ``tighten`` or ``detect``
-    suspects  the effect in question, then those it may be confounded with
-    finding   of the effect, if it was found
-    absent    why it was not found
+    suspects  the effect in question, then the effects with which it may be confounded
+    finding   finding of the effect, if it was detected
+    absent    record of the effect, if it was not detected
     floor_m   rms below which the diagnosis does not name the effect
     """
 
@@ -67,9 +67,9 @@ def questions_of(diagnosis: Diagnosis, effect: str | None) -> tuple[Question, ..
     pressing = tuple(question for question in questions if is_open(question))
     if not pressing:
         raise ExcitationError(
-            "the diagnosis leaves nothing open that a drive could show better",
-            needed="effects not told apart, wide intervals, or effects that could hide",
-            remedy="No recording is needed; name one with --effect to ask all the same.",
+            "the diagnosis has no open question that a drive could answer",
+            needed="confounded effects, wide intervals, or effects with a high detection limit",
+            remedy="No recording is needed. To plan one for an effect, name it with --effect.",
         )
     return pressing
 
@@ -174,10 +174,10 @@ def answers(
 ) -> bool:
     """Tell whether a drive answers enough of a question to be worth recording."""
     exceed_errors = question.kind != "separate" or POWER * planned.worst <= 1.0
-    return exceed_errors and left_open(question, recorded, planned) <= MAX_LEFT
+    return exceed_errors and remaining_uncertainty(question, recorded, planned) <= MAX_LEFT
 
 
-def left_open(
+def remaining_uncertainty(
     question: Question, recorded: SeparationEstimate | None, planned: SeparationEstimate
 ) -> float:
     """Return the share of the uncertainty that remains after a drive, 0 to 1."""

@@ -1,4 +1,4 @@
-"""A plan in sentences, and as files: drive.csv and plan.json."""
+"""Write a plan as sentences and as files: drive.csv and plan.json."""
 
 from collections.abc import Mapping, Sequence
 from math import isfinite
@@ -84,7 +84,7 @@ def _question_json(question: Question) -> dict[str, Any]:
 def _estimate_json(
     question: Question, estimate: SeparationEstimate | None
 ) -> dict[str, Any] | None:
-    """Return separability, and of each effect half its expected interval over its size."""
+    """Return the separability, and the relative half width of the interval of each effect."""
     if estimate is None:
         return None
     return {

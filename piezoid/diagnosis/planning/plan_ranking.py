@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.diagnosis.drive_response import ROWS, Driven, rows_of, scaled_drives
-from piezoid.diagnosis.planning.candidate_drives import MENU, Experiment, played
+from piezoid.diagnosis.drive_response import ROWS, DriveResponse, rows_of, scaled_drives
+from piezoid.diagnosis.planning.candidate_drives import EXPERIMENTS, Experiment, drive_of
 from piezoid.diagnosis.planning.drive_limits import Bench, Drive
-from piezoid.diagnosis.planning.open_questions import Question, answers, left_open
+from piezoid.diagnosis.planning.open_questions import Question, answers, remaining_uncertainty
 from piezoid.diagnosis.planning.separation import Errors, SeparationEstimate, estimate_separation
 from piezoid.diagnosis.planning.waveforms import equal_cycles
 from piezoid.errors import ExcitationError
@@ -23,10 +23,10 @@ NEARLY = 0.9  # of the best score: a shorter drive that reaches it is preferred
 
 @dataclass(frozen=True, kw_only=True)
 class Alternative:
-    """One candidate drive and its expected estimate.
+    """A candidate drive and the expected precision with it.
 
     estimate  together with the recordings, if they were given; None if it cannot be played
-    score     inverse relative error of the size in question; of two effects to be separated their
+    score     inverse relative error of the size in question; for two effects to be separated their
               separability, reduced below ``ENOUGH`` standard errors
     refusal   why it cannot be played, or empty
     """
@@ -43,9 +43,9 @@ class Alternative:
 class Choice:
     """The best drive for one question.
 
-    alternatives  all candidates, best first
-    best          of these, or a shorter one that is nearly as good
-    recorded      estimate from the recordings; None without them
+    alternatives     all candidates, best first
+    best             the best candidate, or a shorter one that is nearly as good
+    recorded         estimate from the recordings; None without them
     remaining_share  share of the uncertainty that remains after the drive, 0 to 1
     """
 
@@ -70,25 +70,25 @@ class Choice:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Table:
+class CandidateTable:
     """All candidate drives within the limits of one stage, simulated.
 
     recorded   drives of the recordings
     reference  drives along which a diagnosed effect has its size
     drives     by name: a drive, or why it cannot be played
-    driven     response of the model to those that can be played
+    responses  response of the model to each drive that can be played
     """
 
     errors: Errors
-    recorded: tuple[Driven, ...]
-    reference: tuple[Driven, ...]
+    recorded: tuple[DriveResponse, ...]
+    reference: tuple[DriveResponse, ...]
     drives: Mapping[str, Drive | str]
-    driven: Mapping[str, Driven]
+    responses: Mapping[str, DriveResponse]
 
     def choice(self, question: Question) -> Choice:
         """Return the best drive for a question, or a shorter one that is nearly as good."""
         recorded = self._estimate(question) if self.recorded else None
-        alternatives = [self._alternative(experiment, question) for experiment in MENU]
+        alternatives = [self._alternative(experiment, question) for experiment in EXPERIMENTS]
         ranked = tuple(sorted(alternatives, key=lambda alternative: -alternative.score))
         best = ranked[0]
         choice = Choice(
@@ -111,7 +111,7 @@ class Table:
         name, why, drive = experiment.name, experiment.why, self.drives[experiment.name]
         if isinstance(drive, str):
             return Alternative(name=name, why=why, duration_s=0.0, estimate=None, refusal=drive)
-        estimate = self._estimate(question, self.driven[name])
+        estimate = self._estimate(question, self.responses[name])
         if question.kind == "separate":
             certainty = 1.0 / max(estimate.worst, 1e-30)
             score = estimate.separability * min(certainty / ENOUGH, 1.0)
@@ -121,7 +121,7 @@ class Table:
             name=name, why=why, duration_s=drive.duration_s, estimate=estimate, score=score
         )
 
-    def _estimate(self, question: Question, *planned: Driven) -> SeparationEstimate:
+    def _estimate(self, question: Question, *planned: DriveResponse) -> SeparationEstimate:
         drives = [*self.recorded, *planned]
         return estimate_separation(drives, question.suspects, self.reference, self.errors)
 
@@ -131,36 +131,40 @@ def _share_left(
 ) -> float:
     if alternative.estimate is None or alternative.score <= 0.0:
         return 1.0
-    return left_open(question, recorded, alternative.estimate)
+    return remaining_uncertainty(question, recorded, alternative.estimate)
 
 
-def table_of(
-    axis: AxisModel, bench: Bench, diagnosis: Diagnosis, recorded: Sequence[Driven], seed: int
-) -> Table:
+def simulate_candidates(
+    axis: AxisModel,
+    bench: Bench,
+    diagnosis: Diagnosis,
+    recorded: Sequence[DriveResponse],
+    seed: int,
+) -> CandidateTable:
     """Simulate all candidate drives on the model of one axis."""
     drives: dict[str, Drive | str] = {}
-    for experiment in MENU:
+    for experiment in EXPERIMENTS:
         try:
-            drives[experiment.name] = played(experiment, bench, seed)
+            drives[experiment.name] = drive_of(experiment, bench, seed)
         except ExcitationError as refusal:
             drives[experiment.name] = str(refusal)
     noise_m, final_m = diagnosis.noise_floor_rms_m, diagnosis.final.rms_m
-    return Table(
+    return CandidateTable(
         errors=Errors(noise_m=noise_m, structure_m=max(final_m**2 - noise_m**2, 0.0) ** 0.5),
         recorded=tuple(recorded),
         reference=tuple(recorded) or usual_drives(axis, bench),
         drives=drives,
-        driven={
-            name: driven_drive(axis, drive)
+        responses={
+            name: response_to(axis, drive)
             for name, drive in drives.items()
             if isinstance(drive, Drive)
         },
     )
 
 
-def driven_drive(axis: AxisModel, drive: Drive) -> Driven:
+def response_to(axis: AxisModel, drive: Drive) -> DriveResponse:
     """Return the model's response to a planned drive, after cycles over the range."""
-    return Driven(
+    return DriveResponse(
         name=drive.name,
         model=axis,
         rate_Hz=drive.sampling_rate_Hz,
@@ -172,7 +176,7 @@ def driven_drive(axis: AxisModel, drive: Drive) -> Driven:
     )
 
 
-def usual_drives(axis: AxisModel, bench: Bench) -> tuple[Driven, ...]:
+def usual_drives(axis: AxisModel, bench: Bench) -> tuple[DriveResponse, ...]:
     """Return full cycles, slow and as fast as the stage was driven: the usual recordings."""
     limits = replace(bench.limits, slew_V_per_s=axis.certificate.slew_V_per_s)
     low_V, high_V = limits.range_V
@@ -183,6 +187,8 @@ def usual_drives(axis: AxisModel, bench: Bench) -> tuple[Driven, ...]:
         voltage_V = equal_cycles(limits, rate_Hz, frequency_Hz=frequency_Hz, cycles=5)
         rows = rows_of(len(voltage_V), ROWS)
         drives.append(
-            Driven(name="full cycles", model=axis, rate_Hz=rate_Hz, voltage_V=voltage_V, rows=rows)
+            DriveResponse(
+                name="full cycles", model=axis, rate_Hz=rate_Hz, voltage_V=voltage_V, rows=rows
+            )
         )
     return tuple(drives)

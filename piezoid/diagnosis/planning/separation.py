@@ -21,7 +21,7 @@ from typing import cast
 
 import numpy as np
 
-from piezoid.diagnosis.drive_response import Driven, null_columns, side_by_side
+from piezoid.diagnosis.drive_response import DriveResponse, null_columns, side_by_side
 from piezoid.diagnosis.effect import Tangent
 from piezoid.numerics.arrays import Array
 
@@ -73,9 +73,9 @@ class SeparationEstimate:
 
 
 def estimate_separation(
-    drives: Sequence[Driven],
+    drives: Sequence[DriveResponse],
     suspects: Sequence[Suspect],
-    reference: Sequence[Driven],
+    reference: Sequence[DriveResponse],
     errors: Errors,
 ) -> SeparationEstimate:
     """Return the expected precision of suspects on drives.
@@ -103,7 +103,7 @@ def estimate_separation(
     return SeparationEstimate(separability=_separability(blocks), errors=tuple(relative_errors))
 
 
-def scale_of(suspect: Suspect, reference: Sequence[Driven]) -> float:
+def scale_of(suspect: Suspect, reference: Sequence[DriveResponse]) -> float:
     """Return the scale of a tangent; of a lag, the time at which it has its size."""
     tangent = suspect.tangent
     if suspect.scale is not None:
@@ -114,13 +114,13 @@ def scale_of(suspect: Suspect, reference: Sequence[Driven]) -> float:
     return suspect.rms_m / max(speed_m_per_s, 1e-30)
 
 
-def row_weights(drives: Sequence[Driven]) -> Array:
-    """Return a weight for every row, so that drives count equally whatever their length."""
+def row_weights(drives: Sequence[DriveResponse]) -> Array:
+    """Return a weight for every row, such that all drives count equally."""
     counts = [len(drive.rows) for drive in drives]
     return np.concatenate([np.full(count, count**-0.5) for count in counts])
 
 
-def block_of(tangent: Tangent, scale: float, drives: Sequence[Driven]) -> Array:
+def block_of(tangent: Tangent, scale: float, drives: Sequence[DriveResponse]) -> Array:
     """Return an effect's columns at the rows of all drives, (rows, columns)."""
     blocks = [tangent.columns(drive, scale)[drive.rows] for drive in drives]
     if tangent.per_drive:
@@ -129,12 +129,15 @@ def block_of(tangent: Tangent, scale: float, drives: Sequence[Driven]) -> Array:
     return np.vstack([np.pad(b, ((0, 0), (0, width - b.shape[1]))) for b in blocks])
 
 
-def _column_sums(tangent: Tangent, scale: float, drives: Sequence[Driven]) -> list[Array]:
+def _column_sums(tangent: Tangent, scale: float, drives: Sequence[DriveResponse]) -> list[Array]:
     return [tangent.columns(drive, scale)[drive.rows].sum(axis=1) for drive in drives]
 
 
 def _unit_rms(
-    tangent: Tangent, scale: float, reference: Sequence[Driven], drives: Sequence[Driven]
+    tangent: Tangent,
+    scale: float,
+    reference: Sequence[DriveResponse],
+    drives: Sequence[DriveResponse],
 ) -> float:
     """Return the rms of an effect of strength one along the reference.
 
@@ -145,7 +148,7 @@ def _unit_rms(
     return rms or max(_centred_rms(tangent, scale, (drive,)) for drive in drives) or 1.0
 
 
-def _centred_rms(tangent: Tangent, scale: float, drives: Sequence[Driven]) -> float:
+def _centred_rms(tangent: Tangent, scale: float, drives: Sequence[DriveResponse]) -> float:
     sums = _column_sums(tangent, scale, drives)
     return _rms(np.concatenate([values - values.mean() for values in sums]))
 
@@ -187,7 +190,7 @@ def _separability_of_pair(a: Array, b: Array) -> float:
 
 
 def _relative_error(
-    column: Array, nuisance: Array, weight: Array, drives: Sequence[Driven], errors: Errors
+    column: Array, nuisance: Array, weight: Array, drives: Sequence[DriveResponse], errors: Errors
 ) -> float:
     remainder = orthogonal_to(basis_of(nuisance), column[:, None])
     if not remainder.shape[1]:
@@ -203,7 +206,7 @@ def _relative_error(
     return float(np.sqrt(white + structure))
 
 
-def _correlated_variance(drives: Sequence[Driven], estimator: Array) -> float:
+def _correlated_variance(drives: Sequence[DriveResponse], estimator: Array) -> float:
     """Return d' K d with the kernel of similar states."""
     from scipy.spatial.distance import pdist, squareform
 

@@ -1,7 +1,7 @@
 """Waveforms inside the limits: loops, reversal curves, held levels, sines, ramps, multisines.
 
-A waveform is played between two cycles over the whole range and a return to rest: every play that
-the range can reach has then forgotten what the stage did before.
+A waveform is preceded by two cycles over the whole range, which determine the initial state of
+every play, and followed by a return to rest.
 """
 
 from collections.abc import Sequence
@@ -16,16 +16,16 @@ from piezoid.numerics.arrays import Array
 CREST_TRIALS = 20  # draws of phases; the one with the lowest peak is taken
 CYCLES_BEFORE = 2
 CYCLE_s = 2.0  # of one such cycle, where the slew limit allows
-FULL_AT_Hz = 100.0  # fastest sine of the full range: mechanics is spared
+FULL_AT_Hz = 100.0  # fastest sine of the full range, to protect the mechanics
 GLIDE = np.pi / 2  # peak speed of half a cosine over its mean speed
 
 
 def rest_V(limits: DriveLimits) -> float:
-    """Return the voltage next to 0 V that the limits allow."""
+    """Return the voltage within the limits that is nearest to 0 V."""
     return float(np.clip(0.0, limits.voltage_min_V, limits.voltage_max_V))
 
 
-def between(body_V: Array, rate_Hz: float, limits: DriveLimits) -> Array:
+def with_lead_in(body_V: Array, rate_Hz: float, limits: DriveLimits) -> Array:
     """Return a drive preceded by cycles over the whole range and followed by a return to rest."""
     full_cycle_V = (limits.voltage_max_V, limits.voltage_min_V)
     stops_V = [rest_V(limits), *full_cycle_V * CYCLES_BEFORE, float(body_V[0])]
@@ -44,7 +44,7 @@ def path_V(
 ) -> Array:
     """Return a drive through voltages, with half-cosine moves and holds.
 
-    move_s  of each move; longer where the slew limit asks for it
+    move_s  of each move; longer if the slew limit requires it
     """
     parts = [np.array([stops_V[0]])]
     for start_V, stop_V in pairwise(stops_V):
@@ -62,8 +62,8 @@ def decaying_loops(
     middle_V, reach_V = _middle(limits)
     frequency_Hz = min(frequency_Hz, limits.slew_V_per_s / (4.5 * reach_V))
     phase = np.arange(round(cycles / frequency_Hz * rate_Hz)) * frequency_Hz / rate_Hz
-    falling = reach_V * (1.0 - phase / cycles)
-    return middle_V + np.asarray(falling) * triangle(np.asarray(phase))
+    amplitude_V = reach_V * (1.0 - phase / cycles)
+    return middle_V + np.asarray(amplitude_V) * triangle(np.asarray(phase))
 
 
 def reversal_curves(limits: DriveLimits, rate_Hz: float, *, curves: int, move_s: float) -> Array:
@@ -83,7 +83,7 @@ def held_levels(
     mirrored: bool,
     rng: np.random.Generator,
 ) -> Array:
-    """Return random levels, each held; ``mirrored``: then the same about the middle."""
+    """Return random levels, each held; if ``mirrored``, followed by their mirror image."""
     middle_V, reach_V = _middle(limits)
     shares = rng.uniform(-0.95, 0.95, levels)
     shares = np.concatenate([shares, -shares]) if mirrored else shares
@@ -151,7 +151,7 @@ def odd_lines(
     """Return odd multiples of the resolution in a band, with one of each group left out at random.
 
     left_out_of  size of a group; the line left out detects odd distortion, as all even lines
-                 detect even distortion. 0 leaves none out
+                 detect even distortion. 0: no line is left out
     """
     first = int(np.ceil(lowest_Hz / resolution_Hz))
     lines = np.arange(first + 1 - first % 2, int(highest_Hz / resolution_Hz) + 1, 2)
@@ -169,7 +169,7 @@ def multisine_period(lines: NDArray[np.int64], samples: int, rng: np.random.Gene
 
     Of several draws of the phases the one with the lowest peak is taken.
 
-    lines  which multiples of the inverse period it contains
+    lines  multiples of the inverse period that it contains
     """
 
     def period(phase_rad: Array) -> Array:
@@ -183,7 +183,7 @@ def multisine_period(lines: NDArray[np.int64], samples: int, rng: np.random.Gene
 
 
 def triangle(phase: Array) -> Array:
-    """Return the triangle that turns where the sine of 2 pi phase does."""
+    """Return a triangle with the reversals of the sine of 2 pi phase."""
     return np.asarray(2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * phase)))
 
 
