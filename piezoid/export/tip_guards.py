@@ -138,7 +138,7 @@ def _currents(lab: Lab, loop: LoopPlant) -> tuple[float, float, float]:
         raise _unusable(
             lab,
             f"ceiling_A is {declared.ceiling_A:g}, and {declared.feedback_ohm:g} ohm and the "
-            f"converter measure at most {max(map(abs, range_A)):g} A",
+            f"converter read at most {max(map(abs, range_A)):g} A",
             "a ceiling within the range of the reading, or the tip never retracts",
         )
     return reference_A, declared.floor_A, declared.ceiling_A

@@ -133,7 +133,7 @@ def test_what_the_axis_cannot_follow_is_refused_with_both_figures():
     with pytest.raises(ParameterFileError, match=r"the reference is from .* to .* within"):
         first_table(AXIS, PLANT, triangle(1.2), parameters=shipped())
     slow = replace(PLANT, slew_V_per_s=100.0)
-    with pytest.raises(ParameterFileError, match=r"moves by up to .* at most"):
+    with pytest.raises(ParameterFileError, match=r"moves at up to .* at most"):
         first_table(AXIS, slow, triangle(), parameters=None)
 
 
